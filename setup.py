@@ -1,7 +1,7 @@
 """The one step of a build that pyproject.toml has no words for: the wheel holds what is shipped.
 
-Scenarios, plans and examples lie beside the package in the repository, where tests and documents name them;
-a mapping of packages to these folders would cost the editable install its plain path.  ``site`` is what
+Scenarios, plans, robots and examples lie beside the package in the repository, where tests and documents name
+them; a mapping of packages to these folders would cost the editable install its plain path.  ``site`` is what
 ``make docs`` built, if it did.
 """
 
@@ -11,7 +11,7 @@ from pathlib import Path
 from setuptools import setup
 from setuptools.command.build_py import build_py
 
-FOLDERS = ("scenarios", "plans", "examples", "site")
+FOLDERS = ("scenarios", "plans", "examples", "robots", "site")
 
 
 class BuildWithContents(build_py):

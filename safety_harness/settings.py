@@ -103,7 +103,8 @@ class Cell:
     table_height_m: float = setting(-0.300, "z of the table", -2.0, 2.0)
     desired_tcp_position_in_base_m: Vector3 = setting((0.700, 0.0, 0.350), "where the servoing should end")
     preferred_joint_position_rad: tuple[float, ...] = setting(
-        (-0.22, -1.27, 1.98, -2.27, -1.57, -1.79), "a start by `offset` takes the joint angles nearest to it"
+        (-0.22, -1.27, 1.98, -2.27, -1.57, -1.79),
+        "a start by `offset` takes the joint angles nearest to it; as many as the arm has joints",
     )
 
 

@@ -13,8 +13,10 @@ from safety_harness.avoidance.avoider import Avoider, Proposal
 from safety_harness.avoidance.gate import Gate, Query
 from safety_harness.controller.controller import AvoidingServo, Controller
 from safety_harness.controller.records import COMMAND
+from safety_harness.robot.robots import arm_capsules, inverse_kinematics
 from safety_harness.scenario.model import MovingHand, OffsetStart, Scenario
 from safety_harness.scenario.moves import HandMove, MoveTo, Wait, Withdraw
+from safety_harness.scenario.robots import Robot
 from safety_harness.settings import DEFAULTS, Settings
 from safety_harness.simulation.simulate import simulate
 from safety_harness.simulation.worlds import PYBULLET
@@ -72,6 +74,11 @@ def run(
         controller = admitted.controller() if gate is None else ungated(admitted, gate)
     with PYBULLET.open(what, admitted.arm, admitted.joint_position_rad) as world:
         return simulate(world, controller, what)
+
+
+def ur10_gate(settings: Settings) -> Gate:
+    """The gate of the UR10."""
+    return Gate.of(settings, inverse_kinematics(Robot.UR10), arm_capsules(Robot.UR10))
 
 
 def ungated(admitted: Admitted, gate: Gate) -> AvoidingServo:

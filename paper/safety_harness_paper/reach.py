@@ -23,6 +23,7 @@ from safety_harness.controller.desired import desired_transform_tcp_to_base
 from safety_harness.geometry.regions import Box, Region
 from safety_harness.learning.evaluation import leaf
 from safety_harness.learning.image_error import ImageErrors
+from safety_harness.robot.capsules import load_capsules
 from safety_harness.robot.description import load_arm
 from safety_harness.robot.inverse import InverseKinematics
 from safety_harness.settings import GateKind, Settings
@@ -159,4 +160,6 @@ def _asked(
 
 
 def _gate(settings: Settings, kinematics: InverseKinematics, kind: GateKind) -> Gate:
-    return Gate.of(replace(settings, avoidance=replace(settings.avoidance, gate=kind)), kinematics)
+    return Gate.of(
+        replace(settings, avoidance=replace(settings.avoidance, gate=kind)), kinematics, load_capsules()
+    )

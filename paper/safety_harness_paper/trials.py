@@ -19,7 +19,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.admission.admit import Admitted, admit
-from safety_harness.admission.poses import kinematics
 from safety_harness.avoidance.avoider import Avoider
 from safety_harness.avoidance.gate import Gate, Query
 from safety_harness.avoidance.simple import OppositePose
@@ -42,6 +41,7 @@ from safety_harness.geometry.regions import Region
 from safety_harness.learning.evaluation import leaf
 from safety_harness.perception.hand_filter import filter_parameters
 from safety_harness.perception.tracking import no_tracks
+from safety_harness.robot.robots import arm_capsules, inverse_kinematics
 from safety_harness.scenario.model import PoseStart, Scenario
 from safety_harness.settings import GateKind, Settings, Vector3
 from safety_harness.simulation.pybullet_world import PyBulletWorld
@@ -268,7 +268,9 @@ class _TriggeredServo:
         settings = start.scenario.settings
         self._avoider, self._hand, self._seed = avoider, hand_in_base_m, seed
         reach = replace(settings, avoidance=replace(settings.avoidance, gate=GateKind.REACH))
-        self._gate = Gate.of(reach, kinematics(start.arm.name))
+        self._gate = Gate.of(
+            reach, inverse_kinematics(start.scenario.robot), arm_capsules(start.scenario.robot)
+        )
         self._parameters = ParameterRecords(parameters(settings, start.arm, start.view))
         self._filter = FilterRecords(filter_parameters(settings.hand_filter, settings.hand_sensor))
         self._tracks = TrackRecords(no_tracks())

@@ -16,7 +16,16 @@ from safety_harness.admission.avoiders import Avoiders, folder_of, refuse_unusab
 from safety_harness.admission.checks import check_decision_time, check_faults, checked_view
 from safety_harness.admission.claims import property_of
 from safety_harness.admission.hands import check_hands
-from safety_harness.admission.poses import DESIRED, VIEW, check_desired, checked_start, kinematics
+from safety_harness.admission.poses import (
+    DESIRED,
+    VIEW,
+    check_desired,
+    check_drives,
+    check_obstacles,
+    check_posture,
+    check_stuck_joints,
+    checked_start,
+)
 from safety_harness.avoidance.asking import Question, ask
 from safety_harness.avoidance.avoider import Avoider, decision_time_of
 from safety_harness.avoidance.gate import Gate
@@ -24,9 +33,12 @@ from safety_harness.controller.controller import AvoidingServo
 from safety_harness.controller.decision_times import decision_times_s, recorded_late, recorded_times_s
 from safety_harness.exceptions import InadmissibleError, NoAnswerError, SettingsError, refuse_other_type
 from safety_harness.properties.base import Property
-from safety_harness.robot.description import ArmModel, load_arm
+from safety_harness.robot.description import ArmModel
+from safety_harness.robot.robots import arm_capsules, arm_model, drive_model, inverse_kinematics, refuse_unfit
+from safety_harness.robot.urdf import ArmFileError
 from safety_harness.scenario.fault_table import fault_table
-from safety_harness.scenario.model import Robot, Scenario
+from safety_harness.scenario.model import Scenario
+from safety_harness.scenario.robots import AnyRobot
 from safety_harness.servoing.control import DesiredView
 from safety_harness.settings import DecisionCost, Settings, Vector3
 from safety_harness.space.regions import Seen, seen_by
@@ -56,7 +68,8 @@ class Admitted(Checked):
     def controller(self, recorded: Trace | None = None) -> AvoidingServo:
         """A fresh controller for one run; ``recorded`` is an earlier one, whose times count again."""
         scenario, settings = self.scenario, self.scenario.settings
-        gate = Gate.of(settings, kinematics(self.arm.name))
+        robot = scenario.robot
+        gate = Gate.of(settings, inverse_kinematics(robot), arm_capsules(robot), scenario.obstacles)
         cost, declared_s = settings.avoidance.decision_time, decision_time_of(self.avoider)
         if recorded is not None and cost is DecisionCost.WALL_CLOCK:
             times_s = recorded_times_s(recorded)
@@ -139,14 +152,30 @@ def refuse_no_answer(scenario: Scenario) -> None:
 
 def check(scenario: Scenario) -> Checked:
     """All of admission but the avoider, of which nothing is read or executed; errors as of ``admit``."""
-    arm = load_arm(scenario.robot.arm_name)
+    arm = _arm_of(scenario)
     with _placed(scenario):
+        check_posture(scenario, arm)
+        check_stuck_joints(scenario, arm)
         view = _view_of_cell(_Cell(scenario.settings, scenario.robot, scenario))
         start = checked_start(scenario, arm)
+        check_obstacles(scenario, arm, start)
+        check_drives(scenario, arm, start)
         check_hands(scenario, arm, start)
         check_faults(scenario)
         properties = tuple(property_of(claim, scenario) for claim in scenario.claims)
     return Checked(scenario=scenario, arm=arm, view=view, joint_position_rad=start, properties=properties)
+
+
+def _arm_of(scenario: Scenario) -> ArmModel:
+    """The arm; InadmissibleError, naming the key, for one whose files cannot be used."""
+    try:
+        refuse_unfit(scenario.robot)
+        drive_model(scenario.robot)
+        return arm_model(scenario.robot)
+    except ArmFileError as error:
+        raise InadmissibleError(
+            place=scenario.place("robot"), expected="an arm that can be used", got=str(error)
+        ) from error
 
 
 def _admitted(checked: Checked, avoider: Avoider, sha256: str, answers: bool) -> Admitted:
@@ -169,7 +198,7 @@ class _Cell:
     """What is refused, or not, whatever hands and start are; ``scenario`` has the places for messages."""
 
     settings: Settings
-    robot: Robot
+    robot: AnyRobot
     scenario: Scenario = field(compare=False)
 
 
@@ -177,7 +206,7 @@ class _Cell:
 def _view_of_cell(cell: _Cell) -> DesiredView:
     """The desired view in a cell that can be worked in."""
     view = checked_view(cell.scenario)
-    check_desired(cell.scenario, load_arm(cell.robot.arm_name))
+    check_desired(cell.scenario, arm_model(cell.robot))
     return view
 
 

@@ -29,6 +29,7 @@ from safety_harness.scenario.files import resolved, told
 from safety_harness.scenario.kinds import avoider_in, command_for, kind_of
 from safety_harness.scenario.model import OffsetStart, RecordedHand, Scenario
 from safety_harness.scenario.references import MODEL_SUFFIX, ONNX_SUFFIX, file_and_name, named_from
+from safety_harness.scenario.robots import OwnRobot
 from safety_harness.settings import DEFAULTS, Settings
 from safety_harness.shipped.contents import is_shipped, located
 from safety_harness.space.regions import exported_seen
@@ -284,6 +285,9 @@ def as_seen_from(folder: Path, scenario: Scenario) -> Scenario:
         else hand
         for hand in scenario.hands
     )
-    moved = replace(scenario, hands=hands, file=folder / "scenario.yaml")
+    robot = scenario.robot
+    if isinstance(robot, OwnRobot):
+        robot = robot.named(lambda path: named_from(folder, before / path))
+    moved = replace(scenario, hands=hands, robot=robot, file=folder / "scenario.yaml")
     own_file, _ = file_and_name(scenario.avoider)
     return with_avoider(moved, command_line_reference(scenario)) if own_file else moved

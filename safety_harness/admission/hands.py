@@ -7,10 +7,10 @@ from numpy.typing import NDArray
 
 from safety_harness.exceptions import InadmissibleError
 from safety_harness.geometry.arrays import ArrayN
-from safety_harness.robot.capsules import load_capsules
 from safety_harness.robot.description import ArmModel
 from safety_harness.robot.distance import hand_distance, place_capsules
 from safety_harness.robot.kinematics import links_in_base
+from safety_harness.robot.robots import arm_capsules
 from safety_harness.scenario.model import JoinedHand, MovingHand, RecordedHand, Scenario
 from safety_harness.scenario.moves import MoveTo, Sweep, Wait, Wander
 from safety_harness.simulation.hand_programs import hands_at_start
@@ -83,7 +83,7 @@ def _check_clear_of_the_robot(
     scenario: Scenario, arm: ArmModel, joint_position_rad: NDArray[np.float64]
 ) -> None:
     settings = scenario.settings
-    capsules = cell_capsules(load_capsules(arm.name), settings)
+    capsules = cell_capsules(arm_capsules(scenario.robot), settings)
     ends = np.empty((len(capsules.names), 2, 3))
     place_capsules(capsules.records, links_in_base(arm, joint_position_rad), ends)
     hands = hands_at_start(scenario).state

@@ -2,24 +2,29 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
-
 import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.controller.desired import DOWN, desired_transform_tcp_to_base
 from safety_harness.exceptions import InadmissibleError
+from safety_harness.geometry.arrays import ArrayN
 from safety_harness.geometry.rotations import rotation_from_vector
 from safety_harness.perception.moments import MOMENT_COUNT
-from safety_harness.robot.description import ArmModel, load_arm
-from safety_harness.robot.inverse import InverseKinematics
+from safety_harness.robot.description import ArmModel
+from safety_harness.robot.dynamics import holding_torques
 from safety_harness.robot.kinematics import geometric_jacobian, links_in_base, smallest_singular_value
+from safety_harness.robot.obstacles import box_records, distance_from
+from safety_harness.robot.robots import arm_capsules, drive_model, inverse_kinematics
+from safety_harness.scenario.faults import Joint, JointStuck
 from safety_harness.scenario.model import JointStart, PoseStart, Scenario
-from safety_harness.settings import Settings
+from safety_harness.scenario.robots import OwnRobot
+from safety_harness.settings import DEFAULTS, Settings
 from safety_harness.simulation.cameras import SensorRecords, camera_state, object_polygon_in_base
 from safety_harness.simulation.exact_views import exact_object
+from safety_harness.simulation.truth import cell_capsules
 
 START, DESIRED = "tcp start", "settings.cell.desired tcp position"
+POSTURE = "settings.cell.preferred joint position"
 # What else the user may have written that puts the object out of view.
 VIEW = (
     "object.position",
@@ -34,12 +39,6 @@ VIEW = (
 )
 
 
-@lru_cache
-def kinematics(arm_name: str = "ur10") -> InverseKinematics:
-    """The arm's inverse kinematics, built once a process."""
-    return InverseKinematics(load_arm(arm_name))
-
-
 def checked_start(scenario: Scenario, arm: ArmModel) -> NDArray[np.float64]:
     """The start's joint angles; one that is singular, too low, or without the object in view is refused."""
     joints = start_joint_position(scenario, arm)
@@ -52,6 +51,7 @@ def start_joint_position(scenario: Scenario, arm: ArmModel) -> NDArray[np.float6
     start = scenario.start
     if isinstance(start, JointStart):
         joints = np.array(start.joint_position_rad)
+        _refuse_other_count(scenario, arm, len(joints), START)
         outside = (joints < arm.position_lower_rad) | (joints > arm.position_upper_rad)
         if outside.any():
             worst = int(np.argmax(outside))
@@ -78,11 +78,75 @@ def check_desired(scenario: Scenario, arm: ArmModel) -> None:
     _check_pose(scenario, arm, joints, "desired TCP position", DESIRED)
 
 
+def check_posture(scenario: Scenario, arm: ArmModel) -> None:
+    """Refuse a preferred joint position that is not this arm's: of another count, or none for an own arm."""
+    given = scenario.settings.cell.preferred_joint_position_rad
+    if isinstance(scenario.robot, OwnRobot) and given == DEFAULTS.cell.preferred_joint_position_rad:
+        ends = np.clip([arm.position_lower_rad, arm.position_upper_rad], -np.pi, np.pi)
+        middle = ", ".join(f"{angle:.0f} deg" for angle in np.degrees(ends.mean(axis=0)))
+        raise InadmissibleError(
+            place=scenario.place(POSTURE, "robot"),
+            expected="the joint angles near which an own arm works",
+            got="none",
+            hint=f"settings: {{cell: {{preferred joint position: [...]}}}}; the middle is [{middle}]",
+        )
+    _refuse_other_count(scenario, arm, len(given), POSTURE)
+
+
+def check_stuck_joints(scenario: Scenario, arm: ArmModel) -> None:
+    """Refuse a stuck joint that the arm does not have."""
+    for number, fault in enumerate(scenario.faults):
+        if isinstance(fault, JointStuck) and list(Joint).index(fault.joint) >= len(arm.joint_names):
+            raise InadmissibleError(
+                place=scenario.place(f"faults[{number}]", "faults"),
+                expected=f"one of the {len(arm.joint_names)} joints of the arm, counted from its foot",
+                got=fault.joint.value,
+            )
+
+
+def check_obstacles(scenario: Scenario, arm: ArmModel, joint_position_rad: ArrayN) -> None:
+    """Refuse an obstacle that the arm begins in."""
+    for number, obstacle in enumerate(scenario.obstacles):
+        capsules = cell_capsules(arm_capsules(scenario.robot), scenario.settings)
+        distance_m = distance_from(box_records((obstacle,)), arm, capsules, joint_position_rad)
+        if not distance_m > 0.0:
+            raise InadmissibleError(
+                place=scenario.place(f"obstacles[{number}]", "obstacles"),
+                expected="an obstacle that the arm is clear of where it starts",
+                got=f"one {1e3 * distance_m:.0f} mm away",
+            )
+
+
+def check_drives(scenario: Scenario, arm: ArmModel, joint_position_rad: ArrayN) -> None:
+    """Refuse drives that cannot hold the arm where it starts."""
+    model = drive_model(scenario.robot)
+    if model is None or model.masses is None or model.torque_limit_nm is None:
+        return
+    held_nm = np.abs(holding_torques(arm, model.masses, joint_position_rad))
+    worst = int(np.argmax(held_nm / model.torque_limit_nm))
+    if held_nm[worst] > model.torque_limit_nm[worst]:
+        raise InadmissibleError(
+            place=scenario.place("robot.drives.payload", "robot.drives.torque limit", "robot"),
+            expected=f"drives that hold the arm where it starts: {held_nm[worst]:.3g} N m at "
+            f"{arm.joint_names[worst]}",
+            got=f"at most {model.torque_limit_nm[worst]:.3g} N m",
+        )
+
+
+def _refuse_other_count(scenario: Scenario, arm: ArmModel, count: int, field: str) -> None:
+    if count != len(arm.joint_names):
+        raise InadmissibleError(
+            place=scenario.place(field, "robot"),
+            expected=f"{len(arm.joint_names)} angles, of {', '.join(arm.joint_names)}",
+            got=f"{count}",
+        )
+
+
 def _reached(
     scenario: Scenario, arm: ArmModel, transform_tcp_to_base: NDArray[np.float64], pose: str, field: str
 ) -> NDArray[np.float64]:
     preferred = np.array(scenario.settings.cell.preferred_joint_position_rad)
-    found = kinematics(arm.name).nearest(transform_tcp_to_base, preferred)
+    found = inverse_kinematics(scenario.robot).nearest(transform_tcp_to_base, preferred)
     if found is None:
         raise InadmissibleError(
             place=scenario.place(field),

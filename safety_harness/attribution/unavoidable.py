@@ -20,9 +20,10 @@ from safety_harness.compiled import compiled
 from safety_harness.geometry.arrays import Array3, ArrayNx3
 from safety_harness.properties.base import Property
 from safety_harness.properties.hand_distance import HandDistance
-from safety_harness.robot.capsules import CapsuleSet, load_capsules
+from safety_harness.robot.capsules import CapsuleSet
 from safety_harness.robot.distance import hand_distance
 from safety_harness.robot.kinematics import links_in_base
+from safety_harness.robot.robots import arm_capsules
 from safety_harness.scenario.model import HandTrajectory, MovingHand, Scenario
 from safety_harness.scenario.moves import FollowTcp, ReachForTcp
 from safety_harness.settings import Hand
@@ -77,7 +78,7 @@ class FreeArm:
         transforms = links_in_base(checked.arm, checked.joint_position_rad)
         places = transforms[:, :3, 3]
         settings = checked.scenario.settings
-        capsules = cell_capsules(load_capsules(checked.arm.name), settings)
+        capsules = cell_capsules(arm_capsules(checked.scenario.robot), settings)
         tcp, tip_m = places[-1], 0.0
         for k, link in enumerate(capsules.link_index):
             if link >= len(places) - 2:  # rigidly at the TCP

@@ -26,8 +26,10 @@ from safety_harness.avoidance.asking import (
 from safety_harness.avoidance.avoider import Avoider, Proposal, Vector
 from safety_harness.avoidance.own_body import own_distance
 from safety_harness.avoidance.simple import OppositePose
-from safety_harness.robot.capsules import CapsuleSet, load_capsules
+from safety_harness.robot.capsules import CapsuleSet
 from safety_harness.robot.inverse import InverseKinematics
+from safety_harness.robot.obstacles import BoxRecords, box_records, distance_from
+from safety_harness.scenario.obstacles import Obstacle
 from safety_harness.settings import GateKind, Settings
 from safety_harness.trace.records import Check, DecisionOutcome
 
@@ -88,19 +90,27 @@ class Gate:
     fallback: Avoider
     min_singular_value: float
     lowest_tcp_height_m: float
+    capsules: CapsuleSet
     kind: GateKind = GateKind.FULL
-    capsules: CapsuleSet = field(default_factory=load_capsules)
+    boxes: BoxRecords = field(default_factory=lambda: box_records(()))
 
     @classmethod
-    def of(cls, settings: Settings, kinematics: InverseKinematics) -> Gate:
-        """The gate of the settings."""
+    def of(
+        cls,
+        settings: Settings,
+        kinematics: InverseKinematics,
+        capsules: CapsuleSet,
+        obstacles: Sequence[Obstacle] = (),
+    ) -> Gate:
+        """The gate of the settings, for an arm, the capsules on it, and the boxes in its cell."""
         return cls(
             kinematics,
             OppositePose(settings.avoidance.radius_m),
             settings.motion.min_singular_value,
             settings.cell.table_height_m + settings.avoidance.table_clearance_m,
+            capsules,
             settings.avoidance.gate,
-            capsules=load_capsules(kinematics.arm.name),
+            box_records(obstacles),
         )
 
     def rule(self, avoider: Avoider, query: Query) -> GateDecision:
@@ -172,24 +182,28 @@ class Gate:
             return failed | Check.PATH_UNREACHABLE
         if reach_m < wanted_m:
             failed |= Check.NEAR_REACH_LIMIT
-        if full and self._meets_itself(way, length_m, query):
-            failed |= Check.ROBOT_ITSELF
-        return failed
+        return failed | self._met(way, length_m, query) if full else failed
 
-    def _meets_itself(self, way: Vector, length_m: float, query: Query) -> bool:
-        """Does the wrist come too near to the body on the way?  It may always leave where it is."""
+    def _met(self, way: Vector, length_m: float, query: Query) -> Check:
+        """What comes too near on the way: the wrist to the body, or the arm to an obstacle.
+
+        It may always leave where it is.
+        """
         arm, capsules = self.kinematics.arm, self.capsules
         joints = query.joint_position_rad
         least_m = min(OWN_CLEARANCE_M, own_distance(arm, capsules, joints))
+        least_box_m = min(OWN_CLEARANCE_M, distance_from(self.boxes, arm, capsules, joints))
         target = query.transform_tcp_to_base.copy()
         steps = ceil(length_m / WAY_STEP_M)
         for step in range(1, steps + 1):
             target[:3, 3] = query.transform_tcp_to_base[:3, 3] + step / steps * way
             following = self.kinematics.nearest(target, joints)
             if following is None or not own_distance(arm, capsules, following) >= least_m:
-                return True
+                return Check.ROBOT_ITSELF
+            if not distance_from(self.boxes, arm, capsules, following) >= least_box_m:
+                return Check.OBSTACLE
             joints = following
-        return False
+        return Check.NONE
 
 
 def answer_to(avoider: Avoider, query: Query) -> Answer:

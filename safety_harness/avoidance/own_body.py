@@ -1,6 +1,14 @@
-"""How near the arm's wrist is to the rest of the arm: what the gate asks along a way."""
+"""How near the arm's wrist is to the rest of the arm: what the gate asks along a way.
+
+Of n joints the body is the links up to n - 4, which on six are base, shoulder and upper arm; the wrist is the
+links from n - 2 on, three of them and the TCP's frame.  The link between touches both.  Where a link of the
+wrist is near the body in most postures, as a Panda's forearm at its elbow, the wrist begins behind it: so the
+arm is built.
+"""
 
 from __future__ import annotations
+
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,14 +20,32 @@ from safety_harness.robot.capsules import Arm, CapsuleSet, arm_with
 from safety_harness.robot.description import ArmModel
 from safety_harness.robot.distance import place_capsules
 from safety_harness.robot.kinematics import forward_kinematics
+from safety_harness.robot.numeric_inverse import starts_of
 
-LAST_OF_THE_BODY = 2  # base, shoulder, upper arm
-FIRST_OF_THE_WRIST = 4  # the three wrist links and the TCP's frame; the forearm touches both
+NEAR_M = 0.020  # as near as the gate lets the wrist come
+POSTURES = 64
+
+
+@lru_cache(maxsize=16)
+def body_and_wrist(arm: ArmModel, capsules: CapsuleSet) -> tuple[int, int]:
+    """The last link of the body, and the first of the wrist; links are counted from 0, the base."""
+    joints = len(arm.joint_names)
+    body, wrist = max(joints - 4, 0), max(joints - 2, 2)
+    postures = starts_of(arm)[:POSTURES]
+    while wrist < joints:
+        alone = capsules.of_links({*range(body + 1), wrist})
+        near = [_own_distance(arm_with(arm, alone), body, wrist, one) < NEAR_M for one in postures]
+        if np.mean(near) <= 0.5:
+            break
+        wrist += 1
+    return body, wrist
 
 
 @compiled
-def wrist_distance(capsules: NDArray[np.void], capsule_endpoints_in_base_m: NDArray[np.float64]) -> float:
-    """Least distance [m] between capsules of the wrist and of base, shoulder and upper arm.
+def wrist_distance(
+    capsules: NDArray[np.void], last: int, first: int, capsule_endpoints_in_base_m: NDArray[np.float64]
+) -> float:
+    """Least distance [m] between capsules of the wrist, links ``first`` on, and of the links up to ``last``.
 
     min over pairs of wrist and body of |axis, axis| - r_wrist - r_body; ``capsules`` (n,) CAPSULE,
     ``capsule_endpoints_in_base_m`` (n, 2, 3) of ``place_capsules``; negative in penetration, NaN if any is.
@@ -27,10 +53,10 @@ def wrist_distance(capsules: NDArray[np.void], capsule_endpoints_in_base_m: NDAr
     ends = capsule_endpoints_in_base_m
     least = np.inf  # pairs are passed over that cannot be as near
     for wrist in range(capsules.shape[0]):
-        if capsules[wrist].link_index < FIRST_OF_THE_WRIST:
+        if capsules[wrist].link_index < first:
             continue
         for body in range(capsules.shape[0]):
-            if capsules[body].link_index > LAST_OF_THE_BODY:
+            if capsules[body].link_index > last:
                 continue
             radii_m = capsules[wrist].radius_m + capsules[body].radius_m
             if axes_lower_m(ends[wrist], ends[body]) - radii_m - ROUNDING_M > least:  # never of a NaN
@@ -46,14 +72,14 @@ def wrist_distance(capsules: NDArray[np.void], capsule_endpoints_in_base_m: NDAr
 
 def own_distance(arm: ArmModel, capsules: CapsuleSet, joint_position_rad: NDArray[np.float64]) -> float:
     """``wrist_distance`` [m] of ``arm`` at ``joint_position_rad`` (n,)."""
-    return _own_distance(arm_with(arm, capsules), joint_position_rad)
+    return _own_distance(arm_with(arm, capsules), *body_and_wrist(arm, capsules), joint_position_rad)
 
 
 @compiled
-def _own_distance(arm: Arm, joint_position_rad: ArrayN) -> float:
+def _own_distance(arm: Arm, last: int, first: int, joint_position_rad: ArrayN) -> float:
     """``wrist_distance`` [m] at the joint position (n,)."""
     frames = arm.reach_m.shape[0] + 2  # which has attributes without compiling too
     transforms, ends = np.empty((frames, 4, 4)), np.empty((arm.capsules.shape[0], 2, 3))
     forward_kinematics(arm.chain[0], joint_position_rad, transforms)
     place_capsules(arm.capsules, transforms, ends)
-    return wrist_distance(arm.capsules, ends)
+    return wrist_distance(arm.capsules, last, first, ends)

@@ -15,10 +15,12 @@ from pathlib import Path
 
 from safety_harness.avoidance.shipped import SHIPPED, shipped_model
 from safety_harness.exceptions import LedgerError, Place, ScenarioError
+from safety_harness.robot.robots import arm_model
 from safety_harness.scenario.compose import Library
 from safety_harness.scenario.files import read_bytes, resolved
 from safety_harness.scenario.nodes import Mapping, Node, Scalar
 from safety_harness.scenario.references import file_and_name
+from safety_harness.scenario.robots import AnyRobot, OwnRobot
 from safety_harness.shipped.contents import contents, is_installed, located
 from safety_harness.simulation.worlds import libraries_of, worlds_by_label
 from safety_harness.space.space import ScenarioSpace
@@ -113,6 +115,7 @@ def files_of_plan(
         avoiders = (file_and_name(text)[0] for text in references_in(space.tree, ("avoider",)))
         folder = space.file.parent if space.file else Path()
         named += _existing((*avoiders, *references_in(space.tree, ("recording",))), folder)
+        named += _existing(map(str, _files_of(space.simplest.robot)), Path())
     if avoider is not None:
         named += _existing([file_and_name(avoider)[0]], plan.parent)
     files, size = [], 0
@@ -123,6 +126,14 @@ def files_of_plan(
             raise ScenarioError.of_file(plan, f"at most {MOST_BYTES:,} bytes of files", "more")
         files.append(PlanFile(name, data))
     return tuple(files)
+
+
+def _files_of(robot: AnyRobot) -> Iterator[Path]:
+    """An own arm's files and meshes; those of an installed package are sought there."""
+    if isinstance(robot, OwnRobot):
+        yield from robot.files if robot.package is None else robot.files[1:]
+        shapes = (one for link in arm_model(robot).links for one in (*link.collision, *link.visual))
+        yield from {one.file: None for one in shapes if one.file is not None and robot.package is None}
 
 
 def _names(paths: Sequence[Path]) -> dict[Path, str]:

@@ -19,8 +19,8 @@ from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.path_views import shown_moment
 from safety_harness.report.svg import plain
 from safety_harness.report.words import MODE_WORDS
-from safety_harness.robot.capsules import load_capsules
-from safety_harness.robot.description import load_arm
+from safety_harness.robot.robots import arm_capsules, arm_model
+from safety_harness.scenario.obstacles import Obstacle
 from safety_harness.settings import Object
 from safety_harness.simulation.truth import cell_capsules
 from safety_harness.trace.unmeasured import as_measured, decided, measured
@@ -34,8 +34,8 @@ def replay_json(run: JudgedRun) -> str:
     """The replay of a run with at least one tick, safe to stand within a ``script`` element."""
     trace = as_measured(run.trace)
     settings = trace.scenario.settings
-    arm = load_arm(trace.scenario.robot.arm_name)
-    capsules = cell_capsules(load_capsules(arm.name), settings)
+    arm = arm_model(trace.scenario.robot)
+    capsules = cell_capsules(arm_capsules(trace.scenario.robot), settings)
     kept = kept_ticks(run)
     ticks = trace.ticks[kept]
     hands = len(trace.scenario.hands)
@@ -67,6 +67,7 @@ def replay_json(run: JudgedRun) -> str:
         "table_height_m": settings.cell.table_height_m,
         "desired_tcp_in_base_m": list(settings.cell.desired_tcp_position_in_base_m),
         "object_in_base_m": _object(settings.object),
+        "boxes_in_base_m": [_faces(box) for box in trace.scenario.obstacles],
         "tracks": used,
         "modes": {str(int(mode)): words for mode, words in MODE_WORDS.items()} | modes,
         "decisions": [_decision(decision) for decision in trace.decisions if decided(trace, "time_s")],
@@ -107,6 +108,12 @@ def _object(shape: Object) -> list[list[float]]:
     corners = np.zeros((len(shape.polygon_m), 3))
     corners[:, :2] = np.array(shape.polygon_m) @ np.array([[c, s], [-s, c]])
     return [_rounded(corner) for corner in corners + shape.position_in_base_m]
+
+
+def _faces(box: Obstacle) -> list[list[list[float]]]:
+    """The corners of its floor, its top and two walls, which have all edges."""
+    corners = [_rounded(corner) for corner in box.corners_in_base_m]
+    return [[corners[k] for k in face] for face in ((0, 1, 2, 3), (4, 5, 6, 7), (0, 1, 5, 4), (2, 3, 7, 6))]
 
 
 def _decision(decision: np.void) -> dict[str, Any]:

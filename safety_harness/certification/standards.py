@@ -96,6 +96,7 @@ TRACED = {  # by the example in the entry of the catalogue
     "at most 50 % of proposals overruled": LEARNED_ABSENT,
     "repulsion moves away from every hand": AWAY,
     "repulsive ways clear of table, object and robot": AWAY,
+    "obstacle distance never below 20 mm": AWAY,
     "uncertain answers fall back within 2 cycles": LEARNED,
     "certain answers are used": LEARNED,
     "fallback poses reachable and away": LEARNED,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 from collections.abc import Iterator, Mapping
 from dataclasses import fields, is_dataclass
@@ -16,8 +15,8 @@ from safety_harness.campaign.plan import Plan
 from safety_harness.certification.evidence import SystemDescription
 from safety_harness.properties.answered import NOT_MODELLED
 from safety_harness.report.decisions import cost_words
-from safety_harness.report.words import changed_settings, setting_words
-from safety_harness.robot.description import urdf_file
+from safety_harness.report.words import changed_settings, drives_as_modelled, setting_words
+from safety_harness.robot.robots import urdf_sha256_of
 from safety_harness.scenario.files import resolved
 from safety_harness.scenario.model import Scenario
 from safety_harness.scenario.references import MODEL_SUFFIX
@@ -39,20 +38,26 @@ def system_of(plan: Plan) -> SystemDescription:
     scenarios = [plan.with_avoider(stratum.space.simplest) for stratum in plan.strata]
     first = scenarios[0]
     avoiders = list(dict.fromkeys(scenario.avoider for scenario in scenarios))
-    robots = list(dict.fromkeys(scenario.robot.value for scenario in scenarios))
+    robots = list(dict.fromkeys(scenario.robot.label for scenario in scenarios))
     model = model_of(first)
-    changed = dict.fromkeys(row for scenario in scenarios for row in changed_settings(scenario.settings))
+    changed = dict.fromkeys(row for scenario in scenarios for row in _changed(scenario))
     return SystemDescription(
         avoider=" and ".join(avoiders),
         avoider_sha256=avoider_sha256(first) if len(avoiders) == 1 else "",
         robot=" and ".join(robots),
-        robot_sha256=hashlib.sha256(urdf_file(first.robot.arm_name).read_bytes()).hexdigest(),
+        robot_sha256=urdf_sha256_of(first.robot),
         card=() if model is None else tuple(card_of(model)),
         limits=() if model is None else tuple(str(one) for one in model.card.get("limits", ())),
         gate=tuple(_gate(first.settings, model, named=first.avoider in NAMES)),
         settings=tuple(_settings("", first.settings)),
         changed=tuple(changed),
     )
+
+
+def _changed(scenario: Scenario) -> list[tuple[str, str, str]]:
+    """What differs from the defaults: settings, and how the drives of an own arm are modelled."""
+    drives = drives_as_modelled(scenario.robot, scenario.settings.clock.control_period_s)
+    return changed_settings(scenario.settings) + drives
 
 
 def model_of(scenario: Scenario) -> Model | None:

@@ -17,7 +17,9 @@ if TYPE_CHECKING:
 
 _ABOUT = "Show an arm of a URDF, or fit capsules."
 commands = Typer(no_args_is_help=True, help=_ABOUT, short_help=_ABOUT)
-File = Annotated[Path, Argument(help="A URDF.", metavar="FILE")]
+File = Annotated[
+    Path, Argument(help="A URDF, or one of an installed package: pybullet/kuka_iiwa/model.", metavar="FILE")
+]
 Base = Annotated[
     str | None, Option(help="The link that stands still; else the only one without a joint above it.")
 ]
@@ -135,9 +137,47 @@ def fit(
     return AS_EXPECTED
 
 
-def _arm(file: Path, base: str | None, tcp: str | None, package: list[str]) -> ArmModel:
-    from safety_harness.robot.description import read_arm
+@command(commands, "enclose")
+def enclose(
+    file: Annotated[Path, Argument(help="A mesh: STL, OBJ, DAE ...", metavar="FILE")],
+    scale: Annotated[float, Option(help="To metres: 0.001 for millimetres.")] = 1.0,
+    seed: Seed = 0,
+) -> int:
+    """Enclose the mesh of a tool or a part in capsules, written as a scenario file takes them.
 
+    They hold every triangle, and are in the frame of the mesh.  How far they stand out is told beside them.
+    Exit code 0; 2: bad input.
+    """
+    import numpy as np
+
+    from safety_harness.extras import FITTING
+    from safety_harness.robot.fit_capsules import excess, fit_mesh
+
+    FITTING.require("robot enclose")
+    if not 0.0 < scale < np.inf:
+        raise SettingsError.of_option("--scale", "a factor above 0", f"{scale:g}")
+    capsules, surface = fit_mesh(file, scale, seed)
+    most_m, mean_m = excess(capsules, surface, np.random.default_rng(0))
+    result("capsules:")
+    for *ends, radius_m in capsules:
+        start, end = ("[" + ", ".join(f"{1e3 * x:.1f} mm" for x in one) + "]" for one in ends)
+        result(f"  - {{from: {start}, to: {end}, radius: {1e3 * radius_m:.1f} mm}}")
+    document(
+        capsules=[{"from_m": a, "to_m": b, "radius_m": r} for a, b, r in capsules],
+        largest_excess_m=most_m,
+        mean_excess_m=mean_m,
+    )
+    say(f"at most {1e3 * most_m:.1f} mm over the mesh, {1e3 * mean_m:.1f} mm on average")
+    return AS_EXPECTED
+
+
+def _arm(file: Path, base: str | None, tcp: str | None, package: list[str]) -> ArmModel:
+    from safety_harness.exceptions import Place
+    from safety_harness.robot.description import read_arm
+    from safety_harness.scenario.urdf_packages import urdf_of_package
+
+    if file.suffix != ".urdf" and not file.exists():
+        file = urdf_of_package(file.as_posix(), Place(field="FILE"))
     packages = {}
     for text in package:
         name, _, folder = text.partition("=")

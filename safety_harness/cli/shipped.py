@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from typer import Argument, Option, Typer
 
@@ -14,16 +14,13 @@ from safety_harness.cli.options import command
 from safety_harness.exceptions import OutputError, Place
 from safety_harness.shipped.contents import PREFIX, ShippedKind, contents, is_shipped, located, shipped_files
 
-if TYPE_CHECKING:
-    from safety_harness.scenario.nodes import Node
-
 commands = Typer()
-REFERRING = ("avoider", "extends", "recording", "scenarios", "space")
+REFERRING = ("arm", "avoider", "capsules", "extends", "recording", "robot", "scenarios", "space", "urdf")
 
 
 @command(commands, "list")
 def list_shipped(kind: Annotated[ShippedKind | None, Argument(help="Only these.")] = None) -> int:
-    """List the scenarios, spaces, plans, examples and recordings that come with the package, one a line.
+    """List what comes with the package, scenarios, spaces, plans, examples, recordings, robots, one a line.
 
     Each has a name, shipped:NAME, that stands for its file wherever a file is asked for; shipped:scenarios
     and so on for their folders.
@@ -95,10 +92,10 @@ def _with_references(source: Path) -> dict[Path, Path]:
 def _references(path: Path) -> Iterator[Path]:
     """The files that a text in a YAML file names."""
     from safety_harness.campaign.identity import references_in
-    from safety_harness.scenario.compose import Library
+    from safety_harness.scenario.nodes import parse_tree
     from safety_harness.scenario.references import file_and_name
 
-    tree: Node = Library().tree(path)
+    tree = parse_tree(path.read_text("utf-8"), path)
     for text in references_in(tree, REFERRING):
         named = located(path.parent / (file_and_name(text)[0] or text)).resolve()
         if contents() in named.parents and named.is_file():

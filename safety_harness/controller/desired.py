@@ -9,9 +9,8 @@ from safety_harness.geometry.arrays import ArrayNx3
 from safety_harness.geometry.rotations import rotation_from_vector
 from safety_harness.geometry.transforms import inverse_transform, transform_from
 from safety_harness.perception.camera import transform_camera_to_tcp
-from safety_harness.robot.description import load_arm
-from safety_harness.robot.inverse import InverseKinematics
-from safety_harness.scenario.model import Robot
+from safety_harness.robot.robots import inverse_kinematics
+from safety_harness.scenario.robots import AnyRobot, Robot
 from safety_harness.servoing.control import DesiredView, desired_view
 from safety_harness.settings import Settings
 
@@ -24,7 +23,7 @@ def desired_transform_tcp_to_base(settings: Settings) -> NDArray[np.float64]:
 
 
 def reachable(
-    positions_in_base_m: ArrayNx3, settings: Settings, robot: Robot = Robot.UR10
+    positions_in_base_m: ArrayNx3, settings: Settings, robot: AnyRobot = Robot.UR10
 ) -> NDArray[np.bool_]:
     """(n,): has the position inverse kinematics within the robot's limits, in the desired orientation?
 
@@ -33,7 +32,7 @@ def reachable(
     poses = np.repeat(desired_transform_tcp_to_base(settings)[None], len(positions_in_base_m), axis=0)
     poses[:, :3, 3] = positions_in_base_m
     preferred = np.array(settings.cell.preferred_joint_position_rad)
-    solutions = InverseKinematics(load_arm(robot.arm_name)).nearest_of_each(poses, preferred)
+    solutions = inverse_kinematics(robot).nearest_of_each(poses, preferred)
     has: NDArray[np.bool_] = ~np.isnan(solutions[:, 0])
     return has
 

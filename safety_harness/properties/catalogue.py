@@ -17,6 +17,7 @@ from safety_harness.properties.limits import (
     TCP_ACCELERATION,
     TCP_SPEED,
 )
+from safety_harness.properties.obstacles import OBSTACLE_DISTANCE
 from safety_harness.properties.positions import PROPOSED_POSES, REPULSIVE_POSES
 from safety_harness.properties.proposals import (
     FEW_OVERRULED,
@@ -60,6 +61,7 @@ CATALOGUE: tuple[CatalogueEntry, ...] = (
     FEW_OVERRULED,
     MOVES_AWAY,
     CLEAR_WAYS,
+    OBSTACLE_DISTANCE,
     UNCERTAIN,
     CERTAIN,
     STOPS,

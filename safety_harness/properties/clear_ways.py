@@ -10,27 +10,26 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.avoidance.own_body import wrist_distance
+from safety_harness.avoidance.own_body import body_and_wrist, wrist_distance
 from safety_harness.compiled import compiled
 from safety_harness.geometry.segments import segment_segment_distance
 from safety_harness.properties.base import Evaluation, Unit, inconclusive, is_somewhere, judged
 from safety_harness.properties.entry import CatalogueEntry
 from safety_harness.properties.giving_way import last_tick
 from safety_harness.properties.measured import reads
-from safety_harness.properties.true_motion import arm_of
+from safety_harness.properties.true_motion import arm_of, capsules_of
 from safety_harness.properties.unexercised import no_position, unexercised
 from safety_harness.robot.capsules import Arm
-from safety_harness.robot.description import load_arm
 from safety_harness.robot.distance import place_capsules
 from safety_harness.robot.inverse import straight_way
 from safety_harness.robot.kinematics import forward_kinematics
+from safety_harness.robot.robots import arm_model
 from safety_harness.simulation.cameras import object_polygon_in_base
 from safety_harness.trace.records import DecisionOutcome
 from safety_harness.trace.trace import Trace
 
 STEP_M = 0.0025  # between two samples of a planned way
 OBSTACLES = ("table", "object", "robot itself")
-FOREARM = 3  # base, shoulder and upper arm stand there, and end where the forearm begins
 
 
 @dataclass(frozen=True)
@@ -97,7 +96,7 @@ class ClearWays:
 def planned(trace: Trace, number: int, reach_m: NDArray[np.float64]) -> Way:
     """The straight way to the position that decision ``number`` chose.  ``reach_m`` (joints,)."""
     decision = trace.decisions[number]
-    arm = load_arm(trace.scenario.robot.arm_name)
+    arm = arm_model(trace.scenario.robot)
     start_rad = trace.ticks["joint_position_rad"][decision["tick"]]
     joints_rad = straight_way(arm, start_rad, decision["chosen_position_in_base_m"], step_m=STEP_M)
     moved_m = np.abs(np.diff(joints_rad, axis=0)) @ reach_m
@@ -110,12 +109,17 @@ def executed(trace: Trace, number: int, reach_m: NDArray[np.float64]) -> Way:
     first = int(trace.decisions[number]["tick"])
     window = slice(first, last_tick(trace, number) + 1)
     joints_rad = trace.ticks["joint_position_rad"][window]
+    least_m, at = _least(clearances_m(trace, joints_rad), turned_rad(trace, window) @ reach_m)
+    return Way(f"executed way of decision {number}", least_m, trace.time_s[first + at])
+
+
+def turned_rad(trace: Trace, window: slice) -> NDArray[np.float64]:
+    """(n - 1, joints) by how much each joint turns at most from tick to tick of ``window``."""
     speed_radps = np.abs(trace.ticks["joint_velocity_radps"][window])
     period_s = trace.scenario.settings.clock.control_period_s
-    turned = np.abs(np.diff(joints_rad, axis=0))
-    turned = np.maximum(turned, period_s * np.maximum(speed_radps[:-1], speed_radps[1:]))
-    least_m, at = _least(clearances_m(trace, joints_rad), turned @ reach_m)
-    return Way(f"executed way of decision {number}", least_m, trace.time_s[first + at])
+    turned = np.abs(np.diff(trace.ticks["joint_position_rad"][window], axis=0))
+    most: NDArray[np.float64] = np.maximum(turned, period_s * np.maximum(speed_radps[:-1], speed_radps[1:]))
+    return most
 
 
 def _least(
@@ -154,12 +158,15 @@ def clearances_m(trace: Trace, joints_rad: NDArray[np.float64]) -> NDArray[np.fl
     """
     settings, joints_rad = trace.scenario.settings, np.ascontiguousarray(joints_rad)
     table_m, polygon = settings.cell.table_height_m, object_polygon_in_base(settings)
-    return _clearances(arm_of(trace), joints_rad, table_m, polygon)
+    body, wrist = body_and_wrist(arm_model(trace.scenario.robot), capsules_of(trace))
+    return _clearances(arm_of(trace), body, wrist, joints_rad, table_m, polygon)
 
 
 @compiled
 def _clearances(
     arm: Arm,
+    body: int,
+    wrist: int,
     joints_rad: NDArray[np.float64],  # (n, joints)
     table_m: float,
     polygon: NDArray[np.float64],  # (m, 3)
@@ -178,13 +185,13 @@ def _clearances(
             found[k] = np.nan
             continue
         for capsule in range(arm.capsules.shape[0] - 1, -1, -1):  # the hand end first: usually the nearest
-            if arm.capsules[capsule].link_index < FOREARM:
+            if arm.capsules[capsule].link_index <= body:
                 continue
             start, end, radius = ends[capsule, 0], ends[capsule, 1], arm.capsules[capsule].radius_m
             found[k, 0] = min(found[k, 0], min(start[2], end[2]) - radius - table_m)
             if min(start[2], end[2]) - polygon[0, 2] - radius < found[k, 1]:  # it may be nearer
                 found[k, 1] = min(found[k, 1], above_polygon(start, end, polygon) - radius)
-        found[k, 2] = wrist_distance(arm.capsules, ends)
+        found[k, 2] = wrist_distance(arm.capsules, body, wrist, ends)
     return found
 
 

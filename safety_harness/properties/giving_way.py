@@ -23,7 +23,7 @@ from safety_harness.properties.base import Evaluation, Unit, is_somewhere, judge
 from safety_harness.properties.entry import CatalogueEntry, quantity
 from safety_harness.properties.measured import reads
 from safety_harness.properties.unexercised import nearest_of, no_hand, no_position, no_time, unexercised
-from safety_harness.robot.description import load_arm
+from safety_harness.robot.robots import arm_model
 from safety_harness.scenario.units import LENGTH
 from safety_harness.trace.records import DecisionOutcome, Limit, Mode, Trigger
 from safety_harness.trace.trace import Trace
@@ -268,7 +268,7 @@ def progress(
     first = int(decision["tick"])
     settings, avoidance = trace.scenario.settings, trace.scenario.settings.avoidance
     window = trace.ticks[first : last + 1]
-    arm = load_arm(trace.scenario.robot.arm_name)
+    arm = arm_model(trace.scenario.robot)
     at_limit = np.abs(window["demanded_joint_velocity_radps"]) >= 0.999 * arm.velocity_limit_radps
     slowed = (window["limits"] & Limit.JOINT_SPEED != 0) & at_limit.any(axis=1)
     tcp_in_base = np.ascontiguousarray(window["transform_tcp_to_base"][:, :3, 3])

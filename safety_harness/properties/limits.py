@@ -17,10 +17,12 @@ from safety_harness.properties.separation import faster_mps
 from safety_harness.properties.true_motion import arm_of, tcp_velocity_moved_mps, true_motion
 from safety_harness.properties.unexercised import MOVES, joints_stood, tcp_stood
 from safety_harness.robot.capsules import Arm
-from safety_harness.robot.description import load_arm
 from safety_harness.robot.kinematics import forward_kinematics, tcp_velocity
+from safety_harness.robot.robots import arm_model
 from safety_harness.scenario.units import ACCELERATION, ANGULAR_ACCELERATION, SPEED
 from safety_harness.trace.trace import Trace
+
+EPSILON = float(np.finfo(np.float64).eps)
 
 ROUNDING_MPS = 1e-9  # by which a bound, computed otherwise, may be off
 
@@ -66,7 +68,7 @@ class JointLimits:
     @reads("joint_position_rad", ends=_by(lambda trace: _off(trace, "joint_position_rad")))
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge every joint at every tick."""
-        arm = load_arm(trace.scenario.robot.arm_name)
+        arm = arm_model(trace.scenario.robot)
         left_rad, tick, joint = _least_angle_left(
             true_motion(trace).joints_rad, arm.position_lower_rad, arm.position_upper_rad
         )
@@ -93,7 +95,7 @@ class JointSpeedLimits:
     )
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge every joint at every tick."""
-        arm = load_arm(trace.scenario.robot.arm_name)
+        arm = arm_model(trace.scenario.robot)
         true = true_motion(trace)
         left_radps, tick, joint, turning = _least_speed_left(
             true.joints_rad, true.rates_radps, trace.time_s, arm.velocity_limit_radps
@@ -155,14 +157,21 @@ def _least_speed_left(
     time_s: NDArray[np.float64],  # (n,)
     limit_radps: NDArray[np.float64],  # (joints,)
 ) -> tuple[float, int, int, int]:
-    """(speed, tick, joint), the first of equals; and the number of ticks at which a joint turns."""
+    """(speed, tick, joint), the first of equals; and the number of ticks at which a joint turns.
+
+    A mean speed over the limit by no more than the rounding of its differences is taken for the limit.
+    """
     least, tick, joint, turning = np.inf, 0, 0, 0
     for k in range(rates_radps.shape[0]):
         turns = False
         for j in range(rates_radps.shape[1]):
             speed = abs(rates_radps[k, j])
             if k + 1 < rates_radps.shape[0]:
-                mean = abs(joints_rad[k + 1, j] - joints_rad[k, j]) / (time_s[k + 1] - time_s[k])
+                before, after, dt = joints_rad[k, j], joints_rad[k + 1, j], time_s[k + 1] - time_s[k]
+                mean = abs(after - before) / dt
+                rounding = EPSILON * (abs(before) + abs(after) + 2.0 * mean * abs(time_s[k + 1])) / dt
+                if limit_radps[j] < mean <= limit_radps[j] + rounding:
+                    mean = limit_radps[j]
                 speed = max(speed, mean)
             turns |= speed > MOVES
             if limit_radps[j] - speed < least:
@@ -247,7 +256,7 @@ class JointAccelerations:
             return inconclusive(self, "one tick alone has no acceleration")
         period_s = trace.scenario.settings.clock.control_period_s
         hardest_radps2, tick, joint, turning = _hardest_of_joints(true_motion(trace).rates_radps, period_s)
-        name = load_arm(trace.scenario.robot.arm_name).joint_names[joint]
+        name = arm_model(trace.scenario.robot).joint_names[joint]
         reason = f"{name} {np.degrees(hardest_radps2):.0f} deg/s2"
         margin_radps2 = self.maximum_radps2 - hardest_radps2
         return judged(

@@ -7,7 +7,6 @@ a position could have been used: whether it can be reached is a claim of its own
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from math import ceil
 
 import numpy as np
@@ -20,8 +19,8 @@ from safety_harness.properties.entry import CatalogueEntry
 from safety_harness.properties.giving_way import RepulsionProgress, last_tick, progress
 from safety_harness.properties.measured import reads
 from safety_harness.properties.unexercised import no_position, unexercised
-from safety_harness.robot.description import load_arm
-from safety_harness.robot.inverse import InverseKinematics, straight_way
+from safety_harness.robot.inverse import straight_way
+from safety_harness.robot.robots import arm_model, inverse_kinematics
 from safety_harness.trace.known import OF_DECISIONS
 from safety_harness.trace.records import DecisionOutcome, Mode
 from safety_harness.trace.trace import Trace, once_a_trace
@@ -74,7 +73,7 @@ def spare_m(trace: Trace, decision: np.void, position_in_base_m: NDArray[np.floa
         spare = min(spare, away / apart if apart > 0.0 else spare)
     if spare < 0.0:
         return spare
-    arm = load_arm(trace.scenario.robot.arm_name)
+    arm = arm_model(trace.scenario.robot)
     joints_rad = straight_way(arm, tick["joint_position_rad"], position_in_base_m, step_m=WAY_STEP_M)
     own_m = clearances_m(trace, joints_rad)[:, 2]
     return min(spare, float(own_m.min() - min(OWN_CLEARANCE_M, own_m[0])))
@@ -115,11 +114,6 @@ def stopped_m(trace: Trace, tick: int) -> float:
     way_m = float(np.linalg.norm(np.diff(tcp_in_base, axis=0), axis=1).sum())
     allowed_s = braking.reaction_time_s + 0.5 * stop_s + period_s
     return speed_mps * allowed_s + STOP_SLACK_M - way_m
-
-
-@lru_cache
-def _kinematics(arm_name: str) -> InverseKinematics:
-    return InverseKinematics(load_arm(arm_name))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -201,7 +195,7 @@ def _beyond_m(trace: Trace, joints_rad: NDArray[np.float64], way: NDArray[np.flo
     if length_m == 0.0:
         return 0.0
     least = trace.scenario.settings.motion.min_singular_value
-    kinematics = _kinematics(trace.scenario.robot.arm_name)
+    kinematics = inverse_kinematics(trace.scenario.robot)
     far_m = length_m + BEYOND_M
     return kinematics.reach_along(joints_rad, way / length_m, far_m, min_singular_value=least) - length_m
 

@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled
 from safety_harness.exceptions import Place, TraceError
-from safety_harness.robot.capsules import Arm, CapsuleSet, arm_with, load_capsules
-from safety_harness.robot.description import load_arm
+from safety_harness.robot.capsules import Arm, CapsuleSet, arm_with
+from safety_harness.robot.robots import arm_capsules, arm_model
 from safety_harness.scenario.model import MovingHand, RecordedHand
 from safety_harness.scenario.moves import FollowTcp, ReachForTcp
 from safety_harness.simulation.hand_motion import HAND, advance_hands, point_forearm
@@ -126,13 +126,13 @@ def _nearest_m(
 @once_a_trace
 def capsules_of(trace: Trace) -> CapsuleSet:
     """The arm's and the camera's."""
-    return cell_capsules(load_capsules(trace.scenario.robot.arm_name), trace.scenario.settings)
+    return cell_capsules(arm_capsules(trace.scenario.robot), trace.scenario.settings)
 
 
 @once_a_trace
 def arm_of(trace: Trace) -> Arm:
     """The arm of a trace with its capsules and the camera's, for compiled code."""
-    return arm_with(load_arm(trace.scenario.robot.arm_name), capsules_of(trace))
+    return arm_with(arm_model(trace.scenario.robot), capsules_of(trace))
 
 
 @dataclass(frozen=True, eq=False)
@@ -413,7 +413,7 @@ def derived(trace: Trace) -> NDArray[np.void]:
     capsules = capsules_of(trace)
     found = np.zeros(len(trace.ticks), trace.ticks.dtype)
     _derive(
-        arm_record(load_arm(trace.scenario.robot.arm_name), trace.scenario.settings),
+        arm_record(arm_model(trace.scenario.robot), trace.scenario.settings),
         capsules.records,
         np.empty((len(capsules.names), 2, 3)),
         np.zeros(trace.ticks["hand_present"].shape[1], HAND),

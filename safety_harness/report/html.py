@@ -41,13 +41,15 @@ from safety_harness.report.words import (
     MODE_WORDS,
     changed_settings,
     count_words,
+    drives_as_modelled,
     flag_words,
     margin_words,
     with_minus,
 )
 from safety_harness.scenario.faults import fault_words
 from safety_harness.scenario.files import as_path
-from safety_harness.scenario.model import Robot, Verdict
+from safety_harness.scenario.model import Verdict
+from safety_harness.scenario.robots import Robot
 from safety_harness.scenario.write import write_scenario
 from safety_harness.trace.records import Limit
 from safety_harness.trace.trace import Trace
@@ -255,7 +257,8 @@ def acted_faults(trace: Trace) -> list[str]:
 
 
 def changes(run: JudgedRun) -> list[tuple[str, str, str]]:
-    """(setting, default, this run) where they differ, the robot first."""
+    """(setting, default, this run) where they differ, the robot and its drives first."""
     scenario = run.trace.scenario
-    robot = [("robot", Robot.UR10.value, scenario.robot.value)] if scenario.robot is not Robot.UR10 else []
-    return robot + changed_settings(scenario.settings)
+    robot = [("robot", Robot.UR10.value, scenario.robot.label)] if scenario.robot is not Robot.UR10 else []
+    drives = drives_as_modelled(scenario.robot, scenario.settings.clock.control_period_s)
+    return robot + drives + changed_settings(scenario.settings)

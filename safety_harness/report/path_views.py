@@ -6,6 +6,7 @@ What draws the cell, the arm, hands, the TCP or decisions draws base x to the ri
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,8 +17,9 @@ from safety_harness.report.axes import Axes, Picture, Share
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.svg import HANDS, Floats, Ink, keep_extremes
 from safety_harness.report.words import with_minus
-from safety_harness.robot.description import load_arm
 from safety_harness.robot.kinematics import links_in_base
+from safety_harness.robot.robots import arm_model
+from safety_harness.scenario.obstacles import Obstacle
 from safety_harness.settings import Cell, Settings
 from safety_harness.trace.trace import Trace
 from safety_harness.trace.unmeasured import decided
@@ -84,6 +86,7 @@ def _view(run: JudgedRun, moment: Moment | None, axis: int, *, close_up: bool, p
     if moment is not None:
         draw_forearms(axes, trace, moment, axis)
     draw_cell(axes, trace.scenario.settings, axis)
+    draw_obstacles(axes, trace.scenario.obstacles, axis)
     if not close_up:
         draw_close_up_frame(axes, trace, axis)
     draw_hands(axes, trace, moment, axis)
@@ -171,9 +174,20 @@ def draw_cell(axes: Axes, settings: Settings, axis: int) -> None:
     axes.marks(desired[[0]], desired[[axis]], "+", 15, edge=Ink.TEXT, width=1.6)
 
 
+def draw_obstacles(axes: Axes, obstacles: Sequence[Obstacle], axis: int) -> None:
+    """The boxes of the cell."""
+    for box in obstacles:
+        corners = box.corners_in_base_m * MM
+        outline = (
+            corners[:4, :2].T if axis == 1 else rectangle(corners.min(axis=0), corners.max(axis=0), axis)
+        )
+        axes.area(outline[0], outline[1], Ink.MUTED, opacity=0.18)
+        axes.area(outline[0], outline[1], None, edge=Ink.MUTED, width=1.6)
+
+
 def draw_arm(axes: Axes, trace: Trace, moment: Moment, axis: int) -> None:
     """The arm as straight lines between its link frames."""
-    arm = load_arm(trace.scenario.robot.arm_name)
+    arm = arm_model(trace.scenario.robot)
     joints = np.ascontiguousarray(trace.ticks["joint_position_rad"][moment.tick])
     if not np.all(np.isfinite(joints)):
         return

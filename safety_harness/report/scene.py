@@ -10,7 +10,7 @@ import numpy as np
 from safety_harness.admission.preview import Preview
 from safety_harness.report.axes import Axes, Picture, Share
 from safety_harness.report.page_parts import asset
-from safety_harness.report.path_views import MM, capsule_outline, draw_cell, rectangle
+from safety_harness.report.path_views import MM, capsule_outline, draw_cell, draw_obstacles, rectangle
 from safety_harness.report.svg import HANDS, Floats, Ink, plain, standalone
 from safety_harness.whole_file import write_whole
 
@@ -45,6 +45,7 @@ def _draw_side(axes: Axes, previews: Sequence[Preview], axis: int, regions: Boxe
     arm = first.links_in_base_m * MM
     axes.line(arm[:, 0], arm[:, axis], Ink.ARM, width=6)
     draw_cell(axes, first.scenario.settings, axis)
+    draw_obstacles(axes, first.scenario.obstacles, axis)
     for name, low, high in regions:
         x, y = rectangle(low * MM, high * MM, axis)
         axes.line(x, y, Ink.PREDICTED, width=1.2, dashes=(4, 2))

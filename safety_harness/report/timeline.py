@@ -8,6 +8,7 @@ from the TCP.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from itertools import cycle
 
 import numpy as np
 
@@ -32,6 +33,7 @@ from safety_harness.report.words import (
     claimed_tcp_speed_mps,
 )
 from safety_harness.scenario.model import Verdict
+from safety_harness.scenario.robots import Robot
 from safety_harness.trace.records import DecisionOutcome, Mode
 from safety_harness.trace.trace import Trace
 from safety_harness.trace.unmeasured import decided, measured
@@ -40,13 +42,10 @@ PANEL_PX = 882.0
 COLUMNS = int(PANEL_PX / 2.0)  # as wide as a line: the two extremes of a column lie within it
 MM, DEGREES = 1e3, 180.0 / np.pi
 
-JOINTS = (
-    ("pan", Ink.TCP),
-    ("lift", Ink.HAND_1),
-    ("elbow", Ink.GREEN),
-    ("wrist 1", Ink.HAND_2),
-    ("wrist 2", Ink.PREDICTED),
-    ("wrist 3", Ink.SKY),
+UR_JOINTS = ("pan", "lift", "elbow", "wrist 1", "wrist 2", "wrist 3")
+JOINT_INKS = (
+    *(Ink.TCP, Ink.HAND_1, Ink.GREEN, Ink.HAND_2, Ink.PREDICTED, Ink.SKY),
+    *(Ink.LIMIT, Ink.MUTED),
 )
 SUPERSCRIPT = str.maketrans(
     "-0123456789", "\u207b\u2070\u00b9\u00b2\u00b3\u2074\u2075\u2076\u2077\u2078\u2079"
@@ -315,9 +314,12 @@ def _claimed(run: JudgedRun, limit_of: Callable[[Evaluation], float | None]) -> 
 
 
 def joint_panel(axes: Axes, trace: Trace) -> None:
-    """The six joint angles."""
-    angles = trace.ticks["joint_position_rad"] * DEGREES
-    lines = [(name, angles[:, i], ink, DASHES[i]) for i, (name, ink) in enumerate(JOINTS)]
+    """The joint angles, of an own arm by number."""
+    angles = (trace.ticks["joint_position_rad"] * DEGREES).T
+    ours = isinstance(trace.scenario.robot, Robot)
+    names = UR_JOINTS if ours else [f"joint {number}" for number in range(1, len(angles) + 1)]
+    styles = zip(names, angles, JOINT_INKS, cycle(DASHES), strict=False)
+    lines = [(name, angle, ink, dashes) for name, angle, ink, dashes in styles]
     _panel(axes, trace, "Joint angles, deg", lines)
 
 

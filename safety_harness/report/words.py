@@ -14,6 +14,8 @@ import numpy as np
 from safety_harness.geometry.arrays import Array3
 from safety_harness.properties.base import Evaluation, Unit
 from safety_harness.properties.positions import BEYOND_M, RepulsivePosesReachable
+from safety_harness.robot.drive import delay_ticks
+from safety_harness.scenario.robots import AnyRobot, Robot
 from safety_harness.settings import DEFAULTS, Settings
 from safety_harness.trace.records import Check, DecisionOutcome, Mode, Trigger
 
@@ -33,6 +35,7 @@ CHECK_MEANINGS = {
     Check.NEAR_REACH_LIMIT: "reachable, but the straight way ends hardly farther than that",
     Check.TOWARDS_A_HAND: "the straight way does not lead away from every predicted hand",
     Check.ROBOT_ITSELF: "on the way the wrist comes too near to the robot's base, shoulder or upper arm",
+    Check.OBSTACLE: "on the way the arm comes too near to an obstacle of the cell",
     Check.LATE: "the avoider had not answered when the decision deadline was over",
 }
 _UNITS = (  # suffix of a setting's name, shown unit, how many of it are one SI unit
@@ -175,6 +178,26 @@ def _changes(prefix: str, default: Any, own: Any) -> Iterator[tuple[str, str, st
             yield from _changes(f"{name}.", before, after)
         elif before != after:
             yield name, setting_words(item.name, before), setting_words(item.name, after)
+
+
+def drives_as_modelled(robot: AnyRobot, period_s: float) -> list[tuple[str, str, str]]:
+    """(name, default, this run) of what an own arm's drives do, as rounded and limited; none by default."""
+    drives = None if isinstance(robot, Robot) else robot.drives
+    if drives is None:
+        return []
+    periods = delay_ticks(drives.dead_time_s, period_s)
+    found = [
+        ("robot.drives.dead_time", "0 s", f"{periods * period_s:.6g} s, {periods} whole control periods"),
+        ("robot.drives.lag", "0 s", f"{drives.lag_s:.6g} s"),
+    ]
+    if drives.torque_limit is not None:
+        words = f"{100.0 * drives.torque_limit:.6g} % of the URDF's; all joints wait for the weakest"
+        found.append(("robot.drives.torque_limit", "none", words))
+    if drives.payload is not None:
+        at = with_minus(_numbers(drives.payload.centre_m, 1e3))
+        words = f"{drives.payload.mass_kg:.6g} kg in one point, {at} mm from the link tcp"
+        found.append(("robot.drives.payload", "none", words))
+    return found
 
 
 def claimed_hand_distance_m(evaluation: Evaluation) -> float | None:

@@ -7,7 +7,8 @@ file.  Distances to capsules are never longer than those to the meshes: the safe
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass
+from collections.abc import Collection
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import NamedTuple
@@ -64,6 +65,25 @@ class CapsuleSet:
             records[name] = getattr(self, name)
         records.setflags(write=False)
         return records
+
+    def of_links(self, links: Collection[int]) -> CapsuleSet:
+        """Those of some links, which are counted from 0."""
+        kept = [k for k, link in enumerate(self.link_index) if link in links]
+        return CapsuleSet(
+            names=tuple(self.names[k] for k in kept),
+            link_index=self.link_index[kept],
+            start_in_link=self.start_in_link[kept],
+            end_in_link=self.end_in_link[kept],
+            radius_m=self.radius_m[kept],
+            frames=self.frames,
+        )
+
+    def carried_by(self, link: int, transform: NDArray[np.float64]) -> CapsuleSet:
+        """The same, those of a link in another frame: ``transform`` (4, 4) leads there from the old one."""
+        mine = (self.link_index == link)[:, None]
+        ends = (self.start_in_link, self.end_in_link)
+        start, end = (np.where(mine, one @ transform[:3, :3].T + transform[:3, 3], one) for one in ends)
+        return replace(self, start_in_link=start, end_in_link=end)
 
     def with_capsule(
         self, name: str, link_index: int, start: ArrayLike, end: ArrayLike, radius: float
@@ -135,12 +155,19 @@ def load_capsules(arm_name: str = "ur10") -> CapsuleSet:
     return _stored(file).on(load_arm(arm_name), file)
 
 
-def read_capsules(file: Path, arm: ArmModel) -> CapsuleSet:
-    """The capsules that were fitted to ``arm``; ``ArmFileError``, naming what differs, if to another one."""
-    stored = _stored(file)
+def read_capsules(
+    file: Path, arm: ArmModel, *, text: bytes | None = None, urdf_sha256: str | None = None
+) -> CapsuleSet:
+    """The capsules that were fitted to ``arm``; ``ArmFileError``, naming what differs, if to another one.
+
+    ``text`` is read in place of the file.  With ``urdf_sha256``, of a URDF that was read before, neither the
+    arm's file nor its meshes are looked at.
+    """
+    stored = _stored(file, text)
     pairs = [("base", stored.base, arm.link_names[0]), ("tcp", stored.tcp, arm.tcp_link)]
-    pairs.append((f"{arm.file} with the SHA-256", stored.urdf_sha256, hashes_of(arm)[0]))
-    named, found = stored.meshes_sha256, hashes_of(arm)[1]
+    found_urdf, found = (urdf_sha256, stored.meshes_sha256) if urdf_sha256 else hashes_of(arm)
+    pairs.append((f"{arm.file} with the SHA-256", stored.urdf_sha256, found_urdf))
+    named = stored.meshes_sha256
     for uri in sorted(named.keys() | found.keys()):
         pairs.append((f"mesh {uri} with the SHA-256", named.get(uri, "none"), found.get(uri, "none")))
     for what, fitted_to, is_now in pairs:
@@ -165,9 +192,9 @@ def _sha256(file: Path) -> str:
     return hashlib.sha256(read_bytes(file)).hexdigest()
 
 
-def _stored(file: Path) -> StoredCapsules:
+def _stored(file: Path, text: bytes | None = None) -> StoredCapsules:
     try:
-        return msgspec.json.decode(read_bytes(file), type=StoredCapsules)
+        return msgspec.json.decode(read_bytes(file) if text is None else text, type=StoredCapsules)
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
         raise ArmFileError.of_file(file, "a file of capsules", str(error)) from error
 

@@ -81,15 +81,19 @@ class ArmGeometry(Protocol):
     upper_rad: Array6
 
 
-def refuse_other_than_six(arm: ArmModel) -> None:
-    """``ArmModelError`` unless ``arm`` has the six joints that inverse kinematics are made for."""
-    if len(arm.joint_names) != 6:
-        raise ArmModelError(f"{arm.name}: inverse kinematics are of six joints, not {len(arm.joint_names)}")
+def has_closed_form(arm: ArmModel) -> bool:
+    """Has ``arm`` six joints, and the wrist of the UR family?"""
+    try:
+        arm_geometry(arm)
+    except ArmModelError:
+        return False
+    return True
 
 
 def arm_geometry(arm: ArmModel) -> ArmGeometryRecords:
     """(1,) ARM_GEOMETRY of an arm, read-only; ``ArmModelError`` unless its wrist is that of the UR family."""
-    refuse_other_than_six(arm)
+    if len(arm.joint_names) != 6:
+        raise ArmModelError(f"{arm.name}: the closed form is of six joints, not {len(arm.joint_names)}")
     zero = links_in_base(arm, np.zeros(6))
     axes = np.array([zero[i + 1, :3, :3] @ arm.joint_axes[i] for i in range(6)])
     base_to_plane = np.array([axes[0], np.cross(axes[1], axes[0]), axes[1]])

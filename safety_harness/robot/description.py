@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache, reduce
 from pathlib import Path
 from typing import Protocol
@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.exceptions import ArmModelError
-from safety_harness.robot.urdf import Urdf
+from safety_harness.robot.urdf import ArmFileError, Urdf, read_bytes
 
 DATA = Path(__file__).with_name("data")
 PACKAGES = {"example-robot-data/robots": DATA}  # what the shipped URDFs call that folder
@@ -84,6 +84,7 @@ class ArmModel:
     ``flange`` (4, 4): from the tcp to the last moving link.
     The limits are (n,); ``effort_limit`` is in N m.  A joint without an end (continuous) has the position
     limits -inf and inf.  ``left_out`` names the links with shapes that are not fixed to any of the arm's.
+    ``transform_seat`` (4, 4): from the base link's frame to the base frame, one until the arm is ``seated``.
     """
 
     name: str
@@ -100,6 +101,9 @@ class ArmModel:
     effort_limit: NDArray[np.float64]
     links: tuple[LinkShapes, ...]  # of the base, then of the n moving links
     left_out: tuple[str, ...]
+    text: bytes  # of the URDF
+    packages: Mapping[str, Path]
+    transform_seat: NDArray[np.float64] = field(default_factory=lambda: np.eye(4))
 
     def __post_init__(self) -> None:
         for value in vars(self).values():
@@ -114,6 +118,11 @@ class ArmModel:
             chain[name] = getattr(self, name)
         chain.setflags(write=False)
         return chain
+
+    def seated(self, transform: NDArray[np.float64]) -> ArmModel:
+        """The same arm elsewhere: ``transform`` (4, 4) leads from its base link to the base frame."""
+        origins = np.concatenate(((transform @ self.joint_origins[0])[None], self.joint_origins[1:]))
+        return replace(self, joint_origins=origins, transform_seat=transform @ self.transform_seat)
 
     @property
     def farthest_reach_m(self) -> float:
@@ -132,15 +141,25 @@ def urdf_file(name: str) -> Path:
     return file
 
 
-def resolved_urdf(name: str, *, visuals: bool) -> str:
-    """A shipped arm's URDF with absolute mesh paths; without ``visuals`` it has no <visual> elements."""
-    urdf = Urdf.read(urdf_file(name))
-    for mesh in urdf.root.iter("mesh"):
-        mesh.set("filename", str(urdf.mesh_file(mesh, PACKAGES)))
-    if not visuals:
-        for link in urdf.links.values():
-            for visual in link.findall("visual"):
+def resolved_urdf(arm: ArmModel, *, visuals: bool) -> str:
+    """An arm's URDF with absolute mesh paths, and without what is not fixed to its links.
+
+    The root is the arm's base.  Without ``visuals`` it has no <visual> elements.
+    """
+    urdf = Urdf.read(arm.file, arm.text)
+    for joint in urdf.root.findall("joint"):
+        below = urdf.text(urdf.child(joint, "child"), "link")
+        if urdf.carrier(below, arm.link_names)[0] is None or below == arm.link_names[0]:
+            urdf.root.remove(joint)
+    for name, link in urdf.links.items():
+        if urdf.carrier(name, arm.link_names)[0] is None:
+            urdf.root.remove(link)
+            continue
+        for visual in link.findall("visual"):
+            if not visuals:
                 link.remove(visual)
+        for mesh in link.iter("mesh"):
+            mesh.set("filename", str(urdf.mesh_file(mesh, arm.packages)))
     return ElementTree.tostring(urdf.root, encoding="unicode")
 
 
@@ -151,16 +170,24 @@ def load_arm(name: str = "ur10") -> ArmModel:
 
 
 def read_arm(
-    file: Path, *, base: str | None = None, tcp: str | None = None, packages: Mapping[str, Path] | None = None
+    file: Path,
+    *,
+    base: str | None = None,
+    tcp: str | None = None,
+    packages: Mapping[str, Path] | None = None,
+    text: bytes | None = None,
+    meshes: bool = True,
 ) -> ArmModel:
     """Read the arm between two links of a URDF: three to eight turning joints, any number of fixed ones.
 
     ``base`` stands still, and ``tcp`` ends the arm; by default the only link without a joint above it, and
     the only one without a joint below it.  ``packages`` has the folders of names in package://NAME/PATH;
     others are looked for in the URDF's folder and those above it: NAME/PATH first, then PATH.
+    ``text`` is read in place of the file, and without ``meshes`` one that is not there stays without a file.
     ``ArmFileError``, with file and line, for what is no such arm or cannot be used.
     """
-    urdf = Urdf.read(file)
+    text = read_bytes(file) if text is None else text
+    urdf = Urdf.read(file, text)
     base, tcp, joints = urdf.chain(base, tcp)
     origins: list[NDArray[np.float64]] = []
     moving, since = [], list[NDArray[np.float64]]()  # the frames since the last moving joint
@@ -177,7 +204,7 @@ def read_arm(
     axes = np.array([axis for axis, _ in rows])
     lower, upper, velocity, effort = np.array([limits for _, limits in rows]).T.copy()
     names = (base, *(urdf.child(joint, "child").get("link", "") for joint in moving))
-    links, left_out = _shapes(urdf, names, packages or {})
+    links, left_out = _shapes(urdf, names, packages or {}, meshes)
     return ArmModel(
         name=urdf.root.get("name") or file.stem,
         file=file,
@@ -193,6 +220,8 @@ def read_arm(
         effort_limit=effort,
         links=links,
         left_out=left_out,
+        text=text,
+        packages=packages or {},
     )
 
 
@@ -221,29 +250,23 @@ def _axis_and_limits(urdf: Urdf, joint: ElementTree.Element) -> tuple[NDArray[np
 
 
 def _shapes(
-    urdf: Urdf, names: tuple[str, ...], packages: Mapping[str, Path]
+    urdf: Urdf, names: tuple[str, ...], packages: Mapping[str, Path], meshes: bool
 ) -> tuple[tuple[LinkShapes, ...], tuple[str, ...]]:
     """The shapes of the links ``names`` and of what is fixed to them; the other links with shapes."""
     found: dict[tuple[str, str], list[Shape]] = {}
     left_out = []
     for name, link in urdf.links.items():
-        carrier: str | None = name
-        way: list[NDArray[np.float64]] = []
-        while carrier is not None and carrier not in names:
-            joint = urdf.above.get(carrier)
-            fixed = joint is not None and joint.get("type") == "fixed"
-            carrier = urdf.parent(joint) if joint is not None and fixed else None
-            way = [urdf.origin(joint), *way] if joint is not None and fixed else way
+        carrier, way = urdf.carrier(name, names)
         if carrier is None:
             left_out += (
                 [name] if link.find("visual") is not None or link.find("collision") is not None else []
             )
             continue
-        _refuse_wrong_inertia(urdf, link)
+        inertial(urdf, link)
         for kind in ("collision", "visual"):
             for part in link.findall(kind):
                 frame = reduce(np.matmul, [*way, urdf.origin(part)])
-                found.setdefault((carrier, kind), []).append(_shape(urdf, part, frame, packages))
+                found.setdefault((carrier, kind), []).append(_shape(urdf, part, frame, packages, meshes))
     links = (
         LinkShapes(
             link=name,
@@ -257,7 +280,11 @@ def _shapes(
 
 
 def _shape(
-    urdf: Urdf, part: ElementTree.Element, frame: NDArray[np.float64], packages: Mapping[str, Path]
+    urdf: Urdf,
+    part: ElementTree.Element,
+    frame: NDArray[np.float64],
+    packages: Mapping[str, Path],
+    meshes: bool,
 ) -> Shape:
     inside = list(urdf.child(part, "geometry"))
     if len(inside) != 1 or inside[0].tag not in SIZES:
@@ -265,7 +292,12 @@ def _shape(
         raise urdf.error(part, f"one shape, a {', '.join(SIZES)}", f"{tags}")
     element, kind = inside[0], inside[0].tag
     if kind == "mesh":
-        scale, file = urdf.numbers(element, "scale", 3, "1 1 1"), urdf.mesh_file(element, packages)
+        scale, file = urdf.numbers(element, "scale", 3, "1 1 1"), None
+        try:
+            file = urdf.mesh_file(element, packages)
+        except ArmFileError:
+            if meshes:
+                raise
         if not np.abs(scale).min() > 0.0:
             raise urdf.error(element, "a scale that leaves something", f"{scale.tolist()}")
         uri = element.get("filename", "")
@@ -277,18 +309,25 @@ def _shape(
     return Shape(kind=kind, size=size, transform_shape_to_link=frame)
 
 
-def _refuse_wrong_inertia(urdf: Urdf, link: ElementTree.Element) -> None:
-    """``ArmFileError`` unless the inertia is one that a body of that mass can have; what has no mass may."""
+def inertial(
+    urdf: Urdf, link: ElementTree.Element
+) -> tuple[float, NDArray[np.float64], NDArray[np.float64]] | None:
+    """A link's mass, the frame (4, 4) of its centre, the inertia (3, 3) about it; None if it says nothing.
+
+    ``ArmFileError`` unless the inertia is one that a body of that mass can have; what has no mass may.
+    """
     if link.find("inertial") is None:
-        return
+        return None
     inertial = urdf.child(link, "inertial")
-    urdf.origin(inertial)
+    frame = urdf.origin(inertial)
     mass = urdf.number(urdf.child(inertial, "mass"), "value")
     inertia = urdf.child(inertial, "inertia")
     xx, xy, xz, yy, yz, zz = (urdf.number(inertia, key) for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"))
     if mass < 0.0:
         raise urdf.error(urdf.child(inertial, "mass"), "a mass of 0 kg or more", f"{mass:g}")
-    least, middle, most = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    matrix = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    least, middle, most = np.linalg.eigvalsh(matrix)
     if mass > 0.0 and not (least > 0.0 and most <= BEYOND * (least + middle)):
         expected = "an inertia that a body can have: moments above 0, none far above the others' sum"
         raise urdf.error(inertia, expected, f"{least:.4g}, {middle:.4g}, {most:.4g}")
+    return mass, frame, matrix

@@ -311,6 +311,17 @@ def excess(capsules: list[Capsule], surface: Surface, rng: np.random.Generator) 
     return float(distance.max()), float(distance.mean())
 
 
+def fit_mesh(file: Path, scale: float, seed: int = 0) -> tuple[list[Capsule], Surface]:
+    """The capsules that enclose a mesh (a tool, a part), in its own frame, and its surface."""
+    if not file.is_file():
+        raise ArmFileError.of_file(file, "a mesh", "no file of that name")
+    shape = Shape(kind="mesh", size=np.full(3, scale), transform_shape_to_link=np.eye(4), file=file)
+    link = LinkShapes(link=file.stem, index=0, collision=(shape,), visual=())
+    capsules = fit_link(link_surface(link, PIECE_M), np.random.default_rng(seed))
+    surface = link_surface(link, FINE_M)
+    return polish(surface, capsules), surface
+
+
 def fit_arm(
     arm: ArmModel, seed: int = 0, tell: Callable[[int, str], None] = lambda done, link: None
 ) -> list[tuple[LinkShapes, list[Capsule]]]:

@@ -7,16 +7,15 @@ from math import ceil, pi, sqrt
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from safety_harness.compiled import compiled, inlined
+from safety_harness.compiled import compiled
 from safety_harness.geometry.arrays import Array3, Array4x4, Array6, Array6x6, ArrayNx4x4, ArrayNx6
 from safety_harness.geometry.linear import copy_matrix, copy_vector, solve_in_place
-from safety_harness.geometry.rotations import vector_from_rotation
 from safety_harness.robot.closed_form import (
     AT_ONCE,
     ArmGeometryRecords,
     arm_geometry,
     candidate_branches,
-    refuse_other_than_six,
+    has_closed_form,
 )
 from safety_harness.robot.description import ArmModel, ChainRecords
 from safety_harness.robot.kinematics import (
@@ -26,60 +25,80 @@ from safety_harness.robot.kinematics import (
     geometric_jacobian,
     is_well_conditioned,
 )
+from safety_harness.robot.numeric_inverse import (
+    EXACT_POSE,
+    all_found,
+    is_among,
+    least_step,
+    nearest_found,
+    pose_error,
+    starts_of,
+    wrapped_rad,
+)
 
-EXACT_POSE = 1e-9  # largest difference of a matrix entry (metres, or a direction cosine)
 MENDED_POSE = 1e-6  # by which a branch may miss its pose to be polished
 MOST_POLISHING = 4  # steps
 POLISH_DAMPING = 1e-6  # where the arm is singular, directions below this are left alone
 REACH_RESOLUTION_M = 1e-4
-SAME_RAD = 1e-6  # of two ways to compute one branch near a singularity
 MOST_STEPS = 4000  # of ``straight_way``
 
 
 class InverseKinematics:
-    """All closed-form solutions of one arm; ``ArmModelError`` unless its wrist is that of the UR family."""
+    """Joint positions of poses, in closed form where the arm's wrist is that of the UR family, else numeric.
+
+    An arm of more than six joints can take a pose in infinitely many ways, one of fewer only some poses.
+    """
 
     def __init__(self, arm: ArmModel) -> None:
         self.arm = arm
-        self._geometry = arm_geometry(arm)
+        self._geometry = arm_geometry(arm) if has_closed_form(arm) else None
+        self._starts = starts_of(arm)
 
     def branches(self, transform_tcp_to_base: Array4x4) -> NDArray[np.float64]:
-        """All joint positions (k, 6) [rad] of a pose, wrapped into (-pi, pi]; (0, 6) out of reach.
+        """All joint positions (k, n) [rad] of a pose, wrapped into (-pi, pi]; (0, n) out of reach.
 
         Each is checked with forward kinematics to 1e-9 (metres, and entries of the rotation).  Two shoulders,
         two wrists and two elbows, in the order of ``candidate_branches``; those that are less than 1e-6
         apart, as at a singularity, are one.  Position limits are not considered.  At a wrist singularity
         (|sin theta_5| below 5e-10) joints can move while the TCP stays, and what is returned are some of
-        those positions.
+        those positions.  Numeric ones are those that 200 starts led to, of more than six joints some of
+        infinitely many.
 
         ``transform_tcp_to_base`` (4, 4).
         """
-        return _branches(self.arm.chain, self._geometry, np.array(transform_tcp_to_base, dtype=np.float64))
+        pose = np.array(transform_tcp_to_base, dtype=np.float64)
+        if self._geometry is None:
+            return all_found(self.arm.chain, self._starts, pose)
+        return _branches(self.arm.chain, self._geometry, pose)
 
     def nearest(
         self, transform_tcp_to_base: Array4x4, reference_joint_position: Array6
     ) -> NDArray[np.float64] | None:
-        """The solution (6,) within the position limits that is nearest to a joint position (6,).
+        """The solution (n,) within the position limits that is nearest to a joint position (n,).
 
         Distance is Euclidean in joint angles; full turns of each joint are tried.  None when no
-        solution is within the limits.
+        solution is within the limits.  Numeric: the nearest of those that were found, each carried along its
+        self-motion to where its distance is least; one within 0.5 rad ends the search.
 
-        ``transform_tcp_to_base`` (4, 4), ``reference_joint_position`` (6,).
+        ``transform_tcp_to_base`` (4, 4), ``reference_joint_position`` (n,).
         """
         (solution,) = self.nearest_of_each(np.array([transform_tcp_to_base]), reference_joint_position)
         return None if np.isnan(solution[0]) else solution
 
     def nearest_of_each(
         self,
-        transforms_tcp_to_base: NDArray[np.float64],  # (n, 4, 4)
+        transforms_tcp_to_base: NDArray[np.float64],  # (m, 4, 4)
         reference_joint_position: Array6,
     ) -> NDArray[np.float64]:
-        """``nearest`` of many poses (n, 4, 4): (n, 6), NaN where no solution is within the limits.
+        """``nearest`` of many poses (m, 4, 4): (m, n), NaN where no solution is within the limits.
 
-        ``reference_joint_position`` (6,).
+        ``reference_joint_position`` (n,).
         """
         poses = np.array(transforms_tcp_to_base, dtype=np.float64)
         reference = np.array(reference_joint_position, dtype=np.float64)
+        if self._geometry is None:
+            limits_rad = self.arm.position_lower_rad, self.arm.position_upper_rad
+            return nearest_found(self.arm.chain, *limits_rad, self._starts, poses, reference)
         return _nearest_of_each(self.arm.chain, self._geometry, poses, reference)
 
     def reach_along(
@@ -93,10 +112,11 @@ class InverseKinematics:
     ) -> float:
         """How far (at most ``length_m``) the TCP can go straight along a direction, not turning.
 
-        The joints follow continuously from ``joint_position_rad`` (6,), within the position
-        limits and with every singular value of the Jacobian above ``min_singular_value``, which
-        is looked at every ``step_m`` at least.  The answer is at most 0.1 mm short; it is 0 when
-        the start itself is outside these bounds.  ``ValueError`` for a direction without length.
+        The joints follow continuously from ``joint_position_rad`` (n,), more than six with the least steps,
+        within the position limits and with every singular value of the Jacobian above
+        ``min_singular_value``, which is looked at every ``step_m`` at least.  The answer is at most 0.1 mm
+        short; it is 0 when the start itself is outside these bounds.  ``ValueError`` for a direction without
+        length.
         """
         direction = np.array(direction_in_base, dtype=np.float64)
         length = float(np.linalg.norm(direction))
@@ -119,27 +139,8 @@ def _branches(chains: ChainRecords, geometries: ArmGeometryRecords, pose: Array4
     for k in range(candidate_branches(geometries[0], pose, found)):
         copy_vector(found[k], found[kept])
         if _gives(chains, pose, found[kept], transforms):
-            kept += not _is_among(found[kept], found[:kept])
+            kept += not is_among(found[kept], found[:kept])
     return found[:kept].copy()
-
-
-@compiled
-def _is_among(joints: Array6, others: ArrayNx6) -> bool:
-    """Is (6,) less than SAME_RAD in every joint from one of (k, 6), whole turns aside?"""
-    for k in range(others.shape[0]):
-        same = True
-        for i in range(6):
-            same = same and abs(_wrapped(joints[i] - others[k, i])) < SAME_RAD
-        if same:
-            return True
-    return False
-
-
-@inlined
-def _wrapped(angle: float) -> float:
-    """The angle [rad] in (-pi, pi]."""
-    wrapped = pi - np.mod(pi - angle, 2.0 * pi)
-    return float(wrapped if wrapped > -pi else pi)  # a remainder may be rounded to the whole
 
 
 @compiled
@@ -152,7 +153,7 @@ def _gives(chains: ChainRecords, pose: Array4x4, joints: Array6, transforms: Arr
     for _ in range(MOST_POLISHING):
         exact = nearly = True
         for i in range(6):
-            joints[i] = _wrapped(joints[i])
+            joints[i] = wrapped_rad(joints[i])
         forward_kinematics(chains[0], joints, transforms)
         for i in range(4):
             for j in range(4):
@@ -223,7 +224,7 @@ def _turned_towards(geometries: ArmGeometryRecords, reference: Array6, joints: A
     """
     total = 0.0
     for i in range(6):
-        least, wrapped = np.inf, _wrapped(joints[i])
+        least, wrapped = np.inf, wrapped_rad(joints[i])
         for turn in range(-2, 3):
             angle = wrapped + turn * (2.0 * pi)
             away = abs(angle - reference[i])
@@ -248,16 +249,17 @@ def _straight_reach(
 
     In steps of s: halved at each failure of ``follow_pose`` or ``_acceptable``, doubled at each success.
     """
-    transforms = np.empty((FRAMES, 4, 4))
-    jacobian = np.empty((6, 6))
+    n = start_rad.shape[0]
+    transforms = np.empty((n + 2, 4, 4))
+    jacobian = np.empty((6, n))
     forward_kinematics(chains[0], start_rad, transforms)
     geometric_jacobian(chains[0].joint_axes, transforms, jacobian)
     if not _acceptable(start_rad, lower_rad, upper_rad, jacobian, min_singular_value):
         return 0.0
-    start_pose = transforms[TCP].copy()
+    start_pose = transforms[n + 1].copy()
     target = start_pose.copy()
     joints = start_rad.copy()
-    trial = np.empty(6)
+    trial = np.empty(n)
     reached = 0.0
     step = step_m
     while reached < length_m:
@@ -281,8 +283,8 @@ def _straight_reach(
 def _acceptable(
     joints: Array6, lower_rad: Array6, upper_rad: Array6, jacobian: Array6x6, min_singular_value: float
 ) -> bool:
-    """Are joints (6,) within their limits, and all singular values of their Jacobian large enough?"""
-    for i in range(6):
+    """Are joints (n,) within their limits, and all singular values of their Jacobian large enough?"""
+    for i in range(joints.shape[0]):
         if not (lower_rad[i] <= joints[i] <= upper_rad[i]):
             return False
     return is_well_conditioned(jacobian, min_singular_value)
@@ -297,27 +299,33 @@ def follow_pose(
     J dq = (p* - p, log(R* R^T)), q <- q + dq, with the pose (R, p) at q and (R*, p*) wanted, both in the base
     frame [m], and log a rotation's vector [rad].  (Lynch and Park, Modern Robotics, 2017, 6.2.)  The first
     Newton step predicts; the later ones together may only correct it by half of its own size, else the
-    prediction was no good and the solution may be another branch's.  ``transforms`` and
-    ``jacobian`` are written; on success they are those of the solution.
+    prediction was no good and the solution may be another branch's.  Of more than six joints dq is the least
+    one, J^T (J J^T)^-1 e; fewer do not follow.  ``transforms`` and ``jacobian`` are written; on success they
+    are those of the solution.
     """
-    step = np.empty(6)
+    n = joints.shape[0]
+    step, twist = np.empty(n), np.empty(6)
     matrix = np.empty((6, 6))
     predicted = 0.0
     corrected = 0.0
     for iteration in range(8):
         forward_kinematics(chains[0], joints, transforms)
         geometric_jacobian(chains[0].joint_axes, transforms, jacobian)
-        pose_error(target, transforms[TCP], step)
+        pose_error(target, transforms[n + 1], twist)
         largest = 0.0
         for i in range(6):
-            largest = max(largest, abs(step[i]))
+            largest = max(largest, abs(twist[i]))
         if iteration > 0 and largest < 1e-10:
             return True
-        copy_matrix(jacobian, matrix)
-        if not solve_in_place(matrix, step):
+        if n == 6:
+            copy_vector(twist, step)
+            copy_matrix(jacobian, matrix)
+            if not solve_in_place(matrix, step):
+                return False
+        elif not least_step(jacobian, twist, matrix, step):
             return False
         size = 0.0
-        for i in range(6):
+        for i in range(n):
             joints[i] += step[i]
             size = max(size, abs(step[i]))
         if iteration == 0:
@@ -329,45 +337,31 @@ def follow_pose(
     return False
 
 
-@compiled
-def pose_error(target: Array4x4, reached: Array4x4, error_out: Array6) -> None:
-    """Fill ``error_out`` (6,) with (p* - p, log(R* R^T)) of two poses (4, 4), p* and R* the ``target``'s."""
-    error_rotation = np.empty((3, 3))
-    for i in range(3):
-        error_out[i] = target[i, 3] - reached[i, 3]
-        for j in range(3):
-            error_rotation[i, j] = (
-                target[i, 0] * reached[j, 0] + target[i, 1] * reached[j, 1] + target[i, 2] * reached[j, 2]
-            )
-    copy_vector(vector_from_rotation(error_rotation), error_out[3:])
-
-
 def straight_way(
     arm: ArmModel, joint_position_rad: Array6, position_in_base_m: Array3, *, step_m: float
 ) -> NDArray[np.float64]:
-    """(k, 6) joints from ``joint_position_rad`` (6,) straight to ``position_in_base_m`` (3,), k >= 1.
+    """(k, n) joints from ``joint_position_rad`` (n,) straight to ``position_in_base_m`` (3,), k >= 1.
 
     Neighbouring rows are at most ``step_m`` of way apart (more on a way of over 4000 steps).  The rows
     end where the arm cannot follow continuously; position limits and singularities are not looked at.
-    ``ArmModelError`` for another arm than one of six joints.
     """
-    refuse_other_than_six(arm)
     start, end = (np.array(given, dtype=np.float64) for given in (joint_position_rad, position_in_base_m))
     return _straight_way(arm.chain, start, end, step_m)
 
 
 @compiled
 def _straight_way(chains: ChainRecords, start_rad: Array6, end_in_base_m: Array3, step_m: float) -> ArrayNx6:
-    """(k, 6) joints at p + i/n (p* - p), i = 0 to n, as far as ``follow_pose`` can follow."""
-    transforms, jacobian = np.empty((FRAMES, 4, 4)), np.empty((6, 6))
+    """(k, joints) at p + i/n (p* - p), i = 0 to n, as far as ``follow_pose`` can follow."""
+    joint_count = start_rad.shape[0]
+    transforms, jacobian = np.empty((joint_count + 2, 4, 4)), np.empty((6, joint_count))
     forward_kinematics(chains[0], start_rad, transforms)
-    start_pose = transforms[TCP].copy()
+    start_pose = transforms[joint_count + 1].copy()
     target, joints = start_pose.copy(), start_rad.copy()
     squared = 0.0
     for i in range(3):
         squared += (end_in_base_m[i] - start_pose[i, 3]) ** 2
     steps = int(min(ceil(sqrt(squared) / step_m), MOST_STEPS))
-    rows = np.empty((steps + 1, 6))
+    rows = np.empty((steps + 1, joint_count))
     copy_vector(start_rad, rows[0])
     for k in range(1, steps + 1):
         for i in range(3):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import os.path
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import unquote
@@ -20,6 +20,7 @@ from safety_harness.geometry.rotations import rotation_about
 from safety_harness.geometry.transforms import transform_from
 
 MAX_BYTES = 200_000_000
+DEEPEST = 100  # elements within each other: Python's writer of XML takes a call for each
 LARGEST = 1e9  # of any number in SI units: products of these stay finite
 _WORDS = {1: "a number", 3: "three numbers"}
 
@@ -51,9 +52,9 @@ class Urdf:
     above: dict[str, Element]
 
     @classmethod
-    def read(cls, file: Path) -> Urdf:
-        """Read ``file``; ``ArmFileError`` unless it is XML with links that joints join as a tree."""
-        root, lines = _parse(file)
+    def read(cls, file: Path, text: bytes | None = None) -> Urdf:
+        """Read ``file``, or ``text`` in its place; ``ArmFileError`` unless it is XML with a tree of links."""
+        root, lines = _parse(file, read_bytes(file) if text is None else text)
         urdf = cls(file, root, lines, {}, {})
         if root.tag != "robot":
             raise urdf.error(root, "a <robot>", f"<{root.tag}>")
@@ -175,6 +176,16 @@ class Urdf:
             link = self.parent(joints[-1])
         return base, tcp, joints[::-1]
 
+    def carrier(self, link: str, among: Collection[str]) -> tuple[str | None, list[NDArray[np.float64]]]:
+        """Which link of ``among`` a link is, or is fixed to, and those joints' (4, 4) frames on the way."""
+        way: list[NDArray[np.float64]] = []
+        while link not in among:
+            joint = self.above.get(link)
+            if joint is None or joint.get("type") != "fixed":
+                return None, []
+            link, way = self.parent(joint), [self.origin(joint), *way]
+        return link, way
+
     def mesh_file(self, mesh: Element, packages: Mapping[str, Path]) -> Path:
         """The file of a <mesh>: relative to the URDF, file://, or package:// (see ``read_arm``)."""
         uri = self.text(mesh, "filename")
@@ -200,10 +211,10 @@ class Urdf:
         raise self.error(mesh, "the name of a mesh file", f"{uri!r}, and there is none", hint)
 
 
-def _parse(file: Path) -> tuple[Element, dict[Element, int]]:
-    """The root of an XML file, and the line at which each element begins; ``ArmFileError`` if it is none."""
+def _parse(file: Path, text: bytes) -> tuple[Element, dict[Element, int]]:
+    """The root of a file with that ``text``, and the line at which each element begins; ``ArmFileError``."""
     builder, lines = ElementTree.TreeBuilder(), dict[Element, int]()
-    parser = expat.ParserCreate()
+    parser, open_tags = expat.ParserCreate(), list[str]()
 
     def refused(expected: str, got: str) -> ArmFileError:
         return ArmFileError(place=Place(file, parser.CurrentLineNumber), expected=expected, got=got)
@@ -211,18 +222,25 @@ def _parse(file: Path) -> tuple[Element, dict[Element, int]]:
     def start(tag: str, attributes: dict[str, str]) -> None:
         if tag.startswith("xacro:"):
             raise refused("a URDF that xacro has expanded", f"<{tag}>")
+        open_tags.append(tag)
+        if len(open_tags) > DEEPEST:
+            raise refused(f"at most {DEEPEST} elements within each other", f"<{tag}> in {DEEPEST}")
         own = {key: value for key, value in attributes.items() if not key.startswith("xmlns")}
         lines[builder.start(tag, own)] = parser.CurrentLineNumber
+
+    def end(tag: str) -> None:
+        open_tags.pop()
+        builder.end(tag)
 
     def refuse(*_: object) -> None:  # of entities, which can be as large as they like
         raise refused("a URDF, which has no DOCTYPE", "one")
 
     parser.StartElementHandler = start
-    parser.EndElementHandler = builder.end
+    parser.EndElementHandler = end
     parser.CharacterDataHandler = builder.data
     parser.StartDoctypeDeclHandler = refuse
     try:
-        parser.Parse(read_bytes(file), True)
+        parser.Parse(text, True)
     except (expat.ExpatError, ValueError, LookupError) as error:
         raise refused("a URDF, which is XML", str(error)) from error
     return builder.close(), lines

@@ -185,12 +185,14 @@ class Below(_Formed):
     """A mapping with the keys of one of several tables; ``noun`` is what a message calls it.
 
     Which table is meant is told by its ``told_by``; ``order`` is in which a message lists these.
+    ``or_text`` is the pattern of a text that may stand in its place.
     """
 
     words: str = "mapping"
     tables: tuple[KeyTable, ...]
     noun: str = ""
     order: tuple[str, ...] = ()
+    or_text: str = ""
 
     @cached_property
     def by_key(self) -> Mapping[str, KeyTable]:
@@ -402,12 +404,12 @@ def _nice(value: Any, kind: Value) -> str:
     """A default as people write it."""
     if isinstance(value, Enum):
         return str(value.value)
+    if value is None:
+        return getattr(kind, "or_word", None) or "none"
     if isinstance(kind, Several):
         return f"[{', '.join(_nice(one, kind.of) for one in value)}]"
     if not isinstance(kind, QuantityValue):
         return str(value or "none")
-    if value is None:
-        return kind.or_word or "none"
     if value == 0.0 and kind.dimension is LENGTH:
         return "0 mm"  # as its neighbours in a list
     if kind.dimension is FRACTION:

@@ -18,6 +18,7 @@ from safety_harness.scenario.fields import Field
 from safety_harness.scenario.files import ALL, decode, foreign, has_a_key, read_bytes, resolved
 from safety_harness.scenario.nodes import Mapping, Node, Scalar, Sequence, parse_tree
 from safety_harness.scenario.references import avoider_seen_from, seen_from
+from safety_harness.scenario.robots import FILES, robot_seen_from
 from safety_harness.scenario.units import shown
 from safety_harness.shipped.contents import located
 
@@ -249,6 +250,8 @@ def _moved(node: Node, folder: Path, to: Path) -> Node:
     words: dict[str, _Rewrite] = {
         "avoider": lambda text: avoider_seen_from(to, text, folder),
         "recording": lambda text: seen_from(to, text, folder),
+        "robot": lambda text: robot_seen_from(to, text, folder),
+        **{key: lambda text: seen_from(to, text, folder) for key in FILES},
     }
     return _rewritten(node, words, None)
 

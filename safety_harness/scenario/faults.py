@@ -49,7 +49,7 @@ _DELAY = Key(
 
 
 class Joint(Enum):
-    """The joints of the arm, from its foot."""
+    """The joints of the arm, counted from its foot; the names are those of the UR family."""
 
     PAN = "pan"
     LIFT = "lift"
@@ -57,6 +57,8 @@ class Joint(Enum):
     WRIST_1 = "wrist 1"
     WRIST_2 = "wrist 2"
     WRIST_3 = "wrist 3"
+    SEVENTH = "seventh"
+    EIGHTH = "eighth"
 
 
 class FaultKind(IntEnum):
@@ -219,7 +221,7 @@ class JointStuck(Timed):
     """A joint stands still whatever is commanded."""
 
     said = Phrase("joint", "is stuck", FaultKind.JOINT_STUCK)
-    joint: Joint = key("which", Word(Joint), "the joint", "elbow")
+    joint: Joint = key("which", Word(Joint), "the joint, counted from the foot", "elbow")
 
 
 @declared

@@ -6,7 +6,6 @@ resolves them.  Everything is in SI; the units that people write belong to ``rea
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from enum import Enum
@@ -32,14 +31,16 @@ from safety_harness.scenario.codec import (
     table_of,
 )
 from safety_harness.scenario.faults import Fault
-from safety_harness.scenario.fields import Field
 from safety_harness.scenario.moves import LONGEST_S, MOVE, REACHING_MPS, SPEEDS, TREMOR, HandMove, Tremor
+from safety_harness.scenario.obstacles import Obstacle
+from safety_harness.scenario.robots import DIGEST, AnyRobot, Robot
 from safety_harness.scenario.units import ACCELERATION, NUMBER, TIME
 from safety_harness.settings import DEFAULTS, Settings, Vector3
 
 HAND_SLOTS = (2, 4, 8)  # the records of a run have room for as many hands as one of these says
 MAX_HANDS = HAND_SLOTS[-1]
 LARGEST_SEED = 2**63 - 1
+FEWEST_JOINTS, MOST_JOINTS = 3, 8
 DEFAULT_AVOIDER = "mc-dropout"
 LARGEST_FACTOR = 10.0
 LONGEST_GAP_S = 10.0
@@ -57,19 +58,6 @@ class Verdict(Enum):
     INCONCLUSIVE = "inconclusive"
 
 
-class Robot(Enum):
-    """Which arm of the package of robot descriptions stands in the cell."""
-
-    UR10 = "UR10"
-    UR5 = "UR5"
-    UR3 = "UR3"
-
-    @property
-    def arm_name(self) -> str:
-        """As its description is filed."""
-        return self.value.lower()
-
-
 _TILTED = "tilt: [0 deg, 3 deg, 0 deg]"
 _TILT = Key(
     "tilt",
@@ -79,7 +67,11 @@ _TILT = Key(
     "none",
 )
 _JOINTS = Several(
-    of=TURN, words="list of six angles", expected="a list of six joint angles such as -90 deg", count=6
+    of=TURN,
+    words="list of angles",
+    expected="a list of as many joint angles as the arm has joints, 3 to 8, such as -90 deg",
+    least=FEWEST_JOINTS,
+    most=MOST_JOINTS,
 )
 
 
@@ -102,12 +94,12 @@ class OffsetStart:
 
 @declared
 class JointStart:
-    """A TCP start by its six joint angles."""
+    """A TCP start by its joint angles, of a UR six."""
 
-    joint_position_rad: tuple[float, float, float, float, float, float] = key(
+    joint_position_rad: tuple[float, ...] = key(
         "joints",
         _JOINTS,
-        "pan, lift, elbow, wrist 1, 2, 3; in place of `offset` and `tilt`",
+        "from the base on, of a UR pan, lift, elbow, wrist 1, 2, 3; in place of `offset` and `tilt`",
         "tcp start: {joints: [-12 deg, -73 deg, 113 deg, -130 deg, -90 deg, -103 deg]}",
     )
 
@@ -233,17 +225,8 @@ _NOTHING: NDArray[np.float64] = np.zeros((0, 3))
 NOT_LOADED = RecordedMotion(_NOTHING[:, 0], _NOTHING, _NOTHING, (), "")  # of a hand until its file is read
 
 
-def _sha256(field: Field) -> str:
-    digest = field.scalar("a SHA-256")
-    if not re.fullmatch(r"[0-9a-f]{64}", digest):
-        raise field.error("a SHA-256: 64 digits and letters from a to f")
-    return digest
-
-
 _PATH = Text(words="path", reads=lambda field: Path(field.sentence("the path of a recording")))
-_DIGEST = Text(
-    words="64 hex digits", pattern="^[0-9a-f]{64}$", reads=_sha256, writes=lambda motion: f'"{motion.sha256}"'
-)
+_DIGEST = replace(DIGEST, writes=lambda motion: f'"{motion.sha256}"')
 # A track as the columns spell it: ``right hand`` is ``right_hand``.
 _TRACK = Text(words="name", reads=lambda field: field.sentence("the name of a track").replace(" ", "_"))
 
@@ -376,8 +359,9 @@ class Scenario:
     avoider: str
     claims: tuple[Claim, ...]
     settings: Settings = DEFAULTS
-    robot: Robot = Robot.UR10
+    robot: AnyRobot = Robot.UR10
     faults: tuple[Fault, ...] = ()
+    obstacles: tuple[Obstacle, ...] = ()
     file: Path | None = field(default=None, compare=False)
     places: Mapping[str, Place] = field(default_factory=dict, compare=False)
 

@@ -41,6 +41,7 @@ from safety_harness.scenario.nodes import Mapping as MappingNode
 from safety_harness.scenario.nodes import Node, Scalar, parse_tree
 from safety_harness.scenario.recording import MAX_BYTES, Recording, load_recording, parse_recording
 from safety_harness.scenario.reference_tables import CLAIMS, TOP
+from safety_harness.scenario.robots import AnyRobot, OwnRobot, read_robot
 from safety_harness.scenario.settings_keys import SETTINGS_KEYS, TOP_GROUPS, read_group, setting_keys
 from safety_harness.scenario.units import shown
 from safety_harness.settings import DEFAULTS, Settings, Vector3
@@ -94,9 +95,9 @@ def parse_scenario(
 
     ``file`` names it, unless ``name`` does, and is where recordings are sought from.
 
-    ``recordings`` are bytes of recordings by their SHA-256, for a text that says ``sha256`` beside
-    ``recording``: they are used in place of files.  A scenario without claims says nothing and is
-    refused unless ``claims_required`` is False.  ScenarioError or RecordingError otherwise.
+    ``recordings`` are bytes of recordings, and of an arm's files, by their SHA-256, for a text that says
+    ``sha256`` beside ``recording``: they are used in place of files.  A scenario without claims says nothing
+    and is refused unless ``claims_required`` is False.  ScenarioError or RecordingError otherwise.
     """
     hint = "read_scenario(path) reads a file"
     refuse_other_type("parse_scenario(text)", text, str, expected="a text", hint=hint)
@@ -118,7 +119,8 @@ def scenario_of(
     root = Field(tree, file, path="", line=1)
     given = root.fields(TOP.names, hints=_COMPOSED)
     values = TOP.values(given)
-    settings = _settings(given)
+    values["robot"] = read_robot(values["robot"], recordings or {})
+    settings = _settings(given, values["robot"])
     _check_duration(values["duration_s"], given.required("duration"), settings)
     return Scenario(
         name=name,
@@ -164,15 +166,19 @@ def _check_duration(duration_s: float, field: Field, settings: Settings) -> None
         raise field.error(f"at most {MOST_TICKS:,} control periods")
 
 
-def _settings(given: Fields) -> Settings:
-    """The defaults with the values that the file changes."""
+def _settings(given: Fields, robot: AnyRobot) -> Settings:
+    """The defaults with the values that the file changes; an own arm says itself how it stops."""
     changes = {
         name: read_group(given.required(key), name) for key, name in TOP_GROUPS.items() if key in given
     }
     if "settings" in given:
         groups = given.required("settings").fields(tuple(SETTINGS_KEYS), hints=_misplaced())
         for key, group in groups.by_key.items():
+            if key == "braking" and isinstance(robot, OwnRobot):
+                raise group.error("the braking of an own arm below the key robot", got="it in the settings")
             changes[SETTINGS_KEYS[key]] = read_group(group, SETTINGS_KEYS[key])
+    if isinstance(robot, OwnRobot):
+        changes["braking"] = robot.braking.settings
     return replace(DEFAULTS, **changes)
 
 

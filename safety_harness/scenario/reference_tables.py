@@ -9,8 +9,10 @@ from safety_harness.scenario.codec import Below, FreeKeys, Key, KeyTable, Quanti
 from safety_harness.scenario.compose import LONGEST_CHAIN, MOST_COMBINATIONS
 from safety_harness.scenario.faults import MOST_FAULTS, fault_tables
 from safety_harness.scenario.fields import Field
-from safety_harness.scenario.model import DEFAULT_AVOIDER, HANDS, LARGEST_SEED, START, Robot, Verdict
+from safety_harness.scenario.model import DEFAULT_AVOIDER, HANDS, LARGEST_SEED, START, Verdict
 from safety_harness.scenario.moves import LASTING, LONGEST_S
+from safety_harness.scenario.obstacles import OBSTACLES
+from safety_harness.scenario.robots import ROBOT_VALUE, Robot
 from safety_harness.scenario.settings_keys import SETTINGS_KEYS, TOP_GROUPS, group_table
 from safety_harness.scenario.units import NUMBER
 
@@ -110,9 +112,10 @@ TOP = KeyTable(
         ),
         Key(
             "robot",
-            Word(Robot),
+            ROBOT_VALUE,
             "the arm in the cell ([robots](#robot))",
             "UR5",
+            "UR10",
             attribute="robot",
             fallback=Robot.UR10,
         ),
@@ -138,6 +141,15 @@ TOP = KeyTable(
             "what is servoed on, and where it lies",
             "{position: [720 mm, 60 mm, -300 mm], yaw: 40 deg}",
             "the default object",
+        ),
+        Key(
+            "obstacles",
+            OBSTACLES,
+            "boxes that stand in the cell ([obstacles](#obstacles))",
+            "[{box: [400 mm, 300 mm, 500 mm], at: [900 mm, 500 mm, 0 mm]}]",
+            "none",
+            attribute="obstacles",
+            fallback=(),
         ),
         Key(
             "hands",

@@ -6,6 +6,7 @@ together, or what a recording holds.  What it refuses, the reader refuses as wel
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 from safety_harness.scenario.codec import FreeKeys, Key, KeyTable, QuantityValue, Several, Text, Value, Word
@@ -83,6 +84,8 @@ def _value(value: Value) -> Schema:
     # One table, or several: which of them is meant is told by one key of each.
     if not value.tables:
         return {"type": "object"}
+    if value.or_text:
+        return {"anyOf": [{"type": "string", "pattern": value.or_text}, _value(replace(value, or_text=""))]}
     references = [{"$ref": f"#/$defs/{_pointer(_name(table))}"} for table in value.tables]
     if len(references) == 1:
         return references[0]

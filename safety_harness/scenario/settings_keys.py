@@ -97,7 +97,10 @@ def _value(default: Any, number: QuantityValue) -> Value:
         form = f"list of three to 100 corners{each}"
         return Several(of=corner, words=form, expected=expected, least=3, most=100)
     dimension, count = number.dimension, len(default)
-    form = {LENGTH: "point", ANGLE: "rotation"}[dimension] if count == 3 else "list of six angles"
+    if count != 3:  # of joints: as many as the arm has
+        expected = f"a list of 3 to 8, each {dimension.expected}"
+        return Several(of=number, words=f"list of 3 to 8 angles{each}", expected=expected, least=3, most=8)
+    form = {LENGTH: "point", ANGLE: "rotation"}[dimension]
     expected = f"a list of {count}, each {dimension.expected}"
     return Several(of=number, words=form + each, expected=expected, count=count)
 

@@ -10,6 +10,7 @@ from safety_harness.scenario.codec import Tree, in_a_line
 from safety_harness.scenario.faults import write_fault
 from safety_harness.scenario.model import HAND, HandTrajectory, RecordedHand, Scenario
 from safety_harness.scenario.reference_tables import CLAIMS, TOP
+from safety_harness.scenario.robots import OwnRobot
 from safety_harness.scenario.settings_keys import SETTINGS_KEYS, TOP_GROUPS, setting_keys
 from safety_harness.settings import DEFAULTS, Settings
 
@@ -30,13 +31,17 @@ def write_scenario(scenario: Scenario, *, all_settings: bool = False) -> str:
 def tree_of(scenario: Scenario, *, all_settings: bool = False) -> dict[str, Tree]:
     """What ``write_scenario`` writes, key by key: texts, mappings and lists of mappings."""
     tree = TOP.write(scenario)
-    if not scenario.about:
-        del tree["about"]
+    for key in ("about", "obstacles"):
+        if not getattr(scenario, key):
+            del tree[key]
     if scenario.hands:
         tree["hands"] = [_hand(hand) for hand in scenario.hands]
     if scenario.faults:
         tree["faults"] = [write_fault(fault) for fault in scenario.faults]
-    tree.update(_settings(scenario.settings, None if all_settings else DEFAULTS))
+    settings = _settings(scenario.settings, None if all_settings else DEFAULTS)
+    if isinstance(scenario.robot, OwnRobot):  # which says itself how it stops
+        settings = _without_braking(settings)
+    tree.update(settings)
     tree["claims"] = CLAIMS.write({claim.sentence: claim.expected for claim in scenario.claims})
     return tree
 
@@ -74,6 +79,14 @@ def _group(group: object, default: object) -> dict[str, Tree]:
             inner = written.setdefault(key.within[0], {}) if key.within else written
             inner[key.name] = key.value.write(value)
     return written
+
+
+def _without_braking(settings: dict[str, Tree]) -> dict[str, Tree]:
+    below = settings.get("settings")
+    kept = (
+        {key: group for key, group in below.items() if key != "braking"} if isinstance(below, Mapping) else {}
+    )
+    return {key: value for key, value in (settings | {"settings": kept}).items() if value}
 
 
 def _lines(tree: Tree) -> Iterator[str]:

@@ -10,7 +10,7 @@ from safety_harness.avoidance.measures import gained_m, is_sure, off_m, optimum_
 from safety_harness.controller.desired import reachable
 from safety_harness.geometry.arrays import ArrayNx3
 from safety_harness.proportions import LEVEL, Proportion
-from safety_harness.scenario.model import Robot
+from safety_harness.scenario.robots import AnyRobot
 from safety_harness.scoring.questions import Answers, Questions
 from safety_harness.scoring.regions import QuestionRegion
 from safety_harness.scoring.scorecard import Figure, RegionScore, ScoredQuestion, Spreads
@@ -112,7 +112,7 @@ _NAMES = (
 )
 
 
-def _figures(asked: Questions, said: Answers, settings: Settings, robot: Robot) -> dict[str, object]:
+def _figures(asked: Questions, said: Answers, settings: Settings, robot: AnyRobot) -> dict[str, object]:
     """Those of ``_NAMES``, of answers that were given."""
     hands, tcps, proposed = asked.hands_in_base_m, asked.tcps_in_base_m, said.positions_in_base_m
     optimum = optimum_in_base_m(settings, hands, tcps)
@@ -152,7 +152,7 @@ def _most_alike(proposed: ArrayNx3) -> NDArray[np.bool_]:
     return found
 
 
-def in_reach(positions_in_base_m: ArrayNx3, settings: Settings, robot: Robot) -> NDArray[np.bool_]:
+def in_reach(positions_in_base_m: ArrayNx3, settings: Settings, robot: AnyRobot) -> NDArray[np.bool_]:
     """(n,) has the position inverse kinematics, and is it above the table by the clearance?"""
     lowest_m = settings.cell.table_height_m + settings.avoidance.table_clearance_m
     reached: NDArray[np.bool_] = reachable(positions_in_base_m, settings, robot) & (

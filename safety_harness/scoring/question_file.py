@@ -15,18 +15,17 @@ import numpy as np
 
 from safety_harness.admission.admit import admit
 from safety_harness.admission.avoiders import with_avoider
-from safety_harness.admission.poses import kinematics
 from safety_harness.admission.trial import run_trial
 from safety_harness.avoidance.avoider import Avoider
 from safety_harness.avoidance.flaky import question_of
 from safety_harness.controller.desired import desired_transform_tcp_to_base
 from safety_harness.exceptions import InputError, SafetyHarnessError
 from safety_harness.geometry.arrays import Array3
-from safety_harness.robot.capsules import load_capsules
-from safety_harness.robot.description import load_arm
 from safety_harness.robot.distance import hand_distance, place_capsules
 from safety_harness.robot.kinematics import links_in_base
-from safety_harness.scenario.model import Claim, MovingHand, PoseStart, Robot, Scenario, Verdict
+from safety_harness.robot.robots import arm_capsules, arm_model, inverse_kinematics
+from safety_harness.scenario.model import Claim, MovingHand, PoseStart, Scenario, Verdict
+from safety_harness.scenario.robots import AnyRobot, Robot
 from safety_harness.scenario.write import write_scenario
 from safety_harness.seeds import Branch
 from safety_harness.seeds import seed as leaf
@@ -58,13 +57,13 @@ def seed_of(scenario_seed: int) -> int:
 
 
 def begins_clear(
-    settings: Settings, hand_in_base_m: Array3, tcp_in_base_m: Array3, robot: Robot = Robot.UR10
+    settings: Settings, hand_in_base_m: Array3, tcp_in_base_m: Array3, robot: AnyRobot = Robot.UR10
 ) -> bool:
     """Is the hand, its forearm away from the TCP, outside the arm when the TCP starts there?"""
-    arm, capsules = load_arm(robot.arm_name), cell_capsules(load_capsules(robot.arm_name), settings)
+    arm, capsules = arm_model(robot), cell_capsules(arm_capsules(robot), settings)
     target = desired_transform_tcp_to_base(settings)
     target[:3, 3] = tcp_in_base_m
-    joints = kinematics(robot.arm_name).nearest(target, np.array(settings.cell.preferred_joint_position_rad))
+    joints = inverse_kinematics(robot).nearest(target, np.array(settings.cell.preferred_joint_position_rad))
     if joints is None:
         return False
     ends = np.empty((len(capsules.names), 2, 3))
@@ -87,7 +86,7 @@ def question_file(
     about: str,
     claims: tuple[str, ...],
     settings: Settings = DEFAULTS,
-    robot: Robot = Robot.UR10,
+    robot: AnyRobot = Robot.UR10,
 ) -> QuestionFile:
     """The scenario for ``path``, not written yet: tried in the kinematic world with ``avoider``.
 

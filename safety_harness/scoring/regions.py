@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from safety_harness.controller.desired import reachable
 from safety_harness.geometry.arrays import ArrayNx3
 from safety_harness.geometry.regions import Region
-from safety_harness.scenario.model import Robot
+from safety_harness.scenario.robots import AnyRobot, Robot
 from safety_harness.scoring.questions import Questions
 from safety_harness.settings import Settings
 from safety_harness.space.regions import Seen, region_named
@@ -49,7 +49,7 @@ class QuestionRegion:
     holds: Callable[[ArrayNx3, ArrayNx3], Flags]
     asked_in_runs: bool
     settings: Settings
-    robot: Robot = Robot.UR10
+    robot: AnyRobot = Robot.UR10
 
     def draw(self, rng: Generator, count: int) -> Questions:
         """``count`` independent questions; fewer, or none, where pairs that belong to it are too rare."""

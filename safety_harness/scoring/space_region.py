@@ -9,8 +9,8 @@ import numpy as np
 from safety_harness.admission.poses import start_joint_position
 from safety_harness.admission.spaces import draw_admissible
 from safety_harness.geometry.arrays import Array3, ArrayNx3
-from safety_harness.robot.description import load_arm
 from safety_harness.robot.kinematics import links_in_base
+from safety_harness.robot.robots import arm_model
 from safety_harness.scenario.model import Scenario
 from safety_harness.scoring.regions import Pairs, QuestionRegion, near
 from safety_harness.simulation.hand_motion import advance_hands
@@ -69,7 +69,7 @@ def space_region(space: ScenarioSpace, seed: int, draws: int = DRAWS) -> Questio
 
 
 def _places(scenario: Scenario) -> _Drawn:
-    arm = load_arm(scenario.robot.arm_name)
+    arm = arm_model(scenario.robot)
     start = links_in_base(arm, start_joint_position(scenario, arm))[-1, :3, 3]
     desired = np.array(scenario.settings.cell.desired_tcp_position_in_base_m)
     hands = hands_at_start(scenario)

@@ -18,7 +18,7 @@ import numpy as np
 from safety_harness.admission.admit import admit
 from safety_harness.admission.avoiders import folder_of
 from safety_harness.properties.base import Evaluation
-from safety_harness.robot.description import urdf_file
+from safety_harness.robot.robots import urdf_sha256_of
 from safety_harness.scenario.model import Claim, Scenario, Verdict
 from safety_harness.scenario.write import write_scenario
 from safety_harness.search.confirm import Complaint, Confirm, in_one_world
@@ -214,7 +214,6 @@ def _margins(evaluation: Evaluation, indent: str) -> list[str]:
 def _evidence(trace: Trace) -> list[str]:
     made, scenario = trace.provenance, trace.scenario
     claims = "\n".join(claim.sentence for claim in scenario.claims)
-    urdf = urdf_file(scenario.robot.arm_name).read_bytes()
     libraries = ", ".join(f"{name} {version}" for name, version in made.libraries)
     seeds = ", ".join(str(int(seed)) for seed in trace.decisions["seed"]) or "none was asked for"
     return [
@@ -222,7 +221,7 @@ def _evidence(trace: Trace) -> list[str]:
         f"libraries: {libraries}",
         f"source {made.source_hash}",
         f"avoider {made.avoider}, file {made.avoider_sha256 or 'none'}",
-        f"URDF {hashlib.sha256(urdf).hexdigest()}",
+        f"URDF {urdf_sha256_of(scenario.robot)}",
         f"claims {hashlib.sha256(claims.encode()).hexdigest()}",
         f"seed {scenario.seed} (hands and sensors); seeds of the decisions: {seeds}",
     ]

@@ -6,21 +6,19 @@ nothing else of it is used.  From tick to tick joints and hands are taken to go 
 
 from __future__ import annotations
 
-import tempfile
 from enum import Enum
-from pathlib import Path
 from types import TracebackType
 
 import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.extras import PYBULLET
-from safety_harness.robot.capsules import load_capsules
-from safety_harness.robot.description import TCP_LINK, load_arm, resolved_urdf
+from safety_harness.robot.capsules import arm_with
+from safety_harness.robot.robots import arm_capsules, arm_model
 from safety_harness.simulation.truth import cell_capsules
 from safety_harness.trace.trace import Trace
 
-SPAN_M = 2.0  # no point of one of these arms is farther from one of its joints
+SPAN_M = 2.0  # no point of a shipped arm is farther from one of its joints
 ROUNDING_M = 1e-4  # PyBullet hands out link frames in single precision
 CLEAR_M = 1e-3  # what a proof has to spare: the claim's bound may be lower than the distance by less
 FAR_M = 20.0  # what is no nearer, or nobody
@@ -39,14 +37,14 @@ def hand_distance_kept(trace: Trace, limit_m: float) -> Kept:
     """Do all hands and forearms stay ``limit_m`` away from the arm's capsules, surface to surface?
 
     From a distance that is known the next ticks are passed over in which it cannot be used up: it changes
-    by no more than joints, times ``SPAN_M``, and hands move.  A hand that comes or goes does so at a tick.
+    by no more than joints, times ``span_m_of``, and hands move.  A hand that comes or goes does so at a tick.
     """
     ticks = trace.ticks
     present = ticks["hand_present"]
     read = [ticks["joint_position_rad"], *(ticks[name][present] for name in BODIES)]
     if not len(ticks) or not all(np.isfinite(one).all() for one in read):
         return Kept.OPEN
-    moved_m = _most_moved_m(ticks)
+    moved_m = _most_moved_m(ticks, span_m_of(trace))
     stops = np.where((present[1:] != present[:-1]).any(axis=1), 2.0 * FAR_M, 0.0)
     spent_m = np.concatenate([[0.0], np.cumsum(moved_m + stops)])
     found = Kept.PROVEN
@@ -65,9 +63,15 @@ def hand_distance_kept(trace: Trace, limit_m: float) -> Kept:
     return Kept.REFUTED
 
 
-def _most_moved_m(ticks: NDArray[np.void]) -> NDArray[np.float64]:
+def span_m_of(trace: Trace) -> float:
+    """No point of the arm is farther [m] from one of its joints."""
+    robot = trace.scenario.robot
+    return max(SPAN_M, float(arm_with(arm_model(robot), arm_capsules(robot)).reach_m.max()))
+
+
+def _most_moved_m(ticks: NDArray[np.void], span_m: float) -> NDArray[np.float64]:
     """(n-1,) by how much the distance from a hand that stays can change from tick to tick."""
-    moved_m: NDArray[np.float64] = SPAN_M * np.abs(np.diff(ticks["joint_position_rad"], axis=0)).sum(axis=1)
+    moved_m: NDArray[np.float64] = span_m * np.abs(np.diff(ticks["joint_position_rad"], axis=0)).sum(axis=1)
     stays = ticks["hand_present"][1:] & ticks["hand_present"][:-1]
     steps_m = [np.linalg.norm(np.diff(ticks[name], axis=0), axis=2) for name in BODIES]
     moved_m += np.where(stays, np.maximum(*steps_m), 0.0).max(axis=1, initial=0.0)
@@ -79,30 +83,22 @@ class PyBulletArm:
 
     def __init__(self, trace: Trace) -> None:
         with PYBULLET.needed("geometry that is not ours"):
+            from safety_harness.simulation.cell import load_robot
             from safety_harness.simulation.engine import pybullet
-        self._bullet = pybullet
+        self._bullet, self._load_robot = pybullet, load_robot
         self.trace = trace
         self._forearms: dict[float, int] = {}
 
     def __enter__(self) -> PyBulletArm:
         settings = self.trace.scenario.settings
-        arm = load_arm(self.trace.scenario.robot.arm_name)
+        arm = arm_model(self.trace.scenario.robot)
         self._client = int(self._bullet.connect(self._bullet.DIRECT))
-        with tempfile.TemporaryDirectory() as folder:
-            urdf = Path(folder) / "arm.urdf"
-            urdf.write_text(resolved_urdf(arm.name, visuals=False))
-            self._arm = self._bullet.loadURDF(str(urdf), useFixedBase=True, physicsClientId=self._client)
-        joints = range(self._bullet.getNumJoints(self._arm, physicsClientId=self._client))
-        rows = [self._bullet.getJointInfo(self._arm, joint, physicsClientId=self._client) for joint in joints]
-        by_joint = {row[1].decode(): row[0] for row in rows}
-        by_link = {row[12].decode(): row[0] for row in rows}
-        self._joints = [by_joint[name] for name in arm.joint_names]
-        capsules = cell_capsules(load_capsules(arm.name), settings)
-        names = (*arm.link_names, TCP_LINK)
+        self._arm, self._joints = self._load_robot(self._client, arm, visuals=False)
+        capsules = cell_capsules(arm_capsules(self.trace.scenario.robot), settings)
         sizes = zip(capsules.start_in_link, capsules.end_in_link, capsules.radius_m, strict=True)
         bodies = [(self._capsule(float(np.linalg.norm(b - a)), float(r)), a, b) for a, b, r in sizes]
-        links = [by_link.get(names[link], -1) for link in capsules.link_index]
-        self._capsules = list(zip(links, bodies, strict=True))
+        self._flange = arm.flange
+        self._capsules = list(zip(capsules.link_index.tolist(), bodies, strict=True))
         self._hand = self._body(self._bullet.GEOM_SPHERE, radius=settings.hand.radius_m)
         return self
 
@@ -127,10 +123,14 @@ class PyBulletArm:
             self._lay(body, rotation @ start + origin, rotation @ end + origin)
 
     def _frame(self, link: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        if link < 0:
+        """Rotation and origin of a link's frame; 0 is the base, and after the moving links comes the tcp."""
+        if link == 0:
             return np.eye(3), np.zeros(3)
+        if link > len(self._joints):
+            rotation, origin = self._frame(link - 1)
+            return rotation @ self._flange[:3, :3], rotation @ self._flange[:3, 3] + origin
         state = self._bullet.getLinkState(
-            self._arm, link, computeForwardKinematics=True, physicsClientId=self._client
+            self._arm, self._joints[link - 1], computeForwardKinematics=True, physicsClientId=self._client
         )
         return np.reshape(self._bullet.getMatrixFromQuaternion(state[5]), (3, 3)), np.array(state[4])
 

@@ -1,8 +1,8 @@
 """What comes with the package, by name: ``shipped:fast-reach`` is a file, wherever that is installed.
 
-A wheel has scenarios, spaces, plans, recordings and examples in a folder of this package; a checkout has them
-beside the package, where a build takes them from.  Both have one layout, so that what these files say of each
-other holds in both.  ``located`` is the one place that knows the names.
+A wheel has scenarios, spaces, plans, recordings, robots and examples in a folder of this package; a checkout
+has them beside the package, where a build takes them from.  Both have one layout, so that what these files
+say of each other holds in both.  ``located`` is the one place that knows the names.
 """
 
 from __future__ import annotations
@@ -30,6 +30,7 @@ class ShippedKind(StrEnum):
     PLANS = "plans"
     EXAMPLES = "examples"
     RECORDINGS = "recordings"
+    ROBOTS = "robots"
 
 
 FOLDERS = {
@@ -38,6 +39,7 @@ FOLDERS = {
     ShippedKind.PLANS: ("plans", "*.yaml"),
     ShippedKind.EXAMPLES: ("examples", "*.py"),
     ShippedKind.RECORDINGS: ("scenarios/recordings", "*.csv"),
+    ShippedKind.ROBOTS: ("robots", "*.yaml"),
 }
 SUITES = "examples/suites"  # each of them a folder with files of its own
 
@@ -61,6 +63,8 @@ class ShippedFile:
             file = next(iter(sorted(path.glob("test_*.py"))), None) if path.is_dir() else path
             words = ast.get_docstring(ast.parse(_text(file))) if file else ""
             return (words or "").partition("\n")[0]
+        if self.kind is ShippedKind.ROBOTS:
+            return _text(path).partition("\n")[0].removeprefix("# ")
         title = _TITLE.search(_text(path))
         return title[1].strip("'\"") if title else ""
 

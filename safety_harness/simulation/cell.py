@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.exceptions import SimulationError
 from safety_harness.geometry.arrays import Array4x4, ArrayN
+from safety_harness.geometry.rotations import vector_from_rotation
 from safety_harness.perception.detector import (
     HAND_COLOUR_RGBA,
     OBJECT_RGB,
@@ -47,14 +47,31 @@ class Bodies:
     forearms: tuple[int, ...]
 
 
-@lru_cache
-def _urdf_file(name: str, visuals: bool) -> Path:
+@lru_cache(maxsize=16)
+def urdf_file(arm: ArmModel, visuals: bool) -> Path:
     """The resolved URDF as a file that PyBullet can read, written once a process and removed with it."""
-    handle, path = tempfile.mkstemp(prefix=f"safety_harness_{name}_", suffix=".urdf")
+    handle, path = tempfile.mkstemp(prefix="safety_harness_", suffix=".urdf")
     atexit.register(Path(path).unlink, missing_ok=True)
     with os.fdopen(handle, "w") as file:
-        file.write(resolved_urdf(name, visuals=visuals))
+        file.write(resolved_urdf(arm, visuals=visuals))
     return Path(path)
+
+
+def load_robot(client: int, arm: ArmModel, *, visuals: bool) -> tuple[int, tuple[int, ...]]:
+    """PyBullet's numbers for an arm where it is seated, and for its joints."""
+    tilt = vector_from_rotation(arm.transform_seat[:3, :3])
+    robot = pybullet.loadURDF(
+        str(urdf_file(arm, visuals)),
+        arm.transform_seat[:3, 3],
+        _turn_by(tilt),
+        useFixedBase=True,
+        physicsClientId=client,
+    )
+    by_name = {
+        pybullet.getJointInfo(robot, i, physicsClientId=client)[1].decode(): i
+        for i in range(pybullet.getNumJoints(robot, physicsClientId=client))
+    }
+    return robot, tuple(by_name[name] for name in arm.joint_names)
 
 
 def build_cell(
@@ -79,16 +96,7 @@ def build_cell(
     pybullet.setPhysicsEngineParameter(
         numSolverIterations=200, solverResidualThreshold=1e-18, physicsClientId=client
     )
-    urdf = _urdf_file(arm.name, rendered)
-    robot = pybullet.loadURDF(str(urdf), useFixedBase=True, physicsClientId=client)
-    by_name = {
-        pybullet.getJointInfo(robot, i, physicsClientId=client)[1].decode(): i
-        for i in range(pybullet.getNumJoints(robot, physicsClientId=client))
-    }
-    try:
-        joints = tuple(by_name[name] for name in arm.joint_names)
-    except KeyError as error:
-        raise SimulationError(f"the URDF of {arm.name} has no joint {error}") from error
+    robot, joints = load_robot(client, arm, visuals=rendered)
     pybullet.resetJointStatesMultiDof(
         robot, joints, [[q] for q in joint_position_rad], [[0.0]] * len(joints), physicsClientId=client
     )
@@ -203,6 +211,13 @@ def place_hands(client: int, bodies: Bodies, hands: NDArray[np.void]) -> None:
         pybullet.resetBasePositionAndOrientation(
             forearm, 0.5 * (position + elbow), _turn_z_to(elbow - position), physicsClientId=client
         )
+
+
+def _turn_by(vector: NDArray[np.float64]) -> tuple[float, float, float, float]:
+    """The quaternion (x, y, z, w) of a rotation vector (3,)."""
+    half = 0.5 * float(np.linalg.norm(vector))
+    x, y, z = 0.5 * np.sinc(half / np.pi) * vector
+    return (x, y, z, float(np.cos(half)))
 
 
 def _turn_z_to(direction: NDArray[np.float64]) -> tuple[float, float, float, float]:

@@ -69,7 +69,7 @@ def step(
     """One control period with a command (1,) COMMAND; True while the brakes act."""
     told, joints = clocks[0].commanded_radps, clocks[0].joint_position_rad
     truth, period_s = truths[0], clocks[0].control_period_s
-    braking = drive_on(drives, truths, clocks, faults, commands, told)
+    braking = drive_on(drives, arms, truths, clocks, faults, commands, told)
     for i in range(joints.shape[0]):
         joints[i] = truth.joint_position_rad[i] + told[i] * period_s
     move_on(moves, samples, arms, truths, hands, capsules, capsule_endpoints_in_base_m, clocks, joints, told)

@@ -29,6 +29,8 @@ from safety_harness.simulation.steps import (
 )
 from safety_harness.simulation.world import RecordedWorld
 
+AMPLE = 1e4  # times the torque limits: within a sub-step, of several times the mass
+
 
 class PyBulletWorld(RecordedWorld):
     """One scenario in a PyBullet client of its own; use it as a context manager, once.
@@ -68,7 +70,9 @@ class PyBulletWorld(RecordedWorld):
                 hands=len(self.records.hands),
             )
             self._robot, self._joints = self._bodies.robot, list(self._bodies.joints)
-            self._efforts = [float(effort) for effort in arm.effort_limit]
+            # Drives that know their torque are limited by the model, and the engine does what that says.
+            more = AMPLE if self.records.drives[0]["limited"] else 1.0
+            self._efforts = [more * float(effort) for effort in arm.effort_limit]
         except BaseException:
             self.close()
             raise
@@ -103,7 +107,7 @@ class PyBulletWorld(RecordedWorld):
         """
         r = self.records
         braking = drive_on(
-            r.drives, r.truth, r.clock, r.faults, CommandRecords(command), self._commanded_radps
+            r.drives, r.arm, r.truth, r.clock, r.faults, CommandRecords(command), self._commanded_radps
         )
         pybullet.setJointMotorControlArray(
             self._robot,

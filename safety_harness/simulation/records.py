@@ -14,10 +14,10 @@ from safety_harness.controller.records import (
     overhead_transform_sensor_to_base,
 )
 from safety_harness.geometry.arrays import ArrayN
-from safety_harness.robot.capsules import load_capsules
 from safety_harness.robot.description import ArmModel
 from safety_harness.robot.distance import CapsuleRecords
 from safety_harness.robot.drive import DriveRecords, drive
+from safety_harness.robot.robots import arm_capsules, drive_model
 from safety_harness.scenario.fault_table import fault_table
 from safety_harness.scenario.model import Scenario
 from safety_harness.simulation.cameras import HandFrames, ObjectFrames, SensorRecords, sensors
@@ -77,10 +77,10 @@ def world_records(scenario: Scenario, arm: ArmModel, joint_position_rad: ArrayN)
     joints = len(arm.joint_names)
     clock = np.zeros(1, clock_dtype(joints))
     clock["control_period_s"] = settings.clock.control_period_s
-    capsules = cell_capsules(load_capsules(arm.name), settings)
+    capsules = cell_capsules(arm_capsules(scenario.robot), settings)
     hands = hands_at_start(scenario)
     records = WorldRecords(
-        drive(settings, joints),
+        drive(settings, joints, drive_model(scenario.robot)),
         hands.moves,
         hands.samples,
         ArmRecords(arm_record(arm, settings)),

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from safety_harness.avoidance.gate import ask_many
 from safety_harness.controller.controller import AvoidingServo, Controller
-from safety_harness.robot.description import load_arm
+from safety_harness.robot.robots import arm_model
 from safety_harness.scenario.model import Scenario
 from safety_harness.simulation.world import BatchWorld, World
 from safety_harness.simulation.worlds import libraries_of
@@ -56,7 +56,7 @@ def simulate(
 
 def _no_ticks(scenario: Scenario) -> NDArray[np.void]:
     """(n,) TICK of its hands and its arm, to be filled."""
-    joints = len(load_arm(scenario.robot.arm_name).joint_names)
+    joints = len(arm_model(scenario.robot).joint_names)
     return np.zeros(scenario.ticks + 1, tick_dtype(scenario.hand_slots, joints))
 
 

@@ -22,7 +22,7 @@ from safety_harness.geometry.arrays import Array31, ArrayN, ArrayNx2x3, ArrayNx3
 from safety_harness.geometry.linear import copy_matrix, copy_vector
 from safety_harness.perception.moments import MOMENT_COUNT
 from safety_harness.robot.distance import CapsuleRecords
-from safety_harness.robot.drive import DriveRecords, drive_tick
+from safety_harness.robot.drive import DriveRecords, drive_tick, limit_torques, tell_motors
 from safety_harness.scenario.fault_table import TIME_EPS_S
 from safety_harness.simulation.cameras import RING, HandFrames, ObjectFrames, SensorRecords
 from safety_harness.simulation.exact_views import exact_boxes, exact_object
@@ -214,6 +214,7 @@ def hand_over(
 @inlined
 def drive_on(
     drives: DriveRecords,
+    arms: ArmRecords,
     truths: TruthRecords,
     clocks: ClockRecords,
     faults: FaultRecords,
@@ -225,7 +226,9 @@ def drive_on(
     braking = drive_tick(
         drives, command.joint_velocity_radps, command.protective_stop, truths[0].tcp_speed_mps, time_s
     )
-    copy_vector(drives[0].setpoint_radps, commanded_radps)
+    if drives[0].limited:
+        limit_torques(drives, arms[0].chain.joint_axes, arms[0].link_transforms)
+    tell_motors(drives, commanded_radps)
     if faults.shape[0] > 0:
         clocks[0].acted_faults |= hold_joints(faults, commanded_radps, time_s)
     return bool(braking)

@@ -73,6 +73,7 @@ class Check(IntFlag):
     TOWARDS_A_HAND = 64  # the straight way does not lead away from every predicted hand
     ROBOT_ITSELF = 128  # on the way the wrist comes too near to base, shoulder or upper arm
     LATE = 256  # no answer within the decision deadline, in simulated time
+    OBSTACLE = 512  # on the way the arm comes too near to an obstacle of the cell
 
 
 @lru_cache

@@ -1,7 +1,7 @@
 """Traces on disk: one zip of plain arrays and JSON, loaded without executing anything.
 
-A file holds the scenario's text with exact values, the recordings that it uses, the ticks, the
-decisions and the provenance, and a hash over all of that.  No pickle.  The hashes find damage, not
+A file holds the scenario's text with exact values, the recordings and the own arm's files that it uses, the
+ticks, the decisions and the provenance, and a hash over all of that.  No pickle.  The hashes find damage, not
 intent: who edits a file can write them anew.  What contradicts itself is refused all the same, and
 whether the rest is true is seen by repeating the run.
 """
@@ -30,12 +30,13 @@ from safety_harness.scenario.model import MAX_HANDS, RecordedHand, Scenario
 from safety_harness.scenario.read import parse_scenario
 from safety_harness.scenario.recording import MAX_BYTES
 from safety_harness.scenario.references import file_and_name, portable
+from safety_harness.scenario.robots import OwnRobot
 from safety_harness.scenario.typed_json import parsed, typed
 from safety_harness.scenario.write import write_scenario
 from safety_harness.shipped.contents import located
 from safety_harness.trace.consistency import first_inconsistency
 from safety_harness.trace.known import WHOLLY_KNOWN, Knowledge, Measurement
-from safety_harness.trace.records import DECISION, tick_dtype
+from safety_harness.trace.records import DECISION, decision_dtype, tick_dtype
 from safety_harness.trace.trace import Line, Provenance, Trace
 from safety_harness.whole_file import replacing
 
@@ -46,7 +47,8 @@ HEADER = "trace.json"
 SMALL_BYTES = 4_000_000  # of a part that is text; arrays are as long as the scenario lasts
 ARRAY_HEADER_BYTES = 20_000
 KNOWN = "known.json"
-MOST_PARTS = 7 + MAX_HANDS
+CARRIED = ("recordings/", "robot/")  # files of the scenario by their SHA-256
+MOST_PARTS = 9 + MAX_HANDS
 ZIP_END = struct.Struct("<4s4H2LH")  # without a comment, as it is written here
 NEW = ("asked_tick", "decision_time_s")
 DECISION_3 = np.dtype(
@@ -97,6 +99,8 @@ def save_trace(trace: Trace, path: str | Path, recordings: Mapping[str, bytes] |
             parts[f"recordings/{digest}.csv"] = (
                 known if known is not None else _recording(trace.scenario, hand)
             )
+    if isinstance(trace.scenario.robot, OwnRobot):
+        parts |= {f"robot/{digest}": text for digest, text in trace.scenario.robot.texts.items()}
     run = {
         "scenario_name": trace.scenario.name,
         "scenario_file": str(told(trace.scenario.file)) if trace.scenario.file else None,
@@ -139,7 +143,10 @@ def _portable(scenario: Scenario) -> Scenario:
         else hand
         for hand in scenario.hands
     )
-    return replace(scenario, avoider=avoider, hands=hands)
+    robot = scenario.robot
+    if isinstance(robot, OwnRobot):
+        robot = robot.named(lambda path: portable(path, folder))
+    return replace(scenario, avoider=avoider, hands=hands, robot=robot)
 
 
 def _recording(scenario: Scenario, hand: RecordedHand) -> bytes:
@@ -190,15 +197,19 @@ class _Reader:
                 raise self._error("each part once", "one twice", info.filename)
             self._parts[info.filename] = b""
         self._check_header(archive)
-        recordings = [name for name in self._parts if name.startswith("recordings/")]
-        for name in ("run.json", "scenario.yaml", *recordings):
-            self._unpack(archive, name, SMALL_BYTES if name not in recordings else MAX_BYTES)
+        carried = [name for name in self._parts if name.startswith(CARRIED)]
+        for name in ("run.json", "scenario.yaml", *carried):
+            self._unpack(archive, name, SMALL_BYTES if name not in carried else MAX_BYTES)
         run = self._json("run.json", _Run)
         scenario = self._scenario(run)
         most = scenario.ticks + 1
         old = self._format == BEFORE
-        decisions = self._array(archive, "decisions.npy", DECISION_3 if old else DECISION, most)
-        ticks = self._array(archive, "ticks.npy", tick_dtype(scenario.hand_slots), most)
+        joints = len(
+            scenario.settings.cell.preferred_joint_position_rad
+        )  # one for each, as admission sees to
+        decision = DECISION_3 if old else decision_dtype(joints)
+        decisions = self._array(archive, "decisions.npy", decision, most)
+        ticks = self._array(archive, "ticks.npy", tick_dtype(scenario.hand_slots, joints), most)
         if old:
             decisions = as_now(decisions, ticks, scenario.faults)
         latencies_s = self._array(archive, "latencies.npy", np.dtype(np.float64), most)
@@ -281,10 +292,10 @@ class _Reader:
             raise self._error("a hash for each part, a part for each hash", "only one of them", name)
 
     def _scenario(self, run: _Run) -> Scenario:
-        recordings = {
-            name.removeprefix("recordings/").removesuffix(".csv"): data
+        carried = {
+            name.partition("/")[2].removesuffix(".csv"): data
             for name, data in self._parts.items()
-            if name.startswith("recordings/")
+            if name.startswith(CARRIED)
         }
         name = run.scenario_name
         if "/" in name or name in ("", ".", ".."):
@@ -292,7 +303,7 @@ class _Reader:
         file = Path(run.scenario_file or f"{name}.yaml")
         try:
             text = self._parts["scenario.yaml"].decode()
-            return parse_scenario(text, file, recordings, name=name, claims_required=False)
+            return parse_scenario(text, file, carried, name=name, claims_required=False)
         except UnicodeDecodeError as error:
             raise self._error("a scenario in the trace", f"none that can be read ({error!r})") from error
         except InputError as error:

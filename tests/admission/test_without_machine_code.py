@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from safety_harness.admission.admit import _view_of_cell, check
-from safety_harness.admission.poses import kinematics
 from safety_harness.compiled import without_compiling
 from safety_harness.exceptions import InadmissibleError
+from safety_harness.robot.robots import inverse_kinematics
 from safety_harness.scenario.expand import gather
 from safety_harness.scenario.model import Scenario
 from safety_harness.space.read import read_space
@@ -22,7 +22,7 @@ ROUNDING = 1e-12
 
 def numbers(scenario: Scenario) -> list[np.ndarray]:
     _view_of_cell.cache_clear()
-    kinematics.cache_clear()
+    inverse_kinematics.cache_clear()
     found = check(scenario)
     arrays = [value for value in vars(found.view).values() if isinstance(value, np.ndarray)]
     return [found.joint_position_rad, *arrays]

@@ -4,24 +4,26 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from examples import VISIT, Displaced, run, scenario
+from examples import VISIT, Displaced, run, scenario, ur10_gate
 from hypothesis import given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 
-from safety_harness.admission.poses import kinematics, start_joint_position
+from safety_harness.admission.poses import start_joint_position
 from safety_harness.avoidance.avoider import Avoider, Proposal
-from safety_harness.avoidance.gate import Gate, GateDecision, Query, leads_away
+from safety_harness.avoidance.gate import GateDecision, Query, leads_away
 from safety_harness.avoidance.own_body import own_distance
 from safety_harness.avoidance.simple import OppositePose
 from safety_harness.robot.kinematics import TCP
+from safety_harness.robot.robots import inverse_kinematics
+from safety_harness.scenario.robots import Robot
 from safety_harness.settings import DEFAULTS, GateKind
 from safety_harness.trace.records import FAULT_CHARACTERS, Check, DecisionOutcome
 from safety_harness.trace.trace import Trace
 from tests.robot.arms import transforms_of
 
-KINEMATICS = kinematics()
-GATE = Gate.of(DEFAULTS, KINEMATICS)
+KINEMATICS = inverse_kinematics(Robot.UR10)
+GATE = ur10_gate(DEFAULTS)
 PLAIN = replace(GATE, kind=GateKind.REACH)
 HAND = np.array([0.84, -0.30, 0.30])
 LOWEST_M = DEFAULTS.cell.table_height_m + DEFAULTS.avoidance.table_clearance_m

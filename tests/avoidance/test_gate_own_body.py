@@ -9,19 +9,22 @@ from functools import lru_cache
 import coal
 import numpy as np
 import pytest
+from examples import ur10_gate
 
-from safety_harness.admission.admit import kinematics
-from safety_harness.avoidance.gate import OWN_CLEARANCE_M, WAY_STEP_M, Gate, Query
-from safety_harness.avoidance.own_body import FIRST_OF_THE_WRIST, LAST_OF_THE_BODY
+from safety_harness.avoidance.gate import OWN_CLEARANCE_M, WAY_STEP_M, Query
+from safety_harness.avoidance.own_body import body_and_wrist
 from safety_harness.controller.desired import desired_transform_tcp_to_base
 from safety_harness.robot.inverse import straight_way
 from safety_harness.robot.kinematics import forward_kinematics
+from safety_harness.robot.robots import inverse_kinematics
+from safety_harness.scenario.robots import Robot
 from safety_harness.settings import DEFAULTS, GateKind
 from safety_harness.trace.records import Check
 
-KINEMATICS = kinematics()
+KINEMATICS = inverse_kinematics(Robot.UR10)
 ARM = KINEMATICS.arm
-GATE = Gate.of(DEFAULTS, KINEMATICS)
+GATE = ur10_gate(DEFAULTS)
+BODY, WRIST = body_and_wrist(ARM, GATE.capsules)
 PLAIN = replace(GATE, kind=GateKind.REACH)
 Position = tuple[float, float, float]
 
@@ -54,8 +57,8 @@ def by_coal_m(joints: np.ndarray) -> float:
             for local in (capsules.start_in_link, capsules.end_in_link)
         )
         bodies.append((link, coal_capsule(*ends, float(capsules.radius_m[k]))))
-    wrist = [body for link, body in bodies if link >= FIRST_OF_THE_WRIST]
-    body = [body for link, body in bodies if link <= LAST_OF_THE_BODY]
+    wrist = [body for link, body in bodies if link >= WRIST]
+    body = [body for link, body in bodies if link <= BODY]
     return min(
         float(coal.distance(*one, *other, coal.DistanceRequest(), coal.DistanceResult()))
         for one in wrist

@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from safety_harness.avoidance.own_body import FIRST_OF_THE_WRIST, LAST_OF_THE_BODY, own_distance
+from safety_harness.avoidance.own_body import body_and_wrist, own_distance
 from safety_harness.robot.capsules import load_capsules
 from safety_harness.robot.description import load_arm
 from safety_harness.robot.kinematics import forward_kinematics
 
 ARM, CAPSULES = load_arm(), load_capsules()
+BODY, WRIST = body_and_wrist(ARM, CAPSULES)
 JOINTS = np.random.default_rng(5).uniform(-np.pi, np.pi, (25, 6))
 
 
@@ -26,8 +27,8 @@ def axis_points(joints: np.ndarray, capsule: int, count: int) -> np.ndarray:
 
 def test_the_wrist_and_the_body_are_the_links_that_one_thinks_of() -> None:
     names = np.array(CAPSULES.names)
-    wrist = set(names[CAPSULES.link_index >= FIRST_OF_THE_WRIST])
-    body = {name.split("_")[0] for name in names[CAPSULES.link_index <= LAST_OF_THE_BODY]}
+    wrist = set(names[CAPSULES.link_index >= WRIST])
+    body = {name.split("_")[0] for name in names[CAPSULES.link_index <= BODY]}
     assert wrist == {"wrist_1", "wrist_2", "wrist_3"}
     assert body == {"base", "shoulder", "upper"}
 
@@ -35,8 +36,8 @@ def test_the_wrist_and_the_body_are_the_links_that_one_thinks_of() -> None:
 @pytest.mark.parametrize("joints", JOINTS, ids=range(len(JOINTS)))
 def test_it_is_the_least_over_all_pairs_of_points_on_the_axes(joints: np.ndarray) -> None:
     least, count = np.inf, 60
-    for wrist in np.flatnonzero(CAPSULES.link_index >= FIRST_OF_THE_WRIST):
-        for body in np.flatnonzero(CAPSULES.link_index <= LAST_OF_THE_BODY):
+    for wrist in np.flatnonzero(CAPSULES.link_index >= WRIST):
+        for body in np.flatnonzero(CAPSULES.link_index <= BODY):
             apart = axis_points(joints, wrist, count)[:, None] - axis_points(joints, body, count)
             radii = CAPSULES.radius_m[wrist] + CAPSULES.radius_m[body]
             least = min(least, float(np.linalg.norm(apart, axis=2).min()) - radii)

@@ -65,6 +65,7 @@ LOOKS: dict[str, tuple[str, int]] = {
     "sample": ("space.yaml --count 2", AS_EXPECTED),
     "robot show": ("scenario.yaml", BAD_INPUT),
     "robot fit": ("scenario.yaml --out capsules.json", BAD_INPUT),
+    "robot enclose": ("scenario.yaml", BAD_INPUT),
     "verify": ("report --runs 0", AS_EXPECTED),
     "verify as it is": ("report", BAD_INPUT),  # without --execute-avoider
     "certify declare": ("plan.yaml", AS_EXPECTED),

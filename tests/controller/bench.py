@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from examples import scenario
+from examples import scenario, ur10_gate
 
-from safety_harness.admission.admit import admit, kinematics
+from safety_harness.admission.admit import admit
 from safety_harness.avoidance.avoider import Avoider
 from safety_harness.avoidance.gate import Gate
 from safety_harness.controller.controller import AvoidingServo
@@ -18,6 +18,8 @@ from safety_harness.perception.hand_boxes import sensor_principal_point_px, sphe
 from safety_harness.perception.moments import MOMENT_COUNT
 from safety_harness.robot.description import ArmModel
 from safety_harness.robot.kinematics import TCP
+from safety_harness.robot.robots import arm_model, inverse_kinematics
+from safety_harness.scenario.robots import Robot
 from safety_harness.settings import DEFAULTS, HandSensorKind, Settings
 from safety_harness.simulation.cameras import sensors
 from safety_harness.simulation.exact_views import exact_object
@@ -47,7 +49,7 @@ class Bench:
     ) -> None:
         admitted = admit(scenario(offset=offset, tilt=tilt, settings=settings))
         self.settings = settings
-        self.gate = gate or Gate.of(settings, kinematics())
+        self.gate = gate or ur10_gate(settings)
         self.controller = AvoidingServo(
             settings,
             arm or admitted.arm,
@@ -67,7 +69,7 @@ class Bench:
     @property
     def pose(self) -> np.ndarray:
         """(4, 4) TCP to base."""
-        return transforms_of(kinematics().arm, self.joints)[TCP].copy()
+        return transforms_of(arm_model(Robot.UR10), self.joints)[TCP].copy()
 
     @property
     def tcp(self) -> np.ndarray:
@@ -82,7 +84,7 @@ class Bench:
         """Put the TCP there, its orientation kept."""
         target = self.pose
         target[:3, 3] = position
-        found = kinematics().nearest(target, self.joints)
+        found = inverse_kinematics(Robot.UR10).nearest(target, self.joints)
         assert found is not None
         self.joints = found
 

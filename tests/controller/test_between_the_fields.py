@@ -4,10 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 from bench import AWAY, Bench
-from examples import Displaced
+from examples import Displaced, ur10_gate
 
-from safety_harness.admission.admit import kinematics
-from safety_harness.avoidance.gate import Gate
 from safety_harness.avoidance.simple import OppositePose
 from safety_harness.settings import DEFAULTS
 from safety_harness.trace.records import Mode
@@ -15,7 +13,10 @@ from safety_harness.trace.records import Mode
 
 def modes_of_a_stop(rubbish: int | None) -> list[int]:
     """A hand from which no way leads, then none; ``rubbish`` fills what no field of an observation uses."""
-    no_fallback = replace(Gate.of(DEFAULTS, kinematics()), fallback=OppositePose(3.0))
+    no_fallback = replace(
+        ur10_gate(DEFAULTS),
+        fallback=OppositePose(3.0),
+    )
     bench = Bench(avoider=Displaced((0.0, 3.0, 0.0)), gate=no_fallback)
     observe = bench.observation
 

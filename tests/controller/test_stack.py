@@ -9,10 +9,11 @@ import pytest
 from bench import AWAY, Bench, with_avoidance, with_motion
 from examples import VISIT, hand, run, scenario
 
-from safety_harness.admission.admit import kinematics
 from safety_harness.geometry.rotations import vector_from_rotation
 from safety_harness.robot.kinematics import geometric_jacobian
+from safety_harness.robot.robots import arm_model
 from safety_harness.scenario.moves import FollowTcp, MoveTo, Wait, Withdraw
+from safety_harness.scenario.robots import Robot
 from safety_harness.settings import DEFAULTS, HandSensorKind, Settings, Vector3
 from safety_harness.trace.records import Limit, Mode
 from safety_harness.trace.trace import Trace
@@ -25,7 +26,11 @@ DESIRED = np.array(DEFAULTS.cell.desired_tcp_position_in_base_m)
 
 def jacobian_at(joints: np.ndarray) -> np.ndarray:
     jacobian = np.empty((6, 6))
-    geometric_jacobian(kinematics().arm.joint_axes, transforms_of(kinematics().arm, joints), jacobian)
+    geometric_jacobian(
+        arm_model(Robot.UR10).joint_axes,
+        transforms_of(arm_model(Robot.UR10), joints),
+        jacobian,
+    )
     return jacobian
 
 
@@ -184,7 +189,7 @@ def test_a_limit_is_recorded_exactly_when_it_acts() -> None:
 
 
 def test_the_joint_speed_limit_slows_all_joints_alike() -> None:
-    arm = replace(kinematics().arm, velocity_limit_radps=np.full(6, 0.02))
+    arm = replace(arm_model(Robot.UR10), velocity_limit_radps=np.full(6, 0.02))
     free, bound = Bench(), Bench(arm=arm)
     for bench in (free, bound):
         row = bench.tick(bench.beside(0.3), count=20)

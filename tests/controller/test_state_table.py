@@ -7,18 +7,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from bench import AWAY, Bench, with_avoidance
-from examples import Displaced, hand, run, scenario
+from examples import Displaced, hand, run, scenario, ur10_gate
 
-from safety_harness.admission.admit import kinematics
 from safety_harness.avoidance.gate import Gate, Query
 from safety_harness.avoidance.simple import OppositePose
+from safety_harness.robot.robots import arm_capsules, inverse_kinematics
 from safety_harness.scenario.moves import MoveTo, Wait, Withdraw
+from safety_harness.scenario.robots import Robot
 from safety_harness.settings import DEFAULTS, GateKind
 from safety_harness.trace.records import Check, DecisionOutcome, Limit, Mode, Trigger
 
 UNREACHABLE = Displaced((0.0, 3.0, 0.0))
 CRITICAL_M = DEFAULTS.avoidance.critical_distance_m
-NO_FALLBACK = replace(Gate.of(DEFAULTS, kinematics()), fallback=OppositePose(3.0))
+NO_FALLBACK = replace(ur10_gate(DEFAULTS), fallback=OppositePose(3.0))
 
 
 class Changing:
@@ -166,7 +167,7 @@ def test_the_controller_tells_the_gate_of_every_valid_predicted_hand() -> None:
             return super().check(position_in_base_m, query)
 
     heard: list[Query] = []
-    bench = Bench(gate=Listening.of(DEFAULTS, kinematics()))
+    bench = Bench(gate=Listening.of(DEFAULTS, inverse_kinematics(Robot.UR10), arm_capsules(Robot.UR10)))
     near, far = bench.beside(0.3), bench.beside(0.9)
     bench.tick(far, near)
     assert len(heard) == 2  # the proposal, the opposite pose

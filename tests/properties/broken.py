@@ -20,12 +20,14 @@ from examples import (
     hand,
     run,
     scenario,
+    ur10_gate,
 )
 
-from safety_harness.admission.admit import admit, kinematics
+from safety_harness.admission.admit import admit
 from safety_harness.avoidance.gate import Gate
 from safety_harness.scenario.faults import FalseHand, HandSensorBlind
 from safety_harness.scenario.moves import FollowTcp, MoveTo, Wait, Withdraw
+from safety_harness.scenario.obstacles import Obstacle
 from safety_harness.settings import DEFAULTS, GateKind, Settings
 from safety_harness.trace.trace import Trace
 
@@ -40,7 +42,7 @@ CERTAIN = Displaced(SIDEWAYS, spread_m=0.01, spread_threshold_m=0.02)
 
 
 def gate_of(kind: type[Gate], settings: Settings = DEFAULTS, **changed: Any) -> Gate:
-    gate = Gate.of(settings, kinematics())
+    gate = ur10_gate(settings)
     return kind(**{field.name: getattr(gate, field.name) for field in fields(gate)} | changed)
 
 
@@ -166,6 +168,12 @@ def hardly_leaves() -> Trace:
 
 
 @lru_cache
+def servoes_through_a_box() -> Trace:
+    box = Obstacle(size_m=(0.05, 0.05, 0.05), position_in_base_m=(0.7, -0.06, 0.30))
+    return run(replace(scenario(duration_s=8.0, offset=(0.0, -0.16, 0.0)), obstacles=(box,)))
+
+
+@lru_cache
 def computes_nonsense() -> Trace:
     return run(scenario(duration_s=0.1), controller=Nonsense((0.1,) * 6))
 
@@ -184,6 +192,7 @@ BROKEN: dict[str, Callable[[], Trace]] = {
     "at most 50 % of proposals overruled": is_always_in_doubt,
     "repulsion moves away from every hand": seeks_the_hand,
     "repulsive ways clear of table, object and robot": proposes_below_the_table,
+    "obstacle distance never below 20 mm": servoes_through_a_box,
     "uncertain answers fall back within 2 cycles": uses_what_it_doubts,
     "certain answers are used": uses_no_answer,
     "stops where neither answer nor opposite pose can be reached": heads_out_of_reach,

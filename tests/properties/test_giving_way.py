@@ -7,10 +7,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from examples import VISIT, Displaced, PassingGate, hand, run, scenario
+from examples import VISIT, Displaced, PassingGate, hand, run, scenario, ur10_gate
 
-from safety_harness.admission.admit import kinematics
-from safety_harness.avoidance.gate import Gate
 from safety_harness.properties.giving_way import MovesAway, last_tick, progress
 from safety_harness.scenario.model import MovingHand, Verdict
 from safety_harness.scenario.moves import FollowTcp, MoveTo, Wait
@@ -162,7 +160,7 @@ def test_giving_way_to_a_phantom_is_no_evidence(visit: Trace) -> None:
 
 
 def test_a_way_that_leads_towards_the_hand_is_violated_before_it_is_gone() -> None:
-    gate = Gate.of(DEFAULTS, kinematics())
+    gate = ur10_gate(DEFAULTS)
     broken = PassingGate(**{name: getattr(gate, name) for name in gate.__dataclass_fields__})
     what = scenario(VISIT, settings=avoiding(gate=GateKind.REACH))
     evaluation = MovesAway().evaluate(run(what, avoider=Displaced((0.0, -0.1, 0.0)), gate=broken))

@@ -57,6 +57,21 @@ def test_a_jump_of_a_joint_between_two_ticks_counts_with_its_mean_speed(visit: T
     assert (evaluation.reason, evaluation.exercised) == ("wrist_2_joint", 1)
 
 
+def test_a_joint_at_its_speed_limit_holds_and_one_a_billionth_over_is_violated(visit: Trace) -> None:
+    """Positions are rounded, so that their differences are over the limit at some ticks."""
+    start_rad = visit.ticks["joint_position_rad"][0, 2]
+    for share, verdict in ((1.0, Verdict.HOLDS), (1.0 + 1e-9, Verdict.VIOLATED)):
+
+        def turn(rows: NDArray[np.void], rate_radps: float = share * LIMIT_RADPS[2]) -> None:
+            rows["joint_position_rad"][:, 2] = start_rad + rate_radps * rows["time_s"]
+            rows["joint_velocity_radps"][:, 2] = min(rate_radps, LIMIT_RADPS[2])
+
+        trace = still(visit, 40, turn)
+        mean_radps = np.diff(trace.ticks["joint_position_rad"][:, 2]) / np.diff(trace.time_s)
+        assert mean_radps.max() > LIMIT_RADPS[2]
+        assert JOINTS.evaluate(trace).verdict is verdict
+
+
 def test_the_speed_at_the_last_tick_counts_though_nothing_follows(visit: Trace) -> None:
     def hurry(rows: NDArray[np.void]) -> None:
         rows["tcp_speed_mps"][-1] = 0.3

@@ -6,10 +6,18 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
-from examples import VISIT, ConstantSpeed, Displaced, PassingGate, TowardsTheHand, hand, run, scenario
+from examples import (
+    VISIT,
+    ConstantSpeed,
+    Displaced,
+    PassingGate,
+    TowardsTheHand,
+    hand,
+    run,
+    scenario,
+    ur10_gate,
+)
 
-from safety_harness.admission.admit import kinematics
-from safety_harness.avoidance.gate import Gate
 from safety_harness.properties.answered import DecisionTime
 from safety_harness.properties.base import Property, judged
 from safety_harness.properties.finite import FiniteTrace
@@ -191,7 +199,7 @@ def test_an_unreachable_proposal_is_counted_even_when_the_gate_refused_it() -> N
 
 
 def test_without_the_gate_an_unreachable_position_is_chosen() -> None:
-    gate = Gate.of(DEFAULTS, kinematics())
+    gate = ur10_gate(DEFAULTS)
     broken = PassingGate(**{field.name: getattr(gate, field.name) for field in fields(gate)})
     trace = run(scenario(VISIT), avoider=Displaced((0.0, 2.0, 0.0)), gate=broken)
     assert RepulsivePosesReachable(proposed=False).evaluate(trace).verdict is Verdict.VIOLATED

@@ -22,6 +22,7 @@ from safety_harness.properties.entry import CatalogueEntry
 from safety_harness.properties.unexercised import beside, nearest_of
 from safety_harness.scenario.model import Claim, MovingHand, Verdict
 from safety_harness.scenario.moves import MoveTo, Wait, Withdraw
+from safety_harness.scenario.obstacles import Obstacle
 from safety_harness.settings import DEFAULTS, DecisionTimes, Settings
 from safety_harness.trace.trace import Trace
 
@@ -47,6 +48,7 @@ class Situation:
     duration_s: float = 2.5
     avoider: Avoider = CERTAIN
     settings: Settings = DEFAULTS
+    obstacles: tuple[Obstacle, ...] = ()
 
     @lru_cache(maxsize=40)  # noqa: B019
     def trace(self) -> Trace:
@@ -56,7 +58,7 @@ class Situation:
             offset=self.offset,
             settings=self.settings,
         )
-        return run_kinematic(admit(what, avoider=self.avoider))
+        return run_kinematic(admit(replace(what, obstacles=self.obstacles), avoider=self.avoider))
 
     def judged(self, entry: CatalogueEntry) -> Evaluation:
         trace = self.trace()
@@ -66,6 +68,7 @@ class Situation:
 
 
 NEAR = Situation(visit())
+BOX = Obstacle(size_m=(0.1, 0.1, 0.1), position_in_base_m=(0.0, 1.0, 0.5))
 IDLE = {
     "nobody, and nothing to do": Situation(offset=(0.0, 0.0, 0.0), duration_s=1.0),
     "a hand that stays away": Situation(visit((1.0, -0.65, 0.25))),
@@ -92,6 +95,7 @@ def followed(now: Situation, reason: str) -> Situation:
         "at most .* the avoider's threshold, exercises it": {"avoider": CERTAIN},
         "one that does exercises it": {"avoider": CERTAIN},
         "one of an avoider that states both exercises it": {"avoider": CERTAIN},
+        "a box in the cell exercises it": {"obstacles": (BOX,)},
         "one usable answer exercises it": {"avoider": CERTAIN},
         "neither within reach exercises it": {"avoider": OUT_OF_REACH, "settings": TOO_FAR},
         "beyond .* mm.* exercises it": {"hand": visit(stays_s=0.1), "duration_s": 3.0},

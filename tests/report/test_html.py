@@ -18,8 +18,9 @@ from safety_harness.report.html import notes, render
 from safety_harness.report.page_parts import asset
 from safety_harness.report.svg import Ink
 from safety_harness.scenario.faults import CameraBlind, Joint, JointStuck
-from safety_harness.scenario.model import Robot, Verdict
+from safety_harness.scenario.model import Verdict
 from safety_harness.scenario.read import read_scenario
+from safety_harness.scenario.robots import Robot
 from safety_harness.scenario.write import write_scenario
 from safety_harness.settings import DEFAULTS
 from safety_harness.trace.records import DECISION, TICK

@@ -12,6 +12,7 @@ from safety_harness.report.words import (
     changed_settings,
     claimed_hand_distance_m,
     claimed_tcp_speed_mps,
+    drives_as_modelled,
     failed_words,
     flag_words,
     margin_words,
@@ -20,6 +21,7 @@ from safety_harness.report.words import (
     setting_words,
 )
 from safety_harness.scenario.model import Verdict
+from safety_harness.scenario.robots import Drives, OwnRobot, Payload, Robot, StopTimes
 from safety_harness.settings import DEFAULTS, HandSensorKind
 from safety_harness.trace.records import Check, Limit
 
@@ -41,6 +43,20 @@ def test_every_changed_setting_is_named_once_with_both_values() -> None:
         ("camera.rate_hz", "none", "30 Hz"),
         ("hand_sensor.kind", "ideal", "overhead"),
     ]
+
+
+def test_what_the_drives_of_an_own_arm_do_is_said_as_it_is_modelled() -> None:
+    drives = Drives(dead_time_s=0.02, lag_s=0.03, payload=Payload(mass_kg=2.5, centre_m=(0.0, -0.01, 0.05)))
+    braking = StopTimes(reaction_time_s=0.1, stop_time_s=0.4)
+    arm = OwnRobot(urdf="a.urdf", base="a", tcp="b", capsules="c.json", braking=braking, drives=drives)
+    said = {name: own for name, _, own in drives_as_modelled(arm, 0.008)}
+    assert said == {
+        "robot.drives.dead_time": "0.024 s, 3 whole control periods",
+        "robot.drives.lag": "0.03 s",
+        "robot.drives.torque_limit": "100 % of the URDF's; all joints wait for the weakest",
+        "robot.drives.payload": "2.5 kg in one point, (0, −10, 50) mm from the link tcp",
+    }
+    assert drives_as_modelled(Robot.UR5, 0.008) == drives_as_modelled(replace(arm, drives=None), 0.008) == []
 
 
 @pytest.mark.parametrize(

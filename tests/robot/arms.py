@@ -32,7 +32,7 @@ class BulletArm:
 
     def __init__(self, client: int, name: str, folder: Path) -> None:
         file = folder / f"{name}.urdf"
-        file.write_text(resolved_urdf(name, visuals=False))
+        file.write_text(resolved_urdf(load_arm(name), visuals=False))
         self.client = client
         self.body = pybullet.loadURDF(str(file), useFixedBase=True, physicsClientId=client)
         info = [
@@ -48,6 +48,8 @@ class BulletArm:
             pybullet.resetJointState(self.body, index, angle, physicsClientId=self.client)
 
     def transform(self, link: str) -> np.ndarray:
+        if link == pybullet.getBodyInfo(self.body, self.client)[0].decode():
+            return np.eye(4)  # the root, which stands in the origin
         return pose_of_link(self.body, self.index_of_link[link], self.client)
 
     def jacobian(self, joints: np.ndarray, link: str) -> np.ndarray:

@@ -50,7 +50,7 @@ def in_bullet(name: str, folder: Path) -> Iterator[tuple[int, int]]:
     file = arm_named(name).file
     if name in ARMS:
         file = folder / "arm.urdf"
-        file.write_text(resolved_urdf(name, visuals=False))
+        file.write_text(resolved_urdf(arm_named(name), visuals=False))
     client = pybullet.connect(pybullet.DIRECT)
     try:
         yield pybullet.loadURDF(str(file), useFixedBase=True, physicsClientId=client), client
@@ -134,7 +134,7 @@ def origin(joint: ElementTree.Element) -> np.ndarray:
 
 
 def test_the_closed_form_of_six_joints_is_given_no_arm_of_seven() -> None:
-    with pytest.raises(ArmModelError, match="panda: inverse kinematics are of six joints, not 7"):
+    with pytest.raises(ArmModelError, match="panda: the closed form is of six joints, not 7"):
         arm_geometry(arm_named("panda"))
 
 

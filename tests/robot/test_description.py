@@ -42,7 +42,7 @@ def test_every_arm_has_six_unit_axes_rigid_frames_and_sensible_limits(name: str)
 
 def test_the_numbers_are_those_of_the_urdf() -> None:
     """Read a second time, by another road: regular text search in the resolved URDF."""
-    robot = ElementTree.fromstring(resolved_urdf("ur10", visuals=False))
+    robot = ElementTree.fromstring(resolved_urdf(load_arm("ur10"), visuals=False))
     arm = load_arm("ur10")
     for i, name in enumerate(arm.joint_names):
         joint = robot.find(f"joint[@name='{name}']")
@@ -72,7 +72,7 @@ def test_an_arm_cannot_be_changed() -> None:
 @pytest.mark.parametrize("name", ARMS)
 def test_resolved_urdf_names_files_that_exist_and_keeps_visuals_only_on_demand(name: str) -> None:
     for visuals, kinds in ((True, {".stl", ".dae"}), (False, {".stl"})):
-        robot = ElementTree.fromstring(resolved_urdf(name, visuals=visuals))
+        robot = ElementTree.fromstring(resolved_urdf(load_arm(name), visuals=visuals))
         files = [Path(mesh.attrib["filename"]) for mesh in robot.iter("mesh")]
         assert {file.suffix for file in files} == kinds
         assert all(file.is_absolute() and file.is_file() for file in files)
@@ -140,4 +140,4 @@ def test_a_missing_mesh_is_reported(monkeypatch: pytest.MonkeyPatch, tmp_path: P
     (tmp_path / "damaged.urdf").write_text(text.replace("collision/base.stl", "collision/bass.stl"))
     monkeypatch.setattr(description, "urdf_file", lambda name: tmp_path / "damaged.urdf")
     with pytest.raises(ArmModelError, match=r"bass\.stl"):
-        resolved_urdf("ur10", visuals=False)
+        load_arm("ur10")

@@ -82,7 +82,7 @@ def test_every_example_can_be_read(example: str) -> None:
 
 
 def test_there_are_examples() -> None:
-    assert len(blocks("yaml")) == 12
+    assert len(blocks("yaml")) == 14
 
 
 def test_the_first_example_is_complete() -> None:

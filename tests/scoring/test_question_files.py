@@ -13,8 +13,9 @@ from safety_harness.admission.admit import admit
 from safety_harness.admission.avoiders import resolve_avoider, scenario_of_avoider
 from safety_harness.admission.trial import run_trial
 from safety_harness.avoidance.avoider import Avoider, AvoiderAround, Proposal
-from safety_harness.scenario.model import Robot, Verdict
+from safety_harness.scenario.model import Verdict
 from safety_harness.scenario.read import read_scenario
+from safety_harness.scenario.robots import Robot
 from safety_harness.scoring.question_file import QuestionFile, question_file, seed_of
 from safety_harness.scoring.session import CLAIMS
 from safety_harness.simulation.worlds import KINEMATIC

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from safety_harness.controller.desired import reachable
-from safety_harness.scenario.model import Robot
+from safety_harness.scenario.robots import Robot
 from safety_harness.scoring.regions import FAR, NAMED, named_regions
 from safety_harness.scoring.space_region import space_region
 from safety_harness.settings import DEFAULTS

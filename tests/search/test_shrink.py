@@ -14,10 +14,11 @@ from hypothesis import strategies as st
 from safety_harness.scenario.faults import HandSensorBlind, Joint, JointStuck
 from safety_harness.scenario.model import Claim, MovingHand, OffsetStart, RecordedHand, Scenario, Verdict
 from safety_harness.scenario.moves import MoveTo, ReachForTcp, Tremor, Wait, Withdraw
-from safety_harness.scenario.read import parse_scenario
+from safety_harness.scenario.read import parse_scenario, read_scenario
 from safety_harness.scenario.write import write_scenario
 from safety_harness.search.shrink import shrink
 from safety_harness.settings import DEFAULTS
+from safety_harness.shipped.contents import located
 from safety_harness.space.read import read_space
 from tests.examples import hand, scenario
 
@@ -157,6 +158,15 @@ def test_ctrl_c_keeps_what_was_reached() -> None:
     assert not shrunk.settled
     assert shrunk.scenario != ELABORATE
     assert too_fast(shrunk.scenario)
+
+
+def test_an_own_arm_stays_and_what_a_file_cannot_say_of_it_is_not_tried_for_ever() -> None:
+    """Its stop times are among the settings, and stand in a file with the arm."""
+    found = read_scenario(located("shipped:robot-ur10e"))
+    shrunk = shrink(found, lambda tried: len(tried.hands) == 1, budget=2_000)
+    assert shrunk.settled
+    assert shrunk.scenario.robot == found.robot
+    assert shrunk.scenario.settings.braking == found.settings.braking != DEFAULTS.braking
 
 
 def test_nothing_that_cannot_be_read_back_is_ever_run() -> None:

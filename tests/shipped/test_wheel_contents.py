@@ -16,7 +16,7 @@ from safety_harness.compiled import source_hash
 from safety_harness.shipped.contents import PREFIX, contents, shipped_files
 
 ROOT = Path(__file__).parents[2]
-PARTS = ("safety_harness", "scenarios", "plans", "examples")
+PARTS = ("safety_harness", "scenarios", "plans", "examples", "robots")
 FILES = ("pyproject.toml", "setup.py", "MANIFEST.in", "README.md", "LICENSE")
 
 

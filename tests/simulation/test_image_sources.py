@@ -14,12 +14,14 @@ import pytest
 from examples import VISIT, hand, run, scenario
 
 from safety_harness.admission.admit import admit
-from safety_harness.admission.poses import kinematics, start_joint_position
+from safety_harness.admission.poses import start_joint_position
 from safety_harness.controller.desired import view_of
 from safety_harness.controller.records import overhead_transform_sensor_to_base
 from safety_harness.perception.camera import transform_camera_to_tcp
 from safety_harness.perception.moments import MOMENT_COUNT
 from safety_harness.robot.kinematics import TCP
+from safety_harness.robot.robots import arm_model
+from safety_harness.scenario.robots import Robot
 from safety_harness.servoing.features import features
 from safety_harness.settings import DEFAULTS, DetectorKind, HandSensorKind, ImageSource, Settings
 from safety_harness.simulation.cameras import sensors
@@ -36,11 +38,11 @@ SIGMA = np.array([3e-5, 3e-5, 7e-5, 1e-3, 1e-3, 4e-4])
 
 
 def joints_at(offset: Vector, tilt: Vector = (0.0, 0.0, 0.0)) -> np.ndarray:
-    return start_joint_position(scenario(offset=offset, tilt=tilt), kinematics().arm)
+    return start_joint_position(scenario(offset=offset, tilt=tilt), arm_model(Robot.UR10))
 
 
 def pose_at(joints: np.ndarray) -> np.ndarray:
-    return transforms_of(kinematics().arm, joints)[TCP].copy()
+    return transforms_of(arm_model(Robot.UR10), joints)[TCP].copy()
 
 
 def a_dozen() -> list[np.ndarray]:
@@ -57,7 +59,11 @@ class Cell:
     def __init__(self) -> None:
         self.client = int(pybullet.connect(pybullet.DIRECT))
         self.bodies: Bodies = build_cell(
-            self.client, DEFAULTS, kinematics().arm, joints_at((0.0, 0.0, 0.0)), rendered=True
+            self.client,
+            DEFAULTS,
+            arm_model(Robot.UR10),
+            joints_at((0.0, 0.0, 0.0)),
+            rendered=True,
         )
 
     def put(self, joints: np.ndarray, hands: np.ndarray | None = None) -> np.ndarray:

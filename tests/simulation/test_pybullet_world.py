@@ -10,11 +10,13 @@ import numpy as np
 import pytest
 from examples import VISIT, ConstantSpeed, run, scenario
 
-from safety_harness.admission.admit import admit, kinematics
+from safety_harness.admission.admit import admit
 from safety_harness.controller.records import COMMAND
 from safety_harness.exceptions import SimulationError
 from safety_harness.robot.kinematics import geometric_jacobian
+from safety_harness.robot.robots import arm_model
 from safety_harness.scenario.model import Scenario
+from safety_harness.scenario.robots import Robot
 from safety_harness.settings import DEFAULTS, HandSensorKind, Settings
 from safety_harness.simulation import pybullet_world
 from safety_harness.simulation.engine import pybullet
@@ -213,9 +215,10 @@ def test_the_urdf_that_the_engine_reads_goes_with_the_process(tmp_path: Path) ->
     program = f"""
         import sys, tempfile
         tempfile.tempdir = {str(tmp_path)!r}
-        from safety_harness.simulation.cell import _urdf_file
-        file = _urdf_file("ur10", False)
-        print(file.is_file() and file == _urdf_file("ur10", False))
+        from safety_harness.robot.description import load_arm
+        from safety_harness.simulation.cell import urdf_file
+        file = urdf_file(load_arm("ur10"), False)
+        print(file.is_file() and file == urdf_file(load_arm("ur10"), False))
     """
     done = subprocess.run(
         [sys.executable, "-c", textwrap.dedent(program)],
@@ -251,7 +254,7 @@ def test_the_tcp_moves_as_its_joints_say(visit: Trace) -> None:
     """The twist of the true joint velocities has the speed that the trace says."""
     jacobian = np.empty((6, 6))
     for tick in visit.ticks[::50]:
-        transforms = transforms_of(kinematics().arm, tick["joint_position_rad"])
-        geometric_jacobian(kinematics().arm.joint_axes, transforms, jacobian)
+        transforms = transforms_of(arm_model(Robot.UR10), tick["joint_position_rad"])
+        geometric_jacobian(arm_model(Robot.UR10).joint_axes, transforms, jacobian)
         speed = np.linalg.norm((jacobian @ tick["joint_velocity_radps"])[:3])
         assert tick["tcp_speed_mps"] == pytest.approx(speed, abs=1e-12)

@@ -17,7 +17,8 @@ from safety_harness.properties.limits import JointSpeedLimits
 from safety_harness.properties.positions import RepulsivePosesReachable
 from safety_harness.robot.capsules import load_capsules
 from safety_harness.robot.description import load_arm
-from safety_harness.scenario.model import JointStart, OffsetStart, Robot, Scenario, Verdict
+from safety_harness.scenario.model import JointStart, OffsetStart, Scenario, Verdict
+from safety_harness.scenario.robots import Robot
 from safety_harness.settings import DEFAULTS
 from safety_harness.simulation.pybullet_world import PyBulletWorld
 from safety_harness.trace.compare import first_difference

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from examples import hand, scenario
 
-from safety_harness.admission.poses import kinematics, start_joint_position
+from safety_harness.admission.poses import start_joint_position
 from safety_harness.controller.records import observation_dtype, overhead_transform_sensor_to_base
 from safety_harness.exceptions import SettingsError
 from safety_harness.geometry.transforms import inverse_transform
@@ -17,7 +17,9 @@ from safety_harness.perception.moments import MOMENT_COUNT
 from safety_harness.robot.capsules import load_capsules
 from safety_harness.robot.distance import place_capsules
 from safety_harness.robot.kinematics import TCP
+from safety_harness.robot.robots import arm_model
 from safety_harness.scenario.fault_table import fault_table
+from safety_harness.scenario.robots import Robot
 from safety_harness.settings import DEFAULTS, HandSensorKind, ImageSource, ObjectKind, Settings
 from safety_harness.simulation.cameras import RING, object_polygon_in_base, sensors
 from safety_harness.simulation.exact_views import exact_boxes, exact_object
@@ -233,7 +235,7 @@ def seen(
 ) -> np.ndarray:
     """(k, 5) boxes of the hands, the arm standing at an offset from the desired pose."""
     settings = with_sensor(kind=kind)
-    arm = kinematics().arm
+    arm = arm_model(Robot.UR10)
     transforms = transforms_of(arm, start_joint_position(scenario(offset=offset), arm))
     capsules = cell_capsules(load_capsules(arm.name), settings)
     placed = np.empty((len(capsules.names), 2, 3))

@@ -12,12 +12,12 @@ import pytest
 from examples import VISIT, PassingGate, scenario, ungated
 
 from safety_harness.admission.admit import Admitted, admit
-from safety_harness.exceptions import ArmModelError
 from safety_harness.properties import limits, true_motion
 from safety_harness.properties.catalogue import CATALOGUE
 from safety_harness.properties.entry import CatalogueEntry
 from safety_harness.robot.description import ArmModel
 from safety_harness.robot.inverse import InverseKinematics, straight_way
+from safety_harness.robot.kinematics import forward_kinematics
 from safety_harness.simulation.kinematic_world import KinematicWorld
 from safety_harness.simulation.simulate import Episode, simulate_many
 from safety_harness.trace.records import Mode, tick_dtype
@@ -41,7 +41,7 @@ def doubled(arm: ArmModel) -> ArmModel:
 
 
 def episode_of(admitted: Admitted) -> Episode:
-    """Its gate passes all: inverse kinematics are of six joints."""
+    """Its gate passes all: it would choose other joints than the six have."""
     gate = admitted.controller().gate
     passing = PassingGate(**{field.name: getattr(gate, field.name) for field in fields(gate)})
     world = KinematicWorld(WHAT, admitted.arm, admitted.joint_position_rad)
@@ -118,14 +118,24 @@ def test_it_is_judged_as_the_six_joint_arm(
     """But for what wrist 3, which turns half as far, is wider to one side."""
     expected = entry.prop.evaluate(run_of_six)
     for module in (limits, true_motion):
-        monkeypatch.setattr(module, "load_arm", lambda _: seven.arm)
+        monkeypatch.setattr(module, "arm_model", lambda _: seven.arm)
     found = entry.prop.evaluate(run_of_seven)
     assert (found.verdict, found.exercised) == (expected.verdict, expected.exercised)
     assert found.margin == pytest.approx(expected.margin, abs=1e-4)
 
 
-def test_inverse_kinematics_refuse_it(seven: Admitted) -> None:
-    with pytest.raises(ArmModelError, match="six joints, not 7"):
-        InverseKinematics(seven.arm)
-    with pytest.raises(ArmModelError, match="six joints, not 7"):
-        straight_way(seven.arm, seven.joint_position_rad, np.zeros(3), step_m=0.01)
+def test_inverse_kinematics_and_the_straight_way_are_those_of_the_six(seven: Admitted) -> None:
+    """Of a self-motion manifold: the joints reach the pose, and the last two turn as they like."""
+    target = forward(seven.arm, seven.joint_position_rad)
+    target[:3, 3] += [0.05, 0.04, -0.03]
+    found = InverseKinematics(seven.arm).nearest(target, seven.joint_position_rad)
+    assert found is not None
+    np.testing.assert_allclose(forward(seven.arm, found), target, atol=1e-9)
+    way = straight_way(seven.arm, seven.joint_position_rad, target[:3, 3], step_m=0.01)
+    np.testing.assert_allclose(forward(seven.arm, way[-1])[:3, 3], target[:3, 3], atol=1e-6)
+
+
+def forward(arm: ArmModel, joints_rad: np.ndarray) -> np.ndarray:
+    transforms = np.empty((len(arm.joint_names) + 2, 4, 4))
+    forward_kinematics(arm.chain[0], joints_rad, transforms)
+    return transforms[-1]

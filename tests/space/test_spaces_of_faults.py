@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from safety_harness.scenario.faults import CameraFrozen, FalseHand, JointStuck
-from safety_harness.scenario.model import Robot
+from safety_harness.scenario.robots import Robot
 from safety_harness.space.read import parse_space
 
 SPACE = """\

@@ -94,7 +94,7 @@
       this.materials = {};
       const solid = (ink, more = {}) => this.ink(new THREE.MeshLambertMaterial(more), ink);
       const stroke = (ink, more = {}) => this.ink(new THREE.LineBasicMaterial(more), ink);
-      // the table and the object on it
+      // the table, the object on it and the boxes beside it
       const table = new THREE.GridHelper(2.4, 24, 0xffffff, 0xffffff);
       table.material = stroke("--fig-grid");
       table.rotation.x = Math.PI / 2;
@@ -102,6 +102,10 @@
       this.scene.add(table);
       const shape = data.object_in_base_m.map((corner) => new THREE.Vector3(...corner));
       this.scene.add(new THREE.LineLoop(new THREE.BufferGeometry().setFromPoints(shape), stroke("--fig-object")));
+      for (const corners of data.boxes_in_base_m.flat()) {
+        const face = corners.map((corner) => new THREE.Vector3(...corner));
+        this.scene.add(new THREE.LineLoop(new THREE.BufferGeometry().setFromPoints(face), stroke("--fig-text")));
+      }
       // the arm: frame within frame, as its joints are
       const links = [new THREE.Group()];
       this.scene.add(links[0]);
@@ -118,7 +122,7 @@
       const tool = new THREE.Group();
       tool.matrixAutoUpdate = false;
       tool.matrix.copy(matrix(data.flange));
-      links[6].add(tool);
+      links[this.joints.length].add(tool);
       links.push(tool);
       this.tool = tool;
       this.capsules = data.capsules.map((one) => {
@@ -296,7 +300,7 @@
 
     pose(moment) {
       const tick = moment[0], data = this.data;
-      const angles = this.between("joint_position_rad", 6, moment);
+      const angles = this.between("joint_position_rad", this.joints.length, moment);
       this.joints.forEach(({ turned, axis }, k) => turned.quaternion.setFromAxisAngle(axis, angles[k]));
       const tcp = new THREE.Vector3(...this.between("tcp_in_base_m", 3, moment));
       this.critical.position.copy(tcp);

@@ -1,0 +1,66 @@
+"""The arm keeps away from the boxes that stand in its cell."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from safety_harness.properties.base import Evaluation, Unit, judged
+from safety_harness.properties.clear_ways import turned_rad
+from safety_harness.properties.entry import CatalogueEntry, quantity
+from safety_harness.properties.measured import reads
+from safety_harness.properties.true_motion import arm_of
+from safety_harness.properties.unexercised import unexercised
+from safety_harness.robot.obstacles import box_records, distances_m
+from safety_harness.scenario.units import LENGTH
+from safety_harness.trace.trace import Trace
+
+
+@dataclass(frozen=True, kw_only=True)
+class ObstacleDistance:
+    """Least distance of any moving link from any obstacle, less ``minimum_m``; a lower bound between ticks.
+
+    A point moves by no more than each joint's turn times the length of the chain of links behind it.
+    Exercised by every tick of a scenario with an obstacle.
+    """
+
+    minimum_m: float
+    unit: Unit = Unit.LENGTH
+
+    @property
+    def sentence(self) -> str:
+        """The claim."""
+        return f"obstacle distance never below {1e3 * self.minimum_m:g} mm"
+
+    @reads("joint_position_rad", "joint_velocity_radps")
+    def evaluate(self, trace: Trace) -> Evaluation:
+        """Judge every tick and what lies between."""
+        obstacles = trace.scenario.obstacles
+        if not obstacles:
+            return unexercised(self, "obstacles = 0; a box in the cell exercises it")
+        joints_rad = np.ascontiguousarray(trace.ticks["joint_position_rad"])
+        distance_m = distances_m(arm_of(trace), box_records(obstacles), joints_rad)
+        moved_m = turned_rad(trace, slice(None)) @ arm_of(trace).reach_m
+        bound_m = distance_m.copy()
+        bound_m[:-1] = np.minimum(bound_m[:-1], 0.5 * (distance_m[:-1] + distance_m[1:] - moved_m))
+        worst = int(np.argmin(bound_m))  # the first NaN, if there is one
+        words = "the arm and an obstacle"
+        return judged(
+            self, trace, bound_m[worst] - self.minimum_m, trace.time_s[worst], words, len(trace.ticks)
+        )
+
+
+OBSTACLE_DISTANCE = CatalogueEntry(
+    prop=ObstacleDistance(minimum_m=0.02),
+    pattern=r"obstacle distance never below (.+)",
+    make=lambda match, scenario, place: ObstacleDistance(minimum_m=quantity(match[1], LENGTH, place)),
+    rationale="an arm that runs into a fixture stops there or breaks it, and what is between them is crushed",
+    source="the project's own; capsules as for the hand distance",
+    margin="least distance, surface to surface, of any link but the base from any obstacle, less the limit; "
+    "a lower bound between ticks",
+    parameters="the limit; the scenario's obstacles",
+    exercised="the scenario has an obstacle",
+    scenario="box-beside-the-way",
+    broken_by="the visual servo, which knows no obstacles, with one in its way",
+)

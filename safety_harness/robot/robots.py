@@ -1,0 +1,155 @@
+"""The numbers of the arm that a scenario names, each made once."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import lru_cache, update_wrapper
+from pathlib import Path
+from typing import Generic, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.geometry.rotations import rotation_from_vector
+from safety_harness.geometry.transforms import inverse_transform, transform_from
+from safety_harness.robot.capsules import CapsuleSet, load_capsules, read_capsules
+from safety_harness.robot.description import ArmModel, load_arm, read_arm, urdf_file
+from safety_harness.robot.drive import DriveModel
+from safety_harness.robot.dynamics import link_masses
+from safety_harness.robot.inverse import InverseKinematics
+from safety_harness.robot.urdf import ArmFileError
+from safety_harness.scenario.robots import AnyRobot, OwnRobot, Piece, Robot, Seat, Tool
+
+Made = TypeVar("Made")
+
+
+class _OnceEach(Generic[Made]):
+    """Cached by the robot and where its files are, which are no part of what makes two robots the same."""
+
+    def __init__(self, make: Callable[[AnyRobot], Made]) -> None:
+        update_wrapper(self, make)
+        self._cached = lru_cache(maxsize=16)(lambda robot, files: make(robot))
+        self.cache_clear = self._cached.cache_clear
+
+    def __call__(self, robot: AnyRobot) -> Made:
+        return self._cached(robot, () if isinstance(robot, Robot) else robot.files)
+
+
+@_OnceEach
+def arm_model(robot: AnyRobot) -> ArmModel:
+    """The arm in the base frame of the scenario; ``ArmFileError`` for an own one that cannot be used.
+
+    Of an own arm its files' texts are used, which a trace carries: meshes need not be there.
+    """
+    if isinstance(robot, Robot):
+        return load_arm(robot.arm_name)
+    arm = _own(robot, meshes=False)
+    if (limits := robot.joint_speed_limits_radps) is not None:
+        if len(limits) != len(arm.joint_names):
+            expected = f"joint speed limits of its {len(arm.joint_names)} joints"
+            raise ArmFileError.of_file(robot.files[0], expected, str(len(limits)))
+        arm = replace(arm, velocity_limit_radps=np.array(limits))
+    if robot.tool is not None:
+        arm = replace(arm, flange=arm.flange @ transform_tool(robot.tool))
+    return arm if robot.seat is None else arm.seated(transform_seat(robot.seat))
+
+
+@_OnceEach
+def arm_capsules(robot: AnyRobot) -> CapsuleSet:
+    """The capsules of the arm; ``ArmFileError`` for those of another arm."""
+    if isinstance(robot, Robot):
+        return load_capsules(robot.arm_name)
+    file = robot.files[1]
+    capsules = read_capsules(
+        file, arm_model(robot), text=robot.capsules_text, urdf_sha256=str(robot.urdf_sha256)
+    )
+    tcp = capsules.frames - 1
+    if robot.tool is not None:
+        to_tcp = inverse_transform(transform_tool(robot.tool))
+        capsules = _with_pieces(capsules, "tool", robot.tool.pieces).carried_by(tcp, to_tcp)
+    if robot.seat is not None:
+        capsules = capsules.carried_by(0, transform_seat(robot.seat))
+    return _with_pieces(capsules, "part", robot.part or ())
+
+
+@_OnceEach
+def drive_model(robot: AnyRobot) -> DriveModel | None:
+    """How an own arm's drives follow a demand; None for those that do so at once.
+
+    ``ArmFileError`` where their torques are limited and a link has no mass.
+    """
+    if isinstance(robot, Robot) or robot.drives is None:
+        return None
+    drives, model = robot.drives, DriveModel(dead_time_s=robot.drives.dead_time_s, lag_s=robot.drives.lag_s)
+    if drives.torque_limit is None:
+        return model
+    arm, carried = _own(robot, meshes=False), drives.payload
+    masses = link_masses(arm)
+    if carried is not None:
+        at_m = arm.flange[:3, :3] @ np.array(carried.centre_m) + arm.flange[:3, 3]
+        masses = link_masses(arm, carried.mass_kg, at_m)
+    return replace(model, torque_limit_nm=drives.torque_limit * arm.effort_limit, masses=masses)
+
+
+def transform_seat(seat: Seat) -> NDArray[np.float64]:
+    """(4, 4) from the arm's base link to the base frame: Rz(yaw) R(tilt), then the position."""
+    turn = rotation_from_vector(np.array([0.0, 0.0, seat.yaw_rad]))
+    return transform_from(
+        turn @ rotation_from_vector(np.array(seat.tilt_rad)), np.array(seat.position_in_base_m)
+    )
+
+
+def transform_tool(tool: Tool) -> NDArray[np.float64]:
+    """(4, 4) from the TCP to the link's frame that the tool is fixed to."""
+    return transform_from(rotation_from_vector(np.array(tool.tilt_rad)), np.array(tool.position_m))
+
+
+def _with_pieces(capsules: CapsuleSet, name: str, pieces: Sequence[Piece]) -> CapsuleSet:
+    for number, piece in enumerate(pieces, start=1):
+        ends = piece.start_m, piece.end_m
+        capsules = capsules.with_capsule(f"{name} {number}", capsules.frames - 1, *ends, piece.radius_m)
+    return capsules
+
+
+@_OnceEach
+def inverse_kinematics(robot: AnyRobot) -> InverseKinematics:
+    """The inverse kinematics of the arm."""
+    return InverseKinematics(arm_model(robot))
+
+
+@_OnceEach
+def refuse_unfit(robot: AnyRobot) -> None:
+    """``ArmFileError`` unless an own arm's files are as they were read, its meshes those of its capsules."""
+    if isinstance(robot, Robot):
+        return
+    found = _sha256_of(robot.files[0])
+    if found != robot.urdf_sha256:
+        raise ArmFileError.of_file(
+            robot.files[0],
+            f"the URDF that the scenario was read with (sha256 {str(robot.urdf_sha256)[:12]}...)",
+            "a file that has changed since" if found else "no file of that name",
+        )
+    read_capsules(robot.files[1], _own(robot, meshes=True), text=robot.capsules_text)
+
+
+def urdf_sha256_of(robot: AnyRobot) -> str:
+    """SHA-256 of the arm's URDF."""
+    if isinstance(robot, Robot):
+        return _sha256_of(urdf_file(robot.arm_name))
+    return str(robot.urdf_sha256)
+
+
+def _sha256_of(file: Path) -> str:
+    return hashlib.sha256(file.read_bytes()).hexdigest() if file.is_file() else ""
+
+
+def _own(robot: OwnRobot, *, meshes: bool) -> ArmModel:
+    return read_arm(
+        robot.files[0],
+        base=robot.base,
+        tcp=robot.tcp,
+        text=robot.urdf_text,
+        meshes=meshes,
+    )

@@ -1,0 +1,49 @@
+"""What stands in the cell beside table and object: boxes."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.scenario.codec import POINT, TURN, Below, QuantityValue, Several, declared, key, table_of
+from safety_harness.scenario.units import LENGTH
+from safety_harness.settings import Vector3
+
+MAX_OBSTACLES = 50
+_EDGES = Several(
+    of=QuantityValue(LENGTH, least=0.001, most=10.0),
+    words="list of three lengths",
+    expected="a list of three lengths, its edges, such as 400 mm",
+    count=3,
+)
+_BOX = "- {box: [400 mm, 300 mm, 500 mm], at: [900 mm, 500 mm, 0 mm]}"
+
+
+@declared
+class Obstacle:
+    """A box in the base frame, turned by ``yaw_rad`` about the vertical; its surface belongs to it."""
+
+    size_m: Vector3 = key("box", _EDGES, "its edges, before it is turned along x, y and z of the base", _BOX)
+    position_in_base_m: Vector3 = key("at", POINT, "of its middle", _BOX)
+    yaw_rad: float = key("yaw", TURN, "turn about the vertical", f"{_BOX[:-1]}, yaw: 20 deg}}", default=0.0)
+
+    @property
+    def corners_in_base_m(self) -> NDArray[np.float64]:
+        """(8, 3) the four below, one after another, then those above them."""
+        across, along, up = (0.5 * edge for edge in self.size_m)
+        square = np.array([[across, along], [-across, along], [-across, -along], [across, -along]])
+        c, s = np.cos(self.yaw_rad), np.sin(self.yaw_rad)
+        square = square @ np.array([[c, s], [-s, c]])
+        corners: NDArray[np.float64] = np.concatenate(
+            [np.column_stack([square, np.full(4, z)]) for z in (-up, up)]
+        )
+        corners += np.array(self.position_in_base_m)
+        return corners
+
+
+OBSTACLES = Several(
+    of=Below(tables=(table_of(Obstacle, "an obstacle", path="obstacles"),)),
+    words=f"list of at most {MAX_OBSTACLES}",
+    expected="a list of boxes",
+    most=MAX_OBSTACLES,
+)

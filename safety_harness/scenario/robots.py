@@ -1,0 +1,427 @@
+"""Which arm stands in the cell: one of the package's, or one of the user's own, named by its files.
+
+An own arm is a URDF, the capsules that ``safety-harness robot fit`` wrote for it, how it stops, and where it
+stands.  Its texts are read with the scenario and kept by their SHA-256, as recordings are, so that a trace
+can be judged without them; ``safety_harness.robot.robots`` makes numbers of them.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import field as dataclass_field
+from dataclasses import replace
+from enum import Enum
+from pathlib import Path
+from typing import Any
+
+from safety_harness.exceptions import ScenarioError
+from safety_harness.scenario.codec import (
+    POINT,
+    ROTATION,
+    TURN,
+    Below,
+    Key,
+    QuantityValue,
+    Several,
+    Text,
+    declared,
+    key,
+    table_of,
+)
+from safety_harness.scenario.fields import Field, Fields
+from safety_harness.scenario.files import read_bytes
+from safety_harness.scenario.nodes import Scalar, parse_tree
+from safety_harness.scenario.references import seen_from
+from safety_harness.scenario.units import ANGULAR_SPEED, FRACTION, LENGTH, MASS, TIME, TIME_PER_SPEED
+from safety_harness.scenario.urdf_packages import urdf_of_package
+from safety_harness.settings import Braking, Vector3
+from safety_harness.shipped.contents import is_shipped, located
+
+MAX_URDF_BYTES = 20_000_000
+MAX_CAPSULES_BYTES = 4_000_000
+_ENDINGS = (".yaml", ".yml")
+FILES = ("arm", "urdf", "capsules")  # keys that name one
+_PIECE = "{from: [0 mm, 0 mm, 20 mm], to: [0 mm, 0 mm, 120 mm], radius: 45 mm}"
+_CENTRE = "[0 mm, 0 mm, 50 mm]"
+_ORIGIN: Vector3 = (0.0, 0.0, 0.0)
+
+
+class Robot(Enum):
+    """An arm of the package."""
+
+    UR10 = "UR10"
+    UR5 = "UR5"
+    UR3 = "UR3"
+
+    @property
+    def arm_name(self) -> str:
+        """As its description is filed."""
+        return self.value.lower()
+
+    @property
+    def label(self) -> str:
+        """What people call it."""
+        return self.value
+
+
+@declared
+class StopTimes:
+    """How an arm stops: after its reaction time it brakes within base + slope v, v the TCP's speed."""
+
+    reaction_time_s: float = key(
+        "reaction time",
+        QuantityValue(TIME, least=0.0, most=5.0),
+        "before a protective stop begins to brake",
+        "100 ms",
+    )
+    stop_time_s: float = key(
+        "stop time", QuantityValue(TIME, least=0.0, most=5.0), "braking time, at worst", "450 ms"
+    )
+    stop_time_per_speed_s2pm: float = key(
+        "stop time per speed",
+        QuantityValue(TIME_PER_SPEED, least=0.0, most=10.0),
+        "and what each m/s of the TCP's speed adds",
+        default=0.0,
+    )
+
+    @property
+    def settings(self) -> Braking:
+        """The same as a group of settings."""
+        return Braking(
+            reaction_time_s=self.reaction_time_s,
+            stop_time_base_s=self.stop_time_s,
+            stop_time_per_speed_s2pm=self.stop_time_per_speed_s2pm,
+        )
+
+
+@declared
+class Seat:
+    """Where an arm's base link stands in the base frame of the scenario, whose z points up.
+
+    Its rotation is Rz(yaw) R(tilt), the tilt a rotation vector: [180 deg, 0 deg, 0 deg] hangs from a ceiling.
+    """
+
+    position_in_base_m: Vector3 = key("position", POINT, "of the arm's base link", default=_ORIGIN)
+    yaw_rad: float = key("yaw", TURN, "turn about the vertical, after the tilt", default=0.0)
+    tilt_rad: Vector3 = key(
+        "tilt", ROTATION, "rotation vector; [180 deg, 0 deg, 0 deg] hangs from a ceiling", default=_ORIGIN
+    )
+
+
+@declared
+class Piece:
+    """A capsule that encloses something at the tool: all points within ``radius_m`` of its axis."""
+
+    start_m: Vector3 = key("from", POINT, "one end of the axis", _PIECE)
+    end_m: Vector3 = key("to", POINT, "the other end, which may be the same", _PIECE)
+    radius_m: float = key("radius", QuantityValue(LENGTH, least=0.001, most=1.0), "around the axis", _PIECE)
+
+
+PIECES = Several(
+    of=Below(tables=(table_of(Piece, "piece of a tool", path="robot.tool.capsules"),)),
+    words="list of at most 50",
+    expected="a list of capsules, each {from: ..., to: ..., radius: ...}",
+    least=1,
+    most=50,
+)
+
+
+@declared
+class Tool:
+    """What is fixed to the link `tcp`, in the frame of that link; it moves the TCP."""
+
+    position_m: Vector3 = key("position", POINT, "of the TCP", "[0 mm, 0 mm, 150 mm]", default=_ORIGIN)
+    tilt_rad: Vector3 = key("tilt", ROTATION, "of the TCP, a rotation vector", default=_ORIGIN)
+    pieces: tuple[Piece, ...] = key(
+        "capsules",
+        PIECES,
+        "that enclose it; `safety-harness robot enclose` makes them of a mesh",
+        f"[{_PIECE}]",
+    )
+
+
+@declared
+class Payload:
+    """What the arm carries, tool and part together, as a mass in one point."""
+
+    mass_kg: float = key("mass", QuantityValue(MASS, least=0.0, most=1000.0), "of tool and part", "2 kg")
+    centre_m: Vector3 = key(
+        "centre",
+        POINT,
+        "of that mass, in the frame of the link `tcp`",
+        "[0 mm, 0 mm, 50 mm]",
+        default=_ORIGIN,
+    )
+
+
+@declared
+class Drives:
+    """How an arm's drives follow a demanded velocity.  A payload asks for the limits of torque."""
+
+    dead_time_s: float = key(
+        "dead time",
+        QuantityValue(TIME, least=0.0, most=0.1),
+        "from a demand to its effect, rounded up to whole control periods",
+        "8 ms",
+        default=0.0,
+    )
+    lag_s: float = key(
+        "lag",
+        QuantityValue(TIME, least=0.0, most=1.0),
+        "time constant with which the velocity approaches the demand",
+        "20 ms",
+        default=0.0,
+    )
+    torque_share: float | None = key(
+        "torque limit",
+        QuantityValue(FRACTION, least=0.01, most=1.0),
+        "of the URDF's efforts, beyond which no joint accelerates or brakes",
+        "100 %",
+        "none; with a payload 100 %",
+        default=None,
+    )
+    payload: Payload | None = key(
+        "payload",
+        Below(tables=(table_of(Payload, "payload of a robot", path="robot.drives.payload"),)),
+        "what tool and part weigh; the links' masses are the URDF's",
+        f"{{mass: 2 kg, centre: {_CENTRE}}}",
+        default=None,
+    )
+
+    @property
+    def torque_limit(self) -> float | None:
+        """The share of the URDF's efforts that the drives have; None where torque has no limit."""
+        return 1.0 if self.torque_share is None and self.payload is not None else self.torque_share
+
+
+def _sha256(field: Field) -> str:
+    """A SHA-256 as people write it."""
+    digest = field.scalar("a SHA-256")
+    if not re.fullmatch(r"[0-9a-f]{64}", digest):
+        raise field.error("a SHA-256: 64 digits and letters from a to f")
+    return digest
+
+
+DIGEST = Text(words="64 hex digits", pattern="^[0-9a-f]{64}$", reads=_sha256, writes='"{}"'.format)
+_FILE = Text(words="file", expected="the name of a file")
+_LINK = Text(words="name", expected="the name of a link")
+_EXAMPLE_SHA256 = "0123456789abcdef" * 4
+
+
+@declared
+class OwnRobot:
+    """An arm of the user's own.  ``urdf_text`` and ``capsules_text`` are the bytes of its files.
+
+    ``files`` are those on this machine: the URDF, from which meshes are sought, the capsules, and the arm's
+    own if there is one.
+    """
+
+    urdf: str | None = key("urdf", _FILE, "the arm's description; or `package`", "panda.urdf", default=None)
+    package: str | None = key(
+        "package",
+        Text(words="name", expected="the name of a URDF in an installed package"),
+        "a URDF of an installed package, in place of `urdf` ([robots](robots.md))",
+        "pybullet/kuka_iiwa/model",
+        default=None,
+    )
+    base: str = key("base", _LINK, "the link that stands still", "panda_link0")
+    tcp: str = key("tcp", _LINK, "the link whose frame is the TCP's", "panda_hand_tcp")
+    capsules: str = key(
+        "capsules", _FILE, "what `safety-harness robot fit` wrote for this arm", "panda.capsules.json"
+    )
+    braking: StopTimes = key(
+        "braking",
+        Below(tables=(table_of(StopTimes, "braking of a robot", path="robot.braking"),)),
+        "how it stops; another arm's data would be wrong, so there is no default",
+        "{reaction time: 100 ms, stop time: 450 ms}",
+    )
+    seat: Seat | None = key(
+        "seated at",
+        Below(tables=(table_of(Seat, "seat of a robot", path="robot.seated at"),)),
+        "where its base link stands in the base frame; by default they are one",
+        "{position: [0 mm, 0 mm, 0 mm], yaw: 30 deg}",
+        default=None,
+    )
+    tool: Tool | None = key(
+        "tool",
+        Below(tables=(table_of(Tool, "tool of a robot", path="robot.tool"),)),
+        "what is fixed to the link `tcp`",
+        f"{{position: [0 mm, 0 mm, 150 mm], capsules: [{_PIECE}]}}",
+        default=None,
+    )
+    part: tuple[Piece, ...] | None = key(
+        "carries",
+        PIECES,
+        "a part, in the TCP's frame: the capsules that enclose it",
+        f"[{_PIECE}]",
+        default=None,
+    )
+    drives: Drives | None = key(
+        "drives",
+        Below(tables=(table_of(Drives, "drives of a robot", path="robot.drives"),)),
+        "how they follow a demand; by default at once and exactly",
+        "{dead time: 8 ms, lag: 20 ms, torque limit: 100 %}",
+        default=None,
+    )
+    joint_speed_limits_radps: tuple[float, ...] | None = key(
+        "joint speed limits",
+        Several(
+            of=QuantityValue(ANGULAR_SPEED, least=0.001, most=20.0),
+            words="list of angular speeds",
+            expected="a list of angular speeds, one a joint, from the base",
+            least=3,
+            most=8,
+        ),
+        "where the URDF's are not the maker's",
+        "[85 deg/s, 85 deg/s, 100 deg/s, 75 deg/s, 130 deg/s, 135 deg/s, 135 deg/s]",
+        default=None,
+    )
+    urdf_sha256: str | None = key(
+        "urdf sha256", DIGEST, "refuse a URDF with other contents", _EXAMPLE_SHA256, default=None
+    )
+    capsules_sha256: str | None = key(
+        "capsules sha256", DIGEST, "refuse capsules with other contents", _EXAMPLE_SHA256, default=None
+    )
+    files: tuple[Path, ...] = dataclass_field(default=(), compare=False)
+    urdf_text: bytes = dataclass_field(default=b"", compare=False, repr=False)
+    capsules_text: bytes = dataclass_field(default=b"", compare=False, repr=False)
+
+    @property
+    def label(self) -> str:
+        """What people call it."""
+        return Path(self.urdf or self.package or "").stem
+
+    @property
+    def texts(self) -> dict[str, bytes]:
+        """Its files by their SHA-256."""
+        return {str(self.urdf_sha256): self.urdf_text, str(self.capsules_sha256): self.capsules_text}
+
+    def named(self, name: Callable[[str], str]) -> OwnRobot:
+        """The same arm whose files are named otherwise."""
+        urdf = None if self.urdf is None else name(self.urdf)
+        return replace(self, urdf=urdf, capsules=name(self.capsules))
+
+
+AnyRobot = Robot | OwnRobot
+
+
+def robot_seen_from(folder: Path, text: str, standing_in: Path) -> str:
+    """What a file says of a robot, as ``folder`` has to say it: the name of an arm stays."""
+    return seen_from(folder, text, standing_in) if text.endswith(_ENDINGS) else text
+
+
+_OWN = table_of(OwnRobot, "robot", path="robot")
+_ARM = Key(
+    "arm",
+    Text(words="file", expected="a file with these keys"),
+    "a file with these keys; what is said beside it comes first",
+    "shipped:iiwa14",
+    "none",
+)
+_BESIDE = tuple(replace(one, or_else="said there or here") if one.required else one for one in _OWN.keys)
+ROBOT = replace(_OWN, keys=(_ARM, *_BESIDE))
+
+
+class _RobotValue(Below):
+    """A name, a file with the keys of an own arm, or these keys themselves."""
+
+    def read(self, field: Field) -> Field:
+        """Still to be read, by ``read_robot``: a trace carries the texts."""
+        return field
+
+    def write(self, value: object) -> Any:
+        """The name, or the mapping of an own arm."""
+        return value.value if isinstance(value, Robot) else _OWN.write(value)
+
+
+ROBOT_VALUE = _RobotValue(
+    words="UR10, UR5 or UR3, a file, or a mapping",
+    tables=(ROBOT,),
+    or_text=r"^(UR10|UR5|UR3)$|\.ya?ml$|^shipped:",
+)
+
+
+def read_robot(field: Field | Robot, carried: Mapping[str, bytes]) -> AnyRobot:
+    """The arm that ``field`` names.  ``carried`` are texts by their SHA-256, which come before files."""
+    if isinstance(field, Robot):  # the default
+        return field
+    arm: tuple[Path, ...] = ()
+    if isinstance(field.node, Scalar):
+        if not (field.node.text.endswith(_ENDINGS) or is_shipped(field.node.text)):
+            return field.choice(Robot)
+        arm = (_path(field),)
+        given = _keys_of_file(field)
+    else:
+        given = field.fields(ROBOT.names)
+        if "arm" in given:
+            arm = (_path(given.required("arm")),)
+            given = Fields(field, _keys_of_file(given.required("arm")).by_key | given.by_key)
+    if ("urdf" in given) == ("package" in given):
+        got = "both" if "urdf" in given else "neither"
+        raise given.whole.error('one of the keys "urdf" and "package"', got=got)
+    values = _OWN.values(given)
+    urdf = _urdf(given, carried)
+    values["urdf_text"] = _text(given, "urdf", urdf, MAX_URDF_BYTES, carried)
+    capsules = _path(given.required("capsules"))
+    values["capsules_text"] = _text(given, "capsules", capsules, MAX_CAPSULES_BYTES, carried)
+    for name in ("urdf", "capsules"):
+        values[f"{name}_sha256"] = hashlib.sha256(values[f"{name}_text"]).hexdigest()
+        if name in given:
+            values[name] = _named_from(field, given.required(name))
+    return OwnRobot(**values, files=(urdf, capsules, *arm))
+
+
+def _keys_of_file(field: Field) -> Fields:
+    """The keys of an arm's file; what is wrong with them is said where they stand."""
+    file = _path(field)
+    data = read_bytes(file, most=MAX_CAPSULES_BYTES, place=field.place, error=ScenarioError)
+    tree = parse_tree(data.decode("utf-8", "replace"), file)
+    return Field(tree, file, path="", line=1).fields(ROBOT.names[1:])
+
+
+def _path(field: Field) -> Path:
+    text = field.sentence("the name of a file")
+    return located((field.file.parent if field.file else Path()) / text, field.place)
+
+
+def _named_from(whole: Field, field: Field) -> str:
+    """A file that ``field`` names as the scenario's own file has to say it."""
+    text = field.sentence("the name of a file")
+    if field.file == whole.file:
+        return text
+    here, there = (one.parent if one else Path() for one in (whole.file, field.file))
+    return seen_from(here, text, there)
+
+
+def _urdf(given: Fields, carried: Mapping[str, bytes]) -> Path:
+    """The URDF's file, which need not be there if its text is carried."""
+    if "urdf" in given:
+        return _path(given.required("urdf"))
+    package = given.required("package")
+    text, asked = (
+        package.sentence("the name of a URDF in an installed package"),
+        given.optional("urdf sha256"),
+    )
+    try:
+        return urdf_of_package(text, package.place)
+    except ScenarioError:
+        if asked and _sha256(asked) in carried:
+            return Path(text)
+        raise
+
+
+def _text(given: Fields, name: str, file: Path, most: int, carried: Mapping[str, bytes]) -> bytes:
+    """The carried text with the SHA-256 that is asked for, else the file's; ScenarioError for another."""
+    asked, field = given.optional(f"{name} sha256"), given.optional(name) or given.whole
+    wanted = _sha256(asked) if asked else ""
+    if wanted in carried:
+        return carried[wanted]
+    data = read_bytes(file, most=most, place=field.place, error=ScenarioError)
+    if len(data) > most:
+        raise field.error(f"a file of at most {most:,} bytes", got=f"a longer one: {file}")
+    found = hashlib.sha256(data).hexdigest()
+    if asked and found != wanted:
+        raise asked.error("a file with this SHA-256", got=f"one with {found}: {file}")
+    return data
