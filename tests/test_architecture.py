@@ -37,6 +37,7 @@ ORDER = [
     {"properties"},
     {"formulas"},
     {"admission"},
+    {"monitoring"},
     {"search"},
     {"statistics"},
     {"scoring"},

@@ -40,7 +40,7 @@ from safety_harness.properties.measured import not_measured
 from safety_harness.scenario.model import Scenario, Verdict
 from safety_harness.trace.trace import Trace
 
-_GRAVEST = (Verdict.VIOLATED, Verdict.INCONCLUSIVE, Verdict.HOLDS)
+GRAVEST = (Verdict.VIOLATED, Verdict.INCONCLUSIVE, Verdict.HOLDS)
 
 
 @dataclass(frozen=True)
@@ -99,7 +99,7 @@ def _deciding(parts: tuple[Evaluation, ...]) -> Evaluation:
 
     The reason says how each of them came out.
     """
-    verdict = next(v for v in _GRAVEST if any(part.verdict is v for part in parts))
+    verdict = next(v for v in GRAVEST if any(part.verdict is v for part in parts))
     grave = [part for part in parts if part.verdict is verdict]
     same = [part for part in grave if part.unit is grave[0].unit and part.margin is not None]
     worst = min(same, key=lambda part: part.margin or 0.0, default=grave[0])

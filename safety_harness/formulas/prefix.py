@@ -81,13 +81,15 @@ def refuse_endless(formula: Formula, period_s: float) -> None:
 class Prefix:
     """The least margin of ``formula`` at the first tick (``sign`` 1), or of its negation (-1), so far.
 
-    Its largest margin is the negation's least with the other sign.  FormulaError as of ``refuse_endless``.
+    Its largest margin is the negation's least with the other sign.  ``tree`` has the margins at the ticks that
+    are kept, as those after the latest are unknown.  FormulaError as of ``refuse_endless``.
     """
 
     def __init__(self, formula: Formula, period_s: float, sign: int) -> None:
         refuse_endless(formula, period_s)
         self.formula = formula.body if isinstance(formula, Initially) else formula
         self.margin = -np.inf
+        self.tree: Margins
         self.latest: float | None = None
         self._reach, self._period_s, self._sign = reach_ticks(self.formula, period_s), period_s, sign
         self._atoms = [n for n in dict.fromkeys(self.formula.nodes()) if isinstance(n, Comparison | Truth)]
@@ -114,6 +116,7 @@ class Prefix:
                 kept[:, self._end - 2] = revised(atom)
         slices = {atom: kept[:, self._begin : self._end] for atom, kept in self._kept.items()}
         tree = margins(self.formula, lambda atom: MarginBounds(*slices[atom]), self._period_s)
+        self.tree = tree
         self.margin = self._now(tree)
         passed = self._end - self._begin - 1 - self._reach
         self.latest = _asked(tree, self._sign, passed) if passed >= 0 else None

@@ -1,0 +1,1 @@
+"""Claims on a cell that runs: samples in, one after another, verdicts out."""
