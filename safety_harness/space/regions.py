@@ -78,7 +78,8 @@ def seen_by(avoider: str, *, folder: Path | None, settings: Settings) -> Seen:
     if avoider in SHIPPED or avoider.endswith(MODEL_SUFFIX):
         seen = load_model(shipped_model(avoider) if avoider in SHIPPED else path).seen
     elif avoider.endswith(ONNX_SUFFIX):
-        seen = exported_seen(path)
+        exported = exported_use(path)
+        seen = exported.seen if exported else None
     if seen is None:
         return paper_seen(settings, f"the paper, as {avoider} does not say what it has seen")
     hand, tcp = Box(seen.hand_low_m, seen.hand_high_m), Box(seen.tcp_low_m, seen.tcp_high_m)
@@ -101,9 +102,9 @@ def region_named(name: str, seen: Seen, settings: Settings) -> Region:
     raise RegionError.of_option("in", f"one of {', '.join(REGIONS)}", repr(name), near_miss(name, REGIONS))
 
 
-def exported_seen(path: Path) -> SeenSpace | None:
-    """What an ONNX file of ours says it has seen; None for one of others."""
+def exported_use(path: Path) -> NetworkUse | None:
+    """What an ONNX file of ours says of its network; None for one of others."""
     text = onnx_metadata(path, onnx_bytes(path)).get(KEY)
     if text is None:
         return None
-    return network_use(parsed(text, path, "metadata", ModelError), NetworkUse, path, others=True).seen
+    return network_use(parsed(text, path, "metadata", ModelError), NetworkUse, path, others=True)
