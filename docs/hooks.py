@@ -29,9 +29,7 @@ def on_files(files: Files, config: Any) -> Files:
         files.append(File.generated(config, _page(path), content=_shown(path)))
     with TemporaryDirectory() as folder:
         page = Path(folder) / ARMS
-        write_arm_page(
-            page, shipped_robots(), title="The arms that come with the package, and their capsules"
-        )
+        write_arm_page(page, shipped_robots(), title="The shipped arms and their capsules")
         files.append(File.generated(config, ARMS, content=page.read_text(encoding="utf-8")))
     return files
 

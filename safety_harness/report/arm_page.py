@@ -189,8 +189,8 @@ def _meshes(arm: ArmModel) -> list[dict[str, Any]]:
         if not shapes or any(shape.kind == "mesh" and shape.file is None for shape in shapes):
             continue
         surface = link_surface(replace(link, collision=shapes, visual=()), LONGEST_M)
-        corners = surface.vertices[surface.faces].reshape(-1, 3)
+        corners = surface.vertices
         if link.index == 0:
             corners = corners @ arm.transform_seat[:3, :3].T + arm.transform_seat[:3, 3]
-        found.append({"link": link.index, "triangles": column(corners)})
+        found.append({"link": link.index, "corners": column(corners), "triangles": column(surface.faces)})
     return found

@@ -134,11 +134,11 @@
         links[one.link].add(body.mesh);
         return body.mesh;
       });
-      for (const { link, triangles } of data.meshes ?? []) {  // within their capsules, which are then clear
+      for (const { link, corners, triangles } of data.meshes ?? []) {  // within capsules that are then clear
         const shape = new THREE.BufferGeometry();
-        shape.setAttribute("position", new THREE.BufferAttribute(floats(triangles), 3));
-        shape.computeVertexNormals();
-        links[link].add(new THREE.Mesh(shape, solid("--replay-arm", { side: THREE.DoubleSide })));
+        shape.setAttribute("position", new THREE.BufferAttribute(floats(corners), 3));
+        shape.setIndex([...floats(triangles)]);
+        links[link].add(new THREE.Mesh(shape, solid("--replay-arm", { side: THREE.DoubleSide, flatShading: true })));
       }
       this.clear = Boolean(data.meshes?.length);
       if (this.clear) for (const { material } of this.capsules) Object.assign(material, { opacity: 0.22, depthWrite: false });
