@@ -3,7 +3,7 @@
 For each arm the space of ``docs/robots.md``, around the arm's shipped scenario: N random scenarios of it in
 both worlds, judged by the whole catalogue, and a search by ``safety-harness fuzz``.  A verdict counts as
 outside the limit as in ``agreement.py``: where either world's margin is more than 5 mm from zero, or is no
-length.  Prints the tables of that page; disagreements are listed below.
+length.  Prints the tables of ``ARMS.md``; disagreements are listed below them.
 """
 
 from __future__ import annotations
@@ -119,7 +119,7 @@ def main() -> None:
     near_mm = f"{1e3 * NEAR_M:g} mm"
     print(
         f"| arm | same verdict beyond {near_mm} | within {near_mm} | TCPs apart, mm "
-        "| episodes | violated | first | files |"
+        "| episodes | violated | first | lie apart |"
     )
     print("|---|---|---|---|---|---|---|---|")
     for row in rows:
