@@ -91,7 +91,7 @@ def _section(robot: AnyRobot, number: int) -> dict[str, Any]:
     frames = (*arm.link_names, arm.tcp_link)
     return {
         "id": f"arm-{number}",
-        "name": plain(arm.name, longest=60),
+        "name": plain(robot.label if isinstance(robot, Robot) else arm.name, longest=60),
         "scene": Markup(in_script(_scene(arm, capsules, meshes))),
         "last_s": 3 * LEG_S * len(arm.joint_names),
         "meshes": bool(meshes),
