@@ -99,7 +99,7 @@ def avoider_in(path: Path, source: bytes, name: str) -> Avoider:
 
     InadmissibleError, at a place that its receiver knows better, if the file ``path`` gives none.
     """
-    found = getattr(_module(path, source), name, None)
+    found = getattr(module_of(path, source), name, None)
     if found is None:
         _refuse(AVOIDER, f"something called {name!r} in {path.name}", "nothing of that name")
     if isinstance(found, type):
@@ -110,8 +110,8 @@ def avoider_in(path: Path, source: bytes, name: str) -> Avoider:
     return _admissible(path, found, name)
 
 
-def _module(path: Path, source: bytes) -> ModuleType:
-    """The file, executed afresh; its name is its own, so that it hides no module and none hides it.
+def module_of(path: Path, source: bytes, place: Place = AVOIDER) -> ModuleType:
+    """The file, executed afresh; InadmissibleError at ``place`` if it cannot be.  Its name is its own, so that it hides no module and none hides it.
 
     Compiled from its text: Python's own cache takes an edit within a second for none.
     """
@@ -124,7 +124,7 @@ def _module(path: Path, source: bytes) -> ModuleType:
         exec(compile(source, str(path), "exec"), module.__dict__)
     except (Exception, SystemExit) as error:  # a user's code may raise anything
         sys.modules.pop(module.__name__, None)
-        _raised(path, f"{path.name} to be a Python file that can be imported", error)
+        _raised(path, f"{path.name} to be a Python file that can be imported", error, place)
     return module
 
 
@@ -160,8 +160,8 @@ def _admissible(path: Path, found: object, name: str) -> Avoider:
     return avoider
 
 
-def _raised(path: Path, expected: str, error: BaseException) -> NoReturn:
-    raise InadmissibleError(place=AVOIDER, expected=expected, got=described(error, str(path))) from error
+def _raised(path: Path, expected: str, error: BaseException, place: Place = AVOIDER) -> NoReturn:
+    raise InadmissibleError(place=place, expected=expected, got=described(error, str(path))) from error
 
 
 def _refuse(
