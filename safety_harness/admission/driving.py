@@ -16,6 +16,7 @@ from safety_harness.exceptions import AvoiderError, InadmissibleError, Place
 from safety_harness.scenario.faults import AvoiderLate, AvoiderNaN, AvoiderSilent
 from safety_harness.scenario.model import NO_AVOIDER, Scenario
 from safety_harness.scenario.references import file_and_name
+from safety_harness.trace.system import Component
 
 IN_PYTHON = " (an object in Python)"  # after its name: a reference that names no file, and means none
 
@@ -42,6 +43,11 @@ class MadeDriver:
     controller: UserController
     make: Callable[[], UserController]
     sha256: str = ""  # of its file; empty for one that ships, or without a file
+
+    @property
+    def component(self) -> Component:
+        """As a record of the system under test has it."""
+        return Component(name=self.controller.name, sha256=self.sha256)
 
     @property
     def sees_object(self) -> bool:

@@ -105,9 +105,8 @@ class DrivenRun:
 def driven_in(trace: Trace) -> DrivenRun:
     """What of a run has to come out again."""
     told = trace.ticks["demanded_joint_velocity_radps"].tobytes()
-    made = trace.provenance
     digest = hashlib.sha256(told + trace.ticks["joint_position_rad"].tobytes()).hexdigest()
-    return DrivenRun(trace.scenario.name, made.world, digest, made.controller_sha256)
+    return DrivenRun(trace.scenario.name, trace.provenance.world, digest, trace.system.controller.sha256)
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,7 +143,7 @@ class Repeatability:
             if trace.complete:
                 self.take_run(driven_in(trace), lambda: scenario)
             return
-        self.take(asked_in(trace), lambda: scenario, trace.provenance.avoider_sha256)
+        self.take(asked_in(trace), lambda: scenario, trace.system.tested.sha256)
 
     def take(
         self, asked: Iterable[Asked], scenario: Callable[[], Scenario], avoider_sha256: str = ""

@@ -71,7 +71,7 @@ def identity_of(
     named |= {space.simplest.avoider for space in spaces}  # the default, of a space that names none
     for name in sorted(named & set(SHIPPED)):
         parts[f"the network {name}"] = hashlib.sha256(shipped_model(name).read_bytes()).hexdigest()
-    made_by = provenance(world, "", _libraries(spaces, world))
+    made_by = provenance(world, _libraries(spaces, world))
     parts["the source of this package"] = made_by.source_hash
     parts["Python"] = made_by.python
     parts["the platform"] = made_by.platform
