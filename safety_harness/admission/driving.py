@@ -6,17 +6,18 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from safety_harness.admission.avoiders import folder_of
+from safety_harness.admission.avoiders import avoider_sha256, folder_of
 from safety_harness.avoidance.avoider import Avoider, Proposal, Vector
 from safety_harness.avoidance.python_file import refuse_undefined
 from safety_harness.controller.contract import IMAGE, OBJECT, UserController, sees_of
 from safety_harness.controller.named import SHIPPED, controller_file, controller_of, controller_sha256
 from safety_harness.controller.python_file import checked_controller
 from safety_harness.exceptions import AvoiderError, InadmissibleError, Place
+from safety_harness.robot.robots import urdf_sha256_of
 from safety_harness.scenario.faults import AvoiderLate, AvoiderNaN, AvoiderSilent
 from safety_harness.scenario.model import NO_AVOIDER, Scenario
 from safety_harness.scenario.references import file_and_name
-from safety_harness.trace.system import Component
+from safety_harness.trace.system import Component, SystemUnderTest, system_of
 
 IN_PYTHON = " (an object in Python)"  # after its name: a reference that names no file, and means none
 
@@ -86,6 +87,18 @@ def refuse_unusable_driver(scenario: Scenario) -> None:
         place = scenario.place("controller")
         path = controller_file(scenario.controller, folder_of(scenario), place)
         refuse_undefined(path, file_and_name(scenario.controller)[1], place, methods=("act", "reset"))
+
+
+def named_system(scenario: Scenario) -> SystemUnderTest:
+    """As the scenario names it, a file without its folder; neither avoider nor controller is made."""
+    file, name = file_and_name(scenario.under_test)
+    called = f"{Path(file).name}:{name}" if name else Path(file).name or str(scenario.under_test)
+    if scenario.driven:
+        sha256 = controller_sha256(scenario.controller, folder_of(scenario))
+        own = {"controller": Component(name=called, sha256=sha256)}
+    else:
+        own = {"avoider": Component(name=called, sha256=avoider_sha256(scenario))}
+    return system_of(scenario, robot_sha256=urdf_sha256_of(scenario.robot), **own)
 
 
 def refuse_faults_of_avoider(scenario: Scenario) -> None:

@@ -29,6 +29,7 @@ from safety_harness.report.knowledge import measured_lines, unmeasured_words
 from safety_harness.report.machine import refused_data, run_data
 from safety_harness.scenario.fields import SENTENCE, is_sentence
 from safety_harness.scenario.model import VISUAL_SERVO, Claim, Scenario, Verdict
+from safety_harness.scenario.references import file_and_name
 from safety_harness.scenario.units import shown
 from safety_harness.simulation.worlds import world_of_trace
 from safety_harness.trace.compare import first_difference
@@ -99,9 +100,14 @@ def _refuse_other(stored: Trace, admitted: Admitted, path: Path) -> None:
     then = stored.system.controller
     now = admitted.driver.component if admitted.driver else Component(name=VISUAL_SERVO)
     known = then.sha256 if admitted.driver else ""
-    if then.name != now.name or (known and known != now.sha256):
+    other = file_and_name(stored.scenario.controller)[1] != file_and_name(admitted.scenario.controller)[1]
+    if then.name != now.name or other or (known and known != now.sha256):
         place = Place(file=path, field="controller")
-        raise TraceError(place=place, expected=f"{then}, which drove then", got=str(now))
+        raise TraceError(place=place, expected=f"{then}, which drove then", got=_named(now, admitted))
+
+
+def _named(now: Component, admitted: Admitted) -> str:
+    return f"{now}, {admitted.scenario.controller}" if admitted.driver else str(now)
 
 
 def changes(before: Trace, after: Trace) -> list[str]:

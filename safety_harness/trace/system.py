@@ -68,6 +68,11 @@ class SystemUnderTest:
         found = ((one.name, getattr(self, one.name)) for one in fields(self))
         return {name: part for name, part in found if part is not None}
 
+    @property
+    def as_json(self) -> str:
+        """One text for one system."""
+        return json.dumps(asdict(self), sort_keys=True)
+
     def changes(self, now: SystemUnderTest) -> Iterator[str]:
         """Each part that is another now, in words; a hash that was never noted is no change."""
         then, new = self.parts, now.parts

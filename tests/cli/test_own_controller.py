@@ -4,14 +4,21 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from typer.testing import CliRunner, Result
 
 from safety_harness import load_trace
+from safety_harness.admission.admit import Admitter
+from safety_harness.admission.avoiders import with_avoider
+from safety_harness.admission.repeatability import Repeatability
+from safety_harness.admission.trial import run_kinematic
 from safety_harness.cli.main import app
 from safety_harness.report import search_attribution
+from safety_harness.scenario.model import Driver
+from safety_harness.scenario.read import read_scenario
 from safety_harness.search import session as search_session
 from safety_harness.trace.known import NOT_REPORTED
 
@@ -183,9 +190,8 @@ def ledgers(folder: Path) -> tuple[str, str]:
     (folder / "other.yaml").write_text(PLAN.replace("mine.py:StopAndGo", "stop when near"))
     for name in ("plan", "other"):
         ledger = folder / f"{name}.sqlite"
-        found = command(
-            "campaign", "run", str(folder / f"{name}.yaml"), "--ledger", str(ledger), "--workers", "1"
-        )
+        plan = str(folder / f"{name}.yaml")
+        found = command("campaign", "run", plan, "--ledger", str(ledger), "--workers", "1")
         assert found.exit_code == 0, found.output
     return "plan.sqlite", "other.sqlite"
 
@@ -281,14 +287,14 @@ def test_campaign_and_compare(ledgers: tuple[str, str]) -> None:
     assert "avoider" not in status.output
     compared = command("campaign", "compare", *ledgers)
     assert compared.exit_code == 0, compared.output
-    assert "of 8: both 8" not in compared.output
     assert "overruled" not in compared.output
 
 
 def test_certify_and_verify(folder: Path) -> None:
     made = command("certify", "plan.yaml", "--out", "report", "--workers", "1")
     assert made.exit_code in (0, 1), made.output
-    assert "avoider" not in words_of(folder / "report" / "evidence.html")
+    said = words_of(folder / "report" / "evidence.html")
+    assert not re.findall(r".{40}avoider.{40}", said), re.findall(r".{40}avoider.{40}", said)
     found = json.loads((folder / "report" / "evidence.json").read_text())
     assert [one["controller"]["name"] for one in found["system"]["under_test"]] == ["mine.py:StopAndGo"]
     refused = command("verify", "report", "--runs", "1")
@@ -317,18 +323,18 @@ def test_what_act_may_not_return_costs_the_run_with_a_reason(name: str, why: str
 
 
 def test_what_is_carried_over_from_episode_to_episode_is_named(folder: Path) -> None:
-    (folder / "twice.yaml").write_text(VISIT + "seed: [1, 2, 3]\n".replace("[1, 2, 3]", "1"))
-    found = command(
-        "run", "visit.yaml", "twice.yaml", "--controller", "mine.py:Counting", "--out", "out-counting"
-    )
-    assert found.exit_code == 1
-    assert "carries something over" in " ".join(found.output.split())
+    visit = with_avoider(read_scenario(folder / "visit.yaml"), Driver("mine.py:Counting"))
+    admitter, repeatability = Admitter(), Repeatability()
+    for name in ("first", "second"):
+        repeatability.add(run_kinematic(admitter.admit(replace(visit, name=name))))
+    found = repeatability.check()
+    assert "carries something over" in found.words
+    assert found.differing == 1
 
 
 def test_one_who_sees_no_object_starts_where_none_is_in_view(folder: Path) -> None:
-    away = VISIT.replace(
-        "offset: [40 mm, -120 mm, 60 mm]", "offset: [40 mm, -120 mm, 60 mm]\n  tilt: [80 deg, 0 deg, 0 deg]"
-    )
+    offset = "offset: [40 mm, -120 mm, 60 mm]"
+    away = VISIT.replace(offset, f"{offset}\n  tilt: [80 deg, 0 deg, 0 deg]")
     (folder / "away.yaml").write_text(away)
     assert command("run", "away.yaml", "--out", "out-away").exit_code in (0, 1)
     servo = command("run", "away.yaml", "--controller", "visual servo", "--out", "out-servo")
