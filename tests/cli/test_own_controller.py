@@ -6,6 +6,7 @@ import json
 import re
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 from typer.testing import CliRunner, Result
@@ -20,12 +21,17 @@ from safety_harness.report import search_attribution
 from safety_harness.scenario.model import Driver
 from safety_harness.scenario.read import read_scenario
 from safety_harness.search import session as search_session
+from safety_harness.testing.simulating import Simulate
 from safety_harness.trace.known import NOT_REPORTED
 
 MINE = '''\
+from dataclasses import replace
+
 import numpy as np
 
-from safety_harness import Move, Stop
+from safety_harness import Move, Report, Stop
+from safety_harness.controller.contract import Decision
+from safety_harness.trace.records import Mode
 
 
 class StopAndGo:
@@ -79,6 +85,32 @@ class SeesMore(Broken):
 
     def act(self, seen):
         return seen.hands
+
+
+class Telling(StopAndGo):
+    """It reports its mode, and one decision at its tenth tick, with its doubt."""
+
+    reports = ("mode", "decisions", "doubt")
+
+    def reset(self, **start):
+        super().reset(**start)
+        self.ticks = 0
+
+    def act(self, seen):
+        self.ticks += 1
+        if self.ticks != 10:
+            return replace(super().act(seen), report=Report(mode=Mode.SERVOING))
+        tcp_in_base_m = seen.tcp_position_in_base_m
+        decision = Decision(
+            hand_position_in_base_m=seen.hands[0].position_in_base_m,
+            proposed_position_in_base_m=tcp_in_base_m + [0.0, 0.1, 0.0],
+            chosen_position_in_base_m=tcp_in_base_m + [0.0, 0.1, 0.0],
+            spread_m=np.full(3, 0.002),
+            spread_threshold_m=0.01,
+        )
+        return Move(
+            tcp_velocity_mps=np.array([0.0, 0.1, 0.0]), report=Report(mode=Mode.REPULSING, decision=decision)
+        )
 
 
 class Counting(StopAndGo):
@@ -222,6 +254,28 @@ def test_the_system_under_test_is_one_record_of_trace_and_report(trace: Path) ->
     assert found["system"]["avoider"] is None
     assert found["avoider_answered"] is None
     assert system.controller.sha256 in (trace.parents[1] / "report.html").read_text()
+
+
+def test_what_it_reports_of_itself_is_judged(folder: Path) -> None:
+    found = command("run", "visit.yaml", "--controller", "mine.py:Telling", "--out", "out-telling")
+    assert found.exit_code == 1
+    data = json.loads((folder / "out-telling" / "report.json").read_text())["runs"][0]
+    verdicts = {claim["claim"]: claim["verdict"] for claim in data["claims"]}
+    assert verdicts["always not repulsing"] == "violated"
+    assert verdicts["gives way at most 3 times"] == "holds"
+    run = load_trace(folder / "out-telling" / "traces" / "visit.trace")
+    assert run.decisions["tick"].tolist() == [9]
+    assert run.decisions["spread_threshold_m"] == 0.01
+    again = command("replay", "out-telling/traces/visit.trace", "--controller", "mine.py:Telling")
+    assert again.exit_code == 0, again.output
+
+
+def test_pytest_simulates_with_an_object(trace: Path, simulate: Simulate) -> None:
+    found: dict[str, Any] = {}
+    exec(MINE, found)  # the file's own text
+    run = simulate("visit.yaml", controller=found["StopAndGo"]())
+    assert run.ticks.tobytes() == load_trace(trace).ticks.tobytes()
+    assert (run.system.controller.name, run.system.avoider) == ("stop and go", None)
 
 
 def test_no_page_of_a_run_speaks_of_an_avoider(trace: Path) -> None:
