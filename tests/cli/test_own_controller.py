@@ -24,28 +24,16 @@ from safety_harness.search import session as search_session
 from safety_harness.testing.simulating import Simulate
 from safety_harness.trace.known import NOT_REPORTED
 
-MINE = '''\
+EXAMPLE = Path(__file__).parents[2] / "examples" / "stop_and_go.py"
+MINE = (
+    EXAMPLE.read_text()
+    + '''
+
 from dataclasses import replace
 
-import numpy as np
-
-from safety_harness import Move, Report, Stop
+from safety_harness import Report
 from safety_harness.controller.contract import Decision
 from safety_harness.trace.records import Mode
-
-
-class StopAndGo:
-    name = "stop and go"
-    sees = ("joints", "hands")
-
-    def reset(self, *, settings, arm, start, seed):
-        self.target_in_base_m = np.array(settings.cell.desired_tcp_position_in_base_m)
-
-    def act(self, seen):
-        tcp_in_base_m = seen.tcp_position_in_base_m
-        if any(np.linalg.norm(h.position_in_base_m - tcp_in_base_m) < 0.3 for h in seen.hands):
-            return Stop()
-        return Move(tcp_velocity_mps=0.5 * (self.target_in_base_m - tcp_in_base_m))
 
 
 class Broken(StopAndGo):
@@ -123,6 +111,7 @@ class Counting(StopAndGo):
         self.episodes += 1
         self.target_in_base_m[2] += 0.05 * self.episodes
 '''
+)
 HAND = """\
   - hand: right hand
     starts at: [900 mm, -500 mm, 400 mm]
@@ -270,10 +259,10 @@ def test_what_it_reports_of_itself_is_judged(folder: Path) -> None:
     assert again.exit_code == 0, again.output
 
 
-def test_pytest_simulates_with_an_object(trace: Path, simulate: Simulate) -> None:
+def test_pytest_simulates_with_an_object(trace: Path, folder: Path, simulate: Simulate) -> None:
     found: dict[str, Any] = {}
     exec(MINE, found)  # the file's own text
-    run = simulate("visit.yaml", controller=found["StopAndGo"]())
+    run = simulate(folder / "visit.yaml", controller=found["StopAndGo"]())
     assert run.ticks.tobytes() == load_trace(trace).ticks.tobytes()
     assert (run.system.controller.name, run.system.avoider) == ("stop and go", None)
 
