@@ -191,7 +191,7 @@ def _origin(recorded: EvidenceProvenance, ledger: Ledger, *, same: bool) -> Evid
     began_at, machine, spent_s = sessions_of(ledger)
     return replace(
         recorded,
-        package_version=provenance("", "").package_version if same else recorded.package_version,
+        package_version=provenance("").package_version if same else recorded.package_version,
         source_hash=parts.get("the source of this package", ""),
         python=parts.get("Python", ""),
         platform=parts.get("the platform", ""),
