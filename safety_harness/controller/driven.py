@@ -25,14 +25,14 @@ from safety_harness.controller.contract import (
     MODE,
     OBJECT,
     PREDICTED_HANDS,
-    Arm,
     Decision,
-    Hand,
+    DrivenArm,
     HandBoxes,
     Move,
     PredictedHand,
     Report,
     Seen,
+    SeenHand,
     SeenObject,
     Start,
     Stop,
@@ -313,9 +313,9 @@ def _frozen(array: Floats) -> Floats:
     return array
 
 
-def arm_of(model: ArmModel) -> Arm:
+def arm_of(model: ArmModel) -> DrivenArm:
     """An arm as controllers are told of it."""
-    return Arm(
+    return DrivenArm(
         name=model.name,
         joint_names=model.joint_names,
         position_lower_rad=model.position_lower_rad,
@@ -374,7 +374,7 @@ def _makers(dtype: np.dtype[Any], sees: tuple[str, ...]) -> Iterator[tuple[str, 
         count, centres = whole("hand_count"), array("hands")
         yield (
             "hands",
-            lambda row: tuple(Hand(position_in_base_m=one) for one in centres(row)[: count(row)[0]]),
+            lambda row: tuple(SeenHand(position_in_base_m=one) for one in centres(row)[: count(row)[0]]),
         )
     if HAND_BOXES in sees:
         yield "hand_boxes", _boxes(array, whole)

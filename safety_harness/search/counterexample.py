@@ -25,7 +25,7 @@ from safety_harness.search.coverage import cell_of
 from safety_harness.search.findings import TriedPoint
 from safety_harness.search.shrink import Shrunk, shrink
 from safety_harness.search.trials import ScenarioRunner, Trials
-from safety_harness.space.regions import Seen, seen_by
+from safety_harness.space.regions import SeenRegions, seen_by
 from safety_harness.trace.records import Check, DecisionOutcome
 from safety_harness.trace.trace import Trace
 from safety_harness.trace.unmeasured import decided
@@ -39,7 +39,7 @@ def unexplained(scenario: Scenario, claim: Claim) -> Sequence[str]:
     return ()
 
 
-def seen_of(scenario: Scenario) -> Seen:
+def seen_of(scenario: Scenario) -> SeenRegions:
     """What the scenario's avoider was trained on."""
     return seen_by(scenario.under_test, folder=folder_of(scenario), settings=scenario.settings)
 

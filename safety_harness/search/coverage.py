@@ -16,7 +16,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.space.regions import Seen
+from safety_harness.space.regions import SeenRegions
 from safety_harness.trace.records import DecisionOutcome, Mode
 from safety_harness.trace.trace import Trace
 
@@ -96,7 +96,7 @@ class Coverage:
         return "\n".join(lines)
 
 
-def cell_of(trace: Trace, seen: Seen) -> CoverageCell | None:
+def cell_of(trace: Trace, seen: SeenRegions) -> CoverageCell | None:
     """Where a run belongs; None if no hand was there, or what it takes was not all measured or finite."""
     if not (_measured(trace, READ) and (trace.scenario.driven or _measured(trace, READ_OF_DECISIONS))):
         return None
