@@ -80,7 +80,7 @@ class ChangedSystem:
         """One run; whatever the faults raise passes through, and Ctrl-C raises KeyboardInterrupt."""
         admitted = self.admitted
         scenario = admitted.scenario
-        pilot = admitted.controller()
+        pilot = admitted.servo()
         for edit in self.edits:
             edit(pilot)
         controller: Controller = pilot if self.pilot is None else self.pilot(pilot)
