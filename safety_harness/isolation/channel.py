@@ -83,6 +83,13 @@ class Channel:
         line, self._come = self._come[:end], self._come[end + 1 :]
         return line
 
+    @property
+    def pending(self) -> bool:
+        """Is there something that nobody asked for, or has the other side gone?"""
+        poll = select.poll()
+        poll.register(self._receiving, select.POLLIN)
+        return bool(self._come or poll.poll(0))
+
     def drain(self) -> bool:
         """Hear what has been written; False at the end of it."""
         try:

@@ -13,9 +13,7 @@ import sys
 import threading
 from contextlib import suppress
 
-from safety_harness.isolation.frames import HEADER, framed, length_of
-
-MEMORY_BYTES = 4 << 30  # of the file's own data; libraries and reserved addresses do not count
+from safety_harness.isolation.frames import HEADER, MEMORY_BYTES, framed, length_of
 
 
 class Ends:

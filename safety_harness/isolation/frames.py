@@ -6,6 +6,7 @@ import struct
 
 HEADER = struct.Struct("<4sI")  # MAGIC, bytes of the message
 MAGIC = b"AVO2"
+MEMORY_BYTES = 4 << 30  # of the file's own data; libraries and reserved addresses do not count
 
 
 def framed(message: bytes) -> bytes:
