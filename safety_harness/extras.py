@@ -89,4 +89,5 @@ CLUSTER = Extra(
     "campaigns on a Dask cluster",
     instead="without --cluster it runs on this machine",
 )
-EXTRAS = (PYBULLET, IMAGES, ONNX, LEARNING, FITTING, EXPORT, CLUSTER)
+GYM = Extra("gym", ("gymnasium",), "worlds as Gymnasium environments")
+EXTRAS = (PYBULLET, IMAGES, ONNX, LEARNING, FITTING, EXPORT, CLUSTER, GYM)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Any, NewType
+from typing import Any, NamedTuple, NewType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,12 +16,20 @@ from safety_harness.controller.records import (
     ParameterRecords,
     StateRecords,
     TrackRecords,
+    command_dtype,
+    initial_state,
+    parameters,
 )
 from safety_harness.controller.stack import STANDSTILL_RADPS, command_arm, see_hands, see_object
 from safety_harness.geometry.linear import copy_matrix, copy_vector
 from safety_harness.geometry.transforms import compose_into
 from safety_harness.perception.hand_boxes import position_from_box
+from safety_harness.perception.hand_filter import filter_parameters
+from safety_harness.perception.tracking import no_tracks
+from safety_harness.robot.description import ArmModel
 from safety_harness.robot.kinematics import forward_kinematics, geometric_jacobian
+from safety_harness.servoing.control import DesiredView
+from safety_harness.settings import Settings
 from safety_harness.trace.records import JOINTS, TRACKS_PER_HAND, Limit, Mode
 
 SERVOING, PROTECTIVE_STOP = int(Mode.SERVOING), int(Mode.PROTECTIVE_STOP)
@@ -64,6 +72,33 @@ def seen_dtype(hands: int, joints: int = JOINTS) -> np.dtype[Any]:
 
 
 SeenRecords = NewType("SeenRecords", NDArray[np.void])  # (1,) SEEN
+
+
+class DrivenRecords(NamedTuple):
+    """All that stands between one episode's observations and the commands of a controller from outside."""
+
+    parameters: ParameterRecords  # (1,) PARAMETERS
+    filter_parameters: FilterRecords  # (1,) FILTER_PARAMETERS
+    state: StateRecords  # (1,) STATE
+    tracks: TrackRecords  # (tracks,) TRACK
+    seen: SeenRecords  # (1,) SEEN
+    command: CommandRecords  # (1,) COMMAND
+
+
+def driven_records(settings: Settings, arm: ArmModel, view: DesiredView, hand_slots: int) -> DrivenRecords:
+    """As an episode begins: nothing seen, no stop that would have to be waited for."""
+    joints = len(arm.joint_names)
+    records = DrivenRecords(
+        ParameterRecords(parameters(settings, arm, view).copy()),
+        FilterRecords(filter_parameters(settings.hand_filter, settings.hand_sensor).copy()),
+        StateRecords(initial_state(hand_slots, joints)),
+        TrackRecords(no_tracks(hand_slots)),
+        SeenRecords(np.zeros(1, seen_dtype(hand_slots, joints))),
+        CommandRecords(np.zeros(1, command_dtype(joints))),
+    )
+    records.state["clear_since_s"] = -np.inf
+    records.seen["boxes_time_s"] = np.nan
+    return records
 
 
 @njit_no_nrt
