@@ -27,7 +27,15 @@ from safety_harness.exceptions import InadmissibleError, Place, near_miss, refus
 from safety_harness.scenario.fields import SENTENCE, is_sentence
 from safety_harness.scenario.files import resolved, told
 from safety_harness.scenario.kinds import avoider_in, command_for, kind_of
-from safety_harness.scenario.model import OffsetStart, RecordedHand, Scenario
+from safety_harness.scenario.model import (
+    DEFAULT_AVOIDER,
+    NO_AVOIDER,
+    VISUAL_SERVO,
+    Driver,
+    OffsetStart,
+    RecordedHand,
+    Scenario,
+)
 from safety_harness.scenario.references import MODEL_SUFFIX, ONNX_SUFFIX, file_and_name, named_from
 from safety_harness.scenario.robots import OwnRobot
 from safety_harness.settings import DEFAULTS, Settings
@@ -143,37 +151,54 @@ def _no_avoider(scenario: Scenario, place: Place) -> InadmissibleError:
 
 
 def avoider_sha256(scenario: Scenario) -> str:
-    """The hash of the file that the scenario's avoider comes from; empty for one without a file."""
-    path = _file_of(scenario)
+    """The hash of the file that the scenario's avoider comes from; empty without a file or an avoider."""
+    path = None if scenario.driven else _file_of(scenario)
     return "" if path is None else hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def command_line_reference(scenario: Scenario) -> str:
-    """The scenario's avoider as one would name it on the command line, in the working directory."""
-    file, name = file_and_name(scenario.avoider)
+    """What is tested, as one would name it on the command line, in the working directory."""
+    reference = scenario.under_test
+    file, name = file_and_name(reference)
     if not file:
-        return scenario.avoider
+        return reference
     own = file if is_shipped(file) else os.path.relpath((folder_of(scenario) or Path()) / file)
-    return own + (f":{name}" if name else "")
+    return type(reference)(own + (f":{name}" if name else ""))
 
 
 def told_avoider(reference: str) -> str:
-    """An avoider as a result names it: its file is ``told``."""
+    """What is tested, as a result names it: its file is ``told``."""
     file, name = file_and_name(reference)
     return str(told(Path(os.path.expanduser(file)))) + (f":{name}" if name else "") if file else reference
+
+
+def option_of(reference: str) -> str:
+    """The option of the command line that names what is tested."""
+    return "--controller" if isinstance(reference, Driver) else "--avoider"
+
+
+def one_of(avoider: str | None, controller: str | None) -> str | None:
+    """What the options of a command name, one of which may be given; None for neither."""
+    if avoider is not None and controller is not None:
+        expected = "one of --avoider and --controller: only the visual servo asks an avoider"
+        raise InadmissibleError.of_option("--controller", expected, "both")
+    return avoider if controller is None else Driver(controller)
 
 
 def replay_command(
     scenario: Scenario, trace: Path, *others: Path, by: str = "replay", told: Callable[[Path], Path] = told
 ) -> str:
-    """The command that repeats runs with one avoider; a user's program has to be named anew to be executed.
+    """The command that repeats runs of one avoider or controller, of which a user's program is named anew.
+
+    A trace may come from anybody: what it names is not executed for that.
 
     ``by`` is another command that repeats runs.  ``told`` names files; what is kept nowhere may name them as
     they are.
     """
     command = ["safety-harness", by, *(str(told(one)) for one in (trace, *others))]
-    if is_a_program(scenario.avoider):
-        command += ["--avoider", told_avoider(os.path.abspath(command_line_reference(scenario)))]
+    if is_a_program(scenario.under_test):
+        named = told_avoider(os.path.abspath(command_line_reference(scenario)))
+        command += [option_of(scenario.under_test), named]
     return shlex.join(command)
 
 
@@ -230,13 +255,21 @@ def _file_of(scenario: Scenario) -> Path | None:
 
 
 def with_avoider(scenario: Scenario, reference: str, place: Place | None = None) -> Scenario:
-    """The scenario with another avoider, a relative file sought from the working directory.
+    """The scenario with another avoider, or ``Driver``, a relative file sought from the working directory.
 
     The file is named anew as seen from the scenario's folder, so that the trace of a run says which
     avoider it was and ``replay`` finds it.  ``place`` (of ``--avoider``, say) is what errors name;
     InadmissibleError if what would be written could not be read again.
     """
+    if isinstance(reference, Driver):
+        return _driven_by(scenario, reference, place or Place(field="--controller"))
     place = place or Place(field="--avoider")
+    if scenario.driven:
+        raise InadmissibleError(
+            place=place,
+            expected=f"no avoider for a scenario that is driven by {scenario.controller}, which asks none",
+            got=repr(reference),
+        )
     file, name = file_and_name(reference)
     if file:
         path = resolved(located(os.path.expanduser(file), place))
@@ -248,6 +281,22 @@ def with_avoider(scenario: Scenario, reference: str, place: Place | None = None)
         )
     places = ChainMap({"avoider": place}, scenario.places)  # type: ignore[arg-type]  # it is only read
     return replace(scenario, avoider=reference, places=places)
+
+
+def _driven_by(scenario: Scenario, reference: Driver, place: Place) -> Scenario:
+    """With another controller, and then without an avoider; the visual servo has its own, or the default."""
+    file, name = file_and_name(reference)
+    controller = str(reference)
+    if file:
+        path = resolved(located(os.path.expanduser(file), place))
+        controller = named_from(resolved(folder_of(scenario) or Path()), path) + (f":{name}" if name else "")
+    if not is_sentence(controller):
+        raise InadmissibleError(
+            place=place, expected=f"a controller's name or file, {SENTENCE}", got=repr(controller)
+        )
+    places = ChainMap({"controller": place}, scenario.places)  # type: ignore[arg-type]  # it is only read
+    avoider = NO_AVOIDER if controller != VISUAL_SERVO else scenario.avoider or DEFAULT_AVOIDER
+    return replace(scenario, avoider=avoider, controller=controller, places=places)
 
 
 def _from_model_file(path: Path, settings: Settings) -> Avoider:
@@ -289,5 +338,5 @@ def as_seen_from(folder: Path, scenario: Scenario) -> Scenario:
     if isinstance(robot, OwnRobot):
         robot = robot.named(lambda path: named_from(folder, before / path))
     moved = replace(scenario, hands=hands, robot=robot, file=folder / "scenario.yaml")
-    own_file, _ = file_and_name(scenario.avoider)
+    own_file, _ = file_and_name(scenario.under_test)
     return with_avoider(moved, command_line_reference(scenario)) if own_file else moved

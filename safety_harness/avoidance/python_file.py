@@ -39,11 +39,11 @@ def source_of(path: Path, place: Place) -> bytes:
     return source
 
 
-def refuse_undefined(path: Path, name: str, place: Place) -> None:
-    """InadmissibleError at ``place`` unless the file is Python and seems to define an avoider ``name``.
+def refuse_undefined(path: Path, name: str, place: Place, methods: tuple[str, ...] = ("propose",)) -> None:
+    """InadmissibleError at ``place`` unless the file is Python and seems to define ``name`` with ``methods``.
 
-    A class without bases has to have a ``propose``.  What only the execution shows is for the run to meet,
-    and so is a very long text.
+    Those are of a class without bases; of an avoider ``propose``.  What only the execution shows is for the
+    run to meet, and so is a very long text.
     """
     source = source_of(path, place)
     if len(source) > MOST_PARSED:
@@ -56,15 +56,16 @@ def refuse_undefined(path: Path, name: str, place: Place) -> None:
     found = [node for node in _top(tree) if name in _defined(node)]
     if not found and not any(_hides(node) for node in ast.walk(tree)):
         _refuse(place, f"something called {name!r} in {path.name}", "nothing of that name")
-    if found and _is_no_avoider(found[-1]):
-        _refuse(place, f"{name} to have a method propose", "a class without one")
+    for method in methods:
+        if found and _is_without(found[-1], method):
+            _refuse(place, f"{name} to have a method {method}", "a class without one")
 
 
-def _is_no_avoider(node: ast.AST) -> bool:
-    """A class that has no ``propose`` and can have none from elsewhere."""
+def _is_without(node: ast.AST, method: str) -> bool:
+    """A class that has no such method and can have none from elsewhere."""
     if not isinstance(node, ast.ClassDef) or node.bases or node.keywords or node.decorator_list:
         return False
-    return not any("propose" in _defined(inner) or _hides(inner) for inner in _top(node))
+    return not any(method in _defined(inner) or _hides(inner) for inner in _top(node))
 
 
 def _top(node: ast.AST) -> Iterator[ast.AST]:
@@ -111,9 +112,10 @@ def avoider_in(path: Path, source: bytes, name: str) -> Avoider:
 
 
 def module_of(path: Path, source: bytes, place: Place = AVOIDER) -> ModuleType:
-    """The file, executed afresh; InadmissibleError at ``place`` if it cannot be.  Its name is its own, so that it hides no module and none hides it.
+    """The file, executed afresh; InadmissibleError at ``place`` if it cannot be.
 
-    Compiled from its text: Python's own cache takes an edit within a second for none.
+    Its name is its own, so that it hides no module and none hides it.  Compiled from
+    its text: Python's own cache takes an edit within a second for none.
     """
     digest = hashlib.sha256(str(path).encode()).hexdigest()[:12]
     spec = spec_from_file_location(f"avoider_{digest}_{path.stem}", path)

@@ -87,7 +87,7 @@ def _libraries(spaces: Sequence[ScenarioSpace], world: str) -> tuple[str, ...]:
 
 
 MOST_BYTES = 200_000_000  # of all files together
-REFERRING = ("avoider", "recording")
+REFERRING = ("avoider", "controller", "recording")
 
 
 @dataclass(frozen=True)
@@ -112,7 +112,7 @@ def files_of_plan(
     """
     named = [plan.resolve(), *library.files]
     for space in spaces:
-        avoiders = (file_and_name(text)[0] for text in references_in(space.tree, ("avoider",)))
+        avoiders = (file_and_name(text)[0] for text in references_in(space.tree, ("avoider", "controller")))
         folder = space.file.parent if space.file else Path()
         named += _existing((*avoiders, *references_in(space.tree, ("recording",))), folder)
         named += _existing(map(str, _files_of(space.simplest.robot)), Path())

@@ -81,11 +81,12 @@ def _with_program(stored: Trace, path: Path, avoider: str | None) -> Scenario:
     """The scenario of a trace, with the avoider that the user names."""
     if avoider is not None:
         return with_avoider(stored.scenario, avoider)
-    if is_a_program(stored.scenario.avoider):
+    under_test = stored.scenario.under_test
+    if is_a_program(under_test):
         raise TraceError(
-            place=Place(file=path, field="avoider"),
+            place=Place(file=path, field="controller" if stored.scenario.driven else "avoider"),
             expected="the program named on the command line, since repeating the run executes it",
-            got=f"a trace made with {stored.scenario.avoider}",
+            got=f"a trace made with {under_test}",
             hint=replay_command(stored.scenario, path),
         )
     return stored.scenario

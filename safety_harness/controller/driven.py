@@ -6,9 +6,11 @@ run.  What it does not report is not reported in the trace either.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
+from functools import lru_cache
 from typing import Any
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -39,15 +41,36 @@ from safety_harness.controller.contract import (
     sees_of,
 )
 from safety_harness.controller.cycle import QUESTION, report
+<<<<<<< HEAD
 from safety_harness.controller.records import ObservationRecords, QuestionRecords
 from safety_harness.controller.seeing import SeenRecords, driven_records, obey, see
 from safety_harness.exceptions import ControllerError
+=======
+from safety_harness.controller.records import (
+    CommandRecords,
+    FilterRecords,
+    ObservationRecords,
+    ParameterRecords,
+    QuestionRecords,
+    StateRecords,
+    TrackRecords,
+    command_dtype,
+    initial_state,
+    observation_dtype,
+    parameters,
+    parameters_dtype,
+)
+from safety_harness.controller.seeing import SeenRecords, obey, see, seen_dtype
+from safety_harness.exceptions import ControllerError
+from safety_harness.perception.hand_filter import FILTER_PARAMETERS, filter_parameters
+from safety_harness.perception.tracking import no_tracks
+>>>>>>> t-ctl
 from safety_harness.robot.description import ArmModel
 from safety_harness.robot.kinematics import links_in_base
 from safety_harness.servoing.control import DesiredView
 from safety_harness.settings import Settings
 from safety_harness.trace.known import NOT_REPORTED, OF_DECISIONS, Measurement
-from safety_harness.trace.records import DECISION, as_compiled, decision_dtype
+from safety_harness.trace.records import DECISION, Mode, as_compiled, decision_dtype, tick_dtype
 
 Floats = NDArray[np.float64]
 Row = NDArray[np.float64]  # of SEEN, as far as it is wanted
@@ -68,6 +91,19 @@ _OF_GATE = (
 _OF_DOUBT = ("proposed_spread_m", "spread_threshold_m")
 
 
+_NOTHING = DesiredView(  # of the object, for one who does not see it
+    dense=True,
+    features=np.full(6, np.nan),
+    area=np.nan,
+    depth_m=np.nan,
+    moments=np.full(31, np.nan),
+    plane=np.full(3, np.nan),
+    interaction=np.full((6, 6), np.nan),
+    interaction_pinv=np.full((6, 6), np.nan),
+    condition_number=np.nan,
+)
+
+
 class DrivenController:
     """One episode of a user's controller; ControllerError for what it raises or returns that is no action.
 
@@ -79,7 +115,7 @@ class DrivenController:
         user: UserController,
         settings: Settings,
         arm: ArmModel,
-        view: DesiredView,
+        view: DesiredView | None,
         joint_position_rad: Floats,
         seed: int,
         hand_slots: int,
@@ -88,8 +124,18 @@ class DrivenController:
         self.name = user.name
         self.sees, self.reports = sees_of(user), reports_of(user)
         joints = len(arm.joint_names)
+<<<<<<< HEAD
         records = driven_records(settings, arm, view, hand_slots)
         self._parameters, self._filter, self._state, self._tracks, self._seen, self._command = records
+=======
+        self._parameters = ParameterRecords(parameters(settings, arm, view or _NOTHING).copy())
+        self._filter = FilterRecords(filter_parameters(settings.hand_filter, settings.hand_sensor).copy())
+        self._state = StateRecords(initial_state(hand_slots, joints))
+        self._state["clear_since_s"] = -np.inf
+        self._tracks = TrackRecords(no_tracks(hand_slots))
+        self._seen = SeenRecords(np.zeros(1, seen_dtype(hand_slots, joints)))
+        self._seen["boxes_time_s"] = np.nan
+>>>>>>> t-ctl
         self._question = QuestionRecords(np.zeros(1, QUESTION))
         self._decision = decision_dtype(joints)
         self._decisions: list[NDArray[np.void]] = []
@@ -98,7 +144,8 @@ class DrivenController:
         self._makers = dict(_makers(self._seen.dtype, self.sees))
         self._floats = self._seen.view(np.float64)[: _wanted(self._seen.dtype, self.sees)]
         self._wants = OBJECT in self.sees, PREDICTED_HANDS in self.sees
-        self._report: Report | None = None
+        self._mode = -1  # as reported at this tick
+        self._see, self._obey, self._tell = _entries(hand_slots, joints)
         self._image: Callable[[], Any] | None = None
         pose = links_in_base(arm, joint_position_rad)[-1]
         start = Start(joint_position_rad=_frozen(joint_position_rad), transform_tcp_to_base=_frozen(pose))
@@ -106,7 +153,7 @@ class DrivenController:
             user.reset(settings=settings, arm=arm_of(arm), start=start, seed=seed)
         except ControllerError:
             raise
-        except Exception as error:  # a user's code may raise anything
+        except (Exception, SystemExit) as error:  # a user's code may raise anything
             raise self._failed("reset raised", described(error)) from error
 
     def sees_images_of(self, image: Callable[[], Any]) -> None:
@@ -121,6 +168,7 @@ class DrivenController:
     def look(self, observation: NDArray[np.void]) -> SeenRecords:
         """(1,) SEEN of (1,) OBSERVATION: the first half of ``step``."""
         o = ObservationRecords(observation)
+<<<<<<< HEAD
         see(self._parameters, self._filter, self._state, self._tracks, o, self._seen, *self._wants)
         return self._seen
 
@@ -133,16 +181,24 @@ class DrivenController:
         """
         o = ObservationRecords(observation)
         if not obey(self._parameters, self._state, o, wanted, by_joints, stop, self._command):
+=======
+        self._see(self._parameters, self._filter, self._state, self._tracks, o, self._seen, *self._wants)
+        wanted, by_joints, stop = self._asked()
+        if not self._obey(self._parameters, self._state, o, wanted, by_joints, stop, self._command):
+>>>>>>> t-ctl
             raise self._failed("act returned", f"velocities that are not finite: {wanted.tolist()}")
-        self._note(observation)
+        self._question["tick"] += 1
         return self._command
 
     def report(self, tick: NDArray[np.void]) -> None:
         """Write what it saw and reports into ``tick`` (1,) TICK."""
-        report(self._state, self._question, self._command, as_compiled(tick))
-        if MODE in self.reports:
-            assert self._report is not None and self._report.mode is not None
-            tick["mode"] = int(self._report.mode)
+        self.report_compiled(as_compiled(tick))
+
+    def report_compiled(self, tick: NDArray[np.void]) -> None:
+        """As ``report``, into a tick (1,) ``as_compiled``."""
+        self._tell(self._state, self._question, self._command, tick)
+        if self._mode >= 0:
+            tick["mode"] = self._mode
 
     @property
     def decisions(self) -> NDArray[np.void]:
@@ -183,9 +239,9 @@ class DrivenController:
             raise self._failed(
                 "act raised" if not str(error).startswith("act") else "", str(error)
             ) from error
-        except Exception as error:  # a user's code may raise anything
+        except (Exception, SystemExit) as error:  # a user's code may raise anything
             raise self._failed("act raised", described(error)) from error
-        self._report = _report_of(action)
+        self._note(action)
         if isinstance(action, Stop):
             return self._nothing, False, True
         if not isinstance(action, Move):
@@ -223,26 +279,28 @@ class DrivenController:
         when = f" at {float(self._seen[0]['time_s']):.3f} s"
         return ControllerError(f"the controller {self.name!r}: {what + ': ' if what else ''}{got}{when}")
 
-    def _note(self, observation: NDArray[np.void]) -> None:
-        """What it reports of itself; ControllerError if it reports less than it says."""
-        question = self._question[0]
-        if self.reports:
-            if MODE in self.reports and (self._report is None or self._report.mode is None):
-                raise self._failed("act reported no mode", 'though "mode" is among its reports')
-            decision = None if self._report is None else self._report.decision
-            question["made_now"] = DECISIONS in self.reports and decision is not None
-            if question["made_now"]:
-                assert decision is not None
-                self._decisions.append(self._record(decision, observation))
-                question["made"] += 1
-        question["tick"] += 1
+    def _note(self, action: object) -> None:
+        """What it reports of itself; ControllerError if that is less than it says."""
+        if not self.reports:
+            return
+        said = getattr(action, "report", None)
+        if MODE in self.reports:
+            if not isinstance(said, Report) or not isinstance(said.mode, Mode):
+                raise self._failed("act reported no Mode", 'though "mode" is among its reports')
+            self._mode = int(said.mode)
+        if DECISIONS in self.reports:
+            decision = said.decision if isinstance(said, Report) else None
+            self._question["made_now"] = decision is not None
+            if decision is not None:
+                self._decisions.append(self._record(decision))
+                self._question["made"] += 1
 
-    def _record(self, decision: Decision, observation: NDArray[np.void]) -> NDArray[np.void]:
+    def _record(self, decision: Decision) -> NDArray[np.void]:
         """(1,) DECISION."""
         record = np.zeros(1, self._decision)
         record["tick"] = record["asked_tick"] = self._question["tick"]
-        record["time_s"] = observation["time_s"]
-        record["joint_position_rad"] = observation["joint_position_rad"]
+        for name in ("time_s", "joint_position_rad"):
+            record[name] = self._seen[name]
         record["tcp_position_in_base_m"] = self._state["transform_tcp_to_base"][0, :3, 3]
         record["opposite_position_in_base_m"] = np.nan
         record["outcome"], record["trigger"] = int(decision.outcome), int(decision.trigger)
@@ -254,9 +312,29 @@ class DrivenController:
         return record
 
 
-def _report_of(action: object) -> Report | None:
-    found = getattr(action, "report", None)
-    return found if isinstance(found, Report) else None
+@lru_cache
+def _entries(hand_slots: int, joints: int) -> tuple[Callable[..., Any], ...]:
+    """``see``, ``obey`` and ``report`` for such records: what numba would look up at every call, once."""
+    state, command = initial_state(hand_slots, joints), np.zeros(1, command_dtype(joints))
+    p, question = np.zeros(1, parameters_dtype(joints)), np.zeros(1, QUESTION)
+    observation = np.zeros(1, observation_dtype(hand_slots, joints))
+    seen, tracks = np.zeros(1, seen_dtype(hand_slots, joints)), no_tracks(hand_slots)
+    tick = as_compiled(np.zeros(1, tick_dtype(hand_slots, joints)))
+    f = np.zeros(1, FILTER_PARAMETERS)
+    return (
+        entry_of(see, p, f, state, tracks, observation, seen, False, False),
+        entry_of(obey, p, state, observation, np.zeros(6), False, False, command),
+        entry_of(report, state, question, command, tick),
+    )
+
+
+def entry_of(function: Any, *arguments: Any) -> Callable[..., Any]:
+    """The machine code of a compiled function for arguments of these types, which it does not check again.
+
+    To look at the types of records takes numba ten times as long as what small functions do with them.
+    """
+    entry: Callable[..., Any] = function.compile(tuple(map(numba.typeof, arguments)))
+    return entry
 
 
 def _frozen(array: Floats) -> Floats:
@@ -291,12 +369,13 @@ _LAST = {
 
 def _wanted(dtype: np.dtype[Any], sees: tuple[str, ...]) -> int:
     """How many numbers of SEEN have to be copied for those words."""
-    return max([1, *(_part(dtype, _LAST[word])[0].stop for word in sees)])
+    return max([1, *(int(_part(dtype, _LAST[word])[0].stop) for word in sees)])
 
 
 def _part(dtype: np.dtype[Any], name: str) -> tuple[slice, tuple[int, ...]]:
     """Where a field is among the numbers, and its shape."""
-    kind, offset = (dtype.fields or {})[name][:2]
+    fields: Mapping[str, Any] = dtype.fields or {}
+    kind, offset = fields[name][:2]
     return slice(offset // 8, (offset + kind.itemsize) // 8), kind.shape
 
 

@@ -24,9 +24,9 @@ CONTROLLER = Place(field="controller")
 
 
 def controller_of(reference: str, folder: Path | None, place: Place = CONTROLLER) -> Make:
-    """What makes a fresh controller, one that ships or of a user's file; a relative file is sought in ``folder``.
+    """What makes a fresh controller, one that ships or of a user's file, which is executed.
 
-    InadmissibleError at ``place`` if there is none.  A Python file is executed.
+    A relative file is sought in ``folder``.  InadmissibleError at ``place`` if there is none.
     """
     if reference in SHIPPED:
         return SHIPPED[reference]

@@ -246,7 +246,7 @@ def command_arm(
     acceleration_mps2: float,
     commands: CommandRecords,
 ) -> None:
-    """Command the wanted twist, which is bounded (``shaped``), by the Jacobian of now:
+    """Command the wanted twist, which is bounded (``shaped``), by the Jacobian of now.
 
         q' = k J^-1 (v, w),   k = min(1, min_i limit_i/|q'_i|),
 

@@ -1,6 +1,8 @@
-"""The simplest controller that ships: go straight to where the task wants the TCP, stop while a hand is near."""
+"""The simplest controller that ships: straight to the desired TCP, and a stop while a hand is near."""
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +22,6 @@ from safety_harness.controller.contract import (
 from safety_harness.settings import Settings
 from safety_harness.trace.records import Mode
 
-DOWN = np.diag([1.0, -1.0, -1.0])  # tcp axes in base at the desired pose
 _GOING, _STOPPED = Report(mode=Mode.SERVOING), Report(mode=Mode.PROTECTIVE_STOP)
 
 
@@ -50,20 +51,15 @@ class StopWhenNear:
                 return Stop(report=_STOPPED)
         return Move(
             tcp_velocity_mps=self._gain * (self._target_in_base_m - tcp),
-            tcp_angular_velocity_radps=self._gain * _turn(DOWN @ seen.transform_tcp_to_base[:3, :3].T),
+            tcp_angular_velocity_radps=self._gain * _turn(seen.transform_tcp_to_base),
             report=_GOING,
         )
 
 
-def _turn(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(3,) rotation vector of a (3, 3) rotation of less than half a turn."""
-    axis = 0.5 * np.array(
-        [
-            rotation[2, 1] - rotation[1, 2],
-            rotation[0, 2] - rotation[2, 0],
-            rotation[1, 0] - rotation[0, 1],
-        ]
-    )
-    sine = float(np.sqrt(axis @ axis))
-    angle = np.arctan2(sine, 0.5 * (np.trace(rotation) - 1.0))
+def _turn(transform_tcp_to_base: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(3,) rotation vector in the base frame from the TCP's orientation to looking straight down."""
+    x, y, z, _ = transform_tcp_to_base.tolist()  # of diag(1, -1, -1) R^T, of less than half a turn
+    axis = np.array([0.5 * (z[1] - y[2]), 0.5 * (z[0] + x[2]), -0.5 * (x[1] + y[0])])
+    sine = math.sqrt(axis @ axis)
+    angle = math.atan2(sine, 0.5 * (x[0] - y[1] - z[2] - 1.0))
     return axis if sine < 1e-9 else axis * (angle / sine)

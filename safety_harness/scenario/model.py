@@ -52,6 +52,15 @@ REACHING_MPS2 = 10.0
 ACCELERATIONS_MPS2 = (0.1, 100.0)  # what is slower or larger is a slip of the unit
 
 
+class Driver(str):
+    """A reference to a controller in place of the visual servo, where one to an avoider may stand.
+
+    What is tested is either: the avoider that the visual servo asks, or the driver of the arm.
+    """
+
+    __slots__ = ()
+
+
 class Verdict(Enum):
     """What a property says of a trace."""
 
@@ -400,8 +409,8 @@ class Scenario:
 
     @property
     def under_test(self) -> str:
-        """How results call what is tested: the avoider of the visual servo, or else the controller."""
-        return self.controller if self.driven else self.avoider
+        """What is tested: the avoider of the visual servo, or else the ``Driver``."""
+        return Driver(self.controller) if self.driven else self.avoider
 
     @property
     def hand_slots(self) -> int:

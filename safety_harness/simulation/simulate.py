@@ -13,10 +13,14 @@ from numpy.typing import NDArray
 
 from safety_harness.avoidance.gate import ask_many
 from safety_harness.controller.controller import AvoidingServo, Controller
+from safety_harness.controller.driven import DrivenController
 from safety_harness.robot.robots import arm_model
 from safety_harness.scenario.model import Scenario
+from safety_harness.simulation.driving import drive
+from safety_harness.simulation.kinematic_world import KinematicWorld
 from safety_harness.simulation.world import BatchWorld, World
 from safety_harness.simulation.worlds import libraries_of
+from safety_harness.trace.known import knowing
 from safety_harness.trace.provenance import provenance
 from safety_harness.trace.records import Limit, tick_dtype
 from safety_harness.trace.trace import Trace
@@ -34,6 +38,9 @@ def simulate(
     """
     ticks = no_ticks(scenario)
     done, ended = 0, "complete"
+    if isinstance(controller, DrivenController) and type(world) is KinematicWorld:
+        done, ended = _driven(world, controller, ticks, on_tick)
+        return _trace(scenario, world, controller, ticks[:done], ended)
     try:
         for k in range(len(ticks)):
             tick = ticks[k : k + 1]
@@ -54,7 +61,33 @@ def simulate(
     return trace_of(scenario, world, controller, ticks[:done], ended)
 
 
+<<<<<<< HEAD
 def no_ticks(scenario: Scenario) -> NDArray[np.void]:
+=======
+def _driven(
+    world: KinematicWorld,
+    controller: DrivenController,
+    ticks: NDArray[np.void],
+    on_tick: Callable[[int], None] | None,
+) -> tuple[int, str]:
+    """How many ticks were done, and how it ended."""
+    done = 0
+
+    def count(number: int) -> None:
+        nonlocal done
+        done = number
+        if on_tick is not None:
+            on_tick(number)
+
+    try:
+        drive(world, controller, ticks, count)
+    except KeyboardInterrupt:
+        return done, INTERRUPTED
+    return done, "complete"
+
+
+def _no_ticks(scenario: Scenario) -> NDArray[np.void]:
+>>>>>>> t-ctl
     """(n,) TICK of its hands and its arm, to be filled."""
     joints = len(arm_model(scenario.robot).joint_names)
     return np.zeros(scenario.ticks + 1, tick_dtype(scenario.hand_slots, joints))
@@ -66,7 +99,7 @@ def trace_of(
     """What happened in ``ticks`` (n,) TICK."""
     decisions = controller.decisions
     decisions = decisions[decisions["tick"] < len(ticks)]  # not one of a tick that Ctrl-C cut short
-    return Trace(
+    trace = Trace(
         scenario=scenario,
         ticks=ticks,
         decisions=decisions,
@@ -74,6 +107,7 @@ def trace_of(
         provenance=provenance(world.name, controller.name, libraries_of(world.name, scenario)),
         ended=ended,
     )
+    return knowing(trace, controller.known) if isinstance(controller, DrivenController) else trace
 
 
 @dataclass(eq=False)

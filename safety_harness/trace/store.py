@@ -50,6 +50,7 @@ KNOWN = "known.json"
 CARRIED = ("recordings/", "robot/")  # files of the scenario by their SHA-256
 MOST_PARTS = 9 + MAX_HANDS
 ZIP_END = struct.Struct("<4s4H2LH")  # without a comment, as it is written here
+OF_DRIVER = ("controller", "controller_sha256")  # said only where there is one
 NEW = ("asked_tick", "decision_time_s")
 DECISION_3 = np.dtype(
     [(name, field[0]) for name, field in (DECISION.fields or {}).items() if name not in NEW], align=True
@@ -105,10 +106,10 @@ def save_trace(trace: Trace, path: str | Path, recordings: Mapping[str, bytes] |
         "scenario_name": trace.scenario.name,
         "scenario_file": str(told(trace.scenario.file)) if trace.scenario.file else None,
         "ended": trace.ended,
-        "provenance": asdict(trace.provenance),
+        "provenance": {n: v for n, v in asdict(trace.provenance).items() if v or n not in OF_DRIVER},
     }
     parts["run.json"] = json.dumps(run, indent=1, sort_keys=True).encode()
-    if not trace.known.simulated:
+    if not (trace.known.simulated and trace.known.whole):
         columns = {n: {**asdict(one), "source": one.source.value} for n, one in trace.known.columns.items()}
         parts[KNOWN] = json.dumps(columns, indent=1, sort_keys=True).encode()
     header = {
@@ -135,8 +136,9 @@ def _fields_alone(records: NDArray[np.void]) -> NDArray[np.void]:
 def _portable(scenario: Scenario) -> Scenario:
     """The scenario without a path that only this machine has."""
     folder = scenario.file.parent if scenario.file else Path()
-    file, name = file_and_name(scenario.avoider)
-    avoider = portable(file, folder) + (f":{name}" if name else "") if file else scenario.avoider
+    avoider, controller = (
+        _portable_reference(one, folder) for one in (scenario.avoider, scenario.controller)
+    )
     hands = tuple(
         replace(hand, recording=Path(portable(str(hand.recording), folder)))
         if isinstance(hand, RecordedHand)
@@ -146,7 +148,12 @@ def _portable(scenario: Scenario) -> Scenario:
     robot = scenario.robot
     if isinstance(robot, OwnRobot):
         robot = robot.named(lambda path: portable(path, folder))
-    return replace(scenario, avoider=avoider, hands=hands, robot=robot)
+    return replace(scenario, avoider=avoider, controller=controller, hands=hands, robot=robot)
+
+
+def _portable_reference(reference: str, folder: Path) -> str:
+    file, name = file_and_name(reference)
+    return portable(file, folder) + (f":{name}" if name else "") if file else reference
 
 
 def _recording(scenario: Scenario, hand: RecordedHand) -> bytes:

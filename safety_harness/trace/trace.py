@@ -36,6 +36,8 @@ class Provenance:
     libraries: tuple[tuple[Line, Line], ...]
     avoider_sha256: Line = ""  # of the file that the avoider came from; empty for one without
     files: tuple[tuple[Line, Line], ...] = ()  # none in a trace of an earlier version
+    controller: Line = ""  # that drove in place of the visual servo, and then there is no avoider
+    controller_sha256: Line = ""  # of its file; empty for one without
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
