@@ -41,30 +41,18 @@ from safety_harness.controller.contract import (
     sees_of,
 )
 from safety_harness.controller.cycle import QUESTION, report
-<<<<<<< HEAD
-from safety_harness.controller.records import ObservationRecords, QuestionRecords
-from safety_harness.controller.seeing import SeenRecords, driven_records, obey, see
-from safety_harness.exceptions import ControllerError
-=======
 from safety_harness.controller.records import (
-    CommandRecords,
-    FilterRecords,
     ObservationRecords,
-    ParameterRecords,
     QuestionRecords,
-    StateRecords,
-    TrackRecords,
     command_dtype,
     initial_state,
     observation_dtype,
-    parameters,
     parameters_dtype,
 )
-from safety_harness.controller.seeing import SeenRecords, obey, see, seen_dtype
+from safety_harness.controller.seeing import SeenRecords, driven_records, obey, see, seen_dtype
 from safety_harness.exceptions import ControllerError
-from safety_harness.perception.hand_filter import FILTER_PARAMETERS, filter_parameters
+from safety_harness.perception.hand_filter import FILTER_PARAMETERS
 from safety_harness.perception.tracking import no_tracks
->>>>>>> t-ctl
 from safety_harness.robot.description import ArmModel
 from safety_harness.robot.kinematics import links_in_base
 from safety_harness.servoing.control import DesiredView
@@ -124,18 +112,8 @@ class DrivenController:
         self.name = user.name
         self.sees, self.reports = sees_of(user), reports_of(user)
         joints = len(arm.joint_names)
-<<<<<<< HEAD
-        records = driven_records(settings, arm, view, hand_slots)
+        records = driven_records(settings, arm, view or _NOTHING, hand_slots)
         self._parameters, self._filter, self._state, self._tracks, self._seen, self._command = records
-=======
-        self._parameters = ParameterRecords(parameters(settings, arm, view or _NOTHING).copy())
-        self._filter = FilterRecords(filter_parameters(settings.hand_filter, settings.hand_sensor).copy())
-        self._state = StateRecords(initial_state(hand_slots, joints))
-        self._state["clear_since_s"] = -np.inf
-        self._tracks = TrackRecords(no_tracks(hand_slots))
-        self._seen = SeenRecords(np.zeros(1, seen_dtype(hand_slots, joints)))
-        self._seen["boxes_time_s"] = np.nan
->>>>>>> t-ctl
         self._question = QuestionRecords(np.zeros(1, QUESTION))
         self._decision = decision_dtype(joints)
         self._decisions: list[NDArray[np.void]] = []
@@ -168,8 +146,7 @@ class DrivenController:
     def look(self, observation: NDArray[np.void]) -> SeenRecords:
         """(1,) SEEN of (1,) OBSERVATION: the first half of ``step``."""
         o = ObservationRecords(observation)
-<<<<<<< HEAD
-        see(self._parameters, self._filter, self._state, self._tracks, o, self._seen, *self._wants)
+        self._see(self._parameters, self._filter, self._state, self._tracks, o, self._seen, *self._wants)
         return self._seen
 
     def carry_out(
@@ -180,12 +157,7 @@ class DrivenController:
         ``wanted`` (6,) or (n,), ``observation`` (1,) OBSERVATION; ControllerError for what is not finite.
         """
         o = ObservationRecords(observation)
-        if not obey(self._parameters, self._state, o, wanted, by_joints, stop, self._command):
-=======
-        self._see(self._parameters, self._filter, self._state, self._tracks, o, self._seen, *self._wants)
-        wanted, by_joints, stop = self._asked()
         if not self._obey(self._parameters, self._state, o, wanted, by_joints, stop, self._command):
->>>>>>> t-ctl
             raise self._failed("act returned", f"velocities that are not finite: {wanted.tolist()}")
         self._question["tick"] += 1
         return self._command

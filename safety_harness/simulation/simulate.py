@@ -40,7 +40,7 @@ def simulate(
     done, ended = 0, "complete"
     if isinstance(controller, DrivenController) and type(world) is KinematicWorld:
         done, ended = _driven(world, controller, ticks, on_tick)
-        return _trace(scenario, world, controller, ticks[:done], ended)
+        return trace_of(scenario, world, controller, ticks[:done], ended)
     try:
         for k in range(len(ticks)):
             tick = ticks[k : k + 1]
@@ -61,9 +61,6 @@ def simulate(
     return trace_of(scenario, world, controller, ticks[:done], ended)
 
 
-<<<<<<< HEAD
-def no_ticks(scenario: Scenario) -> NDArray[np.void]:
-=======
 def _driven(
     world: KinematicWorld,
     controller: DrivenController,
@@ -86,8 +83,7 @@ def _driven(
     return done, "complete"
 
 
-def _no_ticks(scenario: Scenario) -> NDArray[np.void]:
->>>>>>> t-ctl
+def no_ticks(scenario: Scenario) -> NDArray[np.void]:
     """(n,) TICK of its hands and its arm, to be filled."""
     joints = len(arm_model(scenario.robot).joint_names)
     return np.zeros(scenario.ticks + 1, tick_dtype(scenario.hand_slots, joints))
