@@ -26,6 +26,7 @@ ORDER = [
     },
     {"scenario"},
     {"trace"},
+    {"isolation"},
     {"robot"},
     {"perception"},
     {"servoing"},

@@ -8,14 +8,12 @@ from pathlib import Path
 
 from safety_harness.admission.avoiders import folder_of
 from safety_harness.avoidance.avoider import Avoider, Proposal, Vector
-from safety_harness.avoidance.python_file import refuse_undefined
 from safety_harness.controller.contract import IMAGE, OBJECT, UserController, sees_of
-from safety_harness.controller.named import SHIPPED, controller_file, controller_of, controller_sha256
+from safety_harness.controller.named import controller_of, controller_sha256, refuse_unusable_controller
 from safety_harness.controller.python_file import checked_controller
 from safety_harness.exceptions import AvoiderError, InadmissibleError, Place
 from safety_harness.scenario.faults import AvoiderLate, AvoiderNaN, AvoiderSilent
 from safety_harness.scenario.model import NO_AVOIDER, Scenario
-from safety_harness.scenario.references import file_and_name
 
 IN_PYTHON = " (an object in Python)"  # after its name: a reference that names no file, and means none
 
@@ -76,10 +74,7 @@ def driver_of(controller: object) -> MadeDriver:
 
 def refuse_unusable_driver(scenario: Scenario) -> None:
     """As ``Drivers`` refuses, as far as can be seen without executing anything of a user's."""
-    if scenario.controller not in SHIPPED:
-        place = scenario.place("controller")
-        path = controller_file(scenario.controller, folder_of(scenario), place)
-        refuse_undefined(path, file_and_name(scenario.controller)[1], place, methods=("act", "reset"))
+    refuse_unusable_controller(scenario.controller, folder_of(scenario), scenario.place("controller"))
 
 
 def refuse_faults_of_avoider(scenario: Scenario) -> None:

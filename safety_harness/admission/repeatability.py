@@ -28,10 +28,10 @@ from safety_harness.avoidance.asking import (
     ask,
     takes_many,
 )
-from safety_harness.avoidance.avoider import Avoider, printable
+from safety_harness.avoidance.avoider import Avoider
 from safety_harness.avoidance.flaky import Asked, asked_in, difference
 from safety_harness.avoidance.isolation.host import processes_apart
-from safety_harness.exceptions import InputError, NoAnswerError, SimulationError
+from safety_harness.exceptions import InputError, NoAnswerError, SimulationError, printable
 from safety_harness.scenario.model import Scenario
 from safety_harness.simulation.worlds import world_of_trace
 from safety_harness.trace.trace import Trace

@@ -20,17 +20,8 @@ from typing import NamedTuple, Protocol, TypeGuard
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.avoidance.avoider import (
-    Avoider,
-    Proposal,
-    Vector,
-    Vectors,
-    checked,
-    described,
-    printable,
-    spread_threshold_of,
-)
-from safety_harness.exceptions import AvoiderError, NoAnswerError
+from safety_harness.avoidance.avoider import Avoider, Proposal, Vector, Vectors, checked, spread_threshold_of
+from safety_harness.exceptions import AvoiderError, NoAnswerError, described, printable
 from safety_harness.settings import DEFAULTS
 
 WALL_LIMIT_S = DEFAULTS.clock.wall_limit_s

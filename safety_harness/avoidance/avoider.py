@@ -7,21 +7,17 @@ sees nothing of the simulator's truth.
 
 from __future__ import annotations
 
-import re
-import traceback
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.exceptions import AvoiderError, on_one_line
+from safety_harness.exceptions import AvoiderError
 from safety_harness.scenario.decision_times import LONGEST_S
 
 Vector = NDArray[np.float64]  # (3,)
 Vectors = NDArray[np.float64]  # (n, 3)
-MOST_WORDS = 1_000
 LARGEST = float(np.finfo(np.float64).max)
 
 
@@ -106,29 +102,6 @@ def _declared(avoider: Avoider, name: str, kind: str, *, most: float) -> float |
     if not number or isinstance(value, bool) or not 0.0 <= value <= most:
         raise AvoiderError(f"{name} must be {kind}, or None; got {value!r}")
     return float(value)
-
-
-def printable(text: str) -> str:
-    """A user's words on one line, at most ``MOST_WORDS`` characters, without the addresses of objects."""
-    return on_one_line(re.sub(r"0x[0-9a-fA-F]+", "0x...", " ".join(text[:MOST_WORDS].split())))
-
-
-def described(error: BaseException, file: str | None = None) -> str:
-    """What a user's code raised, on one line: "ZeroDivisionError: division by zero (mine.py:12)".
-
-    ``file`` is the user's file, as in the traceback; the line is the deepest one within it.
-    Addresses of objects are left out, so that a run says the same when it is repeated.
-    """
-    try:
-        text = str(error)
-    except Exception:  # a user's own exception may fail to say what it is
-        text = ""
-    what = printable(text)
-    lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == file]
-    if isinstance(error, SyntaxError) and error.filename == file:
-        lines, what = [error.lineno], printable(error.msg)  # its own text names the place, once more
-    where = f" ({Path(file).name}:{lines[-1]})" if file and lines else ""
-    return type(error).__name__ + (f": {what}" if what else "") + where
 
 
 def checked(proposal: object) -> Proposal:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
-from typing import Any, NamedTuple, NewType
+from typing import NamedTuple, NewType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +19,7 @@ from safety_harness.controller.records import (
     initial_state,
     parameters,
 )
+from safety_harness.controller.rows import seen_dtype
 from safety_harness.controller.stack import STANDSTILL_RADPS, command_arm, see_hands, see_object
 from safety_harness.geometry.linear import copy_matrix, copy_vector
 from safety_harness.geometry.transforms import compose_into
@@ -30,45 +30,10 @@ from safety_harness.robot.description import ArmModel
 from safety_harness.robot.kinematics import forward_kinematics, geometric_jacobian
 from safety_harness.servoing.control import DesiredView
 from safety_harness.settings import Settings
-from safety_harness.trace.records import JOINTS, TRACKS_PER_HAND, Limit, Mode
+from safety_harness.trace.records import Limit, Mode
 
 SERVOING, PROTECTIVE_STOP = int(Mode.SERVOING), int(Mode.PROTECTIVE_STOP)
 JOINT_SPEED = int(Limit.JOINT_SPEED)
-
-
-@lru_cache
-def seen_dtype(hands: int, joints: int = JOINTS) -> np.dtype[Any]:
-    """SEEN: all that can be seen, whether or not it is, in float64 and int64 of 8 bytes alone.
-
-    In the order in which it is wanted most: what is copied for one who sees hands ends with them.
-    """
-    boxes = TRACKS_PER_HAND * hands
-    return np.dtype(
-        [
-            ("time_s", np.float64),
-            ("joint_position_rad", np.float64, (joints,)),
-            ("joint_velocity_radps", np.float64, (joints,)),
-            ("transform_tcp_to_base", np.float64, (4, 4)),
-            ("tcp_position_in_base_m", np.float64, (3,)),
-            ("hand_count", np.int64),
-            ("hands", np.float64, (boxes, 3)),
-            ("boxes_new", np.int64),
-            ("boxes_time_s", np.float64),
-            ("box_count", np.int64),
-            ("boxes", np.float64, (boxes, 5)),
-            ("transform_sensor_to_base", np.float64, (4, 4)),
-            ("object_new", np.int64),
-            ("object_visible", np.int64),
-            ("features", np.float64, (6,)),
-            ("feature_error", np.float64, (6,)),
-            ("tracked", np.int64, (boxes,)),  # 0, or the number of the track
-            ("last_seen_s", np.float64, (boxes,)),
-            ("predicted", np.float64, (boxes, 3)),
-            ("predicted_velocity", np.float64, (boxes, 3)),
-            ("predicted_covariance", np.float64, (boxes, 6, 6)),
-        ],
-        align=True,
-    )
 
 
 SeenRecords = NewType("SeenRecords", NDArray[np.void])  # (1,) SEEN

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from safety_harness.admission.admit import Checked
 from safety_harness.controller.contract import JOINTS, PREDICTED_HANDS, Arm, Seen, Start, Stop, sees_of
 from safety_harness.controller.driven import DrivenController
-from safety_harness.controller.seeing import seen_dtype
+from safety_harness.controller.rows import seen_dtype
 from safety_harness.exceptions import ControllerError, InadmissibleError
 from safety_harness.gym.episodes import OUTSIDE, Episodes, File
 from safety_harness.gym.observing import Arrays, observation_space, observed
@@ -142,9 +142,7 @@ class HarnessEnv(gymnasium.Env[dict[str, Any], NDArray[np.float64]]):
         self._begin(next(self._stream))
         return self._observed(), self._info()
 
-    def step(
-        self, action: NDArray[np.float64]
-    ) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
+    def step(self, action: NDArray[np.float64]) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
         """Move so for a control tick.  ``action`` as ``action_space`` has it; ControllerError for NaN."""
         if self._over:
             raise ControllerError("the episode is over: reset begins the next")

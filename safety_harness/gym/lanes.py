@@ -97,6 +97,8 @@ def step_lanes(
     c = controllers
     for lane in range(wanted.shape[0]):
         w = _world_of(worlds, lane)
-        obey(c.parameters[lane], c.state[lane], w.observation, wanted[lane], by_joints, False, c.command[lane])
+        obey(
+            c.parameters[lane], c.state[lane], w.observation, wanted[lane], by_joints, False, c.command[lane]
+        )
         step(*w[:10], c.command[lane])
         look_lane(worlds, controllers, lane, objects, predicts)

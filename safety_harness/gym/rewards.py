@@ -108,7 +108,10 @@ class Rewards:
                 weights[name] = float(weight)
         for sentence in (*weights, *ends):
             place = Place(field="rewards" if sentence in weights else "ends")
-            found = margins_of(property_of(Claim(sentence=sentence, expected=Verdict.HOLDS, place=place), checked.scenario), checked.arm)
+            found = margins_of(
+                property_of(Claim(sentence=sentence, expected=Verdict.HOLDS, place=place), checked.scenario),
+                checked.arm,
+            )
             if found is None:
                 raise InadmissibleError(
                     place=place, expected=f"a claim of single ticks: {USABLE}", got=repr(sentence)

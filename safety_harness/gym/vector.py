@@ -49,7 +49,9 @@ class HarnessVectorEnv(VectorEnv[Any, Any, Any]):
     ) -> None:
         setting = self.setting = Setting(scenario, space, world, sees, action, rewards, ends)
         if setting.world is not KINEMATIC:
-            raise InadmissibleError.of_option("world", "the kinematic one, of many lanes", setting.world.label)
+            raise InadmissibleError.of_option(
+                "world", "the kinematic one, of many lanes", setting.world.label
+            )
         if num_envs < 1:
             raise InadmissibleError.of_option("num_envs", "at least one", str(num_envs))
         self.num_envs = num_envs

@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 
 from safety_harness.admission.admit import Admitted, admit
 from safety_harness.admission.claims import property_of
-from safety_harness.avoidance.avoider import AvoiderAround, Proposal, Vector, described
-from safety_harness.exceptions import InputError
+from safety_harness.avoidance.avoider import AvoiderAround, Proposal, Vector
+from safety_harness.exceptions import InputError, described
 from safety_harness.properties.answered import fault_of
 from safety_harness.properties.base import Evaluation
 from safety_harness.scenario.model import Claim, Scenario, Verdict

@@ -1,12 +1,10 @@
 """What is said between us and the process of a user's avoider: MessagePack of known kinds, no pickle.
 
-A message goes in a frame, behind a header that tells its length.  Each side decodes what the other may say
-and nothing else.
+Each side decodes what the other may say and nothing else.
 """
 
 from __future__ import annotations
 
-import struct
 from operator import methodcaller
 from typing import Annotated
 
@@ -18,8 +16,6 @@ from safety_harness.avoidance.asking import Answer, Question
 from safety_harness.avoidance.avoider import LARGEST, Vector
 from safety_harness.scenario.decision_times import LONGEST_S
 
-HEADER = struct.Struct("<4sI")  # MAGIC, bytes of the message
-MAGIC = b"AVO2"
 MOST_QUESTION_BYTES = 1 << 30
 MOST_ANSWER_BYTES = 131_072
 MOST_ANSWER_WORDS = 960  # bytes; a trace keeps 240 characters
@@ -84,14 +80,5 @@ from_the_child: msgpack.Decoder[Said] = msgpack.Decoder(Said, dec_hook=_vector)
 
 
 def packed(message: Struct) -> bytes:
-    """A frame, as bytes."""
-    payload = msgpack.encode(message, enc_hook=methodcaller("tolist"))
-    return HEADER.pack(MAGIC, len(payload)) + payload
-
-
-def length_of(header: bytes, most: int) -> int:
-    """How long the message is, which is at most ``most`` bytes; ValueError otherwise."""
-    magic, length = HEADER.unpack(header)
-    if magic != MAGIC or length > most:
-        raise ValueError("no frame of ours")
-    return int(length)
+    """The message, as bytes."""
+    return msgpack.encode(message, enc_hook=methodcaller("tolist"))

@@ -17,12 +17,10 @@ from pathlib import Path
 import numpy as np
 
 from safety_harness.avoidance.asking import WALL_LIMIT_S, Answer, OutOfProcessAvoider, Question, answer_of
-from safety_harness.avoidance.avoider import Proposal, Vector, printable
+from safety_harness.avoidance.avoider import Proposal, Vector
 from safety_harness.avoidance.isolation.frames import Made
 from safety_harness.avoidance.isolation.host import Host, RefusedError, Wanted, host_of
-from safety_harness.avoidance.isolation.process import GoneError
 from safety_harness.avoidance.model_file import onnx_bytes
-from safety_harness.avoidance.python_file import source_of
 from safety_harness.exceptions import (
     AvoiderError,
     InadmissibleError,
@@ -31,8 +29,11 @@ from safety_harness.exceptions import (
     NoAnswerError,
     Place,
     SimulationError,
+    printable,
 )
 from safety_harness.extras import ONNX
+from safety_harness.isolation.channel import GoneError
+from safety_harness.isolation.python_file import source_of
 from safety_harness.settings import Settings
 
 ATTEMPTS = 3  # to make it anew, one after another
