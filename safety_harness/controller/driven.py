@@ -70,18 +70,6 @@ _OF_GATE = (
 _OF_DOUBT = ("proposed_spread_m", "spread_threshold_m")
 
 
-_NOTHING = DesiredView(  # of the object, for one who does not see it
-    dense=True,
-    features=np.full(6, np.nan),
-    area=np.nan,
-    depth_m=np.nan,
-    moments=np.full(31, np.nan),
-    plane=np.full(3, np.nan),
-    interaction=np.full((6, 6), np.nan),
-    interaction_pinv=np.full((6, 6), np.nan),
-    condition_number=np.nan,
-)
-
 
 class DrivenController:
     """One episode of a user's controller; ControllerError for what it raises or returns that is no action.
@@ -103,7 +91,7 @@ class DrivenController:
         self.name = user.name
         self.sees, self.reports = sees_of(user), reports_of(user)
         joints = len(arm.joint_names)
-        records = driven_records(settings, arm, view or _NOTHING, hand_slots)
+        records = driven_records(settings, arm, view, hand_slots)
         self._parameters, self._filter, self._state, self._tracks, self._seen, self._command = records
         self._question = QuestionRecords(np.zeros(1, QUESTION))
         self._decision = decision_dtype(joints)

@@ -50,11 +50,29 @@ class DrivenRecords(NamedTuple):
     command: CommandRecords  # (1,) COMMAND
 
 
-def driven_records(settings: Settings, arm: ArmModel, view: DesiredView, hand_slots: int) -> DrivenRecords:
-    """As an episode begins: nothing seen, no stop that would have to be waited for."""
+_NOTHING = DesiredView(  # of the object, for one who does not see it
+    dense=True,
+    features=np.full(6, np.nan),
+    area=np.nan,
+    depth_m=np.nan,
+    moments=np.full(31, np.nan),
+    plane=np.full(3, np.nan),
+    interaction=np.full((6, 6), np.nan),
+    interaction_pinv=np.full((6, 6), np.nan),
+    condition_number=np.nan,
+)
+
+
+def driven_records(
+    settings: Settings, arm: ArmModel, view: DesiredView | None, hand_slots: int
+) -> DrivenRecords:
+    """As an episode begins: nothing seen, no stop that would have to be waited for.
+
+    ``view`` is read only if the object is seen.
+    """
     joints = len(arm.joint_names)
     records = DrivenRecords(
-        ParameterRecords(parameters(settings, arm, view).copy()),
+        ParameterRecords(parameters(settings, arm, view or _NOTHING).copy()),
         FilterRecords(filter_parameters(settings.hand_filter, settings.hand_sensor).copy()),
         StateRecords(initial_state(hand_slots, joints)),
         TrackRecords(no_tracks(hand_slots)),
