@@ -104,15 +104,17 @@ def _action_space(action: str, first: Checked) -> spaces.Box:
 
 
 class HarnessEnv(gymnasium.Env[dict[str, Any], NDArray[np.float64]]):
-    """A scenario, or draws of a space, in any world, driven by the actions of an agent; docs/environments.md.
+    """A scenario, or draws of a space, in any world, driven by the actions of an agent.
 
-    A step is a control tick.  ``sees`` are words of a controller's contract; ``action`` is "tcp velocity" (3,)
-    or "tcp twist" (6,) in the base frame, or "joint velocity" (n,), in SI.  ``rewards`` gives weights to claims
-    and to "progress" (``gym.rewards``); a violation of one of ``ends`` at a tick terminates an episode, the end
-    of its scenario truncates it.  InadmissibleError for what cannot be tried.
+    A step is a control tick.  ``sees`` are words of a controller's contract.  ``action`` is "tcp velocity"
+    (3,) or "tcp twist" (6,) in the base frame, or "joint velocity" (n,), in SI.  ``rewards`` gives weights to
+    claims and to "progress" (``gym.rewards``).  A violation of one of ``ends`` at a tick terminates an
+    episode, the end of its scenario truncates it.  InadmissibleError for what cannot be tried.
     """
 
     metadata = {"render_modes": []}  # noqa: RUF012
+
+    action_space: spaces.Box  # type: ignore[assignment]  # its numbers are float64
 
     def __init__(
         self,
@@ -130,6 +132,7 @@ class HarnessEnv(gymnasium.Env[dict[str, Any], NDArray[np.float64]]):
         self.action_space = self.setting.action_space
         self._stream: Iterator[Checked] = self.setting.episodes.stream(None)
         self._closing = ExitStack()
+        self._way_m = np.zeros(1)
         self._over = True
 
     def reset(

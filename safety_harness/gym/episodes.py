@@ -82,7 +82,7 @@ class Episodes:
         if self._room and room != self._room:
             raise InadmissibleError(
                 place=scenario.place("space"),
-                expected="draws alike in arm, desired pose, motion limits, clock and room for hands (2, 4, 8)",
+                expected="draws alike in arm, desired pose, motion limits, clock, room for hands (2, 4, 8)",
                 got=f"{scenario.name}, which is not like those before it",
             )
         self._room = room

@@ -1,18 +1,18 @@
 """Many kinematic episodes side by side, all of them a tick on in one compiled call.
 
-Each record of ``WorldRecords`` and ``DrivenRecords`` is stacked: a lane is a row of it, as long as the longest
-of its kind so far.  What is beyond a lane's own end is zero: no move begins there, no fault is in force, no
-noise is read.  The functions are those of the kinematic world and of a user's controller.
+Each record of ``WorldRecords`` and ``DrivenRecords`` is stacked: a lane is a row of it, as long as the
+longest of its kind so far.  What is beyond a lane's own end is zero: no move begins there, no fault is in
+force, no noise is read.  The functions are those of the kinematic world and of a user's controller.
 """
 
 from __future__ import annotations
 
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.compiled import inlined, njit_no_nrt
+from safety_harness.compiled import inlined, njit_no_nrt, without_lock
 from safety_harness.controller.seeing import DrivenRecords, obey, see
 from safety_harness.simulation.kinematic_world import step
 from safety_harness.simulation.records import WorldRecords
@@ -23,12 +23,16 @@ Stacked = TypeVar("Stacked", WorldRecords, DrivenRecords)
 
 def stacked(like: Stacked, lanes: int) -> Stacked:
     """Room for so many lanes, each record (lanes, ...) of what one episode has."""
-    return type(like)(*(np.zeros((lanes, *one.shape), one.dtype) for one in like))
+    records: Any = like
+    rooms: Any = (np.zeros((lanes, *one.shape), one.dtype) for one in list(records))
+    return type(like)(*rooms)
 
 
 def placed(lanes: Stacked, lane: int, own: Stacked) -> Stacked:
     """``lanes`` with an episode's ``own`` records in one of them; in new arrays where it needs more room."""
-    return type(lanes)(*(_placed(all_, lane, one) for all_, one in zip(lanes, own, strict=True)))
+    pairs: Any = zip(lanes, own, strict=True)
+    rooms: Any = (_placed(rows, lane, one) for rows, one in pairs)
+    return type(lanes)(*rooms)
 
 
 def _placed(rows: NDArray[np.void], lane: int, own: NDArray[np.void]) -> NDArray[np.void]:
@@ -84,21 +88,21 @@ def look_lane(
     )
 
 
-@njit_no_nrt
+@without_lock
 def step_lanes(
     worlds: WorldRecords,
     controllers: DrivenRecords,
     wanted: NDArray[np.float64],  # (lanes, 6) or (lanes, n), as ``obey`` has it
+    first: int,
+    end: int,
     by_joints: bool,
     objects: bool,
     predicts: bool,
 ) -> None:
-    """Every lane obeys its action for a control tick, and looks."""
+    """Every lane from ``first`` to before ``end`` obeys its action for a control tick, and looks."""
     c = controllers
-    for lane in range(wanted.shape[0]):
-        w = _world_of(worlds, lane)
-        obey(
-            c.parameters[lane], c.state[lane], w.observation, wanted[lane], by_joints, False, c.command[lane]
-        )
+    for lane in range(first, end):
+        w, mine = _world_of(worlds, lane), wanted[lane]
+        obey(c.parameters[lane], c.state[lane], w.observation, mine, by_joints, False, c.command[lane])
         step(*w[:10], c.command[lane])
         look_lane(worlds, controllers, lane, objects, predicts)

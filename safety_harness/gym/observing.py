@@ -95,7 +95,8 @@ _OF: dict[str, Callable[[Seen], Arrays]] = {
 
 def _flag(true: NDArray[np.int64]) -> NDArray[np.int8]:  # (n,)
     """(n, 1)."""
-    return (true != 0).astype(np.int8)[:, None]
+    flags: NDArray[np.int8] = (true != 0).astype(np.int8)
+    return flags[:, None]
 
 
 def _first(count: NDArray[np.int64], rows: NDArray[np.float64]) -> NDArray[np.int8]:

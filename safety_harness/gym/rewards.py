@@ -44,7 +44,8 @@ USABLE = (
 
 def nearest_m(ticks: Ticks) -> Floats:
     """(n,) the least distance of any hand from the arm, surface to surface; infinite without one."""
-    return np.where(ticks["hand_present"], ticks["hand_distance_m"], np.inf).min(axis=1)
+    nearest: Floats = np.where(ticks["hand_present"], ticks["hand_distance_m"], np.inf).min(axis=1)
+    return nearest
 
 
 _SIGNALS: dict[Signal, OfTicks] = {
@@ -108,10 +109,8 @@ class Rewards:
                 weights[name] = float(weight)
         for sentence in (*weights, *ends):
             place = Place(field="rewards" if sentence in weights else "ends")
-            found = margins_of(
-                property_of(Claim(sentence=sentence, expected=Verdict.HOLDS, place=place), checked.scenario),
-                checked.arm,
-            )
+            claim = Claim(sentence=sentence, expected=Verdict.HOLDS, place=place)
+            found = margins_of(property_of(claim, checked.scenario), checked.arm)
             if found is None:
                 raise InadmissibleError(
                     place=place, expected=f"a claim of single ticks: {USABLE}", got=repr(sentence)
@@ -133,9 +132,7 @@ class Rewards:
         return {sentence: of_ticks(ticks) for sentence, of_ticks in self.margins.items()}
 
     def of_step(self, margins: Mapping[str, Floats], way_m: Floats, way_before_m: Floats) -> Floats:
-        """(n,) the reward of a step that ends with ``margins`` and ``way_m`` (n,) left; before it was
-        ``way_before_m`` (n,).
-        """
+        """(n,) the reward of a step: ``margins`` and ``way_m`` (n,) at its end, ``way_before_m`` (n,)."""
         total = self.progress * (way_before_m - way_m)
         for sentence, weight in self.weights.items():
             total += weight * self.period_s * np.minimum(margins[sentence], 0.0)
