@@ -1,6 +1,6 @@
 """A small policy, trained in ten minutes on the CPU by Stable-Baselines3, written as policy.onnx.
 
-python train_a_policy.py [MINUTES] [FILE.onnx]
+python train_a_policy.py [ACTIONS] [FILE.onnx]
 
 It sees the TCP and the predicted hands, and says how the TCP should move; docs/environments.md.
 """
@@ -8,7 +8,6 @@ It sees the TCP and the predicted hands, and says how the TCP should move; docs/
 from __future__ import annotations
 
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -71,25 +70,20 @@ class Policy(nn.Module):
         return self.most_mps * mean.clamp(-1.0, 1.0)
 
 
-class Until(BaseCallback):
-    """Ends the training after so many seconds, and says what it is worth by then."""
-
-    def __init__(self, seconds: float) -> None:
-        super().__init__()
-        self.end_s = time.monotonic() + seconds
+class Said(BaseCallback):
+    """Says what an episode is worth by now."""
 
     def _on_step(self) -> bool:
-        return time.monotonic() < self.end_s
+        return True
 
     def _on_rollout_end(self) -> None:
-        lately = self.model.ep_info_buffer
+        lately = [one["r"] for one in self.model.ep_info_buffer or ()]
         if lately:
-            mean = np.mean([one["r"] for one in lately])
-            print(f"{self.num_timesteps:>10} steps: reward of an episode {mean:.3f}", flush=True)
+            sys.stderr.write(f"{self.num_timesteps} actions: reward of an episode {np.mean(lately):.3f}\n")
 
 
-def train(minutes: float, *, lanes: int = 128, threads: int = 2) -> PPO:
-    """PPO on that space; what comes of it depends on how far it gets in that time."""
+def train(actions: int, *, lanes: int = 128, threads: int = 2) -> PPO:
+    """PPO on that space, with so many actions."""
     environments = HarnessVectorEnv(
         lanes, space=SPACE, sees=("joints", "predicted hands"), rewards=REWARDS, threads=threads
     )
@@ -103,7 +97,7 @@ def train(minutes: float, *, lanes: int = 128, threads: int = 2) -> PPO:
         n_epochs=6,
         gamma=0.98,
         gae_lambda=0.95,
-        learning_rate=1e-3,
+        learning_rate=lambda left: 1e-3 * left,
         seed=SEED,
         device="cpu",
         policy_kwargs={
@@ -112,7 +106,7 @@ def train(minutes: float, *, lanes: int = 128, threads: int = 2) -> PPO:
             "log_std_init": -1.0,
         },
     )
-    return model.learn(10**9, callback=Until(60.0 * minutes))
+    return model.learn(actions, callback=Said())
 
 
 def write_onnx(trained: PPO, path: Path) -> None:
@@ -133,6 +127,5 @@ def write_onnx(trained: PPO, path: Path) -> None:
 
 
 if __name__ == "__main__":
-    minutes, file = (*sys.argv[1:], *("8", "policy.onnx")[len(sys.argv) - 1 :])
-    write_onnx(train(float(minutes)), Path(file))
-    print(f"safety-harness run scenarios --controller {file}")
+    actions, file = (*sys.argv[1:], *("1500000", "policy.onnx")[len(sys.argv) - 1 :])
+    write_onnx(train(int(actions)), Path(file))

@@ -70,7 +70,6 @@ _OF_GATE = (
 _OF_DOUBT = ("proposed_spread_m", "spread_threshold_m")
 
 
-
 class DrivenController:
     """One episode of a user's controller; ControllerError for what it raises or returns that is no action.
 

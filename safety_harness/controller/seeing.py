@@ -96,9 +96,30 @@ def see(
     predicts: bool,
 ) -> None:
     """Fill ``seen`` with what has arrived by now; object and predicted hands only if asked for."""
-    p, s, o, out = parameters[0], states[0], observations[0], seen[0]
+    p, s, o = parameters[0], states[0], observations[0]
     forward_kinematics(p.chain, o.joint_position_rad, s.link_transforms)
     copy_matrix(s.link_transforms[p.chain.joint_axes.shape[0] + 1], s.transform_tcp_to_base)
+    if objects:
+        see_object(parameters, states, observations)
+    if predicts:
+        see_hands(parameters, filter_parameters, states, tracks, observations)
+    show(parameters, filter_parameters, states, tracks, observations, seen, o.boxes_new, objects, predicts)
+
+
+@njit_no_nrt
+def show(
+    parameters: ParameterRecords,
+    filter_parameters: FilterRecords,
+    states: StateRecords,
+    tracks: TrackRecords,
+    observations: ObservationRecords,
+    seen: SeenRecords,
+    hands: bool,
+    objects: bool,
+    predicts: bool,
+) -> None:
+    """Fill ``seen`` with what the control stack has seen; ``hands``: those of a frame of the sensor."""
+    p, s, o, out = parameters[0], states[0], observations[0], seen[0]
     out.time_s = o.time_s
     copy_vector(o.joint_position_rad, out.joint_position_rad)
     copy_vector(o.joint_velocity_radps, out.joint_velocity_radps)
@@ -110,16 +131,14 @@ def see(
     else:
         copy_matrix(p.transform_sensor_to_base, out.transform_sensor_to_base)
     out.boxes_new = o.boxes_new
-    if o.boxes_new:
+    if hands:
         measured_hands(filter_parameters, observations, seen)
     if objects:
-        see_object(parameters, states, observations)
         out.object_new = o.image_new
         out.object_visible = s.object_visible
         copy_vector(s.features, out.features)
         copy_vector(s.feature_error, out.feature_error)
     if predicts:
-        see_hands(parameters, filter_parameters, states, tracks, observations)
         for i in range(tracks.shape[0]):
             out.tracked[i] = tracks[i].id if s.track_valid[i] else 0
             if s.track_valid[i]:

@@ -23,9 +23,11 @@ Stacked = TypeVar("Stacked", WorldRecords, DrivenRecords)
 
 def stacked(like: Stacked, lanes: int) -> Stacked:
     """Room for so many lanes, each record (lanes, ...) of what one episode has."""
-    records: Any = like
-    rooms: Any = (np.zeros((lanes, *one.shape), one.dtype) for one in list(records))
-    return type(like)(*rooms)
+
+    def room(record: Any) -> Any:
+        return np.zeros((lanes, *record.shape), record.dtype)
+
+    return type(like)(*map(room, like))
 
 
 def placed(lanes: Stacked, lane: int, own: Stacked) -> Stacked:

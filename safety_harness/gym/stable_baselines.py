@@ -26,17 +26,18 @@ class StableBaselinesEnv(VecEnv):
         if ticks < 1:
             raise InadmissibleError.of_option("ticks", "at least one", str(ticks))
         self.environments, self._ticks = environments, ticks
-        known: dict[str, Any] = dict(environments.single_observation_space.spaces)
+        shown, moved = environments.setting.observation_space, environments.setting.action_space
+        known = shown.spaces
         for field in fields:
             if field not in known:
                 raise InadmissibleError.of_option(
                     "fields", f"some of: {', '.join(known)}", repr(field), near_miss(field, known)
                 )
         self._fields = tuple(fields) or tuple(known)
-        self._most = environments.single_action_space.high
-        shown = {name: spaces.Box(-np.inf, np.inf, known[name].shape, np.float32) for name in self._fields}
+        self._most = moved.high
+        boxes = {name: spaces.Box(-np.inf, np.inf, known[name].shape, np.float32) for name in self._fields}
         actions = spaces.Box(-1.0, 1.0, self._most.shape, np.float32)
-        super().__init__(environments.num_envs, spaces.Dict(shown), actions)  # type: ignore[arg-type]
+        super().__init__(environments.num_envs, spaces.Dict(boxes), actions)  # type: ignore[arg-type]
         self._actions = np.zeros((self.num_envs, *self._most.shape))
 
     def reset(self) -> Arrays:
