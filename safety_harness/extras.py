@@ -90,4 +90,7 @@ CLUSTER = Extra(
     instead="without --cluster it runs on this machine",
 )
 GYM = Extra("gym", ("gymnasium",), "worlds as Gymnasium environments")
-EXTRAS = (PYBULLET, IMAGES, ONNX, LEARNING, FITTING, EXPORT, CLUSTER, GYM)
+POLICIES = Extra(
+    "policies", ("stable_baselines3",), "policies trained in environments", package="stable-baselines3"
+)
+EXTRAS = (PYBULLET, IMAGES, ONNX, LEARNING, FITTING, EXPORT, CLUSTER, GYM, POLICIES)

@@ -8,11 +8,14 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
-from stable_baselines3.common.vec_env import VecEnv
 
 from safety_harness.exceptions import InadmissibleError, near_miss
+from safety_harness.extras import POLICIES
 from safety_harness.gym.observing import Arrays
 from safety_harness.gym.vector import HarnessVectorEnv
+
+with POLICIES.needed("policies trained in environments"):
+    from stable_baselines3.common.vec_env import VecEnv
 
 
 class StableBaselinesEnv(VecEnv):
