@@ -112,6 +112,7 @@ def driven_in(trace: Trace) -> DrivenRun | None:
     if not (scenario.driven or is_a_program(scenario.avoider)) or not trace.complete:
         return None
     told = trace.ticks["demanded_joint_velocity_radps"].tobytes()
+    told += trace.decisions["proposed_position_in_base_m"].tobytes()
     made = trace.provenance
     digest = hashlib.sha256(told + trace.ticks["joint_position_rad"].tobytes()).hexdigest()
     sha256 = made.controller_sha256 if scenario.driven else made.avoider_sha256

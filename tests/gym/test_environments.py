@@ -80,7 +80,8 @@ def test_it_passes_the_checks_of_gymnasium_and_of_stable_baselines() -> None:
 
 def test_a_seed_gives_the_same_episodes_again_and_another_seed_others(one: HarnessEnv) -> None:
     first, again, other = episode(one, 3), episode(one, 3), episode(one, 4)
-    assert first[1] == again[1] and all(map(alike, first[0], again[0]))
+    assert first[1] == again[1]
+    assert all(map(alike, first[0], again[0]))
     assert first[1] != other[1]
     assert len(first[1]) == TICKS
 
@@ -119,7 +120,8 @@ def test_its_trace_is_that_of_a_controller_that_acts_alike_bit_for_bit() -> None
         env.step(Steady().told)
     own, run = env.trace(), run_kinematic(admit(SCENARIO, controller=Steady()))
     env.close()
-    assert own.complete and len(own.ticks) == TICKS + 1
+    assert own.complete
+    assert len(own.ticks) == TICKS + 1
     for name in ("joint_position_rad", "demanded_joint_velocity_radps", "hand_distance_m", "limits"):
         np.testing.assert_array_equal(own.ticks[name], run.ticks[name])
 
@@ -131,7 +133,9 @@ def test_an_episode_that_a_claim_ends_is_terminated_and_its_trace_is_incomplete(
     while not over:
         *_, terminated, truncated, info = env.step(np.zeros(3))
         over, steps = terminated or truncated, steps + 1
-    assert terminated and steps < TICKS and info["margins"][NEAR] < 0.0
+    assert terminated
+    assert steps < TICKS
+    assert info["margins"][NEAR] < 0.0
     assert not env.trace().complete
     with pytest.raises(ControllerError, match="the episode is over"):
         env.step(np.zeros(3))
@@ -150,7 +154,8 @@ def test_lanes_are_the_single_environments_bit_for_bit_whatever_the_threads(one:
         actions = np.array([rng.uniform(-0.2, 0.2, 3) for rng in rngs])
         seen, reward, _, truncated, info = lanes.step(actions)
         assert [rewards[k] for _, rewards, _ in singles] == reward.tolist()
-    assert truncated.all() and info["_final_obs"].all()
+    assert truncated.all()
+    assert info["_final_obs"].all()
     for lane, (every, _, last) in enumerate(singles):
         assert alike(every[-1], {name: array[lane] for name, array in info["final_obs"].items()})
         assert last["margins"][NEAR] == info["final_info"]["margins"][NEAR][lane]
@@ -171,7 +176,9 @@ def test_stable_baselines_gets_fields_held_actions_and_the_last_observation() ->
         total, steps = total + reward, steps + 1
         if over.any():
             break
-    assert steps == -(-TICKS // 7) and over.all() and all(info["TimeLimit.truncated"] for info in infos)
+    assert steps == -(-TICKS // 7)
+    assert over.all()
+    assert all(info["TimeLimit.truncated"] for info in infos)
     told = [beside.step(lanes.single_action_space.high * actions) for _ in range(TICKS)]
     np.testing.assert_allclose(total, sum(step[1] for step in told), rtol=1e-5)
     last = told[-1][4]["final_obs"]["tcp_position_in_base_m"]
@@ -184,7 +191,10 @@ def test_stable_baselines_gets_fields_held_actions_and_the_last_observation() ->
     [
         ({}, "one of them; got neither"),
         ({"space": SPACE, "scenario": SCENARIO}, "one of them; got both"),
-        ({"space": SPACE, "action": "torque"}, "one of: tcp velocity, tcp twist, joint velocity; got 'torque'"),
+        (
+            {"space": SPACE, "action": "torque"},
+            "tcp velocity, tcp twist, joint velocity; got 'torque'",
+        ),
         ({"space": SPACE, "sees": ("image",)}, "got 'image'"),
         ({"space": SPACE, "rewards": {"the avoider answered": 1.0}}, "claim of single ticks"),
         ({"space": SPACE, "rewards": {NEAR: float("nan")}}, "a number for"),
