@@ -82,11 +82,9 @@ class Said(BaseCallback):
             sys.stderr.write(f"{self.num_timesteps} actions: reward of an episode {np.mean(lately):.3f}\n")
 
 
-def train(actions: int, *, lanes: int = 128, threads: int = 2) -> PPO:
+def train(actions: int, *, lanes: int = 128) -> PPO:
     """PPO on that space, with so many actions."""
-    environments = HarnessVectorEnv(
-        lanes, space=SPACE, sees=("joints", "predicted hands"), rewards=REWARDS, threads=threads
-    )
+    environments = HarnessVectorEnv(lanes, space=SPACE, sees=("joints", "predicted hands"), rewards=REWARDS)
     vectorised = StableBaselinesEnv(environments, FIELDS, ticks=5)
     vectorised.seed(SEED)
     model = PPO(

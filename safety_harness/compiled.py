@@ -172,11 +172,6 @@ def njit_no_nrt(function: F) -> F:
     return _compiled(function, _nrt=False)
 
 
-def without_lock(function: F) -> F:
-    """As ``njit_no_nrt``, and Python's other threads run meanwhile: for what takes milliseconds."""
-    return _compiled(function, _nrt=False, nogil=True)
-
-
 def inlined(function: F) -> F:
     """As ``njit_no_nrt``, and always part of its callers' machine code: for small steps of many arrays."""
     return _compiled(function, _nrt=False, forceinline=True)

@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.compiled import inlined, njit_no_nrt, without_lock
+from safety_harness.compiled import inlined, njit_no_nrt
 from safety_harness.controller.seeing import DrivenRecords, obey, see
 from safety_harness.simulation.kinematic_world import step
 from safety_harness.simulation.records import WorldRecords
@@ -90,20 +90,18 @@ def look_lane(
     )
 
 
-@without_lock
+@njit_no_nrt
 def step_lanes(
     worlds: WorldRecords,
     controllers: DrivenRecords,
     wanted: NDArray[np.float64],  # (lanes, 6) or (lanes, n), as ``obey`` has it
-    first: int,
-    end: int,
     by_joints: bool,
     objects: bool,
     predicts: bool,
 ) -> None:
-    """Every lane from ``first`` to before ``end`` obeys its action for a control tick, and looks."""
+    """Every lane obeys its action for a control tick, and looks."""
     c = controllers
-    for lane in range(first, end):
+    for lane in range(wanted.shape[0]):
         w, mine = _world_of(worlds, lane), wanted[lane]
         obey(c.parameters[lane], c.state[lane], w.observation, mine, by_joints, False, c.command[lane])
         step(*w[:10], c.command[lane])

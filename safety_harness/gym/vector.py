@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
@@ -31,8 +30,7 @@ class HarnessVectorEnv(VectorEnv[Any, Any, Any]):
 
     Lane i begins stream seed + i.  A lane whose episode is over is reset within the same step; its last
     observation and info are ``info["final_obs"]`` and ``info["final_info"]``.  The world is the kinematic
-    one, and no lane has a trace: ``HarnessEnv`` with the lane's seed has.  ``threads`` share the lanes; what
-    comes of it is the same for any number of them.
+    one, and no lane has a trace: ``HarnessEnv`` with the lane's seed has.
     """
 
     metadata = {"render_modes": [], "autoreset_mode": AutoresetMode.SAME_STEP}  # noqa: RUF012
@@ -48,17 +46,12 @@ class HarnessVectorEnv(VectorEnv[Any, Any, Any]):
         action: str = TCP_VELOCITY,
         rewards: Mapping[str, float] = REWARDS,
         ends: Sequence[str] = (),
-        threads: int = 1,
     ) -> None:
         setting = self.setting = Setting(scenario, space, world, sees, action, rewards, ends)
         if setting.world is not KINEMATIC:
             raise InadmissibleError.of_option("world", "the kinematic one", setting.world.label)
         if num_envs < 1:
             raise InadmissibleError.of_option("num_envs", "at least one", str(num_envs))
-        if threads < 1:
-            raise InadmissibleError.of_option("threads", "at least one", str(threads))
-        self._shares = np.linspace(0, num_envs, min(threads, num_envs) + 1).astype(int)
-        self._pool = ThreadPoolExecutor(len(self._shares) - 1) if threads > 1 else None
         self.num_envs = num_envs
         self.single_observation_space = setting.observation_space
         self.single_action_space = setting.action_space
@@ -93,7 +86,7 @@ class HarnessVectorEnv(VectorEnv[Any, Any, Any]):
     ) -> tuple[Arrays, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
         """Every lane a control tick on.  ``actions`` (lanes, a) as of ``action_space``."""
         wanted = self.setting.wanted_of(actions, self.num_envs)
-        self._step_lanes(wanted)
+        step_lanes(self._worlds, self._controllers, wanted, self.setting.by_joints, *self._wants)
         rewards, ticks, way_before_m = self.setting.rewards, self._ticks, self._way_m
         margins, self._way_m = rewards.at(ticks), rewards.way_left_m(ticks)
         for sentence, margin in margins.items():
@@ -114,21 +107,6 @@ class HarnessVectorEnv(VectorEnv[Any, Any, Any]):
             observation = self._observed()
         info["margins"] = self._margins()
         return observation, reward, terminated, truncated, info
-
-    def _step_lanes(self, wanted: NDArray[np.float64]) -> None:
-        """``wanted`` (lanes, 6) or (lanes, n)."""
-
-        def share(first: int, end: int) -> None:
-            seen = self.setting.by_joints, *self._wants
-            step_lanes(self._worlds, self._controllers, wanted, first, end, *seen)
-
-        for _ in (self._pool.map if self._pool else map)(share, self._shares[:-1], self._shares[1:]):
-            pass
-
-    def close_extras(self, **kwargs: Any) -> None:
-        """End the threads."""
-        if self._pool:
-            self._pool.shutdown()
 
     @property
     def _ticks(self) -> NDArray[np.void]:
