@@ -20,6 +20,7 @@ import platform
 import subprocess
 import time
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -32,9 +33,9 @@ SPACE = "shipped:unseen-both"
 HEAD = """\
 # Environments
 
-Written by `make bench-environments`. Revision {revision}, {machine}, load {load} at the end. Control ticks a second on
-{space}, random actions, "joints" and "predicted hands" seen, a reset to a fresh draw after each episode. The aim
-was 100,000 a second for many at once, on two cores.
+Written by `make bench-environments`. Revision {revision}, {machine}, load {load} at the end.
+Control ticks a second on {space}, random actions, "joints" and "predicted hands" seen, a reset to a
+fresh draw after each episode. The aim was 100,000 a second for many at once, on two cores.
 
 | environments | world | ticks a second | least to greatest of {turns} episodes |
 |---|---|---|---|
@@ -93,9 +94,10 @@ def of_both(lanes: int) -> Turn:
 
 def _work(there: multiprocessing.connection.Connection, lanes: int) -> None:
     turn = many(lanes)
-    while True:
-        there.recv()
-        there.send(turn())
+    with suppress(EOFError):  # the other side has ended
+        while True:
+            there.recv()
+            there.send(turn())
 
 
 def rows(turns: int) -> Iterator[str]:
