@@ -13,7 +13,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.exceptions import AvoiderError
+from safety_harness.controller.contract import IMAGE, sees_of
+from safety_harness.exceptions import AvoiderError, ControllerError
 from safety_harness.scenario.decision_times import LONGEST_S
 
 Vector = NDArray[np.float64]  # (3,)
@@ -38,6 +39,9 @@ class Avoider(Protocol):
     It may also have attributes ``spread_threshold_m`` (a number, or None): the gate then refuses
     a proposal whose spread is above it on any axis; and ``decision_time_s`` (a number): what a decision
     costs in simulated time, where the scenario's settings do not say otherwise.
+
+    And ``sees``, words of a controller's contract but for "image": ``propose`` is then asked with a fourth
+    keyword, ``seen``, which has what they name, as it was when the question was asked.
     """
 
     @property
@@ -76,6 +80,11 @@ class AvoiderAround:
         """The avoider's own; AvoiderError as there."""
         return decision_time_of(self.avoider)
 
+    @property
+    def sees(self) -> tuple[str, ...]:
+        """The avoider's own: an heir that asks it hands ``seen`` on."""
+        return shown_to(self.avoider)
+
 
 def spread_threshold_of(avoider: Avoider) -> float | None:
     """The largest spread [m] with which the avoider's proposals may be used; None for any.
@@ -91,6 +100,22 @@ def decision_time_of(avoider: Avoider) -> float:
     AvoiderError for what is no such time.
     """
     return _declared(avoider, "decision_time_s", f"a time from 0 s to {LONGEST_S:g} s", most=LONGEST_S) or 0.0
+
+
+def shown_to(avoider: Avoider) -> tuple[str, ...]:
+    """What the avoider sees beside the three keywords, in the order of the contract's ``SIGHTS``.
+
+    AvoiderError for a word that is none of them, and for pixels.
+    """
+    if getattr(avoider, "sees", None) is None:
+        return ()
+    try:
+        sees = sees_of(avoider)  # type: ignore[arg-type]  # it reads no more than that
+    except ControllerError as error:
+        raise AvoiderError(str(error)) from error
+    if IMAGE in sees:
+        raise AvoiderError(f"sees must be words that avoiders are shown; got {IMAGE!r}: no pixels")
+    return sees
 
 
 def _declared(avoider: Avoider, name: str, kind: str, *, most: float) -> float | None:

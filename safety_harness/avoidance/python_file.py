@@ -6,7 +6,7 @@ import inspect
 from pathlib import Path
 from typing import NoReturn
 
-from safety_harness.avoidance.avoider import Avoider, decision_time_of, spread_threshold_of
+from safety_harness.avoidance.avoider import Avoider, decision_time_of, shown_to, spread_threshold_of
 from safety_harness.exceptions import AvoiderError, InadmissibleError, Place
 from safety_harness.isolation.python_file import made_by, raised
 from safety_harness.isolation.python_file import refuse_undefined as refuse_undefined_there
@@ -38,10 +38,11 @@ def _admissible(path: Path, found: object, name: str) -> Avoider:
         raise raised(path, AVOIDER, f"{name} to have a name and a propose", error) from error
     if not callable(propose):
         _refuse(AVOIDER, f"{name} to have a method propose", f"none in a {type(found).__name__}")
-    asked = f"propose(*, {', '.join(QUESTION)})"
+    question = QUESTION + (("seen",) if getattr(found, "sees", None) else ())
+    asked = f"propose(*, {', '.join(question)})"
     try:
         signature = inspect.signature(propose)
-        signature.bind(**dict.fromkeys(QUESTION))
+        signature.bind(**dict.fromkeys(question))
     except TypeError:
         _refuse(AVOIDER, f"{name} to have {asked}", f"propose{signature}")
     except ValueError:
@@ -52,6 +53,7 @@ def _admissible(path: Path, found: object, name: str) -> Avoider:
     for read, attribute, kind in (
         (spread_threshold_of, "spread_threshold_m", "a length"),
         (decision_time_of, "decision_time_s", "a time"),
+        (shown_to, "sees", "of words that avoiders are shown"),
     ):
         try:
             read(avoider)

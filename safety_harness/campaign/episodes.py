@@ -184,7 +184,7 @@ class EpisodeRunner:
             failure=broken,
             worker=self.worker,
             asked=() if run.scenario.driven else tuple(asked_in(run)),
-            driven=driven_in(run) if run.scenario.driven and run.complete else None,
+            driven=driven_in(run),
         )
 
     def _kept_whatever(self, stratum: int) -> frozenset[int]:

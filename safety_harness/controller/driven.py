@@ -34,23 +34,17 @@ from safety_harness.controller.contract import (
 )
 from safety_harness.controller.cycle import QUESTION, report
 from safety_harness.controller.records import (
-    CommandRecords,
-    FilterRecords,
     ObservationRecords,
-    ParameterRecords,
     QuestionRecords,
-    StateRecords,
-    TrackRecords,
     command_dtype,
     initial_state,
     observation_dtype,
-    parameters,
     parameters_dtype,
 )
 from safety_harness.controller.rows import SeenLayout, seen_dtype
-from safety_harness.controller.seeing import SeenRecords, obey, see
+from safety_harness.controller.seeing import SeenRecords, driven_records, obey, see
 from safety_harness.exceptions import ControllerError, described, printable
-from safety_harness.perception.hand_filter import FILTER_PARAMETERS, filter_parameters
+from safety_harness.perception.hand_filter import FILTER_PARAMETERS
 from safety_harness.perception.tracking import no_tracks
 from safety_harness.robot.description import ArmModel
 from safety_harness.robot.kinematics import links_in_base
@@ -76,19 +70,6 @@ _OF_GATE = (
 _OF_DOUBT = ("proposed_spread_m", "spread_threshold_m")
 
 
-_NOTHING = DesiredView(  # of the object, for one who does not see it
-    dense=True,
-    features=np.full(6, np.nan),
-    area=np.nan,
-    depth_m=np.nan,
-    moments=np.full(31, np.nan),
-    plane=np.full(3, np.nan),
-    interaction=np.full((6, 6), np.nan),
-    interaction_pinv=np.full((6, 6), np.nan),
-    condition_number=np.nan,
-)
-
-
 class DrivenController:
     """One episode of a user's controller; ControllerError for what it raises or returns that is no action.
 
@@ -109,15 +90,9 @@ class DrivenController:
         self.name = user.name
         self.sees, self.reports = sees_of(user), reports_of(user)
         joints = len(arm.joint_names)
-        self._parameters = ParameterRecords(parameters(settings, arm, view or _NOTHING).copy())
-        self._filter = FilterRecords(filter_parameters(settings.hand_filter, settings.hand_sensor).copy())
-        self._state = StateRecords(initial_state(hand_slots, joints))
-        self._state["clear_since_s"] = -np.inf
-        self._tracks = TrackRecords(no_tracks(hand_slots))
-        self._seen = SeenRecords(np.zeros(1, seen_dtype(hand_slots, joints)))
-        self._seen["boxes_time_s"] = np.nan
+        records = driven_records(settings, arm, view, hand_slots)
+        self._parameters, self._filter, self._state, self._tracks, self._seen, self._command = records
         self._question = QuestionRecords(np.zeros(1, QUESTION))
-        self._command = CommandRecords(np.zeros(1, command_dtype(joints)))
         self._decision = decision_dtype(joints)
         self._decisions: list[NDArray[np.void]] = []
         self._twist, self._joints, self._nothing = np.zeros(6), np.zeros(joints), np.zeros(6)
@@ -143,9 +118,23 @@ class DrivenController:
 
     def step(self, observation: NDArray[np.void]) -> NDArray[np.void]:
         """(1,) OBSERVATION to (1,) COMMAND."""
+        self.look(observation)
+        return self.carry_out(*self._asked(), observation)
+
+    def look(self, observation: NDArray[np.void]) -> SeenRecords:
+        """(1,) SEEN of (1,) OBSERVATION: the first half of ``step``."""
         o = ObservationRecords(observation)
         self._see(self._parameters, self._filter, self._state, self._tracks, o, self._seen, *self._wants)
-        wanted, by_joints, stop = self._asked()
+        return self._seen
+
+    def carry_out(
+        self, wanted: Floats, by_joints: bool, stop: bool, observation: NDArray[np.void]
+    ) -> NDArray[np.void]:
+        """(1,) COMMAND for an action, as ``obey`` has it: the second half of ``step``.
+
+        ``wanted`` (6,) or (n,), ``observation`` (1,) OBSERVATION; ControllerError for what is not finite.
+        """
+        o = ObservationRecords(observation)
         if not self._obey(self._parameters, self._state, o, wanted, by_joints, stop, self._command):
             raise self._failed("act returned", f"velocities that are not finite: {wanted.tolist()}")
         self._question["tick"] += 1

@@ -21,6 +21,7 @@ from safety_harness.controller.contract import (
     PREDICTED_HANDS,
     HandBoxes,
     PredictedHand,
+    Seen,
     SeenHand,
     SeenObject,
 )
@@ -75,10 +76,28 @@ class SeenLayout(dict[str, Maker]):
     def __init__(self, hand_slots: int, joints: int, sees: tuple[str, ...]) -> None:
         dtype = seen_dtype(hand_slots, joints)
         super().__init__(_makers(dtype, sees))
-        self.hand_slots = hand_slots
+        self.hand_slots, self.joints, self.sees = hand_slots, joints, sees
         self.wanted = max([1, *(int(_part(dtype, _LAST[word])[0].stop) for word in sees)])
 
 
+PackedSeen = tuple[float, int, int, tuple[str, ...], bytes]  # period, hands, joints, sees, row
+
+
+def packed_seen(seen: Seen) -> PackedSeen:
+    """What is seen, as the harness made it, to be sent."""
+    own = seen.__dict__
+    layout: SeenLayout = own["_makers"]
+    return seen.period_s, layout.hand_slots, layout.joints, layout.sees, own["_row"].tobytes()
+
+
+def unpacked(sent: PackedSeen) -> Seen:
+    """As it was packed."""
+    period_s, hand_slots, joints, sees, numbers = sent
+    row = np.frombuffer(numbers)
+    return Seen.of_row(row.item(0), period_s, _layout(hand_slots, joints, sees), row)
+
+
+_layout = lru_cache(maxsize=64)(SeenLayout)
 _LAST = {
     JOINTS: "tcp_position_in_base_m",
     HANDS: "hands",

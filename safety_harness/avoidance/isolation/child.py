@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from safety_harness.avoidance.asking import Answer, Question, answers_together, ask, takes_many
-from safety_harness.avoidance.avoider import Avoider, decision_time_of, spread_threshold_of
+from safety_harness.avoidance.avoider import Avoider, decision_time_of, shown_to, spread_threshold_of
 from safety_harness.avoidance.isolation.frames import (
     MOST_ANSWER_WORDS,
     MOST_QUESTION_BYTES,
@@ -74,6 +74,7 @@ class _Child:
                 spread_threshold_of(avoider),
                 decision_time_of(avoider),
                 takes_many(avoider),
+                shown_to(avoider),
             )
         except InputError as error:
             words = error.expected, error.got, error.hint, error.place.field or ""
@@ -85,7 +86,7 @@ class _Child:
     def _answers(self, told: Ask) -> Iterator[Answer]:
         """All together if that is asked and it can, else each as soon as it is there."""
         avoider, file = self._avoiders[told.number]
-        questions, found = told.questions, []
+        questions, found = told.asked, []
         if told.together:
             try:
                 found = answers_together(avoider, questions)

@@ -14,6 +14,7 @@ from msgspec import Meta, Struct, msgpack
 
 from safety_harness.avoidance.asking import Answer, Question
 from safety_harness.avoidance.avoider import LARGEST, Vector
+from safety_harness.controller.rows import PackedSeen, packed_seen, unpacked
 from safety_harness.scenario.decision_times import LONGEST_S
 
 MOST_QUESTION_BYTES = 1 << 30
@@ -30,11 +31,29 @@ class Make(Struct, tag=True):
 
 
 class Ask(Struct, tag=True):
-    """Questions to the avoider of that number; ``together``: in one call if it takes many."""
+    """Questions to the avoider of that number; ``together``: in one call if it takes many.
+
+    ``seen`` is what goes with each, for an avoider that sees more.
+    """
 
     number: int
     questions: list[Question]
     together: bool
+    seen: list[PackedSeen] = []
+
+    @classmethod
+    def of(cls, number: int, questions: list[Question], together: bool) -> Ask:
+        """Those questions, what is seen apart from them."""
+        seen = [packed_seen(one.seen) for one in questions if one.seen is not None]
+        return cls(number, [one._replace(seen=None) for one in questions], together, seen)
+
+    @property
+    def asked(self) -> list[Question]:
+        """The questions as they were."""
+        if not self.seen:
+            return self.questions
+        pairs = zip(self.questions, self.seen, strict=True)
+        return [question._replace(seen=unpacked(seen)) for question, seen in pairs]
 
 
 class Drop(Struct, tag=True):
@@ -50,6 +69,7 @@ class Made(Struct, tag=True):
     spread_threshold_m: Annotated[float, Meta(ge=0.0, le=LARGEST)] | None
     decision_time_s: Annotated[float, Meta(ge=0.0, le=LONGEST_S)]
     takes_many: bool
+    sees: tuple[str, ...]
 
 
 class Refused(Struct, tag=True):

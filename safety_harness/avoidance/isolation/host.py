@@ -102,7 +102,7 @@ class Host:
 
     def ask(self, number: int, questions: list[Question], *, together: bool) -> Iterator[Answer]:
         """The answers as they come, as they were sent; GoneError at the one that does not."""
-        channel = self._told(Ask(number, questions, together))
+        channel = self._told(Ask.of(number, questions, together))
         for k, question in enumerate(questions):
             said = _received(channel, limit_of(questions) if together else question.limit_s)
             if not isinstance(said, Answered) or said.number != k:

@@ -69,7 +69,7 @@ def _controller(path: Path, source: bytes, attribute: str | None) -> UserControl
         return controller_in(path, source, attribute, Place(field="controller"))
     from safety_harness.controller.out_of_process.onnx_policy import OnnxPolicy  # no program waits for it
 
-    return OnnxPolicy.of(path, source)
+    return OnnxPolicy(path, source)
 
 
 class _Answering:

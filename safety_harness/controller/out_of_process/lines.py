@@ -231,7 +231,7 @@ class ProgramLine(_JsonLine):
 
 
 class SocketLine(_JsonLine):
-    """To a program that listens on this machine, at ``address``: (host, port), or the path of a Unix socket."""
+    """To a program that listens on this machine at ``address``, (host, port) or the path of a Unix socket."""
 
     def __init__(self, address: tuple[str, int] | str) -> None:
         super().__init__()
