@@ -28,7 +28,6 @@ from safety_harness.trace.provenance import provenance
 from safety_harness.trace.system import SystemUnderTest
 from safety_harness.whole_file import writing
 
-
 SYSTEM = "the system under test"
 
 
