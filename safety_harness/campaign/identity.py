@@ -28,6 +28,8 @@ from safety_harness.trace.provenance import provenance
 from safety_harness.trace.system import SystemUnderTest
 from safety_harness.whole_file import writing
 
+SYSTEM = "the system under test"
+
 
 @dataclass(frozen=True)
 class Identity:
@@ -50,11 +52,15 @@ class Identity:
         return cls(tuple((str(name), str(value)) for name, value in json.loads(text)))
 
     def changes(self, now: Identity) -> list[str]:
-        """What is another now, in words; empty if nothing is."""
+        """What is another now, in words; empty if nothing is.
+
+        Of a system under test only where no file, network or version of it has been named.
+        """
         before, after = dict(self.parts), dict(now.parts)
         words = [f"{name} changed" for name in before if name in after and before[name] != after[name]]
         words += [f"{name} is gone" for name in before if name not in after]
-        return words + [f"{name} is new" for name in after if name not in before]
+        words += [f"{name} is new" for name in after if name not in before]
+        return [one for one in words if not one.startswith(SYSTEM)] or words
 
     def refuse_other(self, now: Identity, file: Path, *, where: str = "", hint: str = "") -> None:
         """LedgerError that names what of ``file`` is another now than when its plan was declared."""
@@ -84,7 +90,7 @@ def identity_of(
     parts["Python"] = made_by.python
     parts["the platform"] = made_by.platform
     parts |= {f"the library {name}": version for name, version in made_by.libraries}
-    parts |= {f"the system under test in {name}": one.as_json for name, one in systems}
+    parts |= {f"{SYSTEM} in {name}": one.as_json for name, one in systems}
     return Identity(tuple(parts.items()))
 
 

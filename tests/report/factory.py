@@ -12,6 +12,7 @@ from safety_harness.scenario.model import Claim, MovingHand, OffsetStart, Scenar
 from safety_harness.scenario.moves import ReachForTcp, Withdraw
 from safety_harness.settings import DEFAULTS, Settings
 from safety_harness.trace.records import DECISION, Check, DecisionOutcome, Limit, Mode, Trigger, tick_dtype
+from safety_harness.trace.system import NOT_NOTED, Component
 from safety_harness.trace.trace import Provenance, Trace
 
 PROVENANCE = Provenance(
@@ -22,6 +23,7 @@ PROVENANCE = Provenance(
     platform="Linux-x86_64",
     libraries=(("numpy", "2.4.6"), ("numba", "0.68.1")),
 )
+SYSTEM = replace(NOT_NOTED, avoider=Component(name="opposite"))
 SEED_JOINTS = np.array([-0.22, -1.27, 1.98, -2.27, -1.57, -0.22])
 
 
@@ -116,6 +118,7 @@ def trace(
         decision_latency_s=np.full(len(made), 1.2e-4),
         provenance=PROVENANCE,
         ended=ended,
+        system=SYSTEM,
     )
 
 
