@@ -53,7 +53,7 @@ from safety_harness.scenario.robots import AnyRobot
 from safety_harness.seeds import Branch, seed
 from safety_harness.servoing.control import DesiredView
 from safety_harness.settings import DecisionCost, Settings, Vector3
-from safety_harness.space.regions import Seen, seen_by
+from safety_harness.space.regions import SeenRegions, seen_by
 from safety_harness.trace.trace import Trace
 
 FIRST_ANSWER_S = 300.0  # time to import, load and compile whatever an avoider needs
@@ -147,7 +147,7 @@ class Admitter:
         hand, tcp = first_question(scenario.settings)
         return _admitted(checked, avoider, sha256, self._answers(cast(Hashable, avoider), hand, tcp))
 
-    def seen_of(self, scenario: Scenario) -> Seen:
+    def seen_of(self, scenario: Scenario) -> SeenRegions:
         """What the scenario's avoider was trained on, as ``seen_by`` has it."""
         return self._seen_by(scenario.under_test, folder=folder_of(scenario), settings=scenario.settings)
 

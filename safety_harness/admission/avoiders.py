@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 
 from safety_harness.avoidance.avoider import Avoider
 from safety_harness.avoidance.isolation.isolated import isolated_avoider, isolated_onnx
-from safety_harness.avoidance.model_file import LARGEST_BYTES, refuse_foreign_seen_space
+from safety_harness.avoidance.model_file import LARGEST_BYTES, refuse_foreign_cell
 from safety_harness.avoidance.python_file import refuse_undefined
 from safety_harness.avoidance.shipped import SHIPPED, shipped_model
 from safety_harness.avoidance.simple import NearestCandidate, OppositePose
@@ -46,7 +46,7 @@ from safety_harness.scenario.references import (
 from safety_harness.scenario.robots import OwnRobot
 from safety_harness.settings import DEFAULTS, Settings
 from safety_harness.shipped.contents import is_shipped, located
-from safety_harness.space.regions import exported_seen
+from safety_harness.space.regions import exported_use
 
 if TYPE_CHECKING:
     from safety_harness.avoidance.learned import LearnedAvoider
@@ -313,7 +313,7 @@ def _from_model_file(path: Path, settings: Settings) -> Avoider:
     except OSError:
         digest = ""  # loading says what is wrong
     avoider = _learned(path, digest)
-    refuse_foreign_seen_space(avoider.model.seen, settings, path)
+    refuse_foreign_cell(avoider.model, settings, path)
     return avoider
 
 
@@ -327,9 +327,9 @@ def _learned(path: Path, sha256: str) -> LearnedAvoider:
 
 def _refuse_foreign_onnx(path: Path, settings: Settings) -> None:
     """ModelError for a file of ours that was trained for another workspace; of others nothing is known."""
-    seen = exported_seen(path)
-    if seen is not None:
-        refuse_foreign_seen_space(seen, settings, path)
+    network = exported_use(path)
+    if network is not None:
+        refuse_foreign_cell(network, settings, path)
 
 
 def as_seen_from(folder: Path, scenario: Scenario) -> Scenario:

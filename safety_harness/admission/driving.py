@@ -6,14 +6,17 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from safety_harness.admission.avoiders import folder_of
+from safety_harness.admission.avoiders import avoider_sha256, folder_of
 from safety_harness.avoidance.avoider import Avoider, Proposal, Vector
 from safety_harness.controller.contract import IMAGE, OBJECT, UserController, sees_of
 from safety_harness.controller.named import controller_of, controller_sha256, refuse_unusable_controller
 from safety_harness.controller.python_file import checked_controller
 from safety_harness.exceptions import AvoiderError, InadmissibleError, Place
+from safety_harness.robot.robots import urdf_sha256_of
 from safety_harness.scenario.faults import AvoiderLate, AvoiderNaN, AvoiderSilent
 from safety_harness.scenario.model import NO_AVOIDER, Scenario
+from safety_harness.scenario.references import file_and_name
+from safety_harness.trace.system import Component, SystemUnderTest, system_of
 
 IN_PYTHON = " (an object in Python)"  # after its name: a reference that names no file, and means none
 
@@ -40,6 +43,11 @@ class MadeDriver:
     controller: UserController
     make: Callable[[], UserController]
     sha256: str = ""  # of its file; empty for one that ships, or without a file
+
+    @property
+    def component(self) -> Component:
+        """As a record of the system under test has it."""
+        return Component(name=self.controller.name, sha256=self.sha256)
 
     @property
     def sees_object(self) -> bool:
@@ -75,6 +83,18 @@ def driver_of(controller: object) -> MadeDriver:
 def refuse_unusable_driver(scenario: Scenario) -> None:
     """As ``Drivers`` refuses, as far as can be seen without executing anything of a user's."""
     refuse_unusable_controller(scenario.controller, folder_of(scenario), scenario.place("controller"))
+
+
+def named_system(scenario: Scenario) -> SystemUnderTest:
+    """As the scenario names it, a file without its folder; neither avoider nor controller is made."""
+    file, name = file_and_name(scenario.under_test)
+    called = f"{Path(file).name}:{name}" if name else Path(file).name or str(scenario.under_test)
+    if scenario.driven:
+        sha256 = controller_sha256(scenario.controller, folder_of(scenario))
+        own = {"controller": Component(name=called, sha256=sha256)}
+    else:
+        own = {"avoider": Component(name=called, sha256=avoider_sha256(scenario))}
+    return system_of(scenario, robot_sha256=urdf_sha256_of(scenario.robot), **own)
 
 
 def refuse_faults_of_avoider(scenario: Scenario) -> None:

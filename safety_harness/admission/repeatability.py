@@ -113,10 +113,9 @@ def driven_in(trace: Trace) -> DrivenRun | None:
         return None
     told = trace.ticks["demanded_joint_velocity_radps"].tobytes()
     told += trace.decisions["proposed_position_in_base_m"].tobytes()
-    made = trace.provenance
     digest = hashlib.sha256(told + trace.ticks["joint_position_rad"].tobytes()).hexdigest()
-    sha256 = made.controller_sha256 if scenario.driven else made.avoider_sha256
-    return DrivenRun(scenario.name, made.world, digest, sha256, not scenario.driven)
+    sha256 = trace.system.tested.sha256
+    return DrivenRun(scenario.name, trace.provenance.world, digest, sha256, not scenario.driven)
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,7 +151,7 @@ class Repeatability:
         driven = driven_in(trace)
         if driven is not None:
             self.take_run(driven, lambda: scenario)
-        self.take(asked_in(trace), lambda: scenario, trace.provenance.avoider_sha256)
+        self.take(asked_in(trace), lambda: scenario, trace.system.tested.sha256)
 
     def take(
         self, asked: Iterable[Asked], scenario: Callable[[], Scenario], avoider_sha256: str = ""

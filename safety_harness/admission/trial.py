@@ -149,8 +149,5 @@ def _run_chunk(chunk: list[Admitted], world: WorldEntry) -> Iterator[Trace]:
 
 def _of_avoider(trace: Trace, admitted: Admitted) -> Trace:
     """The trace with the hash of its avoider's file, or of its controller's."""
-    made = trace.provenance
-    if admitted.driver is None:
-        return replace(trace, provenance=replace(made, avoider_sha256=admitted.avoider_sha256))
-    made = replace(made, avoider="", controller=made.avoider, controller_sha256=admitted.driver.sha256)
-    return replace(trace, provenance=made)
+    sha256 = admitted.avoider_sha256 if admitted.driver is None else admitted.driver.sha256
+    return replace(trace, system=trace.system.of_file(sha256))

@@ -25,6 +25,7 @@ from safety_harness.shipped.contents import contents, is_installed, located
 from safety_harness.simulation.worlds import libraries_of, worlds_by_label
 from safety_harness.space.space import ScenarioSpace
 from safety_harness.trace.provenance import provenance
+from safety_harness.trace.system import SystemUnderTest
 from safety_harness.whole_file import writing
 
 
@@ -63,19 +64,27 @@ class Identity:
 
 
 def identity_of(
-    files: Sequence[PlanFile], spaces: Sequence[ScenarioSpace], avoider: str | None, world: str
+    files: Sequence[PlanFile],
+    spaces: Sequence[ScenarioSpace],
+    avoider: str | None,
+    world: str,
+    systems: Iterable[tuple[str, SystemUnderTest]] = (),
 ) -> Identity:
-    """Of a plan's files, the shipped networks that they name, this package and its libraries."""
+    """Of a plan's files, the shipped networks that they name, this package, its libraries.
+
+    And the ``systems`` under test, by their strata.
+    """
     parts = {f"the file {file.name}": file.sha256 for file in files}
     named = {avoider or ""} | {text for space in spaces for text in references_in(space.tree)}
     named |= {space.simplest.avoider for space in spaces}  # the default, of a space that names none
     for name in sorted(named & set(SHIPPED)):
         parts[f"the network {name}"] = hashlib.sha256(shipped_model(name).read_bytes()).hexdigest()
-    made_by = provenance(world, "", _libraries(spaces, world))
+    made_by = provenance(world, _libraries(spaces, world))
     parts["the source of this package"] = made_by.source_hash
     parts["Python"] = made_by.python
     parts["the platform"] = made_by.platform
     parts |= {f"the library {name}": version for name, version in made_by.libraries}
+    parts |= {f"the system under test in {name}": one.as_json for name, one in systems}
     return Identity(tuple(parts.items()))
 
 

@@ -7,15 +7,17 @@ docs/campaigns.md is the reference of the file.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
 
 from safety_harness.admission.avoiders import command_line_reference, with_avoider
 from safety_harness.admission.claims import property_of
+from safety_harness.admission.driving import named_system
 from safety_harness.campaign.identity import Identity, PlanFile, files_of_plan, identity_of, references_in
-from safety_harness.exceptions import Place
+from safety_harness.exceptions import InadmissibleError, Place
 from safety_harness.properties.base import Unit
 from safety_harness.scenario.compose import Library
 from safety_harness.scenario.fields import Field, Fields
@@ -36,6 +38,7 @@ from safety_harness.shipped.contents import located
 from safety_harness.simulation.worlds import REFERENCE, WorldEntry, worlds_by_label
 from safety_harness.space.read import read_space
 from safety_harness.space.space import ScenarioSpace
+from safety_harness.trace.system import SystemUnderTest
 
 V = TypeVar("V")
 
@@ -184,9 +187,23 @@ def read_plan(path: str | Path) -> Plan:
         stop_early=stop_early,
         file=path,
         files=files,
-        identity=identity_of(files, [s.space for s in strata], reference, world.label),
+        identity=identity_of(
+            files, [s.space for s in strata], reference, world.label, _systems(strata, path, reference)
+        ),
         avoider_place=place,
     )
+
+
+def _systems(
+    strata: Iterable[Stratum], path: Path, reference: str | None
+) -> Iterator[tuple[str, SystemUnderTest]]:
+    """What each stratum tests; without one whose program is not there, which admission refuses in words."""
+    for stratum in strata:
+        scenario = stratum.space.simplest
+        if reference:
+            scenario = with_avoider(scenario, _from(path.parent, reference))
+        with suppress(OSError, InadmissibleError):
+            yield stratum.name, named_system(scenario)
 
 
 def stratum_number(name: str) -> int:

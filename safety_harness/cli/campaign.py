@@ -290,7 +290,7 @@ def compare(
             remarks=lost,
         )
         result(*difference_lines(compared, before.declared.confidence))
-        result(*(one.words for one in overruled))
+        result(*(one.words for one in overruled if one.before.proposals or one.after.proposals))
         for found in worse:
             was, now = (found.unit.margin_text(margin) for margin in (found.before, found.after))
             result(f"  worse: {found.stratum}, episode {found.episode}: {found.claim}: {was} -> {now}")

@@ -22,7 +22,7 @@ Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Word:
+class SightWord:
     """A word of a vocabulary, the fields that it stands for, and what it means."""
 
     word: str
@@ -33,16 +33,16 @@ class Word:
 JOINTS, HANDS, HAND_BOXES = "joints", "hands", "hand boxes"
 OBJECT, IMAGE, PREDICTED_HANDS = "object", "image", "predicted hands"
 SIGHTS = (
-    Word(
+    SightWord(
         JOINTS,
         ("joint_position_rad", "joint_velocity_radps", "transform_tcp_to_base", "tcp_position_in_base_m"),
         "the encoders, and where the TCP is by them",
     ),
-    Word(HANDS, ("hands",), "each hand of the last frame of the hand sensor, as measured, unfiltered"),
-    Word(HAND_BOXES, ("hand_boxes",), "the same frame as boxes in the sensor's image"),
-    Word(OBJECT, ("object",), "moments and features of the last image of the object, and their error"),
-    Word(IMAGE, ("image",), "the pixels of that image"),
-    Word(
+    SightWord(HANDS, ("hands",), "each hand of the last frame of the hand sensor, as measured, unfiltered"),
+    SightWord(HAND_BOXES, ("hand_boxes",), "the same frame as boxes in the sensor's image"),
+    SightWord(OBJECT, ("object",), "moments and features of the last image of the object, and their error"),
+    SightWord(IMAGE, ("image",), "the pixels of that image"),
+    SightWord(
         PREDICTED_HANDS,
         ("predicted_hands",),
         "tracked hands from the Kalman filter, predicted to now and the horizon, with covariance",
@@ -51,14 +51,14 @@ SIGHTS = (
 
 MODE, DECISIONS, DOUBT = "mode", "decisions", "doubt"
 REPORTS = (
-    Word(MODE, ("mode",), "what it is doing, at every tick"),
-    Word(DECISIONS, ("decision",), "every decision to give way, at the tick at which it was made"),
-    Word(DOUBT, ("spread_m", "spread_threshold_m"), "how sure it was of each, by its predictive spread"),
+    SightWord(MODE, ("mode",), "what it is doing, at every tick"),
+    SightWord(DECISIONS, ("decision",), "every decision to give way, at the tick at which it was made"),
+    SightWord(DOUBT, ("spread_m", "spread_threshold_m"), "how sure it was of each, by its predictive spread"),
 )
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Hand:
+class SeenHand:
     """A hand as the sensor measured it: its centre, for a sphere of the radius that the filter assumes.
 
     ``position_in_base_m`` (3,), by the sensor's pose when the frame arrived.
@@ -141,7 +141,7 @@ class Seen:
     joint_velocity_radps: Floats
     transform_tcp_to_base: Floats
     tcp_position_in_base_m: Floats
-    hands: tuple[Hand, ...]
+    hands: tuple[SeenHand, ...]
     hand_boxes: HandBoxes
     object: SeenObject
     image: Image
@@ -154,7 +154,7 @@ class Seen:
     def of_row(
         cls, time_s: float, period_s: float, makers: Mapping[str, Callable[[Floats], Any]], row: Floats
     ) -> Seen:
-        """As the harness makes it: each field of the numbers of a ``row``, when it is touched."""
+        """As the harness makes it: each field of the numbers of a ``row`` (k,), when it is touched."""
         seen = object.__new__(cls)
         seen.__dict__.update(time_s=time_s, period_s=period_s, _makers=makers, _row=row)
         return seen
@@ -225,7 +225,7 @@ Action = Move | Stop
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Arm:
+class DrivenArm:
     """The arm that is driven, n turning joints; arrays are read-only.
 
     ``position_lower_rad``, ``position_upper_rad`` and ``velocity_limit_radps`` (n,).  ``joint_origins``
@@ -269,7 +269,7 @@ class UserController(Protocol):
         """Words of ``SIGHTS``."""
         ...
 
-    def reset(self, *, settings: Settings, arm: Arm, start: Start, seed: int) -> None:
+    def reset(self, *, settings: Settings, arm: DrivenArm, start: Start, seed: int) -> None:
         """Begin an episode, with nothing left of the one before; ``seed`` is for whatever it draws."""
         ...
 
@@ -291,7 +291,7 @@ def reports_of(controller: UserController) -> tuple[str, ...]:
     return said
 
 
-def _words(controller: object, name: str, said: object, table: tuple[Word, ...]) -> tuple[str, ...]:
+def _words(controller: object, name: str, said: object, table: tuple[SightWord, ...]) -> tuple[str, ...]:
     """Of ``table``, those that are ``said``."""
     known = [one.word for one in table]
     if isinstance(said, str) or not isinstance(said, tuple | list | set | frozenset):

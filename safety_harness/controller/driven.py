@@ -21,8 +21,8 @@ from safety_harness.controller.contract import (
     MODE,
     OBJECT,
     PREDICTED_HANDS,
-    Arm,
     Decision,
+    DrivenArm,
     Move,
     Report,
     Seen,
@@ -293,9 +293,9 @@ def _frozen(array: Floats) -> Floats:
     return array
 
 
-def arm_of(model: ArmModel) -> Arm:
+def arm_of(model: ArmModel) -> DrivenArm:
     """An arm as controllers are told of it."""
-    return Arm(
+    return DrivenArm(
         name=model.name,
         joint_names=model.joint_names,
         position_lower_rad=model.position_lower_rad,

@@ -19,10 +19,10 @@ from safety_harness.controller.contract import (
     JOINTS,
     OBJECT,
     PREDICTED_HANDS,
-    Hand,
     HandBoxes,
     PredictedHand,
     Seen,
+    SeenHand,
     SeenObject,
 )
 from safety_harness.trace.records import JOINTS as SHIPPED_JOINTS
@@ -140,7 +140,7 @@ def _makers(dtype: np.dtype[Any], sees: tuple[str, ...]) -> Iterator[tuple[str, 
         count, centres = whole("hand_count"), array("hands")
         yield (
             "hands",
-            lambda row: tuple(Hand(position_in_base_m=one) for one in centres(row)[: count(row)[0]]),
+            lambda row: tuple(SeenHand(position_in_base_m=one) for one in centres(row)[: count(row)[0]]),
         )
     if HAND_BOXES in sees:
         yield "hand_boxes", _boxes(array, whole)

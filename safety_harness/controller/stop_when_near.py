@@ -12,7 +12,7 @@ from safety_harness.controller.contract import (
     JOINTS,
     MODE,
     Action,
-    Arm,
+    DrivenArm,
     Move,
     Report,
     Seen,
@@ -36,7 +36,7 @@ class StopWhenNear:
     sees = (JOINTS, HANDS)
     reports = (MODE,)
 
-    def reset(self, *, settings: Settings, arm: Arm, start: Start, seed: int) -> None:
+    def reset(self, *, settings: Settings, arm: DrivenArm, start: Start, seed: int) -> None:
         """Take over where to go, how fast, and how near is near."""
         self._target_in_base_m = np.array(settings.cell.desired_tcp_position_in_base_m)
         self._gain = settings.servo.gain_far

@@ -12,7 +12,7 @@ from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
 from safety_harness.admission.admit import Checked
-from safety_harness.controller.contract import JOINTS, PREDICTED_HANDS, Arm, Seen, Start, Stop, sees_of
+from safety_harness.controller.contract import JOINTS, PREDICTED_HANDS, DrivenArm, Seen, Start, Stop, sees_of
 from safety_harness.controller.driven import DrivenController
 from safety_harness.controller.rows import seen_dtype
 from safety_harness.exceptions import ControllerError, InadmissibleError
@@ -42,7 +42,7 @@ class Pilot:
     def __init__(self, sees: Sequence[str]) -> None:
         self.sees = tuple(sees)
 
-    def reset(self, *, settings: Settings, arm: Arm, start: Start, seed: int) -> None:
+    def reset(self, *, settings: Settings, arm: DrivenArm, start: Start, seed: int) -> None:
         """Nothing is carried over."""
 
     def act(self, seen: Seen) -> Stop:

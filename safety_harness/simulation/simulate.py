@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.avoidance.gate import ask_many
+from safety_harness.controller.around import ControllerWrapper
 from safety_harness.controller.controller import AvoidingServo, Controller
 from safety_harness.controller.driven import DrivenController
-from safety_harness.robot.robots import arm_model
+from safety_harness.robot.robots import arm_model, urdf_sha256_of
 from safety_harness.scenario.model import Scenario
 from safety_harness.simulation.driving import drive
 from safety_harness.simulation.kinematic_world import KinematicWorld
@@ -23,6 +24,7 @@ from safety_harness.simulation.worlds import libraries_of
 from safety_harness.trace.known import knowing
 from safety_harness.trace.provenance import provenance
 from safety_harness.trace.records import Limit, tick_dtype
+from safety_harness.trace.system import Component, SystemUnderTest, system_of
 from safety_harness.trace.trace import Trace
 
 INTERRUPTED = "interrupted by the user"
@@ -100,10 +102,19 @@ def trace_of(
         ticks=ticks,
         decisions=decisions,
         decision_latency_s=controller.decision_latencies_s[: len(decisions)],
-        provenance=provenance(world.name, controller.name, libraries_of(world.name, scenario)),
+        provenance=provenance(world.name, libraries_of(world.name, scenario)),
         ended=ended,
+        system=_system(scenario, controller),
     )
     return knowing(trace, controller.known) if isinstance(controller, DrivenController) else trace
+
+
+def _system(scenario: Scenario, controller: Controller) -> SystemUnderTest:
+    """Of the run; the hash of a user's file is for whoever has read it."""
+    part = Component(name=controller.name)
+    asks = isinstance(controller, AvoidingServo | ControllerWrapper)
+    own = {"avoider" if asks else "controller": part}
+    return system_of(scenario, robot_sha256=urdf_sha256_of(scenario.robot), **own)
 
 
 @dataclass(eq=False)

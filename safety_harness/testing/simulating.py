@@ -116,7 +116,7 @@ class Simulate:
         if test is None or not test.counts:
             return trace
         if len(trace.decisions):
-            run = f"{trace.provenance.avoider}: {digest_of(trace.scenario)}"
+            run = f"{trace.system.tested.name}: {digest_of(trace.scenario)}"
             test.overruled[run] = Overruling.of([trace])
         if test.fallback is None and by_default(trace) is not None:
             test.fallback = trace

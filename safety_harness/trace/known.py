@@ -121,6 +121,10 @@ class Knowledge:
         """Those of ``names`` that were not measured at all."""
         return tuple(name for name in names if self.of(name).source in _NOWHERE)
 
+    def unreported(self, names: Iterable[str]) -> bool:
+        """Are all of ``names`` what the controller of a simulated run does not say?"""
+        return all(self.of(name).source is Source.UNREPORTED for name in names)
+
     def uncertain(self, names: Iterable[str]) -> tuple[str, ...]:
         """Those of ``names`` that are known to within some uncertainty only."""
         return tuple(name for name in names if self.of(name).uncertainty > 0.0)

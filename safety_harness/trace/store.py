@@ -37,7 +37,8 @@ from safety_harness.shipped.contents import located
 from safety_harness.trace.consistency import first_inconsistency
 from safety_harness.trace.known import WHOLLY_KNOWN, Knowledge, Measurement
 from safety_harness.trace.records import DECISION, decision_dtype, tick_dtype
-from safety_harness.trace.trace import Line, Provenance, Trace
+from safety_harness.trace.system import Component, Line, SystemUnderTest, system_of
+from safety_harness.trace.trace import Provenance, Trace
 from safety_harness.whole_file import replacing
 
 FORMAT = "safety-harness trace 4"
@@ -50,7 +51,7 @@ KNOWN = "known.json"
 CARRIED = ("recordings/", "robot/")  # files of the scenario by their SHA-256
 MOST_PARTS = 9 + MAX_HANDS
 ZIP_END = struct.Struct("<4s4H2LH")  # without a comment, as it is written here
-OF_DRIVER = ("controller", "controller_sha256")  # said only where there is one
+OF_AVOIDER = ("avoider", "avoider_sha256")  # in the provenance, before the system was a record
 NEW = ("asked_tick", "decision_time_s")
 DECISION_3 = np.dtype(
     [(name, field[0]) for name, field in (DECISION.fields or {}).items() if name not in NEW], align=True
@@ -72,6 +73,7 @@ class _Run:
     scenario_file: Line | None
     ended: Line
     provenance: Provenance
+    system: SystemUnderTest | None = None  # None in a trace of an earlier version
 
 
 def save_trace(trace: Trace, path: str | Path, recordings: Mapping[str, bytes] | None = None) -> None:
@@ -106,7 +108,8 @@ def save_trace(trace: Trace, path: str | Path, recordings: Mapping[str, bytes] |
         "scenario_name": trace.scenario.name,
         "scenario_file": str(told(trace.scenario.file)) if trace.scenario.file else None,
         "ended": trace.ended,
-        "provenance": {n: v for n, v in asdict(trace.provenance).items() if v or n not in OF_DRIVER},
+        "provenance": asdict(trace.provenance),
+        "system": asdict(trace.system),
     }
     parts["run.json"] = json.dumps(run, indent=1, sort_keys=True).encode()
     if not (trace.known.simulated and trace.known.whole):
@@ -207,7 +210,7 @@ class _Reader:
         carried = [name for name in self._parts if name.startswith(CARRIED)]
         for name in ("run.json", "scenario.yaml", *carried):
             self._unpack(archive, name, SMALL_BYTES if name not in carried else MAX_BYTES)
-        run = self._json("run.json", _Run)
+        run, before = self._run()
         scenario = self._scenario(run)
         most = scenario.ticks + 1
         old = self._format == BEFORE
@@ -234,6 +237,7 @@ class _Reader:
             provenance=run.provenance,
             ended=run.ended,
             known=known,
+            system=run.system or system_of(scenario, avoider=before),
         )
         wrong = first_inconsistency(trace)
         if wrong is not None:
@@ -274,6 +278,17 @@ class _Reader:
         """A part that is a JSON object of this kind."""
         found = parsed(self._parts[name], self._path, name, TraceError)
         return typed(found, kind, self._path, defaults=True, error=TraceError)
+
+    def _run(self) -> tuple[_Run, Component | None]:
+        """And the avoider, where that is all that an earlier version says of the system."""
+        found, before = parsed(self._parts["run.json"], self._path, "run.json", TraceError), None
+        made = found.get("provenance") if isinstance(found, dict) else None
+        if isinstance(made, dict) and "system" not in found and OF_AVOIDER[0] in made:
+            values = zip(("name", "sha256"), (made.pop(name, "") for name in OF_AVOIDER), strict=True)
+            before = typed(dict(values), Component, self._path, where="provenance.avoider", error=TraceError)
+        elif isinstance(found, dict) and "system" not in found:
+            raise self._error("this field", "none", "system")
+        return typed(found, _Run, self._path, defaults=True, error=TraceError), before
 
     def _known(self, ticks: NDArray[np.void], hands: int) -> Knowledge:
         try:

@@ -18,7 +18,6 @@ PROVENANCE = Provenance(
     package_version="0.1.0",
     source_hash="0123456789abcdef",
     world="kinematic",
-    avoider="opposite",
     python="3.11.9",
     platform="Linux-x86_64",
     libraries=(("numpy", "2.4.6"), ("numba", "0.68.1")),
