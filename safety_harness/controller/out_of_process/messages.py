@@ -177,9 +177,9 @@ def fields_of(seen: Seen, sees: tuple[str, ...]) -> dict[str, Any]:
 
 def arm_from(said: Mapping[str, Any]) -> DrivenArm:
     """The arm of a ``Reset``."""
-    return DrivenArm(
-        **{name: _array(value) for name, value in said.items()} | {"joint_names": tuple(said["joint_names"])}
-    )
+    names = tuple(said["joint_names"])
+    rest = {name: _array(value) for name, value in said.items() if name != "joint_names"}
+    return DrivenArm(joint_names=names, **rest)
 
 
 def start_from(said: Mapping[str, Any]) -> Start:
