@@ -1,4 +1,4 @@
-"""Stop and go as a ROS 2 node: it drives a real arm, and the same rule drives the simulated one.
+r"""Stop and go as a ROS 2 node: it drives a real arm, and the same rule drives the simulated one.
 
     python3 ros2_stop_and_go.py            subscribes tcp_pose and hands, publishes tcp_velocity
     safety-harness run shipped:hand-visits-and-leaves \\

@@ -151,7 +151,8 @@ class Repeatability:
         driven = driven_in(trace)
         if driven is not None:
             self.take_run(driven, lambda: scenario)
-        self.take(asked_in(trace), lambda: scenario, trace.system.tested.sha256)
+        if not scenario.driven:
+            self.take(asked_in(trace), lambda: scenario, trace.system.tested.sha256)
 
     def take(
         self, asked: Iterable[Asked], scenario: Callable[[], Scenario], avoider_sha256: str = ""

@@ -147,7 +147,7 @@ class HarnessEnv(gymnasium.Env[dict[str, Any], NDArray[np.float64]]):
         return self._observed(), self._info()
 
     def step(self, action: NDArray[np.float64]) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
-        """Move so for a control tick.  ``action`` as ``action_space`` has it; ControllerError for NaN."""
+        """Move so for a control tick.  ``action`` (a,) as ``action_space`` has; ControllerError for NaN."""
         if self._over:
             raise ControllerError("the episode is over: reset begins the next")
         wanted = self.setting.wanted_of(action, 1)[0]
