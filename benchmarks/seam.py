@@ -71,9 +71,7 @@ def main() -> None:
                 if turn:  # the first is to warm up
                     seconds[name].append(took_s)
     inside = statistics.median(seconds["StopAndGo, an object in this process"])
-    print(
-        f"| controller | runs of {TICKS} ticks a second (aim {AIM:g}) | more than in this process, us a tick |"
-    )
+    print(f"| controller | runs of {TICKS} ticks a second (aim {AIM:g}) | us a tick more than here |")
     print("|---|---|---|")
     for name, took in seconds.items():
         median = statistics.median(took)

@@ -1,7 +1,7 @@
 r"""Stop and go as a ROS 2 node: it drives a real arm, and the same rule drives the simulated one.
 
     python3 ros2_stop_and_go.py            subscribes tcp_pose and hands, publishes tcp_velocity
-    safety-harness run shipped:hand-visits-and-leaves \\
+    safety-harness run shipped:hand-visits-and-leaves \
         --controller "exec:python3 ros2_stop_and_go.py --harness"
 
 ``wanted`` is the rule, in numbers alone; each of the two ways hands it what it has heard.  In ROS an empty
