@@ -36,6 +36,7 @@ ORDER = [
     {"simulation"},
     {"properties"},
     {"formulas"},
+    {"logs"},
     {"admission"},
     {"search"},
     {"statistics"},
