@@ -205,6 +205,10 @@ class SimulationError(SafetyHarnessError):
     """A world could not be built or stepped."""
 
 
+class ControllerError(SimulationError):
+    """A user's controller raised, returned what is no action, or is none: the run has failed."""
+
+
 class NoAnswerError(SimulationError):
     """An avoider hangs: no answer within the wall limit.  The run has failed, and has no verdict."""
 

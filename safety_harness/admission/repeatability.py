@@ -17,8 +17,9 @@ from operator import attrgetter
 
 import numpy as np
 
-from safety_harness.admission.admit import first_question
+from safety_harness.admission.admit import Admitter, first_question
 from safety_harness.admission.avoiders import Avoiders
+from safety_harness.admission.trial import run_trial
 from safety_harness.avoidance.asking import (
     Answer,
     OutOfProcessAvoider,
@@ -32,10 +33,12 @@ from safety_harness.avoidance.flaky import Asked, asked_in, difference
 from safety_harness.avoidance.isolation.host import processes_apart
 from safety_harness.exceptions import InputError, NoAnswerError, SimulationError
 from safety_harness.scenario.model import Scenario
+from safety_harness.simulation.worlds import world_of_trace
 from safety_harness.trace.trace import Trace
 
 SHARE = 0.02  # of the time that a command took, beside the start of the process
 LEAST, MOST = 8, 1_000  # questions that are asked again, if there are as many
+LEAST_RUNS, MOST_RUNS = 3, 20  # of a controller, that are driven again
 Difference = tuple[float, str]  # how far elsewhere the answer was [m], inf where it was none; in words
 
 
@@ -72,6 +75,40 @@ class RepeatabilityResult:
         )
 
 
+class DrivenAgain(RepeatabilityResult):
+    """Of so many runs of a controller (``questions``) those ``asked`` were driven again by a fresh one."""
+
+    @property
+    def remembers(self) -> str:
+        """That it carries something over or does not repeat itself, in words; empty if that was not seen."""
+        return f"{self.words}; {self.differing} of {self.asked} runs differ" if self.differing else ""
+
+    @property
+    def line(self) -> str:
+        """What came out."""
+        if self.words:
+            return self.remembers or self.words
+        again = f"{self.asked} of {self.questions} runs driven again by a fresh controller"
+        return f"repeatability: {again}: the same to the last bit"
+
+
+@dataclass(frozen=True)
+class DrivenRun:
+    """A run of a controller: its scenario's name, its world, and a hash of all that the arm was told."""
+
+    run: str
+    world: str
+    sha256: str
+    controller_sha256: str
+
+
+def driven_in(trace: Trace) -> DrivenRun:
+    """What of a run has to come out again."""
+    told = trace.ticks["demanded_joint_velocity_radps"].tobytes()
+    digest = hashlib.sha256(told + trace.ticks["joint_position_rad"].tobytes()).hexdigest()
+    return DrivenRun(trace.scenario.name, trace.provenance.world, digest, trace.system.controller.sha256)
+
+
 @dataclass(frozen=True, eq=False)
 class _Sampled:
     """A question, the hash that draws it, and the scenario and the file of its avoider."""
@@ -85,6 +122,9 @@ class _Sampled:
 class Repeatability:
     """Takes in what avoiders were asked from now on; ``check`` asks a sample of it again.
 
+    Of another controller than the visual servo it takes in the runs, and has a sample driven again by fresh
+    ones: what a controller carries over from earlier episodes comes out otherwise.
+
     How many are asked hangs on the wall's clock: as many as take ``SHARE`` of the time since this was made,
     and ``LEAST`` at least.
     """
@@ -93,11 +133,17 @@ class Repeatability:
         self._begun_s = time.monotonic()
         self._questions = 0
         self._sample: list[_Sampled] = []
+        self._runs = 0
+        self._driven: list[tuple[DrivenRun, Callable[[], Scenario]]] = []
 
     def add(self, trace: Trace) -> None:
-        """The questions of a run."""
+        """The questions of a run, or the run of a controller that is named: an object cannot be made anew."""
         scenario = trace.scenario
-        self.take(asked_in(trace), lambda: scenario, trace.provenance.avoider_sha256)
+        if scenario.driven:
+            if trace.complete:
+                self.take_run(driven_in(trace), lambda: scenario)
+            return
+        self.take(asked_in(trace), lambda: scenario, trace.system.tested.sha256)
 
     def take(
         self, asked: Iterable[Asked], scenario: Callable[[], Scenario], avoider_sha256: str = ""
@@ -109,8 +155,35 @@ class Repeatability:
         if len(self._sample) > 2 * MOST:
             self._sample = self._drawn()
 
+    def take_run(self, run: DrivenRun, scenario: Callable[[], Scenario]) -> None:
+        """A whole run of a controller; ``scenario`` gives the one that names it, when it is needed."""
+        self._runs += 1
+        self._driven.append((run, scenario))
+        if len(self._driven) > 2 * MOST_RUNS:
+            self._driven = self._drawn_runs()
+
+    def _drawn_runs(self) -> list[tuple[DrivenRun, Callable[[], Scenario]]]:
+        return nsmallest(MOST_RUNS, self._driven, key=lambda one: one[0].sha256)
+
+    def _drive_again(self, allowed_s: float) -> RepeatabilityResult:
+        begun_s, asked, words = time.monotonic(), 0, list[str]()
+        for run, scenario in self._drawn_runs():
+            if asked >= LEAST_RUNS and time.monotonic() - begun_s > allowed_s:
+                break
+            try:
+                found = _driven_otherwise(run, scenario())
+            except (InputError, SimulationError) as error:
+                problem = f"the controller could not drive again: {printable(str(error))}"
+                return DrivenAgain(questions=self._runs, asked=asked, words=problem)
+            asked += 1
+            words += [found] if found else []
+        first = words[0] if words else ""
+        return DrivenAgain(questions=self._runs, asked=asked, differing=len(words), words=first)
+
     def check(self, least: int = LEAST) -> RepeatabilityResult:
         """Ask again, each question alone and in the order of the hashes, then all in one call."""
+        if self._driven:
+            return self._drive_again(SHARE * (time.monotonic() - self._begun_s))
         allowed_s = SHARE * (time.monotonic() - self._begun_s)
         again = _Again()
         with processes_apart():
@@ -128,6 +201,20 @@ class Repeatability:
 
     def _drawn(self) -> list[_Sampled]:
         return nsmallest(MOST, self._sample, key=attrgetter("order"))
+
+
+def _driven_otherwise(run: DrivenRun, scenario: Scenario) -> str:
+    """Why a fresh controller drives the same scenario otherwise, in words; empty if it does not."""
+    world = world_of_trace(run.world)
+    again = [driven_in(run_trial(Admitter().admit(scenario), world=world)) for _ in range(2)]
+    if again[0].controller_sha256 != run.controller_sha256:
+        return f"the controller's file has changed since {run.run} was driven"
+    if again[0].sha256 != again[1].sha256:
+        return f"the controller does not repeat itself: two fresh ones drive {run.run} differently"
+    if again[0].sha256 != run.sha256:
+        carries = "the controller carries something over from earlier episodes"
+        return f"{carries}: a fresh one drives {run.run} otherwise"
+    return ""
 
 
 def _order(question: Question) -> bytes:

@@ -77,6 +77,11 @@ def run_many(
     ticks = 0
     for admitted in scenarios:
         refuse_other_type("run_many(scenarios)", admitted, Admitted)
+        if admitted.driver is not None:  # one after another: what it remembers is in their order
+            yield from _run_chunk(chunk, world)
+            chunk, ticks = [], 0
+            yield run_trial(admitted, world=world)
+            continue
         refuse_wall_clock(admitted.scenario, InadmissibleError, whose="these runs")
         if chunk and ticks + admitted.scenario.ticks + 1 > ticks_at_once:
             yield from _run_chunk(chunk, world)
@@ -132,7 +137,7 @@ def _run_chunk(chunk: list[Admitted], world: WorldEntry) -> Iterator[Trace]:
         ]
         traces = simulate_many(
             [
-                Episode(one.scenario, cast(BatchWorld, episode), one.controller())
+                Episode(one.scenario, cast(BatchWorld, episode), one.servo())
                 for one, episode in zip(chunk, worlds, strict=True)
             ]
         )
@@ -142,5 +147,6 @@ def _run_chunk(chunk: list[Admitted], world: WorldEntry) -> Iterator[Trace]:
 
 
 def _of_avoider(trace: Trace, admitted: Admitted) -> Trace:
-    """The trace with the hash of its avoider's file."""
-    return replace(trace, provenance=replace(trace.provenance, avoider_sha256=admitted.avoider_sha256))
+    """The trace with the hash of its avoider's file, or of its controller's."""
+    sha256 = admitted.avoider_sha256 if admitted.driver is None else admitted.driver.sha256
+    return replace(trace, system=trace.system.of_file(sha256))

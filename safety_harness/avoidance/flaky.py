@@ -87,7 +87,7 @@ def _difference(trace: Trace, one: Asked, answer: Answer) -> str:
     first, second = _words(one.answer), _words(answer)
     time_s = float(trace.decisions["time_s"][one.number - 1])
     return (
-        f"the avoider {trace.provenance.avoider!r} answers the same question in two ways\n"
+        f"the avoider {trace.system.tested.name!r} answers the same question in two ways\n"
         f"  decision  {one.number} of {len(trace.decisions)}, at {time_s:.3f} s of "
         f"{trace.scenario.name}, with the seed {one.question.seed}\n"
         f"  first     {first}\n"

@@ -39,11 +39,11 @@ def source_of(path: Path, place: Place) -> bytes:
     return source
 
 
-def refuse_undefined(path: Path, name: str, place: Place) -> None:
-    """InadmissibleError at ``place`` unless the file is Python and seems to define an avoider ``name``.
+def refuse_undefined(path: Path, name: str, place: Place, methods: tuple[str, ...] = ("propose",)) -> None:
+    """InadmissibleError at ``place`` unless the file is Python and seems to define ``name`` with ``methods``.
 
-    A class without bases has to have a ``propose``.  What only the execution shows is for the run to meet,
-    and so is a very long text.
+    Those are of a class without bases; of an avoider ``propose``.  What only the execution shows is for the
+    run to meet, and so is a very long text.
     """
     source = source_of(path, place)
     if len(source) > MOST_PARSED:
@@ -56,15 +56,16 @@ def refuse_undefined(path: Path, name: str, place: Place) -> None:
     found = [node for node in _top(tree) if name in _defined(node)]
     if not found and not any(_hides(node) for node in ast.walk(tree)):
         _refuse(place, f"something called {name!r} in {path.name}", "nothing of that name")
-    if found and _is_no_avoider(found[-1]):
-        _refuse(place, f"{name} to have a method propose", "a class without one")
+    for method in methods:
+        if found and _is_without(found[-1], method):
+            _refuse(place, f"{name} to have a method {method}", "a class without one")
 
 
-def _is_no_avoider(node: ast.AST) -> bool:
-    """A class that has no ``propose`` and can have none from elsewhere."""
+def _is_without(node: ast.AST, method: str) -> bool:
+    """A class that has no such method and can have none from elsewhere."""
     if not isinstance(node, ast.ClassDef) or node.bases or node.keywords or node.decorator_list:
         return False
-    return not any("propose" in _defined(inner) or _hides(inner) for inner in _top(node))
+    return not any(method in _defined(inner) or _hides(inner) for inner in _top(node))
 
 
 def _top(node: ast.AST) -> Iterator[ast.AST]:
@@ -99,7 +100,7 @@ def avoider_in(path: Path, source: bytes, name: str) -> Avoider:
 
     InadmissibleError, at a place that its receiver knows better, if the file ``path`` gives none.
     """
-    found = getattr(_module(path, source), name, None)
+    found = getattr(module_of(path, source), name, None)
     if found is None:
         _refuse(AVOIDER, f"something called {name!r} in {path.name}", "nothing of that name")
     if isinstance(found, type):
@@ -110,10 +111,11 @@ def avoider_in(path: Path, source: bytes, name: str) -> Avoider:
     return _admissible(path, found, name)
 
 
-def _module(path: Path, source: bytes) -> ModuleType:
-    """The file, executed afresh; its name is its own, so that it hides no module and none hides it.
+def module_of(path: Path, source: bytes, place: Place = AVOIDER) -> ModuleType:
+    """The file, executed afresh; InadmissibleError at ``place`` if it cannot be.
 
-    Compiled from its text: Python's own cache takes an edit within a second for none.
+    Its name is its own, so that it hides no module and none hides it.  Compiled from
+    its text: Python's own cache takes an edit within a second for none.
     """
     digest = hashlib.sha256(str(path).encode()).hexdigest()[:12]
     spec = spec_from_file_location(f"avoider_{digest}_{path.stem}", path)
@@ -124,7 +126,7 @@ def _module(path: Path, source: bytes) -> ModuleType:
         exec(compile(source, str(path), "exec"), module.__dict__)
     except (Exception, SystemExit) as error:  # a user's code may raise anything
         sys.modules.pop(module.__name__, None)
-        _raised(path, f"{path.name} to be a Python file that can be imported", error)
+        _raised(path, f"{path.name} to be a Python file that can be imported", error, place)
     return module
 
 
@@ -160,8 +162,8 @@ def _admissible(path: Path, found: object, name: str) -> Avoider:
     return avoider
 
 
-def _raised(path: Path, expected: str, error: BaseException) -> NoReturn:
-    raise InadmissibleError(place=AVOIDER, expected=expected, got=described(error, str(path))) from error
+def _raised(path: Path, expected: str, error: BaseException, place: Place = AVOIDER) -> NoReturn:
+    raise InadmissibleError(place=place, expected=expected, got=described(error, str(path))) from error
 
 
 def _refuse(

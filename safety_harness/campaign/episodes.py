@@ -17,6 +17,7 @@ import numpy as np
 from safety_harness.admission.admit import Admitted, Admitter
 from safety_harness.admission.avoiders import is_executed
 from safety_harness.admission.claims import property_of
+from safety_harness.admission.repeatability import driven_in
 from safety_harness.admission.spaces import MAX_REJECTION_RATIO, why_refused
 from safety_harness.admission.trial import run_all
 from safety_harness.avoidance.avoider import described
@@ -121,7 +122,7 @@ class EpisodeRunner:
         for k in range(MAX_REJECTION_RATIO):
             try:
                 scenario = self.scenario(stratum, episode, k)
-                if not self.programs and is_executed(scenario.avoider):
+                if not self.programs and is_executed(scenario.under_test):
                     raise CampaignError(f"{scenario.name} names a program, which is not to be executed")
                 return Drawn(episode, k + 1, self._admitter.admit(scenario))
             except InputError as error:
@@ -183,7 +184,8 @@ class EpisodeRunner:
             mishap=fault_of(run),
             failure=broken,
             worker=self.worker,
-            asked=tuple(asked_in(run)),
+            asked=() if run.scenario.driven else tuple(asked_in(run)),
+            driven=driven_in(run) if run.scenario.driven and run.complete else None,
         )
 
     def _kept_whatever(self, stratum: int) -> frozenset[int]:

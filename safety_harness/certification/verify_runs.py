@@ -98,7 +98,7 @@ def programs_in(plan: Plan) -> list[str]:
     """Files that a run of the plan may execute, wherever its spaces name them: Python, and ONNX."""
     texts = [plan.avoider or ""]
     for stratum in plan.strata:
-        texts += [stratum.space.simplest.avoider, *references_in(stratum.space.tree)]
+        texts += [stratum.space.simplest.under_test, *references_in(stratum.space.tree)]
     return sorted({text for text in texts if is_executed(text)})
 
 
@@ -226,7 +226,7 @@ def check_searched(gathered: GatheredEvidence, *, same: bool, programs: bool) ->
         if one.shown.independent:
             continue
         trace, count = one.run.trace, count + 1
-        if is_executed(trace.scenario.avoider) and not programs:
+        if is_executed(trace.scenario.under_test) and not programs:
             unchecked.append(f"{one.shown.trace_file} is of a program, which is not executed")
             continue
         try:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from safety_harness.admission.admit import admit
+from safety_harness.admission.admit import Admitted, admit
 from safety_harness.admission.avoiders import is_a_program, replay_command, with_avoider
 from safety_harness.admission.repeatability import MOST, Repeatability
 from safety_harness.admission.trial import judge, run_trial
@@ -28,17 +28,19 @@ from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.knowledge import measured_lines, unmeasured_words
 from safety_harness.report.machine import refused_data, run_data
 from safety_harness.scenario.fields import SENTENCE, is_sentence
-from safety_harness.scenario.model import Claim, Scenario, Verdict
+from safety_harness.scenario.model import VISUAL_SERVO, Claim, Scenario, Verdict
+from safety_harness.scenario.references import file_and_name
 from safety_harness.scenario.units import shown
 from safety_harness.simulation.worlds import world_of_trace
 from safety_harness.trace.compare import first_difference
 from safety_harness.trace.store import load_trace
-from safety_harness.trace.trace import Provenance, Trace
+from safety_harness.trace.system import Component
+from safety_harness.trace.trace import Trace
 from safety_harness.trace.unmeasured import refuse_not_simulated
 
 
 def replay(path: Path, avoider: str | None = None) -> int:
-    """Repeat a recorded run: "identical", or the first step that differs; and does the avoider remember?
+    """Repeat a recorded run: "identical", or the first step that differs; and does what is tested remember?
 
     ``avoider`` names the program anew that a trace of a user's own avoider was made with: a trace may
     come from anybody, and repeating it must not execute what it says.
@@ -47,6 +49,7 @@ def replay(path: Path, avoider: str | None = None) -> int:
     refuse_not_simulated(stored, path)
     world = world_of_trace(stored.provenance.world)
     admitted = admit(_with_program(stored, path, avoider))
+    _refuse_other(stored, admitted, path)
     with watching_runs([stored.scenario]) as progress:
         progress.begin(0)
         fresh = run_trial(admitted, world=world, recorded=stored, on_tick=progress.tick)
@@ -63,7 +66,7 @@ def replay(path: Path, avoider: str | None = None) -> int:
     else:
         result(f"{stored.scenario.name}: {difference}")
     (result if repeated.words else say)(repeated.line)
-    changed = [] if difference is None else changes(stored.provenance, fresh.provenance)
+    changed = [] if difference is None else changes(stored, fresh)
     say(*changed)
     document(
         scenario=stored.scenario.name,
@@ -81,25 +84,43 @@ def _with_program(stored: Trace, path: Path, avoider: str | None) -> Scenario:
     """The scenario of a trace, with the avoider that the user names."""
     if avoider is not None:
         return with_avoider(stored.scenario, avoider)
-    if is_a_program(stored.scenario.avoider):
+    under_test = stored.scenario.under_test
+    if is_a_program(under_test):
         raise TraceError(
-            place=Place(file=path, field="avoider"),
+            place=Place(file=path, field="controller" if stored.scenario.driven else "avoider"),
             expected="the program named on the command line, since repeating the run executes it",
-            got=f"a trace made with {stored.scenario.avoider}",
+            got=f"a trace made with {under_test}",
             hint=replay_command(stored.scenario, path),
         )
     return stored.scenario
 
 
-def changes(stored: Provenance, now: Provenance) -> list[str]:
+def _refuse_other(stored: Trace, admitted: Admitted, path: Path) -> None:
+    """TraceError where another controller would drive than did then, or the same from an edited file."""
+    then = stored.system.controller
+    now = admitted.driver.component if admitted.driver else Component(name=VISUAL_SERVO)
+    known = then.sha256 if admitted.driver else ""
+    other = file_and_name(stored.scenario.controller)[1] != file_and_name(admitted.scenario.controller)[1]
+    if then.name != now.name or other or (known and known != now.sha256):
+        place = Place(file=path, field="controller")
+        raise TraceError(place=place, expected=f"{then}, which drove then", got=_named(now, admitted))
+
+
+def _named(now: Component, admitted: Admitted) -> str:
+    return f"{now}, {admitted.scenario.controller}" if admitted.driver else str(now)
+
+
+def changes(before: Trace, after: Trace) -> list[str]:
     """What is not the same as when the trace was made."""
-    names = ("package_version", "source_hash", "world", "avoider", "avoider_sha256", "python", "platform")
+    stored, now = before.provenance, after.provenance
+    names = ("package_version", "source_hash", "world", "python", "platform")
     values = ((name, getattr(stored, name), getattr(now, name)) for name in names)
-    lines = [f"  {name}: {before} then, {after} now" for name, before, after in values if before != after]
+    lines = [f"  {name}: {then} then, {new} now" for name, then, new in values if then != new]
+    lines += [f"  {line}" for line in before.system.changes(after.system)]
     versions = dict(now.libraries + now.files)
-    for name, before in stored.libraries + stored.files:
-        if versions.get(name) != before:
-            lines.append(f"  {name}: {before} then, {versions.get(name, 'absent')} now")
+    for name, then in stored.libraries + stored.files:
+        if versions.get(name) != then:
+            lines.append(f"  {name}: {then} then, {versions.get(name, 'absent')} now")
     return lines or ["  the software is the same as when the trace was made"]
 
 

@@ -224,6 +224,7 @@ def junit_properties(test: TestRun) -> list[tuple[str, object]]:
     for number, (sentence, several) in enumerate(by_sentence.items(), start=1):
         worst = test.worst[sentence]
         evaluation, end = worst.evaluation, "" if number == 1 else f" {number}"
+        kind, _, name = worst.run.tested.partition(" ")
         margin, when = evaluation.margin, evaluation.worst_time_s
         values = {
             "claim": sentence,
@@ -234,7 +235,7 @@ def junit_properties(test: TestRun) -> list[tuple[str, object]]:
             "exercised": sum(j.evaluation.exercised for j in several),
             "runs": len(several),
             "scenario": worst.run.name,
-            "avoider": worst.run.avoider,
+            kind: name,
             "seed": worst.run.seed,
         }
         if evaluation.unmeasured:

@@ -42,6 +42,8 @@ MAX_HANDS = HAND_SLOTS[-1]
 LARGEST_SEED = 2**63 - 1
 FEWEST_JOINTS, MOST_JOINTS = 3, 8
 DEFAULT_AVOIDER = "mc-dropout"
+VISUAL_SERVO = "visual servo"  # the controller that asks an avoider; no other does
+NO_AVOIDER = ""
 LARGEST_FACTOR = 10.0
 LONGEST_GAP_S = 10.0
 FASTEST_JUMP_MPS = 1000.0  # of noise between two samples that follow each other quickly
@@ -49,6 +51,15 @@ FASTEST_JUMP_MPS = 1000.0  # of noise between two samples that follow each other
 # at 2.0 m/s (REACHING_MPS) has 1.642 v^2/d = 10 m/s^2 at most.
 REACHING_MPS2 = 10.0
 ACCELERATIONS_MPS2 = (0.1, 100.0)  # what is slower or larger is a slip of the unit
+
+
+class Driver(str):
+    """A reference to a controller in place of the visual servo, where one to an avoider may stand.
+
+    What is tested is either: the avoider that the visual servo asks, or the driver of the arm.
+    """
+
+    __slots__ = ()
 
 
 class Verdict(Enum):
@@ -349,7 +360,10 @@ class Claim:
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Scenario:
-    """One thing to try: the hands, the TCP start, the avoider, the settings and the claims."""
+    """One thing to try: the hands, the TCP start, what is tested, the settings and the claims.
+
+    ``avoider`` is ``NO_AVOIDER`` where another ``controller`` than VISUAL_SERVO drives the arm.
+    """
 
     name: str
     title: str
@@ -364,6 +378,7 @@ class Scenario:
     robot: AnyRobot = Robot.UR10
     faults: tuple[Fault, ...] = ()
     obstacles: tuple[Obstacle, ...] = ()
+    controller: str = VISUAL_SERVO
     file: Path | None = field(default=None, compare=False)
     places: Mapping[str, Place] = field(default_factory=dict, compare=False)
 
@@ -388,6 +403,16 @@ class Scenario:
             return hand
         before = self.hands[: self.hands.index(hand)]
         return next((o for o in before if o.name == hand.joined_to and not isinstance(o, JoinedHand)), None)
+
+    @property
+    def driven(self) -> bool:
+        """Does another controller than the visual servo drive the arm, one without avoider and gate?"""
+        return self.controller != VISUAL_SERVO
+
+    @property
+    def under_test(self) -> str:
+        """What is tested: the avoider of the visual servo, or else the ``Driver``."""
+        return Driver(self.controller) if self.driven else self.avoider
 
     @property
     def hand_slots(self) -> int:

@@ -12,7 +12,7 @@ MODEL_SUFFIX, ONNX_SUFFIX = ".safetensors", ".onnx"
 
 
 def file_and_name(reference: str) -> tuple[str, str]:
-    """The file of an avoider's reference and the name within it; two empty texts if it means none."""
+    """The file of an avoider's or controller's reference, and the name within it; two empty texts if none."""
     file, _, name = reference.rpartition(":")
     if file.endswith(".py"):
         return file, name

@@ -41,7 +41,7 @@ class Run:
     """What is remembered of a run when its trace is gone; ``sound``: it was whole, and of finite numbers."""
 
     name: str  # of its scenario
-    avoider: str
+    tested: str  # "avoider" or "controller", and its name
     seed: int
     sound: bool
 

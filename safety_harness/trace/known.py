@@ -39,6 +39,10 @@ class Source(Enum):
     LOG = "log"
     DERIVED = "derived"
     NONE = "not measured"
+    UNREPORTED = "not reported"  # of a simulated run: the controller does not say
+
+
+_NOWHERE = (Source.NONE, Source.UNREPORTED)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,8 +74,8 @@ class Measurement:
     Every stored number is within ``uncertainty`` (in the column's own SI unit) of the true one, a position or
     that of a pose by its distance, but in ``gaps``; it is within less where it is ``closer``, and from one
     tick to the next within the larger of theirs.  ``at_most_per_s``: the true one changes no faster.
-    One that is ``Source.NONE`` was not measured at all.  A derived one is as uncertain as what it was derived
-    from makes it.
+    One that is ``Source.NONE`` was not measured at all, and so it is with one that the controller of a
+    simulated run does not report.  A derived one is as uncertain as what it was derived from makes it.
     """
 
     source: Source = Source.SIMULATED
@@ -83,10 +87,11 @@ class Measurement:
     @property
     def limited(self) -> bool:
         """Is anything in it unknown or uncertain?"""
-        return self.source is Source.NONE or self.uncertainty > 0.0 or bool(self.gaps)
+        return self.source in _NOWHERE or self.uncertainty > 0.0 or bool(self.gaps)
 
 
 NOT_MEASURED = Measurement(source=Source.NONE)
+NOT_REPORTED = Measurement(source=Source.UNREPORTED)
 
 
 @dataclass(frozen=True)
@@ -115,7 +120,10 @@ class Knowledge:
     @property
     def simulated(self) -> bool:
         """Was all of it simulated, so that it can be run again?"""
-        return all(one.source is Source.SIMULATED and not one.limited for one in self.columns.values())
+        return all(
+            one == NOT_REPORTED or (one.source is Source.SIMULATED and not one.limited)
+            for one in self.columns.values()
+        )
 
     def of(self, name: str) -> Measurement:
         """Of one column."""
@@ -131,7 +139,11 @@ class Knowledge:
 
     def missing(self, names: Iterable[str]) -> tuple[str, ...]:
         """Those of ``names`` that were not measured at all."""
-        return tuple(name for name in names if self.of(name).source is Source.NONE)
+        return tuple(name for name in names if self.of(name).source in _NOWHERE)
+
+    def unreported(self, names: Iterable[str]) -> bool:
+        """Are all of ``names`` what the controller of a simulated run does not say?"""
+        return all(self.of(name).source is Source.UNREPORTED for name in names)
 
     def uncertain(self, names: Iterable[str]) -> tuple[str, ...]:
         """Those of ``names`` that are known to within some uncertainty only."""
@@ -145,7 +157,7 @@ class Knowledge:
     def measured(self, name: str, ticks: NDArray[np.void]) -> NDArray[np.bool_]:
         """(n,), or (n, hands) of a column of hands: at which of ``ticks`` (n,) it was measured."""
         shape = (len(ticks), *ticks.dtype[name].shape[: name in PER_HAND])
-        found = np.full(shape, self.of(name).source is not Source.NONE)
+        found = np.full(shape, self.of(name).source not in _NOWHERE)
         for gap in self.of(name).gaps:
             found[gap.first : gap.after, ... if gap.hand is None else gap.hand] = False
         return found
@@ -229,7 +241,7 @@ def knowing(trace: Trace, columns: Mapping[str, Measurement]) -> Trace:
         values = records[name.removeprefix(OF_DECISIONS)]
         blank = np.nan if values.dtype.kind == "f" else -1 if name in _INDICES else np.zeros((), values.dtype)
         if name.startswith(OF_DECISIONS):
-            values[...] = blank if one.source is Source.NONE else values
+            values[...] = blank if one.source in _NOWHERE else values
         else:
             values[~known.measured(name, ticks)] = blank
     return replace(trace, ticks=ticks, decisions=decisions, known=known)
