@@ -50,6 +50,7 @@ from safety_harness.trace.known import (
 )
 from safety_harness.trace.provenance import provenance
 from safety_harness.trace.records import decision_dtype, tick_dtype
+from safety_harness.trace.system import Component, SystemUnderTest, system_of
 from safety_harness.trace.trace import Provenance, Trace
 
 RECORDED = "recorded"  # the world of such a trace, and its avoider, which nobody knows
@@ -85,6 +86,7 @@ def trace_of(log: CellLog) -> Recorded:
         decisions=np.zeros(0, decision_dtype(len(joints))),
         decision_latency_s=np.zeros(0),
         provenance=_provenance(log),
+        system=_system(scenario),
     )
     trace = _with_hands(trace)
     columns = dict.fromkeys(COLUMNS_OF_A_TRACE, NOT_MEASURED)
@@ -378,6 +380,12 @@ def _list(texts: list[str]) -> Sequence:
 
 def _mapping(entries: dict[str, Node]) -> Mapping:
     return Mapping(tuple((Scalar(key, 1), node) for key, node in entries.items()), 1)
+
+
+def _system(scenario: Scenario) -> SystemUnderTest:
+    """Whatever drove the arm and saw the hands then."""
+    found = system_of(scenario, controller=Component(name=RECORDED))
+    return replace(found, perception=Component(name=RECORDED))
 
 
 def _provenance(log: CellLog) -> Provenance:

@@ -125,6 +125,11 @@ class Knowledge:
             for one in self.columns.values()
         )
 
+    @property
+    def recorded(self) -> bool:
+        """Was any of it read from a log?"""
+        return any(one.source is Source.LOG for one in self.columns.values())
+
     def of(self, name: str) -> Measurement:
         """Of one column."""
         return self.columns.get(name, _SIMULATED)
