@@ -1,0 +1,122 @@
+"""Judging logs.  Run: python benchmarks/logs.py verdicts|bag|recordings, each of which prints a section of LOGS.md.
+
+``verdicts``: N synthetic logs whose truth is known (``tests/logs``), judged by claims whose thresholds lie within
+150 mm of the truth.  ``bag``: a ROS 2 bag of so many GB, most of it pictures, and the memory that judging it takes.
+``recordings``: the six recorded hands beside the logged joints of a simulated arm, as their scenarios place them.
+"""
+
+from __future__ import annotations
+
+import one_thread  # noqa: F401 (before every library that reads its variables)
+
+# isort: split
+
+import argparse
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+
+ROOT = Path(__file__).parents[1]
+sys.path[:0] = [str(ROOT / "tests" / "logs")]
+
+from safety_harness.admission.admit import admit  # noqa: E402
+from safety_harness.admission.trial import judge, run_kinematic  # noqa: E402
+from safety_harness.logs.judging import recorded  # noqa: E402
+from safety_harness.scenario.model import Verdict  # noqa: E402
+from safety_harness.scenario.read import read_scenario  # noqa: E402
+
+RECORDINGS = (
+    "recorded-handover",
+    "recorded-handover-two-hands",
+    "recorded-giving",
+    "recorded-hammering",
+    "recorded-inspection",
+    "recorded-pick-and-place",
+)
+
+
+def verdicts(count: int) -> None:
+    """How many verdicts are false, and how many are given where they should be."""
+    from truths import judged_logs
+
+    counts: dict[str, Counter[str]] = {}
+    false, began = 0, time.perf_counter()
+    with tempfile.TemporaryDirectory() as folder:
+        for seed in range(count):
+            for one in judged_logs(seed, Path(folder)):
+                kind = one.sentence.rstrip("0123456789. m")
+                found = counts.setdefault(kind, Counter())
+                found.update(["claims", one.found.verdict.value])
+                found.update(["false"] * one.false + ["clear"] * one.clear)
+                found.update(["decided"] * (one.clear and one.decided))
+                found.update(["idle"] * (one.clear and one.found.reason.startswith("never exercised")))
+                if one.false:
+                    false += 1
+                    print(f"FALSE: seed {seed}: {one}", file=sys.stderr)
+    print(f"{count:,} logs in {time.perf_counter() - began:.0f} s, {false} false verdicts.\n")
+    print("| claim | claims | holds | violated | inconclusive | false | clear | decided of these | never exercised |")
+    print("|---|---|---|---|---|---|---|---|---|")
+    for kind, n in counts.items():
+        share = f" ({n['decided'] / n['clear']:.1%})" if n["clear"] else ""
+        cells = *(n[key] for key in ("claims", *(v.value for v in _IN_ORDER), "false", "clear")), f"{n['decided']}{share}", n["idle"]
+        print("| " + " | ".join(map(str, (kind, *cells))) + " |")
+
+
+_IN_ORDER = (Verdict.HOLDS, Verdict.VIOLATED, Verdict.INCONCLUSIVE)
+
+
+def bag(gigabytes: float, folder: Path) -> None:
+    """Write a bag of pictures, joints and hands, and judge it in a process of its own."""
+    from cells import cell, recorded as streams_of, said
+    from formats import STORE, joint_messages, of, poses, header
+    from rosbags.rosbag2 import StoragePlugin, Writer
+
+    rng = np.random.default_rng(11)
+    seconds = gigabytes * 1e9 / (30 * 640 * 480 * 3)
+    streams = streams_of(cell(rng), rng, seconds=seconds)
+    picture = rng.integers(0, 256, 640 * 480 * 3, dtype=np.uint8)
+    kind = "sensor_msgs/msg/Image"
+    for storage in (StoragePlugin.SQLITE3, StoragePlugin.MCAP):
+        run = folder / storage.name.lower()
+        with Writer(run, version=9, storage_plugin=storage) as out:
+            topics = {"/camera": out.add_connection("/camera", kind, typestore=STORE)}
+            messages = joint_messages(streams) + poses(streams)
+            shots = ((t, "/camera", kind, None) for t in streams.hand_ns.tolist())
+            for at_ns, topic, form, message in sorted([*messages, *shots], key=lambda one: one[0]):
+                if topic not in topics:
+                    topics[topic] = out.add_connection(topic, form, typestore=STORE)
+                if message is None:
+                    message = of(kind, header(at_ns, "camera"), 480, 640, "rgb8", 0, 1920, picture)
+                out.write(topics[topic], at_ns, STORE.serialize_cdr(message, form))
+        size = sum(one.stat().st_size for one in run.iterdir())
+        log = folder / f"{run.name}.yaml"
+        log.write_text(said(f"{run.name}#/joint_states", f"{run.name}#/hand", f"{run.name}#/elbow", ""))
+        began = time.perf_counter()
+        code = f"import runpy, resource, sys; sys.argv = ['safety-harness', 'judge', {str(log)!r}]\ntry: runpy.run_module('safety_harness', run_name='__main__')\nexcept SystemExit as e: print('exit', e.code, file=sys.stderr)\nprint('peak', resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024, file=sys.stderr)"
+        found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+        took = time.perf_counter() - began
+        peak = found.stderr.rsplit("peak ", 1)[-1].strip()
+        print(f"| {run.name} | {size / 1e9:.2f} | {len(streams.joint_ns):,} | {took:.0f} | {peak} |")
+        sys.stdout.flush()
+        for one in run.iterdir():
+            one.unlink()
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("section", choices=("verdicts", "bag", "recordings"))
+    parser.add_argument("--count", type=int, default=10_000)
+    parser.add_argument("--gigabytes", type=float, default=2.0)
+    given = parser.parse_args()
+    if given.section == "verdicts":
+        verdicts(given.count)
+    elif given.section == "bag":
+        print("| bag | GB | joint samples | seconds | peak memory, MB |\n|---|---|---|---|---|")
+        with tempfile.TemporaryDirectory() as folder:
+            bag(given.gigabytes, Path(folder))
