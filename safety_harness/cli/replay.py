@@ -26,13 +26,14 @@ from safety_harness.cli.console import (
 from safety_harness.cli.progress import watching_runs
 from safety_harness.cli.run import DATA, REPORT, TRACES, say_results
 from safety_harness.exceptions import InadmissibleError, InputError, Place, TraceError
-from safety_harness.logs.judging import is_log, recorded
+from safety_harness.logs.judging import recorded
 from safety_harness.properties.answered import with_expectation
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.knowledge import measured_lines, unmeasured_words
 from safety_harness.report.machine import refused_data, run_data
 from safety_harness.scenario.fields import SENTENCE, is_sentence
 from safety_harness.scenario.files import told
+from safety_harness.scenario.kinds import is_log
 from safety_harness.scenario.model import VISUAL_SERVO, Claim, Scenario, Verdict
 from safety_harness.scenario.references import file_and_name
 from safety_harness.scenario.units import shown

@@ -8,13 +8,7 @@ from pathlib import Path
 
 from safety_harness.logs.certain import Recorded, trace_of
 from safety_harness.logs.read import read_log
-from safety_harness.scenario.kinds import FileKind, kind_of
 from safety_harness.scenario.model import Claim
-
-
-def is_log(path: Path) -> bool:
-    """Does a file describe the log of a cell?"""
-    return kind_of(path) is FileKind.LOG
 
 
 def recorded(path: str | Path, claims: Sequence[Claim] = ()) -> Recorded:

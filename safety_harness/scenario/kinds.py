@@ -106,6 +106,11 @@ def kind_of(path: Path) -> FileKind | None:
     return _binary_kind(path, head) or _text_kind(path, head.decode("utf-8", "replace"))
 
 
+def is_log(path: Path) -> bool:
+    """Does a file describe the log of a cell?"""
+    return kind_of(path) is FileKind.LOG
+
+
 def refuse_other_kind(
     path: Path,
     *wanted: FileKind,
