@@ -52,13 +52,16 @@ _ANGLES = {"rad": 1.0, "deg": np.pi / 180.0}
 AHEAD = "how much more the hands' clock shows than the joints' (safety-harness log align estimates it)"
 
 
-def read_log(path: str | Path) -> CellLog:
-    """The log that a file describes; an InputError with its place for whatever cannot be used."""
+def read_log(path: str | Path, *, align: bool = False) -> CellLog:
+    """The log that a file describes; an InputError with its place for whatever cannot be used.
+
+    ``align``: its clocks need not be said, and all of its hands is read.
+    """
     file = Path(path)
     refuse_other_kind(file, FileKind.LOG, error=LogError)
     data = read_bytes(file, most=MAX_BYTES, place=Place(file=file), error=LogError)
     text = decode(data, most=MAX_BYTES, file=file, error=LogError)
-    return log_of(Field(parse_tree(text, file), file, path="", line=1), name=file.stem)
+    return log_of(Field(parse_tree(text, file), file, path="", line=1), name=file.stem, align=align)
 
 
 def log_of(said: Field, *, name: str, align: bool = False) -> CellLog:
