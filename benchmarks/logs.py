@@ -12,7 +12,6 @@ import one_thread  # noqa: F401 (before every library that reads its variables)
 # isort: split
 
 import argparse
-import resource
 import subprocess
 import sys
 import tempfile
@@ -28,9 +27,19 @@ sys.path[:0] = [str(ROOT / "tests" / "logs")]
 from safety_harness.admission.admit import admit  # noqa: E402
 from safety_harness.admission.trial import judge, run_kinematic  # noqa: E402
 from safety_harness.logs.judging import recorded  # noqa: E402
-from safety_harness.scenario.model import Verdict  # noqa: E402
+from safety_harness.exceptions import LogError  # noqa: E402
+from safety_harness.robot.robots import arm_model  # noqa: E402
+from safety_harness.scenario.model import RecordedHand, Verdict  # noqa: E402
 from safety_harness.scenario.read import read_scenario  # noqa: E402
+from safety_harness.trace.trace import Trace  # noqa: E402
 
+JUDGED = """
+import resource, sys
+from safety_harness.cli.replay import judge_again
+from pathlib import Path
+assert judge_again([Path(sys.argv[1])]) in (0, 1)
+print("peak memory, MB:", resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024)
+"""
 RECORDINGS = (
     "recorded-handover",
     "recorded-handover-two-hands",
@@ -60,11 +69,17 @@ def verdicts(count: int) -> None:
                     false += 1
                     print(f"FALSE: seed {seed}: {one}", file=sys.stderr)
     print(f"{count:,} logs in {time.perf_counter() - began:.0f} s, {false} false verdicts.\n")
-    print("| claim | claims | holds | violated | inconclusive | false | clear | decided of these | never exercised |")
+    print(
+        "| claim | claims | holds | violated | inconclusive | false | clear | decided of these | never exercised |"
+    )
     print("|---|---|---|---|---|---|---|---|---|")
     for kind, n in counts.items():
         share = f" ({n['decided'] / n['clear']:.1%})" if n["clear"] else ""
-        cells = *(n[key] for key in ("claims", *(v.value for v in _IN_ORDER), "false", "clear")), f"{n['decided']}{share}", n["idle"]
+        cells = (
+            *(n[key] for key in ("claims", *(v.value for v in _IN_ORDER), "false", "clear")),
+            f"{n['decided']}{share}",
+            n["idle"],
+        )
         print("| " + " | ".join(map(str, (kind, *cells))) + " |")
 
 
@@ -98,14 +113,80 @@ def bag(gigabytes: float, folder: Path) -> None:
         log = folder / f"{run.name}.yaml"
         log.write_text(said(f"{run.name}#/joint_states", f"{run.name}#/hand", f"{run.name}#/elbow", ""))
         began = time.perf_counter()
-        code = f"import runpy, resource, sys; sys.argv = ['safety-harness', 'judge', {str(log)!r}]\ntry: runpy.run_module('safety_harness', run_name='__main__')\nexcept SystemExit as e: print('exit', e.code, file=sys.stderr)\nprint('peak', resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024, file=sys.stderr)"
-        found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-        took = time.perf_counter() - began
-        peak = found.stderr.rsplit("peak ", 1)[-1].strip()
+        judging = subprocess.run(
+            [sys.executable, "-c", JUDGED, str(log)], capture_output=True, text=True, check=True
+        )
+        took, peak = time.perf_counter() - began, judging.stdout.split()[-1]
         print(f"| {run.name} | {size / 1e9:.2f} | {len(streams.joint_ns):,} | {took:.0f} | {peak} |")
         sys.stdout.flush()
         for one in run.iterdir():
             one.unlink()
+
+
+def recordings(folder: Path) -> None:
+    """Each recorded hand, unmended and placed as its scenario places it, beside the joints of the simulated arm."""
+    print(
+        "| scenario | hand | samples blanked | simulated, mm | recorded | certain margin, mm | within, mm |"
+    )
+    print("|---|---|---|---|---|---|---|")
+    for name in RECORDINGS:
+        trace = run_kinematic(admit(read_scenario(ROOT / "scenarios" / f"{name}.yaml")))
+        _write_joints(trace, folder / "joints.csv")
+        for number, hand in enumerate(trace.scenario.hands):
+            assert isinstance(hand, RecordedHand)
+            raw = ROOT / "scenarios" / hand.recording
+            track = hand.name.replace(" ", "_")
+            rows = raw.read_text().splitlines()
+            at = [rows[0].split(",").index(f"{track}_{axis}_m") for axis in "xyz"]
+            first = np.array([float(rows[1].split(",")[k]) for k in at])
+            shift = np.array(hand.starts_at_in_base_m) - first
+            text = (
+                "log: {joints: joints.csv, hands: {HAND: hands.csv#TRACK}}\n"
+                "clock: {hands are ahead by: 0 ms, known to: 2 ms}\n"
+                "joints: {known to: 0.01 mrad, accelerate at most: 20 rad/s2}\n"
+                "hands:\n  forearm: FOREARM\n  longest gap: 200 ms\n  moves at most: 3 m/s\n  known to: 1 mm\n"
+                f"  frame: {{at: [{', '.join(f'{x * 1e3:.4f} mm' for x in shift)}]}}\n"
+                f"robot: {trace.scenario.robot.label}\nclaims: [hand distance never below 50 mm]\n"
+            )
+            elbow = "hands.csv#right_elbow" if track == "right_hand" else "not measured"
+            text = text.replace("HAND", hand.name).replace("TRACK", track).replace("FOREARM", elbow)
+            (folder / "LOG.yaml").write_text(text)
+            blanked = _blanked(folder, rows)
+            log = recorded(folder / "LOG.yaml")
+            (found,) = judge(log.trace)
+            simulated = trace.ticks["hand_distance_m"][:, number].min() * 1e3 - 50.0
+            margin = "" if found.margin is None else f"{found.margin * 1e3:+.1f}"
+            why = found.reason if found.verdict is Verdict.INCONCLUSIVE else ""
+            within = log.trace.known.of("hand_distance_m").uncertainty * 1e3
+            print(
+                f"| {name} | {hand.name} | {blanked} | {simulated:+.1f} | {found.verdict.value} | "
+                f"{margin or why.partition('; by what')[0]} | {within:.1f} |"
+            )
+
+
+def _write_joints(trace: Trace, file: Path) -> None:
+    names = arm_model(trace.scenario.robot).joint_names
+    lines = ["time_ns," + ",".join(f"{name}_rad" for name in names)]
+    for time_s, row in zip(trace.time_s, trace.ticks["joint_position_rad"], strict=True):
+        lines.append(f"{round(time_s * 1e9)}," + ",".join(repr(float(angle)) for angle in row))
+    file.write_text("\n".join(lines) + "\n")
+
+
+def _blanked(folder: Path, rows: list[str]) -> int:
+    """Leave out, as its owner would, each sample that is refused as another marker's; how many there were."""
+    rows, width = list(rows), rows[0].count(",")
+    for blanked in range(1000):
+        (folder / "hands.csv").write_text("\n".join(rows) + "\n")
+        try:
+            recorded(folder / "LOG.yaml")
+        except LogError as error:
+            if error.place.line is None:
+                raise
+            line = error.place.line - 1
+            rows[line] = rows[line].split(",")[0] + "," * width
+        else:
+            return blanked
+    raise RuntimeError("more than a thousand samples are refused")
 
 
 if __name__ == "__main__":
@@ -120,3 +201,6 @@ if __name__ == "__main__":
         print("| bag | GB | joint samples | seconds | peak memory, MB |\n|---|---|---|---|---|")
         with tempfile.TemporaryDirectory() as folder:
             bag(given.gigabytes, Path(folder))
+    else:
+        with tempfile.TemporaryDirectory() as folder:
+            recordings(Path(folder))

@@ -206,12 +206,16 @@ def _of_log(path: Path, claims: Sequence[Claim], out: Path | None) -> JudgedRun:
     )
 
 
-def _report(runs: Sequence[JudgedRun], refused: Sequence[InputError], out: Path, paths: Sequence[Path]) -> None:
+def _report(
+    runs: Sequence[JudgedRun], refused: Sequence[InputError], out: Path, paths: Sequence[Path]
+) -> None:
     from safety_harness.report.html import write_report
     from safety_harness.report.machine import report_data, write_json
 
     of_all: dict[str, Any] = {"interrupted": False, "refused": refused}
-    command = shlex.join(["safety-harness", "judge", *(str(told(path)) for path in paths), "--out", str(told(out))])
+    command = shlex.join(
+        ["safety-harness", "judge", *(str(told(path)) for path in paths), "--out", str(told(out))]
+    )
     with writing(out / REPORT):
         write_report(
             out / REPORT,

@@ -115,7 +115,9 @@ class _Fit:
         tried = near_s + np.arange(-0.1, 0.1 + 1e-9, GRID_S / 2.0)
         first = float(tried[int(np.argmin([self.residual(one, of) for one in tried]))])
         bounds = first - GRID_S, first + GRID_S
-        found = minimize_scalar(self.residual, bounds=bounds, args=(of,), method="bounded", options={"xatol": 1e-6})
+        found = minimize_scalar(
+            self.residual, bounds=bounds, args=(of,), method="bounded", options={"xatol": 1e-6}
+        )
         return float(found.x), float(found.fun)
 
 
@@ -153,5 +155,3 @@ def words(offset: Offset) -> str:
     """As LOG.yaml has it, rounded up."""
     known_ms = np.ceil(offset.known_to_s * 1e4) / 10.0 + 0.1  # for the rounding of the offset
     return f"clock: {{hands are ahead by: {offset.hands_ahead_s * 1e3:.1f} ms, known to: {known_ms:.1f} ms}}"
-
-

@@ -180,14 +180,6 @@ def read_positions(
         collector.add(_time_ns(message, source, time, header), position, message.number)
 
 
-def read_numbers(source: Source, collector: Collector, *, time: str) -> None:
-    """One number or text of every message, which its path leads to; texts and truths as ``collector`` codes them."""
-    for message in messages(source):
-        value = _follow(message.content, source, message, source.path or "data")
-        header = getattr(message.content, "header", None)
-        collector.add(_time_ns(message, source, time, header), [value], message.number)
-
-
 def error(source: Source, message: Message, expected: str, got: str, hint: str = "") -> LogError:
     """LogError at one message."""
     place = Place(file=source.file, field=f"message {message.number} of {source.topic}")

@@ -20,7 +20,9 @@ from safety_harness.robot.kinematics import links_in_base
 ON_TOOL_M = np.array([0.05, -0.02, 0.12])
 
 
-def _log(folder: Path, seed: int, *, ahead_s: float = 0.137, off_m: float = 0.004, seconds: float = 12.0) -> Path:
+def _log(
+    folder: Path, seed: int, *, ahead_s: float = 0.137, off_m: float = 0.004, seconds: float = 12.0
+) -> Path:
     """The log of a marker on the tool, whose clock is ahead by ``ahead_s``."""
     rng = np.random.default_rng(seed)
     one = cell(rng)
@@ -33,7 +35,9 @@ def _log(folder: Path, seed: int, *, ahead_s: float = 0.137, off_m: float = 0.00
     object.__setattr__(streams, "hand_ns", streams.hand_ns + round(ahead_s * 1e9))
     write_csv(streams, folder)
     text = said("joints.csv", "hands.csv#hand", "none").replace("moves at most: 1.0", "moves at most: 3")
-    (folder / "LOG.yaml").write_text("\n".join(row for row in text.splitlines() if not row.startswith("clock")))
+    (folder / "LOG.yaml").write_text(
+        "\n".join(row for row in text.splitlines() if not row.startswith("clock"))
+    )
     return folder / "LOG.yaml"
 
 

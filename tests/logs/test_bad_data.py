@@ -111,7 +111,9 @@ def test_a_column_without_a_unit_wants_one(log: Path) -> None:
 
 
 def test_a_column_that_is_misspelt_is_told_with_what_is_near(log: Path) -> None:
-    error = _edited(log, "joints.csv", lambda rows: [rows[0].replace("elbow_joint", "elbow_joimt"), *rows[1:]])
+    error = _edited(
+        log, "joints.csv", lambda rows: [rows[0].replace("elbow_joint", "elbow_joimt"), *rows[1:]]
+    )
     assert error.place.line == 1
     assert "elbow_joimt_rad" in error.hint
 

@@ -34,7 +34,9 @@ def test_no_verdict_is_false(judged: list[Judged]) -> None:
 
 def test_a_margin_that_is_certain_is_no_better_than_the_true_one(judged: list[Judged]) -> None:
     of_distance = [one for one in judged if "hand distance" in one.sentence]
-    holds = [one for one in of_distance if one.found.verdict is Verdict.HOLDS and one.found.margin is not None]
+    holds = [
+        one for one in of_distance if one.found.verdict is Verdict.HOLDS and one.found.margin is not None
+    ]
     assert holds
     assert all(one.found.margin <= one.true_m for one in holds)
 
