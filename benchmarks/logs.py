@@ -1,8 +1,9 @@
-"""Judging logs.  Run: python benchmarks/logs.py verdicts|bag|recordings, each of which prints a section of LOGS.md.
+"""Judging logs.  Run: python benchmarks/logs.py verdicts|bag|recordings: each prints a section of LOGS.md.
 
-``verdicts``: N synthetic logs whose truth is known (``tests/logs``), judged by claims whose thresholds lie within
-150 mm of the truth.  ``bag``: a ROS 2 bag of so many GB, most of it pictures, and the memory that judging it takes.
-``recordings``: the six recorded hands beside the logged joints of a simulated arm, as their scenarios place them.
+``verdicts``: N synthetic logs whose truth is known (``tests/logs``), judged by claims whose thresholds lie
+within 150 mm of the truth.  ``bag``: a ROS 2 bag of so many GB, most of it pictures, and the memory that
+judging it takes.  ``recordings``: the six recorded hands beside the logged joints of a simulated arm, as
+their scenarios place them.
 """
 
 from __future__ import annotations
@@ -26,8 +27,8 @@ sys.path[:0] = [str(ROOT / "tests" / "logs")]
 
 from safety_harness.admission.admit import admit  # noqa: E402
 from safety_harness.admission.trial import judge, run_kinematic  # noqa: E402
-from safety_harness.logs.judging import recorded  # noqa: E402
 from safety_harness.exceptions import LogError  # noqa: E402
+from safety_harness.logs.judging import recorded  # noqa: E402
 from safety_harness.robot.robots import arm_model  # noqa: E402
 from safety_harness.scenario.model import RecordedHand, Verdict  # noqa: E402
 from safety_harness.scenario.read import read_scenario  # noqa: E402
@@ -69,10 +70,10 @@ def verdicts(count: int) -> None:
                     false += 1
                     print(f"FALSE: seed {seed}: {one}", file=sys.stderr)
     print(f"{count:,} logs in {time.perf_counter() - began:.0f} s, {false} false verdicts.\n")
-    print(
-        "| claim | claims | holds | violated | inconclusive | false | clear | decided of these | never exercised |"
-    )
-    print("|---|---|---|---|---|---|---|---|---|")
+    in_order = [verdict.value for verdict in _IN_ORDER]
+    heads = ["claim", "claims", *in_order, "false", "clear", "decided of these", "never exercised"]
+    print(f"| {' | '.join(heads)} |")
+    print("|---" * len(heads) + "|")
     for kind, n in counts.items():
         share = f" ({n['decided'] / n['clear']:.1%})" if n["clear"] else ""
         cells = (
@@ -88,8 +89,9 @@ _IN_ORDER = (Verdict.HOLDS, Verdict.VIOLATED, Verdict.INCONCLUSIVE)
 
 def bag(gigabytes: float, folder: Path) -> None:
     """Write a bag of pictures, joints and hands, and judge it in a process of its own."""
-    from cells import cell, recorded as streams_of, said
-    from formats import STORE, joint_messages, of, poses, header
+    from cells import cell, said
+    from cells import recorded as streams_of
+    from formats import STORE, header, joint_messages, of, poses
     from rosbags.rosbag2 import StoragePlugin, Writer
 
     rng = np.random.default_rng(11)
@@ -124,7 +126,7 @@ def bag(gigabytes: float, folder: Path) -> None:
 
 
 def recordings(folder: Path) -> None:
-    """Each recorded hand, unmended and placed as its scenario places it, beside the joints of the simulated arm."""
+    """Each recorded hand, unmended, as its scenario places it, beside the joints of the simulated arm."""
     print(
         "| scenario | hand | samples blanked | simulated, mm | recorded | certain margin, mm | within, mm |"
     )
@@ -144,7 +146,8 @@ def recordings(folder: Path) -> None:
                 "log: {joints: joints.csv, hands: {HAND: hands.csv#TRACK}}\n"
                 "clock: {hands are ahead by: 0 ms, known to: 2 ms}\n"
                 "joints: {known to: 0.01 mrad, accelerate at most: 20 rad/s2}\n"
-                "hands:\n  forearm: FOREARM\n  longest gap: 200 ms\n  moves at most: 3 m/s\n  known to: 1 mm\n"
+                "hands:\n  forearm: FOREARM\n  longest gap: 200 ms\n  moves at most: 3 m/s\n"
+                "  known to: 1 mm\n"
                 f"  frame: {{at: [{', '.join(f'{x * 1e3:.4f} mm' for x in shift)}]}}\n"
                 f"robot: {trace.scenario.robot.label}\nclaims: [hand distance never below 50 mm]\n"
             )

@@ -45,8 +45,8 @@ def align(
     result(words(offset))
     parts = ", ".join(f"{one * 1e3:.1f}" for one in offset.parts_s)
     say(
-        f"by parts of the recording: {parts} ms; the arm's motion explains {offset.explained:.1%} of the body's, "
-        f"and leaves {offset.off_m * 1e3:.1f} mm"
+        f"by parts of the recording: {parts} ms; the arm's motion explains {offset.explained:.1%} of the "
+        f"body's, and leaves {offset.off_m * 1e3:.1f} mm"
     )
     document(offset=offset, clock=words(offset))
     return AS_EXPECTED

@@ -150,8 +150,8 @@ def judge_again(
     """Judge stored traces, and logs of cells, by their claims, with the present code, without simulating.
 
     ``sentences`` take the place of their own claims, and are expected to hold.  ``keep_going``: one
-    that cannot be judged is told, and the others are judged.  ``out``: a folder for a report, and for the traces
-    of logs.
+    that cannot be judged is told, and the others are judged.  ``out``: a folder for a report, and for the
+    traces of logs.
     """
     runs: list[JudgedRun] = []
     refused: list[InputError] = []

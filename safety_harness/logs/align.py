@@ -1,13 +1,14 @@
 """By how much the hands' clock is ahead of the joints', from a body that both streams show.
 
-Such a body moves with the tool: a marker on the flange, or a hand that holds on to the tool, for a while in which
-the arm moves.  With the offset d, the places p(t + d) of the body in the base frame are R(t) c + x(t), where R and
-x are the tool's pose by the joints and c, where the body is on the tool, is unknown and constant.  d and c are
-those of the least squares.
+Such a body moves with the tool: a marker on the flange, or a hand that holds on to the tool, for a while in
+which the arm moves.  With the offset d, the places p(t + d) of the body in the base frame are R(t) c + x(t),
+where R and x are the tool's pose by the joints, and c, where the body is on the tool, is unknown and
+constant.  d and c are those of the least squares.
 """
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 from math import sqrt
 
@@ -70,7 +71,7 @@ def align(log: CellLog, body: Body) -> Offset:
         raise _refused(body, "a body that moves with the tool", got, hint)
     edges = np.linspace(body_s[there][0], body_s[there][-1], PARTS + 1)
     parts = []
-    for begin, end in zip(edges[:-1], edges[1:], strict=True):
+    for begin, end in itertools.pairwise(edges):
         inside = (body_s >= begin) & (body_s <= end)
         parts.append(fit.best(ahead_s, inside)[0])
     spread_s = float(np.std(parts, ddof=1))
@@ -97,7 +98,7 @@ class _Fit:
         return np.asarray(of & (at >= self.joints_s[0]) & (at <= self.joints_s[-1]))
 
     def residual(self, ahead_s: float, of: NDArray[np.bool_]) -> float:
-        """The least sum of squares [m2] by any place on the tool; a body seen by fewer than 10 tells nothing."""
+        """The least sum of squares [m2] by any place on the tool; fewer than 10 samples tell nothing."""
         there = self.there(ahead_s, of)
         if there.sum() < 10:
             return float("inf")
@@ -122,7 +123,7 @@ class _Fit:
 
 
 def _peak_s(joints_s: Floats, tool_m: Floats, body_s: Floats, places: Floats) -> float:
-    """Where the speeds of tool and body correlate best, of all offsets at which half of the shorter one overlaps."""
+    """Where the speeds of tool and body correlate best, if half of the shorter recording overlaps."""
     tool, body = _speed(joints_s, tool_m), _speed(body_s, places)
     products = correlate(body, tool, method="fft")
     overlap = correlate(np.ones(len(body)), np.ones(len(tool)), method="fft")

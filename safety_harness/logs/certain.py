@@ -183,7 +183,7 @@ def _joints(
 def _bends(
     time_ns: NDArray[np.int64], slope: NDArray[np.float64], period_ns: int, count: int
 ) -> NDArray[np.float64]:
-    """(count,) how far samples between two ticks are from the line between these: dt/4 of the change of speed."""
+    """(count,) how far samples between ticks are from the line between these: dt/4 per change of speed."""
     cells = np.zeros(max(count, 1))
     turned = np.abs(np.diff(slope, axis=0)).max(axis=1) if len(slope) > 1 else np.zeros(0)
     inner = time_ns[1:-1]
@@ -258,7 +258,8 @@ def _body_reach(log: CellLog, samples: Samples, time_ns: NDArray[np.int64]) -> R
     fast = np.flatnonzero(way_m > most_m + ROUNDING_M)
     if len(fast):
         index = int(fast[0])
-        got = f"{way_m[index] * 1e3:.4g} mm in {step_s[index] * 1e3:.4g} ms, {way_m[index] / step_s[index]:.3g} m/s"
+        speed_mps = way_m[index] / step_s[index]
+        got = f"{way_m[index] * 1e3:.4g} mm in {step_s[index] * 1e3:.4g} ms, {speed_mps:.3g} m/s"
         raise samples.error(
             index + 1,
             f"a way from the sample before that is possible at {facts.moves_at_most_mps:g} m/s",
@@ -268,8 +269,8 @@ def _body_reach(log: CellLog, samples: Samples, time_ns: NDArray[np.int64]) -> R
     grid = {"longest_ns": round(facts.longest_gap_s * NS), "period_ns": log.period_ns}
     off = body_off_m(way_m, step_s, most_mps=facts.moves_at_most_mps, sample_m=sample_m)
     reach = over_ticks(time_ns, off, count=log.ticks, **grid)
-    ends = {"most": facts.moves_at_most_mps, "sample": sample_m}
-    return from_ends(reach, int(time_ns[0]), int(time_ns[-1]), **ends, **grid)
+    first_ns, last_ns = int(time_ns[0]), int(time_ns[-1])
+    return from_ends(reach, first_ns, last_ns, most=facts.moves_at_most_mps, sample=sample_m, **grid)
 
 
 def _of_hands(log: CellLog, paths: list[_Path]) -> dict[str, Measurement]:
@@ -389,7 +390,7 @@ def _system(scenario: Scenario) -> SystemUnderTest:
 
 
 def _provenance(log: CellLog) -> Provenance:
-    """This software, and the files of the log by their hashes."""
+    """That of our software, and the files of the log by their hashes."""
     found = provenance(RECORDED, RECORDED)
     hashes = []
     for file in log.files:
@@ -410,8 +411,8 @@ def _notes(log: CellLog, paths: list[_Path]) -> Iterator[str]:
         yield f"the last {tail_s * 1e3:.3g} ms of the joints are less than a period, and not judged"
     if log.joint_facts.accelerate_at_most_radps2 is None:
         yield (
-            "how hard the joints accelerate is not said, so they may turn at their greatest speed between samples: "
-            "joints: {accelerate at most: ...} says closer where they were"
+            "how hard the joints accelerate is not said, so they may turn at their greatest speed between "
+            "samples: joints: {accelerate at most: ...} says closer where they were"
         )
     for path in paths:
         if path.elbow is None:

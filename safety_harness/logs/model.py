@@ -18,7 +18,7 @@ JOINTS_LONGEST_GAP_S = 0.1
 
 @dataclass(frozen=True, kw_only=True)
 class JointFacts:
-    """What is said of the joints; ``move_at_most_radps`` (joints,), and None: not said how hard they speed up."""
+    """What is said of the joints; ``move_at_most_radps`` is (joints,), None is not said."""
 
     known_to_rad: float
     speeds_known_to_radps: float | None
@@ -54,9 +54,9 @@ class Body:
 class CellLog:
     """A log that was read.
 
-    ``joints``: values (n, 2 j), positions and then velocities of the arm's joints, NaN where none was told, on
-    the clock of the joints, from which everything is counted.  ``hands_ahead_ns`` is by how much the clock of
-    the hands shows more, known to ``clock_known_to_s``.  ``period_ns`` is from tick to tick of the trace to be.
+    ``joints``: values (n, 2 j), positions and then velocities of the arm's joints, NaN where none was told,
+    on the clock of the joints, from which everything is counted.  ``hands_ahead_ns`` is by how much the clock
+    of the hands shows more, known to ``clock_known_to_s``.  ``period_ns`` is from tick to tick of the trace.
     ``said`` is the file, from which the scenario's own keys are still to be read.
     """
 

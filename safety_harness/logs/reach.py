@@ -19,7 +19,7 @@ ROUNDING_M = 1e-5  # of stored paths, in micrometres and nanoseconds
 
 @dataclass(frozen=True, eq=False)
 class Reach:
-    """``within`` (n,) of each tick, up to the next and the one before; 0 in ``gaps``, where nothing is known."""
+    """``within`` (n,) of each tick, up to those beside it; 0 in ``gaps``, where nothing is known."""
 
     within: Floats
     gaps: tuple[tuple[int, int], ...]
@@ -32,8 +32,8 @@ class Reach:
 def body_off_m(way_m: Floats, step_s: Floats, *, most_mps: float, sample_m: float) -> Floats:
     """(m,) how far a body may be from the straight line between two samples, ``way_m`` (m,) apart.
 
-    From the true places x and y, T apart in time, at most v T apart: at the fraction w of the time the body is
-    within v w T of x and within v (1 - w) T of y, so within (w (1 - w) (v^2 T^2 - |x - y|^2))^(1/2) of the
+    From the true places x and y, T apart in time, at most v T apart: at the fraction w of the time the body
+    is within v w T of x and within v (1 - w) T of y, so within (w (1 - w) (v^2 T^2 - |x - y|^2))^(1/2) of the
     point at w of the straight line, which is largest in the middle.  That line is within ``sample_m`` of the
     one between the samples, and |x - y| at least 2 ``sample_m`` less than what they are apart.
     """
@@ -47,8 +47,8 @@ def joint_off_rad(
 ) -> Floats:
     """(m,) the same of joints that turn evenly from sample to sample, the largest of all; ``slope`` (m, j).
 
-    By a bound a on the acceleration at most a T^2/8; by one v on the speed at most T (v^2 - s^2)/(2 v), with the
-    mean speed s: up as fast as may be, and down again.
+    By a bound a on the acceleration at most a T^2/8; by one v on the speed at most T (v^2 - s^2)/(2 v), with
+    the mean speed s: up as fast as may be, and down again.
     """
     if hardest is not None:
         return np.asarray(hardest * step_s**2 / 8.0 + sample_rad)

@@ -28,11 +28,11 @@ from safety_harness.logs.streams import NS, Collector, Samples, Source, read_sou
 from safety_harness.robot.description import ArmModel
 from safety_harness.robot.robots import arm_model
 from safety_harness.scenario.codec import POINT, ROTATION
+from safety_harness.scenario.compose import MAX_BYTES
 from safety_harness.scenario.fields import Field, Fields
 from safety_harness.scenario.files import decode, read_bytes
 from safety_harness.scenario.kinds import FileKind, refuse_other_kind
 from safety_harness.scenario.nodes import Mapping, Scalar, parse_tree
-from safety_harness.scenario.read import MAX_BYTES
 from safety_harness.scenario.robots import Robot, read_robot
 from safety_harness.scenario.units import ANGLE, ANGULAR_ACCELERATION, ANGULAR_SPEED, LENGTH, SPEED, TIME
 
@@ -173,7 +173,7 @@ class _Reading:
     def bodies(
         self, joints: Samples, of_hands: Fields, ahead_ns: int, slack_ns: int | None
     ) -> tuple[Body, ...]:
-        """The hands, whose clock is ahead by so much, ``slack_ns`` longer than the joints (None: all of them)."""
+        """The hands, whose clock is ahead by so much, ``slack_ns`` longer than the joints (None: all)."""
         window = (None, None)
         if slack_ns is not None:
             begin, end = int(joints.time_ns[0]), int(joints.time_ns[-1])
@@ -299,7 +299,7 @@ def _joints_checked(joints: Samples, names: tuple[str, ...]) -> Samples:
         expected = f"an angle of at most {np.degrees(FARTHEST_RAD):.0f} deg either way"
         got = f"{names[joint]} at {np.degrees(values[index, joint]):.6g} deg"
         raise joints.error(index, expected, got, 'degrees that were taken for radians? the key "unit"')
-    return _told(joints, np.isfinite(values).all(axis=1))
+    return _told(joints, np.asarray(np.isfinite(values).all(axis=1)))
 
 
 def _positions_checked(positions: Samples) -> Samples:
@@ -309,7 +309,7 @@ def _positions_checked(positions: Samples) -> Samples:
         got = f"{', '.join(f'{value:.6g}' for value in positions.values[index])} m"
         expected = f"a position within {FARTHEST_M:g} m of the base"
         raise positions.error(index, expected, got, 'millimetres that were taken for metres? the key "unit"')
-    return _told(positions, np.isfinite(positions.values).all(axis=1))
+    return _told(positions, np.asarray(np.isfinite(positions.values).all(axis=1)))
 
 
 def _told(samples: Samples, there: NDArray[np.bool_]) -> Samples:
@@ -339,8 +339,9 @@ def _refuse_jumping_joints(joints: Samples, facts: JointFacts, names: tuple[str,
         most = np.degrees(facts.move_at_most_radps[joint])
         raise joints.error(
             index + 1,
-            f"{names[joint]} at most {most:.4g} deg/s faster than it was, by what is said",
-            f"a jump of {np.degrees(way[index, joint]):.4g} deg in {step_s[index] * 1e3:.4g} ms, {speed:.4g} deg/s",
+            f"{names[joint]} to turn at {most:.4g} deg/s at most, as is said",
+            f"a jump of {np.degrees(way[index, joint]):.4g} deg in {step_s[index] * 1e3:.4g} ms, "
+            f"{speed:.4g} deg/s",
             "another unit from here on? or joints: {move at most: ...} says how fast they can be",
         )
 

@@ -1,7 +1,7 @@
 """One stream of a log: which file and what of it, and the samples that stand there, with their places.
 
-A stream is written ``FILE`` or ``FILE#WHAT``: in a table (CSV, Parquet) WHAT is what its columns begin with, in
-a bag (MCAP, ROS 2) a topic, ``/poses``, with ``[2]`` for one of several and ``:path`` for a field within.
+A stream is written ``FILE`` or ``FILE#WHAT``: in a table (CSV, Parquet) WHAT is what its columns begin with,
+in a bag (MCAP, ROS 2) a topic, ``/poses``, with ``[2]`` for one of several and ``:path`` for a field within.
 Times are kept to the nanosecond on the stream's own clock; nothing is sorted, left out or mended.
 """
 

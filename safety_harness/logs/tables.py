@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from decimal import Decimal, InvalidOperation
@@ -64,7 +64,7 @@ def header_of(source: Source) -> tuple[str, ...]:
 
 
 def time_column(source: Source, names: Sequence[str], said: str | None) -> tuple[str, int]:
-    """The time column, with nanoseconds in one of it: the one that is ``said``, or ``time_s`` and the like."""
+    """The time column, with nanoseconds in one of it: what is ``said``, or ``time_s`` and the like."""
     if said is not None:
         name, _, unit = said.partition(" in ")
         unit = unit or name.rpartition("_")[2]
@@ -244,6 +244,3 @@ def _error(
         line = None
     place = Place(file=source.file, line=line, field=field)
     return LogError(place=place, expected=expected, got=got, hint=hint)
-
-
-Reader = Callable[[Collector], None]

@@ -405,7 +405,7 @@ def _moved(trace: Trace, name: str) -> NDArray[np.float64]:
     if name == "hand_distance_m":
         return off + apart_moved_m(trace)
     turned_rad = trace.known.within(JOINTS[0], len(trace.ticks))
-    return off + turned_rad * (arm_of(trace).reach_m.sum() + 6.0)  # an entry of a rotation: 6 at most
+    return off + turned_rad * (float(arm_of(trace).reach_m.sum()) + 6.0)  # an entry of a rotation: 6 at most
 
 
 def derived(trace: Trace) -> NDArray[np.void]:

@@ -117,7 +117,7 @@ def pytest_configure_node(node: Any) -> None:
 
 
 def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> LogFile | ScenarioFile | None:
-    """Scenario files, spaces, suites and logs: those of ``safety_scenarios``, else those with keys of ours."""
+    """Scenario files, spaces, suites, logs: those of ``safety_scenarios``, else those with keys of ours."""
     patterns = parent.config.getini("safety_scenarios")
     if patterns is not None:
         name = os.path.relpath(file_path, parent.config.rootpath)

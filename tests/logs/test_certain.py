@@ -77,7 +77,8 @@ def test_beyond_the_longest_gap_nothing_is_known(tmp_path: Path) -> None:
     trace = trace_of(read_log(_log(tmp_path, lost=((0.6, 0.9),)))).trace
     (gap,) = trace.known.of("hand_distance_m").gaps
     assert gap.hand == 0
-    assert 0.5 < trace.time_s[gap.first] < 0.65 and 0.85 < trace.time_s[gap.after] < 1.0
+    assert 0.5 < trace.time_s[gap.first] < 0.65
+    assert 0.85 < trace.time_s[gap.after] < 1.0
     never = judge(trace)[0]
     assert never.verdict is Verdict.INCONCLUSIVE
     assert "hand from 0." in never.reason
@@ -95,7 +96,8 @@ def test_what_nobody_recorded_is_inconclusive_and_the_rest_is_the_logs(tmp_path:
     found = trace_of(read_log(_log(tmp_path)))
     verdicts = {one.sentence: one for one in judge(found.trace)}
     away = verdicts["never gives way without a hand"]
-    assert away.verdict is Verdict.INCONCLUSIVE and "mode" in away.unmeasured
+    assert away.verdict is Verdict.INCONCLUSIVE
+    assert "mode" in away.unmeasured
     assert found.trace.known.recorded
     assert found.trace.known.of("joint_position_rad").source is Source.LOG
     assert found.trace.known.of("hand_distance_m").source is Source.DERIVED

@@ -83,7 +83,7 @@ def stated_m(streams: Streams) -> float:
 
 
 def judged_logs(seed: int, folder: Path) -> list[Judged]:
-    """One synthetic log, as files, judged by claims about its distance: any threshold within 150 mm of the truth."""
+    """One synthetic log, as files, judged by claims with any threshold within 150 mm of the truth."""
     rng = np.random.default_rng(seed)
     one = cell(rng)
     lost = ()
