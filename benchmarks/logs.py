@@ -91,7 +91,7 @@ def bag(gigabytes: float, folder: Path) -> None:
     """Write a bag of pictures, joints and hands, and judge it in a process of its own."""
     from cells import cell, said
     from cells import recorded as streams_of
-    from formats import STORE, header, joint_messages, of, poses
+    from log_formats import STORE, header, joint_messages, of, poses
     from rosbags.rosbag2 import StoragePlugin, Writer
 
     rng = np.random.default_rng(11)

@@ -16,7 +16,7 @@ from typing import Any
 
 from safety_harness.exceptions import LogError, Place, near_miss
 from safety_harness.extras import LOGS
-from safety_harness.logs.streams import Collector, Source
+from safety_harness.logs.streams import Collector, LogSource
 from safety_harness.scenario.units import shown
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
@@ -43,7 +43,7 @@ class Message:
 
 
 @contextmanager
-def _opened(source: Source) -> Iterator[Any]:
+def _opened(source: LogSource) -> Iterator[Any]:
     """The bag of a stream; whatever its reader stumbles over becomes a LogError."""
     with LOGS.needed("logs in MCAP files and ROS 2 bags", source.file):
         from rosbags.highlevel import AnyReader
@@ -62,7 +62,7 @@ def _opened(source: Source) -> Iterator[Any]:
         ) from error
 
 
-def messages(source: Source) -> Iterator[Message]:
+def messages(source: LogSource) -> Iterator[Message]:
     """Every message of the stream's topic, in the order in which they were received.
 
     LogError for a topic that the bag does not have, damage, and fewer messages than the bag says it has.
@@ -93,14 +93,14 @@ def messages(source: Source) -> Iterator[Message]:
             )
 
 
-def topics_of(source: Source) -> dict[str, str]:
+def topics_of(source: LogSource) -> dict[str, str]:
     """The topics of a stream's bag with their types."""
     with _opened(source) as reader:
         return {one.topic: one.msgtype for one in reader.connections}
 
 
 def read_joints(
-    source: Source, collector: Collector, names: Sequence[str], *, time: str, angle: float
+    source: LogSource, collector: Collector, names: Sequence[str], *, time: str, angle: float
 ) -> None:
     """(position, velocity) of the joints ``names``, in this order; NaN for velocities that are not told.
 
@@ -140,7 +140,7 @@ def read_joints(
 
 
 def read_positions(
-    source: Source,
+    source: LogSource,
     collector: Collector,
     *,
     time: str,
@@ -180,18 +180,18 @@ def read_positions(
         collector.add(_time_ns(message, source, time, header), position, message.number)
 
 
-def error(source: Source, message: Message, expected: str, got: str, hint: str = "") -> LogError:
+def error(source: LogSource, message: Message, expected: str, got: str, hint: str = "") -> LogError:
     """LogError at one message."""
     place = Place(file=source.file, field=f"message {message.number} of {source.topic}")
     return LogError(place=place, expected=expected, got=got, hint=hint)
 
 
-def _unknown(message: Message, source: Source, what: str, types: str) -> LogError:
+def _unknown(message: Message, source: LogSource, what: str, types: str) -> LogError:
     hint = f"say which field of it, such as {source.topic}:wrist.position"
     return error(source, message, f"{what}, in a message of {types}", message.kind, hint)
 
 
-def _time_ns(message: Message, source: Source, said: str, header: Any) -> int:
+def _time_ns(message: Message, source: LogSource, said: str, header: Any) -> int:
     if said == RECEIVED:
         return message.received_ns
     stamp = getattr(header, "stamp", None)
@@ -202,7 +202,7 @@ def _time_ns(message: Message, source: Source, said: str, header: Any) -> int:
     return time_ns
 
 
-def _follow(content: Any, source: Source, message: Message, path: str = "") -> Any:
+def _follow(content: Any, source: LogSource, message: Message, path: str = "") -> Any:
     """What the path of a field leads to, such as ``markers[2].pose.position``."""
     for step in (path or source.path).split("."):
         found = _STEP.fullmatch(step)
@@ -218,7 +218,7 @@ def _follow(content: Any, source: Source, message: Message, path: str = "") -> A
     return content
 
 
-def _xyz(where: Any, source: Source, message: Message) -> list[float]:
+def _xyz(where: Any, source: LogSource, message: Message) -> list[float]:
     """Of a point, a pose, or a list of three numbers."""
     where = getattr(where, "position", where)
     try:
@@ -234,13 +234,13 @@ def _xyz(where: Any, source: Source, message: Message) -> list[float]:
     return values
 
 
-def _numbers(values: Any, source: Source, message: Message) -> list[float]:
+def _numbers(values: Any, source: LogSource, message: Message) -> list[float]:
     try:
         return [float(value) for value in values]
     except (TypeError, ValueError):
         raise error(source, message, "a list of numbers", type(values).__name__) from None
 
 
-def _refuse_infinite(values: Sequence[float], source: Source, message: Message) -> None:
+def _refuse_infinite(values: Sequence[float], source: LogSource, message: Message) -> None:
     if any(math.isinf(value) for value in values):
         raise error(source, message, "numbers, or NaN where nothing was measured", str(list(values)))

@@ -24,7 +24,7 @@ from safety_harness.logs.reach import (
     over_ticks,
     rate_off,
 )
-from safety_harness.logs.streams import NS, Samples
+from safety_harness.logs.streams import NS, LogSamples
 from safety_harness.properties.true_motion import (
     JOINTS,
     apart_moved_m,
@@ -247,7 +247,7 @@ def _filled(time_ns: NDArray[np.int64]) -> NDArray[np.int64]:
     return np.unique(np.concatenate([time_ns, *more])) if more else time_ns
 
 
-def _body_reach(log: CellLog, samples: Samples, time_ns: NDArray[np.int64]) -> Reach:
+def _body_reach(log: CellLog, samples: LogSamples, time_ns: NDArray[np.int64]) -> Reach:
     """Within how much of its path a body was; LogError where it is faster than is said."""
     facts = log.hand_facts
     assert facts is not None

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from safety_harness.exceptions import LogError, near_miss
 from safety_harness.geometry.transforms import inverse_transform, transform_from
 from safety_harness.logs.bags import Message, error, messages, topics_of
-from safety_harness.logs.streams import Source
+from safety_harness.logs.streams import LogSource
 from safety_harness.scenario.units import shown
 
 ToBase = Callable[[str, Message], Callable[[Sequence[float]], Sequence[float]]]
@@ -22,7 +22,7 @@ STILL_M, STILL_RAD = 1e-6, 1e-6
 class Tree:
     """Transforms that stand still: ``parents`` has of each frame its parent and (4, 4) its pose there."""
 
-    source: Source
+    source: LogSource
     parents: dict[str, tuple[str, NDArray[np.float64]]]
 
     def transform(self, frame: str, base: str) -> NDArray[np.float64]:
@@ -54,14 +54,14 @@ class Tree:
         return frame, transform
 
 
-def read_tree(source: Source, frame: str, base: str) -> Tree:
+def read_tree(source: LogSource, frame: str, base: str) -> Tree:
     """The transforms of a topic of ``TFMessage``, and of ``/tf_static`` beside it, that lead to ``base``.
 
     LogError for one between ``frame`` and ``base`` that moves: where a moving frame was between two of its
     messages is not known.
     """
     parents: dict[str, tuple[str, NDArray[np.float64]]] = {}
-    moved: dict[str, tuple[Message, Source, float]] = {}
+    moved: dict[str, tuple[Message, LogSource, float]] = {}
     for topic in _topics(source):
         for message in messages(topic):
             for one in getattr(message.content, "transforms", ()):
@@ -88,8 +88,8 @@ def read_tree(source: Source, frame: str, base: str) -> Tree:
     return tree
 
 
-def _topics(source: Source) -> list[Source]:
-    static = Source(
+def _topics(source: LogSource) -> list[LogSource]:
+    static = LogSource(
         file=source.file, what="/tf_static", place=source.place, topic="/tf_static", index=None, path=""
     )
     if source.topic == "/tf_static":
@@ -97,7 +97,7 @@ def _topics(source: Source) -> list[Source]:
     return [one for one in (static, source) if one.topic in topics_of(source)] or [source]
 
 
-def _pose(transform: object, source: Source, message: Message) -> NDArray[np.float64]:
+def _pose(transform: object, source: LogSource, message: Message) -> NDArray[np.float64]:
     """(4, 4) of a transform with a quaternion."""
     at, turn = transform.translation, transform.rotation  # type: ignore[attr-defined]
     x, y, z, w = float(turn.x), float(turn.y), float(turn.z), float(turn.w)
@@ -129,7 +129,9 @@ def by(transform: NDArray[np.float64]) -> Callable[[Sequence[float]], Sequence[f
     return moved
 
 
-def of_header(base: str, source: Source, transform_base: NDArray[np.float64], tf: Source | None) -> ToBase:
+def by_header(
+    base: str, source: LogSource, transform_base: NDArray[np.float64], tf: LogSource | None
+) -> ToBase:
     """By the frame that each message's header names, which has to be ``base``, or lead there in ``tf``.
 
     ``transform_base`` (4, 4) is from that frame to the scenario's base frame.
@@ -150,7 +152,7 @@ def of_header(base: str, source: Source, transform_base: NDArray[np.float64], tf
     return to_base
 
 
-def given(transform: NDArray[np.float64]) -> ToBase:
+def by_given(transform: NDArray[np.float64]) -> ToBase:
     """Whatever a header says, by the transform (4, 4) that was given."""
     moved = by(transform)
     return lambda frame, message: moved

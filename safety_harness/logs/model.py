@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.logs.streams import NS, Samples
+from safety_harness.logs.streams import NS, LogSamples
 from safety_harness.scenario.fields import Field
 from safety_harness.scenario.robots import AnyRobot
 
@@ -45,8 +45,8 @@ class Body:
     """
 
     name: str
-    hand: Samples
-    elbow: Samples | None
+    hand: LogSamples
+    elbow: LogSamples | None
     forearm: bool = True
 
 
@@ -64,7 +64,7 @@ class CellLog:
     file: Path | None
     said: Field
     robot: AnyRobot
-    joints: Samples
+    joints: LogSamples
     joint_facts: JointFacts
     hands: tuple[Body, ...]
     hand_facts: HandFacts | None
@@ -88,7 +88,7 @@ class CellLog:
         """From tick to tick."""
         return self.period_ns / NS
 
-    def seconds(self, samples: Samples, *, of_hands: bool = False) -> NDArray[np.float64]:
+    def seconds(self, samples: LogSamples, *, of_hands: bool = False) -> NDArray[np.float64]:
         """(n,) the times of samples since the trace begins."""
         by_ns = self.hands_ahead_ns if of_hands else 0
         return np.asarray((samples.time_ns - by_ns - self.origin_ns) / NS)

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from safety_harness.exceptions import LogError, Place
 from safety_harness.geometry.rotations import rotation_from_vector
 from safety_harness.geometry.transforms import transform_from
-from safety_harness.logs import bags, frames, tables
+from safety_harness.logs.bags import RECEIVED, STAMP, read_joints, read_positions
+from safety_harness.logs.frames import ToBase, by_given, by_header
 from safety_harness.logs.model import (
     JOINTS_KNOWN_TO_RAD,
     JOINTS_LONGEST_GAP_S,
@@ -24,7 +25,18 @@ from safety_harness.logs.model import (
     HandFacts,
     JointFacts,
 )
-from safety_harness.logs.streams import NS, Collector, Samples, Source, read_source
+from safety_harness.logs.streams import NS, Collector, LogSamples, LogSource, read_source
+from safety_harness.logs.tables import (
+    ANGLE_UNITS,
+    LENGTH_UNITS,
+    RATE_UNITS,
+    Table,
+    header_of,
+    optional_column,
+    read_table,
+    required_column,
+    time_column,
+)
 from safety_harness.robot.description import ArmModel
 from safety_harness.robot.robots import arm_model
 from safety_harness.scenario.codec import POINT, ROTATION
@@ -116,9 +128,9 @@ class _Reading:
     arm: ArmModel
 
     def __post_init__(self) -> None:
-        self.sources: list[Source] = []
+        self.sources: list[LogSource] = []
 
-    def joints(self) -> Samples:
+    def joints(self) -> LogSamples:
         """(n, 2 j) positions and velocities."""
         source = self._source(self.streams.required("joints"))
         said = self._said_of_joints()
@@ -136,21 +148,17 @@ class _Reading:
         unit = said.optional("unit")
         if source.is_bag:
             angle = _ANGLES[_word(unit, _ANGLES)] if unit else 1.0
-            bags.read_joints(source, collector, names, time=_time(said), angle=angle)
+            read_joints(source, collector, names, time=_time(said), angle=angle)
         else:
-            header = tables.header_of(source)
+            header = header_of(source)
             word = _word(unit, _ANGLES) if unit else None
-            at = [
-                tables.required(source, header, f"{source.what}{n}", tables.ANGLE_UNITS, word) for n in names
-            ]
-            rates = [
-                tables.column(source, header, f"{source.what}{n}", tables.RATE_UNITS, None) for n in names
-            ]
-            time = tables.time_column(source, header, _said(said.optional("time")))
-            tables.read_table(tables.Table(*time, (*at, *rates)), collector)
+            at = [required_column(source, header, f"{source.what}{n}", ANGLE_UNITS, word) for n in names]
+            rates = [optional_column(source, header, f"{source.what}{n}", RATE_UNITS, None) for n in names]
+            time = time_column(source, header, _said(said.optional("time")))
+            read_table(Table(*time, (*at, *rates)), collector)
         return _joints_checked(collector.samples(), names)
 
-    def joint_facts(self, joints: Samples) -> JointFacts:
+    def joint_facts(self, joints: LogSamples) -> JointFacts:
         """What is said of the joints, and by how much a slip would show."""
         said = self._said_of_joints()
         most = self.arm.velocity_limit_radps.copy()
@@ -171,7 +179,7 @@ class _Reading:
         return facts
 
     def bodies(
-        self, joints: Samples, of_hands: Fields, ahead_ns: int, slack_ns: int | None
+        self, joints: LogSamples, of_hands: Fields, ahead_ns: int, slack_ns: int | None
     ) -> tuple[Body, ...]:
         """The hands, whose clock is ahead by so much, ``slack_ns`` longer than the joints (None: all)."""
         window = (None, None)
@@ -198,7 +206,7 @@ class _Reading:
             found.append(Body(name, hand, elbow, there))
         return tuple(found)
 
-    def _positions(self, field: Field, said: Fields, window: tuple[int | None, int | None]) -> Samples:
+    def _positions(self, field: Field, said: Fields, window: tuple[int | None, int | None]) -> LogSamples:
         source = self._source(field)
         collector = Collector(source, 3, _counts(source), *window)
         unit = said.optional("unit")
@@ -207,39 +215,39 @@ class _Reading:
         if source.is_bag:
             to_base = self._to_base(source, frame)
             length = _LENGTHS[word or "m"]
-            bags.read_positions(source, collector, time=_time(said), length=length, to_base=to_base)
+            read_positions(source, collector, time=_time(said), length=length, to_base=to_base)
             return _positions_checked(collector.samples())
         if frame is None:
             expected = 'the key "frame": base, or {at: ..., turned: ...} of the frame in which positions are'
             raise said.whole.error(expected, got=f"none, and {source.name} is a table that cannot say it")
-        header = tables.header_of(source)
+        header = header_of(source)
         track = source.what or _only_track(source, header)
-        at = [tables.required(source, header, f"{track}_{axis}", tables.LENGTH_UNITS, word) for axis in "xyz"]
-        time = tables.time_column(source, header, _said(said.optional("time")))
-        tables.read_table(tables.Table(*time, tuple(at)), collector)
+        at = [required_column(source, header, f"{track}_{axis}", LENGTH_UNITS, word) for axis in "xyz"]
+        time = time_column(source, header, _said(said.optional("time")))
+        read_table(Table(*time, tuple(at)), collector)
         found = collector.samples()
         transform = _given_transform(frame)
         values = found.values @ transform[:3, :3].T + transform[:3, 3]
-        return _positions_checked(Samples(source, found.time_ns, values, found.at, found.counts))
+        return _positions_checked(LogSamples(source, found.time_ns, values, found.at, found.counts))
 
-    def _to_base(self, source: Source, frame: Field | None) -> frames.ToBase:
+    def _to_base(self, source: LogSource, frame: Field | None) -> ToBase:
         """How positions of a bag come to the base frame."""
         base = self.arm.link_names[0]
         seat = self.arm.transform_seat
         if frame is None:
-            return frames.of_header(base, source, seat, None)
+            return by_header(base, source, seat, None)
         if isinstance(frame.node, Mapping) and any(key.text == "tf" for key, _ in frame.node.entries):
             given = frame.fields(("tf", "base"))
             name = given.optional("base")
             base = base if name is None else name.sentence("the name of the base frame in the bag")
-            return frames.of_header(base, source, seat, self._source(given.required("tf")))
-        return frames.given(_given_transform(frame))
+            return by_header(base, source, seat, self._source(given.required("tf")))
+        return by_given(_given_transform(frame))
 
     def _said_of_joints(self) -> Fields:
         field = self.given.optional("joints")
         return Fields(self.given.whole, {}) if field is None else field.fields(OF_JOINTS)
 
-    def _source(self, field: Field) -> Source:
+    def _source(self, field: Field) -> LogSource:
         source = read_source(field)
         self.sources.append(source)
         return source
@@ -279,7 +287,7 @@ def _hand_facts(said: Fields) -> HandFacts:
     )
 
 
-def _period_ns(streams: Fields, joints: Samples) -> int:
+def _period_ns(streams: Fields, joints: LogSamples) -> int:
     """From tick to tick: what is said, or what the joints' samples are apart, to a tenth of a millisecond."""
     field = streams.optional("period")
     if field is not None:
@@ -289,7 +297,7 @@ def _period_ns(streams: Fields, joints: Samples) -> int:
     return min(max(rounded, SHORTEST_PERIOD_NS), LONGEST_PERIOD_NS)
 
 
-def _joints_checked(joints: Samples, names: tuple[str, ...]) -> Samples:
+def _joints_checked(joints: LogSamples, names: tuple[str, ...]) -> LogSamples:
     """Without the samples in which a joint was not told; LogError for what no joint can be."""
     values = joints.values[:, : len(names)]
     far = np.abs(values) > FARTHEST_RAD
@@ -302,7 +310,7 @@ def _joints_checked(joints: Samples, names: tuple[str, ...]) -> Samples:
     return _told(joints, np.asarray(np.isfinite(values).all(axis=1)))
 
 
-def _positions_checked(positions: Samples) -> Samples:
+def _positions_checked(positions: LogSamples) -> LogSamples:
     far = np.abs(positions.values) > FARTHEST_M
     if far.any():
         index = int(np.argmax(far.any(axis=1)))
@@ -312,7 +320,7 @@ def _positions_checked(positions: Samples) -> Samples:
     return _told(positions, np.asarray(np.isfinite(positions.values).all(axis=1)))
 
 
-def _told(samples: Samples, there: NDArray[np.bool_]) -> Samples:
+def _told(samples: LogSamples, there: NDArray[np.bool_]) -> LogSamples:
     """Those samples in which something was measured; LogError for fewer than two."""
     if np.count_nonzero(there) < 2:
         raise LogError(
@@ -322,12 +330,12 @@ def _told(samples: Samples, there: NDArray[np.bool_]) -> Samples:
         )
     if there.all():
         return samples
-    return Samples(
+    return LogSamples(
         samples.source, samples.time_ns[there], samples.values[there], samples.at[there], samples.counts
     )
 
 
-def _refuse_jumping_joints(joints: Samples, facts: JointFacts, names: tuple[str, ...]) -> None:
+def _refuse_jumping_joints(joints: LogSamples, facts: JointFacts, names: tuple[str, ...]) -> None:
     """LogError where a joint goes from one sample to the next faster than it can."""
     step_s = np.diff(joints.time_ns) / NS
     way = np.abs(np.diff(joints.values[:, : len(names)], axis=0))
@@ -346,9 +354,9 @@ def _refuse_jumping_joints(joints: Samples, facts: JointFacts, names: tuple[str,
         )
 
 
-def _only_track(source: Source, header: tuple[str, ...]) -> str:
+def _only_track(source: LogSource, header: tuple[str, ...]) -> str:
     """The one track of a table: a name with an x and a unit."""
-    ends = tuple(f"_x_{unit}" for unit in tables.LENGTH_UNITS) + ("_x",)
+    ends = tuple(f"_x_{unit}" for unit in LENGTH_UNITS) + ("_x",)
     tracks = [name[: -len(end)] for name in header for end in ends if name.endswith(end)]
     if len(tracks) != 1:
         got = ", ".join(tracks) or f"the columns {', '.join(header)}"
@@ -377,10 +385,10 @@ def _said(field: Field | None) -> str | None:
 def _time(said: Fields) -> str:
     """Of a bag: by the stamp of each message, or by when it was received."""
     field = said.optional("time")
-    return bags.STAMP if field is None else field.one_of({one: one for one in (bags.STAMP, bags.RECEIVED)})
+    return STAMP if field is None else field.one_of({one: one for one in (STAMP, RECEIVED)})
 
 
-def _counts(source: Source) -> str:
+def _counts(source: LogSource) -> str:
     if source.is_bag:
         return "message"
     return "line" if source.file.suffix == ".csv" else "row"

@@ -28,7 +28,7 @@ TABLES, BAGS = (".csv", ".parquet"), (".mcap", ".db3")
 
 
 @dataclass(frozen=True)
-class Source:
+class LogSource:
     """What a log's file says of a stream: the file, and what of it; ``place`` is where that is said."""
 
     file: Path
@@ -56,7 +56,7 @@ class Source:
         return (self.file,)
 
 
-def read_source(field: Field) -> Source:
+def read_source(field: Field) -> LogSource:
     """The stream that a text names; LogError for a file of no kind that can be read, or that is not there."""
     text = field.scalar("a stream: FILE.csv, FILE.parquet#right_hand or FILE.mcap#/topic").strip()
     name, _, what = text.partition("#")
@@ -68,7 +68,7 @@ def read_source(field: Field) -> Source:
     if not folder and not file.is_file():
         raise LogError(place=field.place, expected="a file that can be read", got=f"no such file: {file}")
     if not folder and file.suffix in TABLES:
-        return Source(file=file, what=what, place=field.place)
+        return LogSource(file=file, what=what, place=field.place)
     found = _TOPIC.fullmatch(what)
     if found is None:
         expected = (
@@ -76,7 +76,7 @@ def read_source(field: Field) -> Source:
         )
         raise LogError(place=field.place, expected=expected, got=what or "none")
     index = found["index"]
-    return Source(
+    return LogSource(
         file=file,
         what=what,
         place=field.place,
@@ -87,14 +87,14 @@ def read_source(field: Field) -> Source:
 
 
 @dataclass(frozen=True, eq=False)
-class Samples:
+class LogSamples:
     """The samples of a stream within a window, in the order of the file.
 
     ``time_ns`` (n,) on its own clock; ``values`` (n, k) in SI, NaN where there is none; ``at`` (n,) the line,
     row or message that each stands in, which is what ``counts`` says.
     """
 
-    source: Source
+    source: LogSource
     time_ns: NDArray[np.int64]
     values: NDArray[np.float64]
     at: NDArray[np.int64]
@@ -112,16 +112,16 @@ class Samples:
         """LogError at one sample."""
         return LogError(place=self.place(index), expected=expected, got=got, hint=hint)
 
-    def shifted(self, by_ns: int) -> Samples:
+    def shifted(self, by_ns: int) -> LogSamples:
         """The same on a clock that shows ``by_ns`` more."""
-        return Samples(self.source, self.time_ns + by_ns, self.values, self.at, self.counts)
+        return LogSamples(self.source, self.time_ns + by_ns, self.values, self.at, self.counts)
 
 
 @dataclass
 class Collector:
     """Takes samples one by one and keeps those from ``begin_ns`` to ``end_ns``; LogError for too many."""
 
-    source: Source
+    source: LogSource
     width: int
     counts: str
     begin_ns: int | None = None
@@ -152,10 +152,10 @@ class Collector:
         self._values.extend(values)
         self._at.append(at)
 
-    def samples(self) -> Samples:
+    def samples(self) -> LogSamples:
         """All that were kept; LogError for fewer than two, and for times that do not rise."""
         n = len(self._time)
-        found = Samples(
+        found = LogSamples(
             self.source,
             np.array(self._time, np.int64),
             np.array(self._values, np.float64).reshape(n, self.width),
@@ -171,7 +171,7 @@ class Collector:
         return found
 
 
-def refuse_disorder(samples: Samples) -> None:
+def refuse_disorder(samples: LogSamples) -> None:
     """LogError at the first sample whose time is not later than that of the one before."""
     steps = np.diff(samples.time_ns)
     for index in np.flatnonzero(steps < SHORTEST_STEP_NS)[:1].tolist():

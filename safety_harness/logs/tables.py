@@ -17,7 +17,7 @@ from typing import Any
 
 from safety_harness.exceptions import LogError, Place, near_miss
 from safety_harness.extras import LOGS
-from safety_harness.logs.streams import Collector, Source
+from safety_harness.logs.streams import Collector, LogSource
 from safety_harness.scenario.units import shown
 
 MOST_COLUMNS = 10_000
@@ -30,7 +30,7 @@ _EXACT_BELOW = 1e6  # in a unit of time, up to which a float has enough digits f
 
 
 @dataclass(frozen=True)
-class Column:
+class TableColumn:
     """A column of a table and what one of it is in SI."""
 
     name: str
@@ -43,10 +43,10 @@ class Table:
 
     time: str
     time_ns: int
-    columns: tuple[Column | None, ...]
+    columns: tuple[TableColumn | None, ...]
 
 
-def header_of(source: Source) -> tuple[str, ...]:
+def header_of(source: LogSource) -> tuple[str, ...]:
     """The names of the columns of a table; LogError for a file that has none."""
     if source.file.suffix == ".parquet":
         with _parquet(source) as file:
@@ -63,7 +63,7 @@ def header_of(source: Source) -> tuple[str, ...]:
     return names
 
 
-def time_column(source: Source, names: Sequence[str], said: str | None) -> tuple[str, int]:
+def time_column(source: LogSource, names: Sequence[str], said: str | None) -> tuple[str, int]:
     """The time column, with nanoseconds in one of it: what is ``said``, or ``time_s`` and the like."""
     if said is not None:
         name, _, unit = said.partition(" in ")
@@ -88,13 +88,13 @@ def time_column(source: Source, names: Sequence[str], said: str | None) -> tuple
     return found[0][0], TIME_UNITS[found[0][1]]
 
 
-def column(
-    source: Source, names: Sequence[str], stem: str, units: dict[str, float], unit: str | None
-) -> Column | None:
+def optional_column(
+    source: LogSource, names: Sequence[str], stem: str, units: dict[str, float], unit: str | None
+) -> TableColumn | None:
     """The column that begins with ``stem``: with a unit at its end, or none and the ``unit`` that is said."""
-    found = [Column(name, si) for one, si in units.items() if (name := f"{stem}_{one}") in names]
+    found = [TableColumn(name, si) for one, si in units.items() if (name := f"{stem}_{one}") in names]
     if stem in names and unit is not None:
-        found.append(Column(stem, units[unit]))
+        found.append(TableColumn(stem, units[unit]))
     if len(found) > 1:
         raise _error(source, f"one column of {stem}", " and ".join(one.name for one in found), line=1)
     if not found and stem in names:
@@ -103,11 +103,11 @@ def column(
     return found[0] if found else None
 
 
-def required(
-    source: Source, names: Sequence[str], stem: str, units: dict[str, float], unit: str | None
-) -> Column:
-    """As ``column``; LogError if there is none."""
-    found = column(source, names, stem, units, unit)
+def required_column(
+    source: LogSource, names: Sequence[str], stem: str, units: dict[str, float], unit: str | None
+) -> TableColumn:
+    """As ``optional_column``; LogError if there is none."""
+    found = optional_column(source, names, stem, units, unit)
     if found is None:
         wanted = [f"{stem}_{one}" for one in units]
         hint = near_miss(wanted[0], names) or f"the columns: {shown(', '.join(names))}"
@@ -156,7 +156,7 @@ def _read_parquet(table: Table, collector: Collector) -> None:
                 collector.add(time_ns, values, row)
 
 
-def _time(cell: Any, table: Table, source: Source, at: int) -> int:
+def _time(cell: Any, table: Table, source: LogSource, at: int) -> int:
     """A time in nanoseconds, from decimal digits where a float has too few."""
     try:
         if isinstance(cell, int):
@@ -173,7 +173,7 @@ def _time(cell: Any, table: Table, source: Source, at: int) -> int:
         ) from None
 
 
-def _cell(cell: Any, one: Column, source: Source, at: int) -> float:
+def _cell(cell: Any, one: TableColumn, source: LogSource, at: int) -> float:
     """A number in SI, NaN for an empty cell."""
     text = cell.strip() if isinstance(cell, str) else cell
     if text is None or text == "":
@@ -217,7 +217,7 @@ def _rows(path: Path) -> Iterator[Iterator[tuple[int, list[str]]]]:
 
 
 @contextmanager
-def _parquet(source: Source) -> Iterator[Any]:
+def _parquet(source: LogSource) -> Iterator[Any]:
     with LOGS.needed("logs in Parquet files", source.file):
         from pyarrow import ArrowException
         from pyarrow.parquet import ParquetFile
@@ -230,7 +230,7 @@ def _parquet(source: Source) -> Iterator[Any]:
 
 
 def _error(
-    source: Source,
+    source: LogSource,
     expected: str,
     got: str,
     hint: str = "",

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cells import cell, recorded, said, write_csv
-from formats import parquet
+from log_formats import parquet
 
 from safety_harness.exceptions import InputError
 from safety_harness.logs.judging import recorded as judged_log

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cells import NAMES, Streams, cell, recorded, said
-from formats import FORMATS, joint_messages, own_messages, poses, write_bag
+from log_formats import FORMATS, joint_messages, own_messages, poses, write_bag
 from rosbags.rosbag2 import StoragePlugin
 
 from safety_harness.admission.trial import judge
