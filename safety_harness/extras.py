@@ -90,4 +90,8 @@ CLUSTER = Extra(
     "campaigns on a Dask cluster",
     instead="without --cluster it runs on this machine",
 )
-EXTRAS = (PYBULLET, IMAGES, ONNX, LEARNING, FITTING, EXPORT, LOGS, CLUSTER)
+GYM = Extra("gym", ("gymnasium",), "worlds as Gymnasium environments")
+POLICIES = Extra(
+    "policies", ("stable_baselines3",), "policies trained in environments", package="stable-baselines3"
+)
+EXTRAS = (PYBULLET, IMAGES, ONNX, LEARNING, FITTING, EXPORT, LOGS, CLUSTER, GYM, POLICIES)

@@ -25,6 +25,7 @@ class Branch(IntEnum):
     DECISION_TIME = 9
     SCORING = 10
     CONTROLLER = 11
+    ENVIRONMENT = 12
 
 
 def generator(root: int, branch: Branch, *path: int) -> np.random.Generator:

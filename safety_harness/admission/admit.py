@@ -36,7 +36,7 @@ from safety_harness.admission.poses import (
     checked_start,
 )
 from safety_harness.avoidance.asking import Question, ask
-from safety_harness.avoidance.avoider import Avoider, decision_time_of
+from safety_harness.avoidance.avoider import Avoider, decision_time_of, shown_to
 from safety_harness.avoidance.gate import Gate
 from safety_harness.controller.contract import UserController
 from safety_harness.controller.controller import AvoidingServo
@@ -311,7 +311,10 @@ def answers_at_first(avoider: Avoider, hand_in_base_m: Vector3, tcp_in_base_m: V
     """Ask once before the run, so that no answer is waited for while it loads or compiles.
 
     Whatever comes is thrown away: a fault belongs to the run, which will meet it.  False if nothing does.
+    One that sees more is not asked: nothing is seen yet.
     """
+    if shown_to(avoider):
+        return True
     try:
         ask(avoider, Question(np.array(hand_in_base_m), np.array(tcp_in_base_m), 0, FIRST_ANSWER_S))
     except NoAnswerError:

@@ -36,7 +36,13 @@ from safety_harness.scenario.model import (
     RecordedHand,
     Scenario,
 )
-from safety_harness.scenario.references import MODEL_SUFFIX, ONNX_SUFFIX, file_and_name, named_from
+from safety_harness.scenario.references import (
+    MODEL_SUFFIX,
+    ONNX_SUFFIX,
+    file_and_name,
+    named_from,
+    names_a_program,
+)
 from safety_harness.scenario.robots import OwnRobot
 from safety_harness.settings import DEFAULTS, Settings
 from safety_harness.shipped.contents import is_shipped, located
@@ -197,7 +203,8 @@ def replay_command(
     """
     command = ["safety-harness", by, *(str(told(one)) for one in (trace, *others))]
     if is_a_program(scenario.under_test):
-        named = told_avoider(os.path.abspath(command_line_reference(scenario)))
+        reference = command_line_reference(scenario)
+        named = told_avoider(os.path.abspath(reference) if file_and_name(reference)[0] else reference)
         command += [option_of(scenario.under_test), named]
     return shlex.join(command)
 
@@ -232,8 +239,8 @@ def shipped_avoider(name: str, settings: Settings = DEFAULTS) -> Avoider:
 
 
 def is_a_program(reference: str) -> bool:
-    """Does the reference name a Python file, which is executed to resolve it?"""
-    return bool(file_and_name(reference)[1])
+    """Does the reference name a Python file, or a program, which is executed to resolve it?"""
+    return bool(file_and_name(reference)[1]) or names_a_program(reference)
 
 
 def is_executed(reference: str) -> bool:

@@ -8,9 +8,8 @@ from pathlib import Path
 
 from safety_harness.admission.avoiders import avoider_sha256, folder_of
 from safety_harness.avoidance.avoider import Avoider, Proposal, Vector
-from safety_harness.avoidance.python_file import refuse_undefined
 from safety_harness.controller.contract import IMAGE, OBJECT, UserController, sees_of
-from safety_harness.controller.named import SHIPPED, controller_file, controller_of, controller_sha256
+from safety_harness.controller.named import controller_of, controller_sha256, refuse_unusable_controller
 from safety_harness.controller.python_file import checked_controller
 from safety_harness.exceptions import AvoiderError, InadmissibleError, Place
 from safety_harness.robot.robots import urdf_sha256_of
@@ -83,10 +82,7 @@ def driver_of(controller: object) -> MadeDriver:
 
 def refuse_unusable_driver(scenario: Scenario) -> None:
     """As ``Drivers`` refuses, as far as can be seen without executing anything of a user's."""
-    if scenario.controller not in SHIPPED:
-        place = scenario.place("controller")
-        path = controller_file(scenario.controller, folder_of(scenario), place)
-        refuse_undefined(path, file_and_name(scenario.controller)[1], place, methods=("act", "reset"))
+    refuse_unusable_controller(scenario.controller, folder_of(scenario), scenario.place("controller"))
 
 
 def named_system(scenario: Scenario) -> SystemUnderTest:

@@ -18,7 +18,7 @@ from operator import attrgetter
 import numpy as np
 
 from safety_harness.admission.admit import Admitter, first_question
-from safety_harness.admission.avoiders import Avoiders
+from safety_harness.admission.avoiders import Avoiders, is_a_program
 from safety_harness.admission.trial import run_trial
 from safety_harness.avoidance.asking import (
     Answer,
@@ -28,10 +28,10 @@ from safety_harness.avoidance.asking import (
     ask,
     takes_many,
 )
-from safety_harness.avoidance.avoider import Avoider, printable
+from safety_harness.avoidance.avoider import Avoider, shown_to
 from safety_harness.avoidance.flaky import Asked, asked_in, difference
 from safety_harness.avoidance.isolation.host import processes_apart
-from safety_harness.exceptions import InputError, NoAnswerError, SimulationError
+from safety_harness.exceptions import InputError, NoAnswerError, SimulationError, printable
 from safety_harness.scenario.model import Scenario
 from safety_harness.simulation.worlds import world_of_trace
 from safety_harness.trace.trace import Trace
@@ -94,19 +94,28 @@ class DrivenAgain(RepeatabilityResult):
 
 @dataclass(frozen=True)
 class DrivenRun:
-    """A run of a controller: its scenario's name, its world, and a hash of all that the arm was told."""
+    """A run that may be driven again: scenario, world, a hash of what the arm was told, and the file's.
+
+    ``asks``: by the visual servo, which asks the avoider of the file.
+    """
 
     run: str
     world: str
     sha256: str
     controller_sha256: str
+    asks: bool = False
 
 
-def driven_in(trace: Trace) -> DrivenRun:
-    """What of a run has to come out again."""
+def driven_in(trace: Trace) -> DrivenRun | None:
+    """What of a run has to come out again; None where questions of it can be asked again, or it broke off."""
+    scenario = trace.scenario
+    if not (scenario.driven or is_a_program(scenario.avoider)) or not trace.complete:
+        return None
     told = trace.ticks["demanded_joint_velocity_radps"].tobytes()
+    told += trace.decisions["proposed_position_in_base_m"].tobytes()
     digest = hashlib.sha256(told + trace.ticks["joint_position_rad"].tobytes()).hexdigest()
-    return DrivenRun(trace.scenario.name, trace.provenance.world, digest, trace.system.controller.sha256)
+    sha256 = trace.system.tested.sha256
+    return DrivenRun(scenario.name, trace.provenance.world, digest, sha256, not scenario.driven)
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,11 +148,11 @@ class Repeatability:
     def add(self, trace: Trace) -> None:
         """The questions of a run, or the run of a controller that is named: an object cannot be made anew."""
         scenario = trace.scenario
-        if scenario.driven:
-            if trace.complete:
-                self.take_run(driven_in(trace), lambda: scenario)
-            return
-        self.take(asked_in(trace), lambda: scenario, trace.system.tested.sha256)
+        driven = driven_in(trace)
+        if driven is not None:
+            self.take_run(driven, lambda: scenario)
+        if not scenario.driven:
+            self.take(asked_in(trace), lambda: scenario, trace.system.tested.sha256)
 
     def take(
         self, asked: Iterable[Asked], scenario: Callable[[], Scenario], avoider_sha256: str = ""
@@ -156,7 +165,7 @@ class Repeatability:
             self._sample = self._drawn()
 
     def take_run(self, run: DrivenRun, scenario: Callable[[], Scenario]) -> None:
-        """A whole run of a controller; ``scenario`` gives the one that names it, when it is needed."""
+        """A whole run; ``scenario`` gives the one that names its controller, when it is needed."""
         self._runs += 1
         self._driven.append((run, scenario))
         if len(self._driven) > 2 * MOST_RUNS:
@@ -182,15 +191,17 @@ class Repeatability:
 
     def check(self, least: int = LEAST) -> RepeatabilityResult:
         """Ask again, each question alone and in the order of the hashes, then all in one call."""
-        if self._driven:
-            return self._drive_again(SHARE * (time.monotonic() - self._begun_s))
         allowed_s = SHARE * (time.monotonic() - self._begun_s)
+        if not all(run.asks for run, _ in self._driven):
+            return self._drive_again(allowed_s)
         again = _Again()
         with processes_apart():
             try:
                 again.ask(self._drawn(), least, allowed_s)
             except (InputError, SimulationError) as error:
                 again.problem = f"the avoider could not be asked again: {printable(str(error))}"
+            if again.unkept:
+                return self._drive_again(allowed_s)
         return RepeatabilityResult(
             questions=self._questions,
             asked=again.asked,
@@ -206,7 +217,10 @@ class Repeatability:
 def _driven_otherwise(run: DrivenRun, scenario: Scenario) -> str:
     """Why a fresh controller drives the same scenario otherwise, in words; empty if it does not."""
     world = world_of_trace(run.world)
-    again = [driven_in(run_trial(Admitter().admit(scenario), world=world)) for _ in range(2)]
+    runs = [driven_in(run_trial(Admitter().admit(scenario), world=world)) for _ in range(2)]
+    again = [one for one in runs if one is not None]
+    if len(again) < 2:
+        return f"{run.run} broke off when it was driven again"
     if again[0].controller_sha256 != run.controller_sha256:
         return f"the controller's file has changed since {run.run} was driven"
     if again[0].sha256 != again[1].sha256:
@@ -228,6 +242,7 @@ class _Again:
 
     asked: int = 0
     problem: str = ""
+    unkept: bool = False  # the avoider sees more than a trace keeps
     differing: dict[Asked, Difference] = field(default_factory=dict)
     seconds: dict[int, _Second] = field(default_factory=dict)
 
@@ -241,6 +256,9 @@ class _Again:
             avoider, sha256 = avoiders.of(scenario)
             if sha256 != (sampled.avoider_sha256 or sha256):
                 self.problem = "the avoider's file has changed since it was asked: it was not asked again"
+                return
+            if shown_to(avoider):
+                self.unkept = True
                 return
             begun_s = begun_s or time.monotonic()  # its process is there
             hand, tcp = first_question(scenario.settings)

@@ -11,7 +11,7 @@ from typing import cast
 from safety_harness.admission.admit import Admitted
 from safety_harness.admission.claims import property_of
 from safety_harness.avoidance.asking import OutOfProcessAvoider, takes_many
-from safety_harness.avoidance.avoider import Avoider
+from safety_harness.avoidance.avoider import Avoider, shown_to
 from safety_harness.controller.controller import Controller
 from safety_harness.exceptions import InadmissibleError, InstallationError, refuse_other_type
 from safety_harness.perception.detector import BoundingBoxDetector
@@ -77,7 +77,8 @@ def run_many(
     ticks = 0
     for admitted in scenarios:
         refuse_other_type("run_many(scenarios)", admitted, Admitted)
-        if admitted.driver is not None:  # one after another: what it remembers is in their order
+        # one after another: what a driver remembers is in their order, what is seen is not kept in a batch
+        if admitted.driver is not None or shown_to(admitted.avoider):
             yield from _run_chunk(chunk, world)
             chunk, ticks = [], 0
             yield run_trial(admitted, world=world)

@@ -137,6 +137,7 @@ class ExactOptimum(AvoiderAround):
     settings: Settings
     name = "exact optimum"
     spread_threshold_m = None
+    sees = ()
 
     def propose(
         self, *, hand_position_in_base_m: Vector, tcp_position_in_base_m: Vector, seed: int
@@ -161,6 +162,7 @@ class InTheTimeOf(AvoiderAround):
     quick: OppositePose
     name = "opposite pose"
     spread_threshold_m = None
+    sees = ()
 
     def propose(
         self, *, hand_position_in_base_m: Vector, tcp_position_in_base_m: Vector, seed: int

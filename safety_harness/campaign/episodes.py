@@ -20,11 +20,10 @@ from safety_harness.admission.claims import property_of
 from safety_harness.admission.repeatability import driven_in
 from safety_harness.admission.spaces import MAX_REJECTION_RATIO, why_refused
 from safety_harness.admission.trial import run_all
-from safety_harness.avoidance.avoider import described
 from safety_harness.avoidance.flaky import asked_in
 from safety_harness.campaign.plan import Plan
 from safety_harness.campaign.rows import ClaimJudgement, Row
-from safety_harness.exceptions import CampaignError, InputError
+from safety_harness.exceptions import CampaignError, InputError, described
 from safety_harness.properties.answered import fault_of, unanswered
 from safety_harness.properties.base import Evaluation
 from safety_harness.properties.finite import bad_decisions, bad_ticks
@@ -185,7 +184,7 @@ class EpisodeRunner:
             failure=broken,
             worker=self.worker,
             asked=() if run.scenario.driven else tuple(asked_in(run)),
-            driven=driven_in(run) if run.scenario.driven and run.complete else None,
+            driven=driven_in(run),
         )
 
     def _kept_whatever(self, stratum: int) -> frozenset[int]:

@@ -12,7 +12,6 @@ from safety_harness.admission.avoiders import is_a_program, option_of, with_avoi
 from safety_harness.admission.trial import judge
 from safety_harness.attribution.attribute import Attribution, AttributionAnswer, attribute, confirmed
 from safety_harness.attribution.tally import AttributionTally
-from safety_harness.avoidance.avoider import described
 from safety_harness.cli.console import (
     AS_EXPECTED,
     BAD_INPUT,
@@ -25,7 +24,7 @@ from safety_harness.cli.console import (
     usable,
 )
 from safety_harness.cli.progress import counting
-from safety_harness.exceptions import InputError, Place, ScenarioError, TraceError
+from safety_harness.exceptions import InputError, Place, ScenarioError, TraceError, described
 from safety_harness.report.attribution_picture import draw_attributions
 from safety_harness.report.page_parts import asset
 from safety_harness.report.search_attribution import confirming_line

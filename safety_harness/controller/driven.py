@@ -6,7 +6,7 @@ run.  What it does not report is not reported in the trace either.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable
 from functools import lru_cache
 from typing import Any
 
@@ -14,26 +14,18 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.avoidance.avoider import described, printable
 from safety_harness.controller.contract import (
     DECISIONS,
     DOUBT,
-    HAND_BOXES,
-    HANDS,
     IMAGE,
-    JOINTS,
     MODE,
     OBJECT,
     PREDICTED_HANDS,
     Decision,
     DrivenArm,
-    HandBoxes,
     Move,
-    PredictedHand,
     Report,
     Seen,
-    SeenHand,
-    SeenObject,
     Start,
     Stop,
     UserController,
@@ -42,22 +34,17 @@ from safety_harness.controller.contract import (
 )
 from safety_harness.controller.cycle import QUESTION, report
 from safety_harness.controller.records import (
-    CommandRecords,
-    FilterRecords,
     ObservationRecords,
-    ParameterRecords,
     QuestionRecords,
-    StateRecords,
-    TrackRecords,
     command_dtype,
     initial_state,
     observation_dtype,
-    parameters,
     parameters_dtype,
 )
-from safety_harness.controller.seeing import SeenRecords, obey, see, seen_dtype
-from safety_harness.exceptions import ControllerError
-from safety_harness.perception.hand_filter import FILTER_PARAMETERS, filter_parameters
+from safety_harness.controller.rows import SeenLayout, seen_dtype
+from safety_harness.controller.seeing import SeenRecords, driven_records, obey, see
+from safety_harness.exceptions import ControllerError, described, printable
+from safety_harness.perception.hand_filter import FILTER_PARAMETERS
 from safety_harness.perception.tracking import no_tracks
 from safety_harness.robot.description import ArmModel
 from safety_harness.robot.kinematics import links_in_base
@@ -67,8 +54,6 @@ from safety_harness.trace.known import NOT_REPORTED, OF_DECISIONS, Measurement
 from safety_harness.trace.records import DECISION, Mode, as_compiled, decision_dtype, tick_dtype
 
 Floats = NDArray[np.float64]
-Row = NDArray[np.float64]  # of SEEN, as far as it is wanted
-Maker = Callable[[Row], Any]
 
 # What only the visual servo has, or one that reports it.
 _OF_SERVO = ("gain", "camera_twist")
@@ -83,19 +68,6 @@ _OF_GATE = (
     "opposite_failed",
 )
 _OF_DOUBT = ("proposed_spread_m", "spread_threshold_m")
-
-
-_NOTHING = DesiredView(  # of the object, for one who does not see it
-    dense=True,
-    features=np.full(6, np.nan),
-    area=np.nan,
-    depth_m=np.nan,
-    moments=np.full(31, np.nan),
-    plane=np.full(3, np.nan),
-    interaction=np.full((6, 6), np.nan),
-    interaction_pinv=np.full((6, 6), np.nan),
-    condition_number=np.nan,
-)
 
 
 class DrivenController:
@@ -118,21 +90,15 @@ class DrivenController:
         self.name = user.name
         self.sees, self.reports = sees_of(user), reports_of(user)
         joints = len(arm.joint_names)
-        self._parameters = ParameterRecords(parameters(settings, arm, view or _NOTHING).copy())
-        self._filter = FilterRecords(filter_parameters(settings.hand_filter, settings.hand_sensor).copy())
-        self._state = StateRecords(initial_state(hand_slots, joints))
-        self._state["clear_since_s"] = -np.inf
-        self._tracks = TrackRecords(no_tracks(hand_slots))
-        self._seen = SeenRecords(np.zeros(1, seen_dtype(hand_slots, joints)))
-        self._seen["boxes_time_s"] = np.nan
+        records = driven_records(settings, arm, view, hand_slots)
+        self._parameters, self._filter, self._state, self._tracks, self._seen, self._command = records
         self._question = QuestionRecords(np.zeros(1, QUESTION))
-        self._command = CommandRecords(np.zeros(1, command_dtype(joints)))
         self._decision = decision_dtype(joints)
         self._decisions: list[NDArray[np.void]] = []
         self._twist, self._joints, self._nothing = np.zeros(6), np.zeros(joints), np.zeros(6)
         self._period_s = settings.clock.control_period_s
-        self._makers = dict(_makers(self._seen.dtype, self.sees))
-        self._floats = self._seen.view(np.float64)[: _wanted(self._seen.dtype, self.sees)]
+        self._layout = SeenLayout(hand_slots, joints, self.sees)
+        self._floats = self._seen.view(np.float64)[: self._layout.wanted]
         self._wants = OBJECT in self.sees, PREDICTED_HANDS in self.sees
         self._mode = -1  # as reported at this tick
         self._see, self._obey, self._tell = _entries(hand_slots, joints)
@@ -152,9 +118,23 @@ class DrivenController:
 
     def step(self, observation: NDArray[np.void]) -> NDArray[np.void]:
         """(1,) OBSERVATION to (1,) COMMAND."""
+        self.look(observation)
+        return self.carry_out(*self._asked(), observation)
+
+    def look(self, observation: NDArray[np.void]) -> SeenRecords:
+        """(1,) SEEN of (1,) OBSERVATION: the first half of ``step``."""
         o = ObservationRecords(observation)
         self._see(self._parameters, self._filter, self._state, self._tracks, o, self._seen, *self._wants)
-        wanted, by_joints, stop = self._asked()
+        return self._seen
+
+    def carry_out(
+        self, wanted: Floats, by_joints: bool, stop: bool, observation: NDArray[np.void]
+    ) -> NDArray[np.void]:
+        """(1,) COMMAND for an action, as ``obey`` has it: the second half of ``step``.
+
+        ``wanted`` (6,) or (n,), ``observation`` (1,) OBSERVATION; ControllerError for what is not finite.
+        """
+        o = ObservationRecords(observation)
         if not self._obey(self._parameters, self._state, o, wanted, by_joints, stop, self._command):
             raise self._failed("act returned", f"velocities that are not finite: {wanted.tolist()}")
         self._question["tick"] += 1
@@ -200,7 +180,7 @@ class DrivenController:
         """What it wants of the arm until the next tick: velocities, are they the joints', is it a stop?"""
         row = self._floats.copy()
         row.flags.writeable = False
-        seen = Seen.of_row(float(row[0]), self._period_s, self._makers, row)
+        seen = Seen.of_row(float(row[0]), self._period_s, self._layout, row)
         if self._image is not None and IMAGE in self.sees:
             seen.__dict__["image"] = self._image()
         try:
@@ -325,99 +305,3 @@ def arm_of(model: ArmModel) -> DrivenArm:
         joint_axes=model.joint_axes,
         flange=model.flange,
     )
-
-
-_LAST = {
-    JOINTS: "tcp_position_in_base_m",
-    HANDS: "hands",
-    HAND_BOXES: "transform_sensor_to_base",
-    OBJECT: "feature_error",
-    PREDICTED_HANDS: "predicted_covariance",
-    IMAGE: "time_s",
-}
-
-
-def _wanted(dtype: np.dtype[Any], sees: tuple[str, ...]) -> int:
-    """How many numbers of SEEN have to be copied for those words."""
-    return max([1, *(int(_part(dtype, _LAST[word])[0].stop) for word in sees)])
-
-
-def _part(dtype: np.dtype[Any], name: str) -> tuple[slice, tuple[int, ...]]:
-    """Where a field is among the numbers, and its shape."""
-    fields: Mapping[str, Any] = dtype.fields or {}
-    kind, offset = fields[name][:2]
-    return slice(offset // 8, (offset + kind.itemsize) // 8), kind.shape
-
-
-def _makers(dtype: np.dtype[Any], sees: tuple[str, ...]) -> Iterator[tuple[str, Maker]]:
-    """How each field of what is seen is made of a row, when it is touched."""
-
-    def array(name: str) -> Maker:
-        part, shape = _part(dtype, name)
-        if len(shape) == 1:
-            return lambda row: row[part]
-        return lambda row: row[part].reshape(shape)
-
-    def whole(name: str) -> Callable[[Row], NDArray[np.int64]]:
-        part, _ = _part(dtype, name)
-        return lambda row: row[part].view(np.int64)
-
-    if JOINTS in sees:
-        for name in (
-            "joint_position_rad",
-            "joint_velocity_radps",
-            "transform_tcp_to_base",
-            "tcp_position_in_base_m",
-        ):
-            yield name, array(name)
-    if HANDS in sees:
-        count, centres = whole("hand_count"), array("hands")
-        yield (
-            "hands",
-            lambda row: tuple(SeenHand(position_in_base_m=one) for one in centres(row)[: count(row)[0]]),
-        )
-    if HAND_BOXES in sees:
-        yield "hand_boxes", _boxes(array, whole)
-    if OBJECT in sees:
-        yield "object", _object(array, whole)
-    if PREDICTED_HANDS in sees:
-        yield "predicted_hands", _predicted(array, whole)
-
-
-def _boxes(array: Callable[[str], Maker], whole: Callable[[str], Maker]) -> Maker:
-    time_s, boxes, pose = array("boxes_time_s"), array("boxes"), array("transform_sensor_to_base")
-    new, count = whole("boxes_new"), whole("box_count")
-    return lambda row: HandBoxes(
-        time_s=float(time_s(row).item()),
-        new=bool(new(row)[0]),
-        boxes=boxes(row)[: count(row)[0]],
-        transform_sensor_to_base=pose(row),
-    )
-
-
-def _object(array: Callable[[str], Maker], whole: Callable[[str], Maker]) -> Maker:
-    features, error = array("features"), array("feature_error")
-    visible, new = whole("object_visible"), whole("object_new")
-    return lambda row: SeenObject(
-        visible=bool(visible(row)[0]), new=bool(new(row)[0]), features=features(row), feature_error=error(row)
-    )
-
-
-def _predicted(array: Callable[[str], Maker], whole: Callable[[str], Maker]) -> Maker:
-    number, last_seen = whole("tracked"), array("last_seen_s")
-    position, velocity = array("predicted"), array("predicted_velocity")
-    covariance = array("predicted_covariance")
-
-    def made(row: Row) -> tuple[PredictedHand, ...]:
-        return tuple(
-            PredictedHand(
-                position_in_base_m=position(row)[k],
-                velocity_in_base_mps=velocity(row)[k],
-                covariance=covariance(row)[k],
-                number=int(number(row)[k]),
-                last_seen_s=float(last_seen(row)[k]),
-            )
-            for k in np.flatnonzero(number(row))
-        )
-
-    return made

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
-from typing import Any, NewType
+from typing import NamedTuple, NewType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,54 +15,73 @@ from safety_harness.controller.records import (
     ParameterRecords,
     StateRecords,
     TrackRecords,
+    command_dtype,
+    initial_state,
+    parameters,
 )
+from safety_harness.controller.rows import seen_dtype
 from safety_harness.controller.stack import STANDSTILL_RADPS, command_arm, see_hands, see_object
 from safety_harness.geometry.linear import copy_matrix, copy_vector
 from safety_harness.geometry.transforms import compose_into
 from safety_harness.perception.hand_boxes import position_from_box
+from safety_harness.perception.hand_filter import filter_parameters
+from safety_harness.perception.tracking import no_tracks
+from safety_harness.robot.description import ArmModel
 from safety_harness.robot.kinematics import forward_kinematics, geometric_jacobian
-from safety_harness.trace.records import JOINTS, TRACKS_PER_HAND, Limit, Mode
+from safety_harness.servoing.control import DesiredView
+from safety_harness.settings import Settings
+from safety_harness.trace.records import Limit, Mode
 
 SERVOING, PROTECTIVE_STOP = int(Mode.SERVOING), int(Mode.PROTECTIVE_STOP)
 JOINT_SPEED = int(Limit.JOINT_SPEED)
 
 
-@lru_cache
-def seen_dtype(hands: int, joints: int = JOINTS) -> np.dtype[Any]:
-    """SEEN: all that can be seen, whether or not it is, in float64 and int64 of 8 bytes alone.
-
-    In the order in which it is wanted most: what is copied for one who sees hands ends with them.
-    """
-    boxes = TRACKS_PER_HAND * hands
-    return np.dtype(
-        [
-            ("time_s", np.float64),
-            ("joint_position_rad", np.float64, (joints,)),
-            ("joint_velocity_radps", np.float64, (joints,)),
-            ("transform_tcp_to_base", np.float64, (4, 4)),
-            ("tcp_position_in_base_m", np.float64, (3,)),
-            ("hand_count", np.int64),
-            ("hands", np.float64, (boxes, 3)),
-            ("boxes_new", np.int64),
-            ("boxes_time_s", np.float64),
-            ("box_count", np.int64),
-            ("boxes", np.float64, (boxes, 5)),
-            ("transform_sensor_to_base", np.float64, (4, 4)),
-            ("object_new", np.int64),
-            ("object_visible", np.int64),
-            ("features", np.float64, (6,)),
-            ("feature_error", np.float64, (6,)),
-            ("tracked", np.int64, (boxes,)),  # 0, or the number of the track
-            ("last_seen_s", np.float64, (boxes,)),
-            ("predicted", np.float64, (boxes, 3)),
-            ("predicted_velocity", np.float64, (boxes, 3)),
-            ("predicted_covariance", np.float64, (boxes, 6, 6)),
-        ],
-        align=True,
-    )
-
-
 SeenRecords = NewType("SeenRecords", NDArray[np.void])  # (1,) SEEN
+
+
+class DrivenRecords(NamedTuple):
+    """All that stands between one episode's observations and the commands of a controller from outside."""
+
+    parameters: ParameterRecords  # (1,) PARAMETERS
+    filter_parameters: FilterRecords  # (1,) FILTER_PARAMETERS
+    state: StateRecords  # (1,) STATE
+    tracks: TrackRecords  # (tracks,) TRACK
+    seen: SeenRecords  # (1,) SEEN
+    command: CommandRecords  # (1,) COMMAND
+
+
+_NOTHING = DesiredView(  # of the object, for one who does not see it
+    dense=True,
+    features=np.full(6, np.nan),
+    area=np.nan,
+    depth_m=np.nan,
+    moments=np.full(31, np.nan),
+    plane=np.full(3, np.nan),
+    interaction=np.full((6, 6), np.nan),
+    interaction_pinv=np.full((6, 6), np.nan),
+    condition_number=np.nan,
+)
+
+
+def driven_records(
+    settings: Settings, arm: ArmModel, view: DesiredView | None, hand_slots: int
+) -> DrivenRecords:
+    """As an episode begins: nothing seen, no stop that would have to be waited for.
+
+    ``view`` is read only if the object is seen.
+    """
+    joints = len(arm.joint_names)
+    records = DrivenRecords(
+        ParameterRecords(parameters(settings, arm, view or _NOTHING).copy()),
+        FilterRecords(filter_parameters(settings.hand_filter, settings.hand_sensor).copy()),
+        StateRecords(initial_state(hand_slots, joints)),
+        TrackRecords(no_tracks(hand_slots)),
+        SeenRecords(np.zeros(1, seen_dtype(hand_slots, joints))),
+        CommandRecords(np.zeros(1, command_dtype(joints))),
+    )
+    records.state["clear_since_s"] = -np.inf
+    records.seen["boxes_time_s"] = np.nan
+    return records
 
 
 @njit_no_nrt
@@ -78,9 +96,30 @@ def see(
     predicts: bool,
 ) -> None:
     """Fill ``seen`` with what has arrived by now; object and predicted hands only if asked for."""
-    p, s, o, out = parameters[0], states[0], observations[0], seen[0]
+    p, s, o = parameters[0], states[0], observations[0]
     forward_kinematics(p.chain, o.joint_position_rad, s.link_transforms)
     copy_matrix(s.link_transforms[p.chain.joint_axes.shape[0] + 1], s.transform_tcp_to_base)
+    if objects:
+        see_object(parameters, states, observations)
+    if predicts:
+        see_hands(parameters, filter_parameters, states, tracks, observations)
+    show(parameters, filter_parameters, states, tracks, observations, seen, o.boxes_new, objects, predicts)
+
+
+@njit_no_nrt
+def show(
+    parameters: ParameterRecords,
+    filter_parameters: FilterRecords,
+    states: StateRecords,
+    tracks: TrackRecords,
+    observations: ObservationRecords,
+    seen: SeenRecords,
+    hands: bool,
+    objects: bool,
+    predicts: bool,
+) -> None:
+    """Fill ``seen`` with what the control stack has seen; ``hands``: those of a frame of the sensor."""
+    p, s, o, out = parameters[0], states[0], observations[0], seen[0]
     out.time_s = o.time_s
     copy_vector(o.joint_position_rad, out.joint_position_rad)
     copy_vector(o.joint_velocity_radps, out.joint_velocity_radps)
@@ -92,16 +131,14 @@ def see(
     else:
         copy_matrix(p.transform_sensor_to_base, out.transform_sensor_to_base)
     out.boxes_new = o.boxes_new
-    if o.boxes_new:
+    if hands:
         measured_hands(filter_parameters, observations, seen)
     if objects:
-        see_object(parameters, states, observations)
         out.object_new = o.image_new
         out.object_visible = s.object_visible
         copy_vector(s.features, out.features)
         copy_vector(s.feature_error, out.feature_error)
     if predicts:
-        see_hands(parameters, filter_parameters, states, tracks, observations)
         for i in range(tracks.shape[0]):
             out.tracked[i] = tracks[i].id if s.track_valid[i] else 0
             if s.track_valid[i]:

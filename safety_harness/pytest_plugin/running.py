@@ -16,8 +16,8 @@ from typing import Any
 
 import pytest
 
-from safety_harness.avoidance.isolation.host import executed
 from safety_harness.exceptions import FlakyAvoiderError, InputError, SafetyHarnessError
+from safety_harness.isolation.telling import executed
 from safety_harness.properties.against import ClaimDifference, RunDifference
 from safety_harness.properties.answered import ANSWERED
 from safety_harness.properties.base import Evaluation, Unit

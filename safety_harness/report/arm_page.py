@@ -79,7 +79,7 @@ def column(values: NDArray[Any]) -> str:
 
 
 def rounded(values: NDArray[np.float64], digits: int = 5) -> list[float]:
-    """The numbers of an array, for people's eyes only."""
+    """The numbers of an array of any shape, for people's eyes only.  ``values`` (...)."""
     return [round(float(value), digits) for value in values.ravel()]
 
 

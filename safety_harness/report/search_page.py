@@ -14,7 +14,7 @@ from safety_harness.admission.agreement import Agreement
 from safety_harness.admission.avoiders import replay_command
 from safety_harness.admission.repeatability import RepeatabilityResult
 from safety_harness.attribution.attribute import Attribution
-from safety_harness.avoidance.avoider import described
+from safety_harness.exceptions import described
 from safety_harness.properties.against import Against
 from safety_harness.properties.base import Evaluation, Unit
 from safety_harness.proportions import share_words

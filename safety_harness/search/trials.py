@@ -19,8 +19,15 @@ from safety_harness.admission.claims import property_of
 from safety_harness.admission.repeatability import Repeatability
 from safety_harness.admission.spaces import why_refused
 from safety_harness.admission.trial import run_all
-from safety_harness.avoidance.avoider import decision_time_of, described
-from safety_harness.exceptions import InadmissibleError, InputError, Place, ScenarioError, refuse_other_type
+from safety_harness.avoidance.avoider import decision_time_of
+from safety_harness.exceptions import (
+    InadmissibleError,
+    InputError,
+    Place,
+    ScenarioError,
+    described,
+    refuse_other_type,
+)
 from safety_harness.properties.against import Against, RunDifference
 from safety_harness.properties.answered import (
     DEFAULT_CLAIM,

@@ -7,9 +7,9 @@ from dataclasses import dataclass, field, replace
 
 from safety_harness.admission.admit import Admitted
 from safety_harness.admission.claims import property_of
-from safety_harness.avoidance.avoider import described, spread_threshold_of
+from safety_harness.avoidance.avoider import spread_threshold_of
 from safety_harness.avoidance.flaky import refuse_flaky
-from safety_harness.exceptions import FlakyAvoiderError
+from safety_harness.exceptions import FlakyAvoiderError, described
 from safety_harness.properties.base import Evaluation, Unit
 from safety_harness.properties.hand_distance import HAND_DISTANCE
 from safety_harness.scenario.model import Verdict

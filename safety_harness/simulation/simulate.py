@@ -38,11 +38,11 @@ def simulate(
     ``on_tick`` is told the number of ticks done, for progress.  Ctrl-C between ticks ends the run
     early: the trace then says that it was interrupted, and no property takes it for a safe one.
     """
-    ticks = _no_ticks(scenario)
+    ticks = no_ticks(scenario)
     done, ended = 0, "complete"
     if isinstance(controller, DrivenController) and type(world) is KinematicWorld:
         done, ended = _driven(world, controller, ticks, on_tick)
-        return _trace(scenario, world, controller, ticks[:done], ended)
+        return trace_of(scenario, world, controller, ticks[:done], ended)
     try:
         for k in range(len(ticks)):
             tick = ticks[k : k + 1]
@@ -60,7 +60,7 @@ def simulate(
     except KeyboardInterrupt:
         ended = INTERRUPTED
     # no copy of the ticks: that would fill the padding between fields with anything
-    return _trace(scenario, world, controller, ticks[:done], ended)
+    return trace_of(scenario, world, controller, ticks[:done], ended)
 
 
 def _driven(
@@ -85,13 +85,13 @@ def _driven(
     return done, "complete"
 
 
-def _no_ticks(scenario: Scenario) -> NDArray[np.void]:
+def no_ticks(scenario: Scenario) -> NDArray[np.void]:
     """(n,) TICK of its hands and its arm, to be filled."""
     joints = len(arm_model(scenario.robot).joint_names)
     return np.zeros(scenario.ticks + 1, tick_dtype(scenario.hand_slots, joints))
 
 
-def _trace(
+def trace_of(
     scenario: Scenario, world: World, controller: Controller, ticks: NDArray[np.void], ended: str = "complete"
 ) -> Trace:
     """What happened in ``ticks`` (n,) TICK."""
@@ -128,7 +128,7 @@ class Episode:
     observation: NDArray[np.void] | None = field(init=False, default=None)  # to be decided on
 
     def __post_init__(self) -> None:
-        self.ticks = _no_ticks(self.scenario)
+        self.ticks = no_ticks(self.scenario)
 
     def advance(self) -> bool:
         """On to the next decision (True) or to the end (False)."""
@@ -138,7 +138,7 @@ class Episode:
 
     def trace(self) -> Trace:
         """What happened, when it has come to its end."""
-        return _trace(self.scenario, self.world, self.controller, self.ticks)
+        return trace_of(self.scenario, self.world, self.controller, self.ticks)
 
 
 def simulate_many(episodes: Sequence[Episode]) -> list[Trace]:
