@@ -154,6 +154,10 @@ class RecordingError(InputError):
     """A recorded motion cannot be used: no time column, a gap or a jump too large, no samples."""
 
 
+class LogError(InputError):
+    """The log of a cell cannot be used as it stands: out of order, faster than it can be, damaged, ..."""
+
+
 class InadmissibleError(InputError):
     """A well-formed scenario that cannot be tried: start out of reach, object out of view, ..."""
 

@@ -38,6 +38,7 @@ ORDER = [
     {"simulation"},
     {"properties"},
     {"formulas"},
+    {"logs"},
     {"admission"},
     {"gym"},
     {"search"},

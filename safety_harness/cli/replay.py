@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Sequence
 from dataclasses import replace
+from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 from safety_harness.admission.admit import Admitted, admit
 from safety_harness.admission.avoiders import is_a_program, replay_command, with_avoider
@@ -21,22 +24,26 @@ from safety_harness.cli.console import (
     say,
 )
 from safety_harness.cli.progress import watching_runs
-from safety_harness.cli.run import say_results
+from safety_harness.cli.run import DATA, REPORT, TRACES, say_results
 from safety_harness.exceptions import InadmissibleError, InputError, Place, TraceError
+from safety_harness.logs.judging import recorded
 from safety_harness.properties.answered import with_expectation
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.knowledge import measured_lines, unmeasured_words
 from safety_harness.report.machine import refused_data, run_data
 from safety_harness.scenario.fields import SENTENCE, is_sentence
+from safety_harness.scenario.files import told
+from safety_harness.scenario.kinds import is_log
 from safety_harness.scenario.model import VISUAL_SERVO, Claim, Scenario, Verdict
 from safety_harness.scenario.references import file_and_name
 from safety_harness.scenario.units import shown
 from safety_harness.simulation.worlds import world_of_trace
 from safety_harness.trace.compare import first_difference
-from safety_harness.trace.store import load_trace
+from safety_harness.trace.store import load_trace, save_trace
 from safety_harness.trace.system import Component
 from safety_harness.trace.trace import Trace
 from safety_harness.trace.unmeasured import refuse_not_simulated
+from safety_harness.whole_file import writing
 
 
 def replay(path: Path, avoider: str | None = None) -> int:
@@ -133,17 +140,24 @@ def _claims(sentences: Sequence[str]) -> tuple[Claim, ...]:
     return tuple(Claim(sentence=sentence, expected=Verdict.HOLDS, place=place) for sentence in sentences)
 
 
-def judge_again(paths: Sequence[Path], sentences: Sequence[str] = (), *, keep_going: bool = False) -> int:
-    """Judge stored traces by their claims, with the present code, without simulating.
+def judge_again(
+    paths: Sequence[Path],
+    sentences: Sequence[str] = (),
+    *,
+    keep_going: bool = False,
+    out: Path | None = None,
+) -> int:
+    """Judge stored traces, and logs of cells, by their claims, with the present code, without simulating.
 
-    ``sentences`` take the place of the traces' own claims, and are expected to hold.  ``keep_going``: a
-    trace that cannot be judged is told, and the others are judged.
+    ``sentences`` take the place of their own claims, and are expected to hold.  ``keep_going``: one
+    that cannot be judged is told, and the others are judged.  ``out``: a folder for a report, and for the
+    traces of logs.
     """
     runs: list[JudgedRun] = []
     refused: list[InputError] = []
     for path in paths:
         try:
-            run = _judged(path, sentences)
+            run = _judged(path, sentences, out)
         except InputError as error:
             if not keep_going:
                 raise
@@ -151,20 +165,65 @@ def judge_again(paths: Sequence[Path], sentences: Sequence[str] = (), *, keep_go
             continue
         say_results(run)
         result(*measured_lines(run.trace))
+        say(*(f"note: {run.trace.scenario.name}: {note}" for note in run.notes if run.trace.known.recorded))
         runs.append(run)
     evaluations = [evaluation for run in runs for _, evaluation in run.judged_claims()]
     document(runs=[run_data(run) for run in runs], refused=refused_data(refused))
+    if out is not None and runs:
+        _report(runs, refused, out, paths)
     if unmeasured := unmeasured_words(evaluations):
         say(f"inconclusive of {len(evaluations)} claims: {unmeasured}")
     if refused:
-        say(f"{len(explain_each(refused))} mistakes; {len(runs)} of {len(paths)} traces judged")
+        say(f"{len(explain_each(refused))} mistakes; {len(runs)} of {len(paths)} judged")
         return BAD_INPUT
     return AS_EXPECTED if all(run.all_as_expected for run in runs) else DIFFERS
 
 
-def _judged(path: Path, sentences: Sequence[str]) -> JudgedRun:
+def _judged(path: Path, sentences: Sequence[str], out: Path | None) -> JudgedRun:
+    if is_log(path):
+        return _of_log(path, _claims(sentences), out)
     trace = load_trace(path)
     if sentences:
         claims = with_expectation(_claims(sentences), trace.scenario)
         trace = replace(trace, scenario=replace(trace.scenario, claims=claims))
     return JudgedRun(trace=trace, evaluations=judge(trace, file=path), replay_command="", trace_file=path)
+
+
+def _of_log(path: Path, claims: Sequence[Claim], out: Path | None) -> JudgedRun:
+    found = recorded(path, claims)
+    file = None
+    if out is not None:
+        file = out / TRACES / f"{found.trace.scenario.name}.trace"
+        with writing(file):
+            file.parent.mkdir(parents=True, exist_ok=True)
+            save_trace(found.trace, file, recordings=found.recordings)
+    return JudgedRun(
+        trace=found.trace,
+        evaluations=judge(found.trace, file=path),
+        replay_command="",
+        trace_file=file,
+        notes=found.notes,
+    )
+
+
+def _report(
+    runs: Sequence[JudgedRun], refused: Sequence[InputError], out: Path, paths: Sequence[Path]
+) -> None:
+    from safety_harness.report.html import write_report
+    from safety_harness.report.machine import report_data, write_json
+
+    of_all: dict[str, Any] = {"interrupted": False, "refused": refused}
+    command = shlex.join(
+        ["safety-harness", "judge", *(str(told(path)) for path in paths), "--out", str(told(out))]
+    )
+    with writing(out / REPORT):
+        write_report(
+            out / REPORT,
+            runs,
+            title="Judged without simulating",
+            command=command,
+            generated_at=datetime.now(UTC),
+            **of_all,
+        )
+        write_json(out / DATA, report_data(runs, **of_all))
+    say(f"report: {out / REPORT} (for programs: {DATA})")

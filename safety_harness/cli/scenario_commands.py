@@ -153,7 +153,10 @@ def replay(
 
 @command(commands)
 def judge(
-    traces: Annotated[list[Path], Argument(help="Trace files of earlier runs.", metavar="TRACE...")],
+    traces: Annotated[
+        list[Path],
+        Argument(help="Traces of earlier runs, or descriptions of logs (LOG.yaml).", metavar="TRACE..."),
+    ],
     claim: Annotated[
         list[str] | None,
         Option(
@@ -163,14 +166,17 @@ def judge(
         ),
     ] = None,
     keep_going: KeepGoing = False,
+    out: Annotated[
+        Path | None, Option(help="Folder for report.html, report.json and the traces of logs.")
+    ] = None,
 ) -> int:
-    """Judge stored traces again by their claims, or by others, without simulating.
+    """Judge stored traces, or logs of a real cell, by their claims, or by others, without simulating.
 
     Exit codes as for run.
     """
     from safety_harness.cli.replay import judge_again
 
-    return judge_again(traces, claim or (), keep_going=keep_going)
+    return judge_again(traces, claim or (), keep_going=keep_going, out=out)
 
 
 @command(commands, interrupted="interrupted: this picture and those after it were not drawn")

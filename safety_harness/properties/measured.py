@@ -33,6 +33,7 @@ from safety_harness.trace.known import (
     Knowledge,
     Measurement,
     Source,
+    measurement,
     until,
 )
 from safety_harness.trace.trace import Trace
@@ -241,6 +242,7 @@ def _without_arms(trace: Trace) -> Trace:
     ticks = ticks.copy()
     for name in ("hand_distance_m", "hand_distance_capsule"):
         ticks[name] = derived(armless)[name]
-    distance = Measurement(source=Source.DERIVED, uncertainty=apart_moved_m(armless), gaps=position.gaps)
-    columns |= {"hand_distance_m": distance, "hand_distance_capsule": replace(distance, uncertainty=0.0)}
+    distance = measurement(Source.DERIVED, apart_moved_m(armless), position.gaps)
+    part = Measurement(source=Source.DERIVED, gaps=position.gaps)
+    columns |= {"hand_distance_m": distance, "hand_distance_capsule": part}
     return replace(armless, ticks=ticks, known=Knowledge(columns))

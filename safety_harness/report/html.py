@@ -151,6 +151,7 @@ def _summary(runs: Sequence[JudgedRun], *, interrupted: bool) -> Row:
         "interrupted": interrupted,
         "tested": tested_words(traces),
         "avoiders": avoiders(traces),  # name, runs
+        "recorded": any(trace.known.recorded for trace in traces),
         "computing_time": computing_time_lines(traces),
         "overruling": overruling_lines(overruling_of_each(traces)),
         "uncounted": sum(not are_counted(trace) for trace in traces),

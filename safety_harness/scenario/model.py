@@ -34,7 +34,7 @@ from safety_harness.scenario.faults import Fault
 from safety_harness.scenario.moves import LONGEST_S, MOVE, REACHING_MPS, SPEEDS, TREMOR, HandMove, Tremor
 from safety_harness.scenario.obstacles import Obstacle
 from safety_harness.scenario.robots import DIGEST, AnyRobot, Robot
-from safety_harness.scenario.units import ACCELERATION, NUMBER, TIME
+from safety_harness.scenario.units import ACCELERATION, NUMBER, SPEED, TIME
 from safety_harness.settings import DEFAULTS, Settings, Vector3
 
 HAND_SLOTS = (2, 4, 8)  # the records of a run have room for as many hands as one of these says
@@ -46,6 +46,7 @@ VISUAL_SERVO = "visual servo"  # the controller that asks an avoider; no other d
 NO_AVOIDER = ""
 LARGEST_FACTOR = 10.0
 LONGEST_GAP_S = 10.0
+FASTEST_JUMP_MPS = 1000.0  # of noise between two samples that follow each other quickly
 # An assumption: a reach of 0.66 m with the minimum-jerk profile of Flash and Hogan (1985) that peaks
 # at 2.0 m/s (REACHING_MPS) has 1.642 v^2/d = 10 m/s^2 at most.
 REACHING_MPS2 = 10.0
@@ -245,6 +246,7 @@ _TRACK = Text(words="name", reads=lambda field: field.sentence("the name of a tr
 _FACTOR = QuantityValue(NUMBER, least=0.01, most=LARGEST_FACTOR)
 _RECORDED_TIME = QuantityValue(TIME)
 _GAP = QuantityValue(TIME, above=0.0, most=LONGEST_GAP_S)
+_JUMP = QuantityValue(SPEED, above=0.0, most=FASTEST_JUMP_MPS)
 
 
 @declared
@@ -321,7 +323,7 @@ class RecordedHand:
         "longest gap", _GAP, "how long the track may be missing", "300 ms", default=0.2
     )
     fastest_jump_mps: float = key(
-        "fastest jump", SPEEDS, "what is faster is another marker, not this one", "4 m/s", default=5.0
+        "fastest jump", _JUMP, "what is faster is another marker, not this one", "4 m/s", default=5.0
     )
 
 
