@@ -98,7 +98,8 @@ def run_all(admitted: Sequence[Admitted], world: WorldEntry) -> Iterator[Trace |
     All together where the world takes many, and one by one if any of them breaks.  InstallationError for a
     world that is not installed, which is no run's failure.
     """
-    if world.batch and len(admitted) > 1:
+    together = all(one.driver is None for one in admitted)  # others go one after another anyhow
+    if world.batch and len(admitted) > 1 and together:
         try:
             yield from list(run_many(admitted, world=world))
             return

@@ -283,8 +283,22 @@ def entry_of(function: Any, *arguments: Any) -> Callable[..., Any]:
 
     To look at the types of records takes numba ten times as long as what small functions do with them.
     """
-    entry: Callable[..., Any] = function.compile(tuple(map(numba.typeof, arguments)))
-    return entry
+    key = function, tuple(map(_kind, arguments))
+    if key not in _ENTRIES:
+        _ENTRIES[key] = function.compile(tuple(map(numba.typeof, arguments)))
+    return _ENTRIES[key]
+
+
+_ENTRIES: dict[tuple[Any, tuple[Any, ...]], Callable[..., Any]] = {}
+
+
+def _kind(argument: Any) -> Any:
+    """All that its type depends on for numba, which takes milliseconds to find that out for an episode."""
+    if not isinstance(argument, np.ndarray):
+        return type(argument)
+    is_ = argument.flags
+    flags = is_.c_contiguous, is_.f_contiguous, is_.writeable, is_.aligned
+    return argument.dtype, argument.ndim, flags
 
 
 def _frozen(array: Floats) -> Floats:

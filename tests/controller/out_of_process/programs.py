@@ -65,6 +65,8 @@ WAYS = {
     "failed": lambda: '{"say":"failed","why":"no way \\\\n out"}',
     "deep": lambda: "[" * 100_000,
     "flood": lambda: [sys.stdout.write("x" * 65_536) for _ in range(10_000)],
+    "flood of errors": lambda: [os.write(2, b"x" * 65_536) for _ in iter(int, 1)],
+    "memory": lambda: bytearray(5 << 30),
     "flood of lines": lambda: "\\n".join([LINE] * 10_000),
 }
 
