@@ -47,7 +47,9 @@ def joint_off_rad(
 ) -> Floats:
     """(m,) the same of joints that turn evenly from sample to sample, the largest of all.
 
-    ``slope`` (m, j), ``step_s`` (m,), ``most`` (j,).  By a bound a on the acceleration at most a T^2/8; by one v on the speed at most T (v^2 - s^2)/(2 v), with
+    ``slope`` (m, j), ``step_s`` (m,), ``most`` (j,).
+
+    By a bound a on the acceleration at most a T^2/8; by one v on the speed at most T (v^2 - s^2)/(2 v), with
     the mean speed s: up as fast as may be, and down again.
     """
     if hardest is not None:
@@ -59,7 +61,9 @@ def joint_off_rad(
 def rate_off(slope: Floats, step_s: Floats, *, most: Floats, hardest: float | None, sample: float) -> Floats:
     """(m,) how far a joint's speed may be from its mean from sample to sample, the largest of all.
 
-    ``slope`` (m, j), ``step_s`` (m,), ``most`` (j,).  At the ends of T by a T/2, as the mean is that of a line at worst; and both samples may be off.
+    ``slope`` (m, j), ``step_s`` (m,), ``most`` (j,).
+
+    At the ends of T by a T/2, as the mean is that of a line at worst; and both samples may be off.
     """
     off = 2.0 * sample / step_s
     if hardest is not None:
