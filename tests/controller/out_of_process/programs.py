@@ -18,32 +18,15 @@ from safety_harness.scenario.robots import Robot
 from safety_harness.settings import DEFAULTS, Settings
 
 PROGRAM = '''\
-"""Moves slowly up; with an argument and a file "break" beside it, it misbehaves in that way at tick 3."""
+"""Moves slowly up; given a way and a file, it misbehaves so at tick 3 while the file is there."""
 
 import json
 import os
-import random
 import sys
 import time
 
 HELLO = {"say": "hello", "protocol": "safety-harness controller 1", "name": "upwards", "sees": ["joints"]}
 LINE = '{"say":"move","tick":3,"tcp_velocity_mps":[0,0,0.01]}'
-
-
-def spoilt(line, seed):
-    draw, text = random.Random(seed), bytearray(line.encode())
-    for _ in range(draw.randint(1, 4)):
-        at, kind = draw.randrange(len(text)), draw.randrange(4)
-        if kind == 0:
-            text[at] = draw.randrange(256)
-        elif kind == 1:
-            del text[at : at + draw.randint(1, 9)]
-        elif kind == 2:
-            text[at:at] = bytes(draw.randrange(256) for _ in range(draw.randint(1, 9)))
-        else:
-            text[at:at] = text[: draw.randint(1, len(text))]
-        text = text or bytearray(b" ")
-    return bytes(text)
 
 
 WAYS = {
@@ -70,16 +53,16 @@ WAYS = {
     "flood of lines": lambda: "\\n".join([LINE] * 10_000),
 }
 
-way = sys.argv[1] if len(sys.argv) > 1 else ""
+way, file = sys.argv[1:] or ("", "")
 for line in sys.stdin:
     told = json.loads(line)
-    broken = way and os.path.exists("break")
+    broken = way and os.path.exists(file)
     if told["say"] == "hello":
         print(json.dumps(HELLO), flush=True)
     elif told["say"] == "reset":
         print('{"say":"ready"}', flush=True)
-    elif broken and way == "spoilt" and told["tick"] == 3:
-        sys.stdout.buffer.write(spoilt(LINE, open("break").read()) + b"\\n")
+    elif broken and way == "says" and told["tick"] == 3:
+        sys.stdout.buffer.write(open(file, "rb").read() + b"\\n")
         sys.stdout.flush()
     elif broken and told["tick"] == 3:
         print(WAYS[way](), flush=True)
@@ -89,10 +72,11 @@ for line in sys.stdin:
 WAYS = re.findall(r'^    "([^"]+)": lambda', PROGRAM, re.MULTILINE)
 
 
-def program(folder: Path, way: str = "") -> str:
-    """A reference to the program, which is written into the folder."""
+def program(folder: Path, way: str = "", file: Path = Path("break")) -> str:
+    """A reference to the program, which is written into the folder; it misbehaves while the file is there."""
     (folder / "program.py").write_text(PROGRAM)
-    return f"exec:{shlex.join([sys.executable, '-S', str(folder / 'program.py'), *([way] if way else [])])}"
+    words = [sys.executable, "-S", str(folder / "program.py"), *((way, str(file)) if way else ())]
+    return f"exec:{shlex.join(words)}"
 
 
 def made(reference: str) -> UserController:
