@@ -17,7 +17,7 @@ import pytest
 from safety_harness.controller.contract import SIGHTS, Move, Seen, SeenHand, Stop, UserController
 from safety_harness.exceptions import ControllerError, InadmissibleError
 from safety_harness.settings import DEFAULTS
-from tests.controller.out_of_process.broken import BrokenProgram
+from tests.controller.out_of_process.broken_runs import BrokenProgram
 from tests.controller.out_of_process.mutated_frames import MUTATIONS, is_an_answer
 from tests.controller.out_of_process.programs import ARM, START, WAYS, driven, made, program, seen
 
