@@ -1,4 +1,4 @@
-"""Judging logs.  Run: python benchmarks/logs.py verdicts|bag|recordings: each prints a table.
+"""Judging logs.  Run: python benchmarks/logs.py [verdicts|bag|recordings]: each prints a table.
 
 ``verdicts``: N synthetic logs whose truth is known (``tests/logs``), judged by claims whose thresholds lie
 within 150 mm of the truth.  ``bag``: a ROS 2 bag of so many GB, most of it pictures, and the memory that
@@ -194,16 +194,19 @@ def _blanked(folder: Path, rows: list[str]) -> int:
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("section", choices=("verdicts", "bag", "recordings"))
+    sections = ("verdicts", "bag", "recordings")
+    parser.add_argument("sections", nargs="*", default=sections, metavar="SECTION")
     parser.add_argument("--count", type=int, default=10_000)
     parser.add_argument("--gigabytes", type=float, default=2.0)
     given = parser.parse_args()
-    if given.section == "verdicts":
-        verdicts(given.count)
-    elif given.section == "bag":
-        print("| bag | GB | joint samples | seconds | peak memory, MB |\n|---|---|---|---|---|")
+    if not set(given.sections) <= set(sections):
+        parser.error(f"SECTION: some of {', '.join(sections)}")
+    for section in given.sections:
         with tempfile.TemporaryDirectory() as folder:
-            bag(given.gigabytes, Path(folder))
-    else:
-        with tempfile.TemporaryDirectory() as folder:
-            recordings(Path(folder))
+            if section == "verdicts":
+                verdicts(given.count)
+            elif section == "bag":
+                print("| bag | GB | joint samples | seconds | peak memory, MB |\n|---|---|---|---|---|")
+                bag(given.gigabytes, Path(folder))
+            else:
+                recordings(Path(folder))

@@ -294,7 +294,7 @@ class _Reader:
         try:
             found = self._json(KNOWN, dict[str, Any])
             columns = {
-                name: typed(one, Measurement, self._path, where=f"known.{name}", error=TraceError)
+                name: typed(_whole(one), Measurement, self._path, where=f"known.{name}", error=TraceError)
                 for name, one in found.items()
             }
             known = Knowledge(columns)
@@ -371,3 +371,10 @@ def _asked(made: NDArray[np.int64], acted: NDArray[np.int64], faults: Sequence[F
     begun = np.maximum.accumulate(np.where(waiting, -1, np.arange(len(waiting)))) + 1
     after_the_one_before = np.concatenate([[0], made[:-1] + 1])
     return np.where(waiting[made], np.maximum(begun[made], after_the_one_before), made)
+
+
+def _whole(measurement: Any) -> Any:
+    """With what earlier files do not say of a column."""
+    return (
+        {"closer": [], "at_most_per_s": None} | measurement if isinstance(measurement, dict) else measurement
+    )

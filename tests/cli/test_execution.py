@@ -18,6 +18,7 @@ from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import read_plan
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT
 from safety_harness.cli.main import app
+from safety_harness.isolation import telling
 from tests.campaign.plans import PLAN
 from tests.search.short_space import TEXT
 
@@ -133,7 +134,7 @@ def folder(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     folder = tmp_path / "copy"
     shutil.copytree(made, folder, ignore=shutil.ignore_patterns("executed"))
     monkeypatch.chdir(folder)
-    monkeypatch.setattr(host, "executed", {})
+    monkeypatch.setattr(telling, "executed", {})
     host._shared.clear()  # processes that live from a test before
     return folder
 
