@@ -31,6 +31,7 @@ from safety_harness.whole_file import write_whole
 
 LITTLE_ENDIAN = "<f4"
 TICK_S, LEG_S = 0.05, 2.0  # a joint's way has three legs: to its lower end, to the upper one, back
+IN_TABLE = 120  # characters of a name
 ENDLESS_RAD = np.pi  # where a joint without ends turns round
 
 
@@ -96,13 +97,13 @@ def _section(robot: AnyRobot, number: int) -> dict[str, Any]:
         "last_s": 3 * LEG_S * len(arm.joint_names),
         "meshes": bool(meshes),
         "joints": [
-            (plain(name), *(f"{x:.0f}" for x in row))
+            (plain(name, longest=IN_TABLE), *(f"{x:.0f}" for x in row))
             for name, *row in zip(arm.joint_names, lower, upper, speeds, efforts, strict=True)
         ],
         "capsules": [
             (
-                plain(name),
-                plain(frames[link]),
+                plain(name, longest=IN_TABLE),
+                plain(frames[link], longest=IN_TABLE),
                 f"{1e3 * np.linalg.norm(end - start):.0f}",
                 f"{1e3 * radius:.1f}",
             )

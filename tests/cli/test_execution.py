@@ -64,6 +64,7 @@ LOOKS: dict[str, tuple[str, int]] = {
     "judge": (TRACE, 1),
     "show": ("scenario.yaml space.yaml --draws 3", AS_EXPECTED),
     "sample": ("space.yaml --count 2", AS_EXPECTED),
+    "log align": ("scenario.yaml --body hand", BAD_INPUT),
     "robot show": ("scenario.yaml", BAD_INPUT),
     "robot fit": ("scenario.yaml --out capsules.json", BAD_INPUT),
     "robot enclose": ("scenario.yaml", BAD_INPUT),
@@ -141,7 +142,7 @@ def folder(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def test_every_command_takes_a_stand() -> None:
     stands = {
-        name for name in LOOKS if " " not in name or name.startswith(("campaign", "certify", "robot"))
+        name for name in LOOKS if " " not in name or name.startswith(("campaign", "certify", "log", "robot"))
     } | EXECUTES.keys()
     assert stands == set(commands(typer.main.get_command(app)))
 
@@ -166,11 +167,11 @@ def test_a_command_that_looks_executes_nothing(
 
     monkeypatch.setattr(host, "Process", begun)
     words, code = LOOKS[name]
-    command = name if name.startswith(("campaign", "certify", "robot")) else name.split()[0]
+    command = name if name.startswith(("campaign", "certify", "log", "robot")) else name.split()[0]
     found = CliRunner().invoke(app, [*command.split(), *words.split()])
     assert found.exit_code == code, found.output
     assert not (folder / "executed").exists()
-    assert host.executed == {}
+    assert telling.executed == {}
 
 
 @pytest.mark.parametrize("name", [name for name, words in EXECUTES.items() if words])

@@ -25,6 +25,7 @@ import safety_harness
 import safety_harness_paper
 from safety_harness.certification.folder import junit_xml
 from safety_harness.certification.page import render as evidence_page
+from safety_harness.report import arm_page
 from safety_harness.report.coverage_map import coverage_map
 from safety_harness.report.html import render as report_page
 from safety_harness.report.page_parts import asset
@@ -33,6 +34,8 @@ from safety_harness.report.score_page import OFF, ScoreEvidence
 from safety_harness.report.score_page import render as score_page
 from safety_harness.report.search_page import render as search_page
 from safety_harness.report.svg import standalone
+from safety_harness.robot.robots import arm_capsules, arm_model
+from safety_harness.scenario.robots import Robot
 from safety_harness.selftest.document import render as selftest_page
 from safety_harness_paper import figure7, table1
 from safety_harness_paper.page import render as reproduction_page
