@@ -174,7 +174,7 @@ def judge_again(
     if unmeasured := unmeasured_words(evaluations):
         say(f"inconclusive of {len(evaluations)} claims: {unmeasured}")
     if refused:
-        say(f"{len(explain_each(refused))} mistakes; {len(runs)} of {len(paths)} judged")
+        say(f"{len(explain_each(refused))} mistakes; {len(runs)} of {len(paths)} traces judged")
         return BAD_INPUT
     return AS_EXPECTED if all(run.all_as_expected for run in runs) else DIFFERS
 

@@ -31,10 +31,10 @@ def run(
     files: Files,
     out: Out = Path("reports/run"),
     avoider: OfAvoider = None,
-    controller: OfController = None,
     against: OfReference = None,
     world: OfWorld = "PyBullet",
     keep_going: KeepGoing = False,
+    controller: OfController = None,
 ) -> int:
     """Run scenario files in PyBullet or another world, judge their claims and write a report.
 
