@@ -66,6 +66,7 @@ LOOKS: dict[str, tuple[str, int]] = {
     "robot show": ("scenario.yaml", BAD_INPUT),
     "robot fit": ("scenario.yaml --out capsules.json", BAD_INPUT),
     "robot enclose": ("scenario.yaml", BAD_INPUT),
+    "log align": ("scenario.yaml", BAD_INPUT),
     "verify": ("report --runs 0", AS_EXPECTED),
     "verify as it is": ("report", BAD_INPUT),  # without --execute-avoider
     "certify declare": ("plan.yaml", AS_EXPECTED),
@@ -140,7 +141,7 @@ def folder(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def test_every_command_takes_a_stand() -> None:
     stands = {
-        name for name in LOOKS if " " not in name or name.startswith(("campaign", "certify", "robot"))
+        name for name in LOOKS if " " not in name or name.startswith(("campaign", "certify", "robot", "log"))
     } | EXECUTES.keys()
     assert stands == set(commands(typer.main.get_command(app)))
 
@@ -165,7 +166,7 @@ def test_a_command_that_looks_executes_nothing(
 
     monkeypatch.setattr(host, "Process", begun)
     words, code = LOOKS[name]
-    command = name if name.startswith(("campaign", "certify", "robot")) else name.split()[0]
+    command = name if name.startswith(("campaign", "certify", "robot", "log")) else name.split()[0]
     found = CliRunner().invoke(app, [*command.split(), *words.split()])
     assert found.exit_code == code, found.output
     assert not (folder / "executed").exists()
