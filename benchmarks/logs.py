@@ -1,4 +1,4 @@
-"""Judging logs.  Run: python benchmarks/logs.py verdicts|bag|recordings: each prints a section of LOGS.md.
+"""Judging logs.  Run: python benchmarks/logs.py verdicts|bag|recordings: each prints a table.
 
 ``verdicts``: N synthetic logs whose truth is known (``tests/logs``), judged by claims whose thresholds lie
 within 150 mm of the truth.  ``bag``: a ROS 2 bag of so many GB, most of it pictures, and the memory that

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -130,6 +131,7 @@ def fit(
     tcp: Tcp = None,
     package: Packages = [],  # noqa: B006
     seed: Seed = 0,
+    jobs: Annotated[int, Option(help="Links at a time, each in a process.")] = 1,
 ) -> int:
     """Fit capsules that enclose every triangle of an arm's collision and visual meshes, in minutes.
 
@@ -139,15 +141,20 @@ def fit(
     """
     import numpy as np
 
+    from safety_harness.campaign.pool import pool
     from safety_harness.cli.progress import counting
     from safety_harness.extras import FITTING
     from safety_harness.properties.tally import table
     from safety_harness.robot.fit_capsules import FINE_M, excess, fit_arm, link_surface, write_capsules
 
     FITTING.require("robot fit")
+    if jobs < 1:
+        raise SettingsError.of_option("--jobs", "a number of at least 1", str(jobs))
     arm = _arm(file, base, tcp, package)
-    with counting(len(arm.links), "links") as tell:
-        fitted = fit_arm(arm, seed, tell)
+    shaped = sum(bool(link.collision or link.visual) for link in arm.links)
+    with counting(shaped, "links") as tell, ExitStack() as closing:
+        over = map if jobs == 1 else closing.enter_context(pool(jobs)).map
+        fitted = fit_arm(arm, seed, tell, over)
     write_capsules(out, arm, fitted)
     rng = np.random.default_rng(0)
     stands_out_m = [excess(capsules, link_surface(link, FINE_M), rng) for link, capsules in fitted]

@@ -153,6 +153,6 @@ def by_header(
 
 
 def by_given(transform: NDArray[np.float64]) -> ToBase:
-    """Whatever a header says, by the transform (4, 4) that was given."""
+    """Whatever a header says, by the ``transform`` (4, 4) that was given."""
     moved = by(transform)
     return lambda frame, message: moved

@@ -30,7 +30,7 @@ class Reach:
 
 
 def body_off_m(way_m: Floats, step_s: Floats, *, most_mps: float, sample_m: float) -> Floats:
-    """(m,) how far a body may be from the straight line between two samples, ``way_m`` (m,) apart.
+    """(m,) how far a body may be from the line between two samples, ``way_m`` (m,), ``step_s`` (m,) apart.
 
     From the true places x and y, T apart in time, at most v T apart: at the fraction w of the time the body
     is within v w T of x and within v (1 - w) T of y, so within (w (1 - w) (v^2 T^2 - |x - y|^2))^(1/2) of the
@@ -45,7 +45,9 @@ def body_off_m(way_m: Floats, step_s: Floats, *, most_mps: float, sample_m: floa
 def joint_off_rad(
     slope: Floats, step_s: Floats, *, most: Floats, hardest: float | None, sample_rad: float
 ) -> Floats:
-    """(m,) the same of joints that turn evenly from sample to sample, the largest of all; ``slope`` (m, j).
+    """(m,) the same of joints that turn evenly from sample to sample, the largest of all.
+
+    ``slope`` (m, j), ``step_s`` (m,), ``most`` (j,).
 
     By a bound a on the acceleration at most a T^2/8; by one v on the speed at most T (v^2 - s^2)/(2 v), with
     the mean speed s: up as fast as may be, and down again.
@@ -58,6 +60,8 @@ def joint_off_rad(
 
 def rate_off(slope: Floats, step_s: Floats, *, most: Floats, hardest: float | None, sample: float) -> Floats:
     """(m,) how far a joint's speed may be from its mean from sample to sample, the largest of all.
+
+    ``slope`` (m, j), ``step_s`` (m,), ``most`` (j,).
 
     At the ends of T by a T/2, as the mean is that of a line at worst; and both samples may be off.
     """
