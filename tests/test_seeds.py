@@ -63,4 +63,5 @@ def test_branches_keep_their_numbers() -> None:
         "DECISION_TIME": 9,
         "SCORING": 10,
         "CONTROLLER": 11,
+        "ENVIRONMENT": 12,
     }
