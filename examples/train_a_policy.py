@@ -25,7 +25,7 @@ from safety_harness.gym.vector import HarnessVectorEnv
 
 SPACE = "shipped:reaching-hands"
 REWARDS = {"progress": 20.0, "always hand distance > 150 mm": 40.0}
-SEED = 0
+SEED, TICKS = 0, 5
 FIELDS = (
     "tcp_position_in_base_m",
     "predicted_hands",
@@ -87,7 +87,7 @@ class Said(BaseCallback):
 def train(actions: int, *, lanes: int = 128) -> PPO:
     """PPO on that space, with so many actions."""
     environments = HarnessVectorEnv(lanes, space=SPACE, sees=("joints", "predicted hands"), rewards=REWARDS)
-    vectorised = StableBaselinesEnv(environments, FIELDS, ticks=5)
+    vectorised = StableBaselinesEnv(environments, FIELDS, ticks=TICKS)
     vectorised.seed(SEED)
     model = PPO(
         "MultiInputPolicy",
@@ -110,20 +110,20 @@ def train(actions: int, *, lanes: int = 128) -> PPO:
 
 
 def write_onnx(trained: PPO, path: Path) -> None:
-    """The policy in ONNX, for any number of hands."""
-    most_mps = trained.get_env().get_attr("single_action_space")[0].high
+    """The policy in ONNX, for any number of hands; it holds an action as long as in training."""
+    most_mps = np.full(3, DEFAULTS.motion.max_tcp_speed_mps)
     example = tuple(torch.zeros(1, *shape) for shape in ((3,), (4, 3), (4,), (4, 3)))
     hands = {1: torch.export.Dim("hands", min=1, max=64)}
-    torch.onnx.export(
+    program = torch.onnx.export(
         Policy(trained, most_mps).eval(),
         example,
-        path,
         input_names=list(FIELDS),
         output_names=["tcp_velocity_mps"],
         dynamic_shapes=(({}, hands, hands, hands),),
-        external_data=False,
         dynamo=True,
     )
+    program.model.metadata_props.update(name="learned policy", ticks=str(TICKS))
+    program.save(path, include_initializers=True)
 
 
 if __name__ == "__main__":

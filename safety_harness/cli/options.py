@@ -32,8 +32,8 @@ OfAvoider = Annotated[
 OfController = Annotated[
     str | None,
     Option(
-        help="What drives the arm in place of the visual servo and its avoider: 'stop when near' or "
-        "FILE.py:NAME.",
+        help="What drives the arm in place of the visual servo and its avoider: 'stop when near', "
+        "'learned policy', FILE.py:NAME, FILE.onnx, or a program (exec:COMMAND, tcp:HOST:PORT, unix:PATH).",
         metavar="CONTROLLER",
     ),
 ]

@@ -18,6 +18,7 @@ from safety_harness.controller.out_of_process.references import (
 from safety_harness.controller.python_file import HINT, METHODS
 from safety_harness.controller.stop_when_near import StopWhenNear
 from safety_harness.exceptions import InadmissibleError, Place, near_miss
+from safety_harness.extras import ONNX
 from safety_harness.isolation.python_file import refuse_undefined
 from safety_harness.scenario.files import resolved
 from safety_harness.scenario.model import VISUAL_SERVO
@@ -26,7 +27,19 @@ from safety_harness.shipped.contents import located
 
 Make = Callable[[], UserController]
 
-SHIPPED: dict[str, Make] = {StopWhenNear.name: StopWhenNear}
+LEARNED = "learned policy"
+LEARNED_FILE = Path(__file__).resolve().parents[1] / "models" / "learned-policy.onnx"
+
+
+def learned_policy() -> UserController:
+    """The policy that examples/train_a_policy.py has trained; MissingPackageError without onnxruntime."""
+    ONNX.require(LEARNED)
+    from safety_harness.controller.out_of_process.onnx_policy import OnnxPolicy  # loads what others need not
+
+    return OnnxPolicy(LEARNED_FILE, LEARNED_FILE.read_bytes())
+
+
+SHIPPED: dict[str, Make] = {StopWhenNear.name: StopWhenNear, LEARNED: learned_policy}
 NAMES = (VISUAL_SERVO, *SHIPPED)
 FORMS = f"one of: {', '.join(NAMES)}; FILE.py:NAME; FILE.onnx; exec:COMMAND; tcp:HOST:PORT; unix:PATH"
 CONTROLLER = Place(field="controller")
@@ -75,7 +88,9 @@ def controller_file(reference: str, folder: Path | None, place: Place = CONTROLL
 
 
 def controller_sha256(reference: str, folder: Path | None) -> str:
-    """The hash of the file that a controller comes from; empty for one that ships, or listens at a socket."""
+    """The hash of the file that a controller comes from; empty for our own code, or one at a socket."""
+    if reference == LEARNED:
+        return hashlib.sha256(LEARNED_FILE.read_bytes()).hexdigest()
     if reference in NAMES:
         return ""
     if names_a_program(reference):
