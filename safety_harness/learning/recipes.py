@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from safety_harness.avoidance.model_file import Dropout
+from safety_harness.avoidance.model_file import PERCEPTRON, RESNET, Dropout
 from safety_harness.exceptions import ModelError, Place, near_miss
 
 Target = Literal["eq13", "continuous"]
@@ -31,6 +31,7 @@ class Recipe:
     """
 
     name: str
+    kind: str = RESNET
     dropout: Dropout = Dropout.NONE
     dropout_probability: float = 0.1
     members: int = 1
@@ -89,13 +90,24 @@ OURS = _family(_BASE, full_epochs=20)
 OURS_DETERMINISTIC, OURS_MC_DROPOUT, OURS_MC_DROPOUT_FULL, OURS_ENSEMBLE = OURS
 OURS_OPTIMUM = replace(_BASE, name="optimum", target="continuous", epochs=40)
 
+STUDENT = replace(
+    _BASE,
+    name="student",
+    kind=PERCEPTRON,
+    target="continuous",
+    epochs=100,
+    batch_size=1000,
+    learning_rate=1e-2,
+)
+STUDENTS = replace(STUDENT, name="student-ensemble", members=5)
+
 _TRIAL = replace(
     _BASE, name="trial-", training_samples=40_000, validation_samples=10_000, epochs=8, batch_size=1000
 )
 TRIAL = _family(_TRIAL, full_epochs=8)
 TRIAL_MC_DROPOUT = TRIAL[1]
 
-RECIPES = (*PAPER, *OURS, OURS_OPTIMUM, *TRIAL)
+RECIPES = (*PAPER, *OURS, OURS_OPTIMUM, STUDENT, STUDENTS, *TRIAL)
 
 
 def recipe_named(name: str) -> Recipe:

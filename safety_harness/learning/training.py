@@ -21,7 +21,7 @@ from safety_harness.avoidance.model_file import Dropout
 from safety_harness.exceptions import ModelError, Place
 from safety_harness.learning.checkpoint import Checkpoint, Epoch, Tensors, begin_or_resume, save_checkpoint
 from safety_harness.learning.dataset import seed_below
-from safety_harness.learning.networks import RegressionResNet, fresh_network, load_tensors, to_tensors
+from safety_harness.learning.networks import Network, fresh_network, load_tensors, to_tensors
 from safety_harness.learning.recipes import Recipe
 from safety_harness.learning.samples import Index, Normalisation, Samples, moments, network_samples
 
@@ -126,7 +126,7 @@ def _one_thread() -> Iterator[None]:
 class _Run:
     """What stays the same during a training, and the network and optimiser of the present member."""
 
-    network: RegressionResNet
+    network: Network
     optimiser: torch.optim.Adam
 
     def __init__(
@@ -205,7 +205,7 @@ class _Run:
             is_best=all(validation_loss < epoch.validation_loss for epoch in before),
         )
 
-    def _use(self, network: RegressionResNet) -> None:
+    def _use(self, network: Network) -> None:
         self.network = network.to(self.device)
         self.optimiser = torch.optim.Adam(
             self.network.parameters(),
