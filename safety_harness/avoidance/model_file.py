@@ -30,6 +30,7 @@ from safety_harness.exceptions import ModelError, OutputError, Place
 from safety_harness.scenario.decision_times import LONGEST_S
 from safety_harness.scenario.files import read_bytes
 from safety_harness.scenario.kinds import FileKind, refuse_other_kind
+from safety_harness.scenario.robots import Robot
 from safety_harness.scenario.typed_json import of_format, parsed, plain, typed
 from safety_harness.settings import Settings, Vector3
 from safety_harness.whole_file import replacing
@@ -42,6 +43,7 @@ LARGEST_DROPOUT = 0.9
 MOST_PASSES = 1000
 MOST_MEMBERS = 100
 CARD_TIME = "decision_time_s"  # of the card: what a decision costs in simulated time
+CARD_ARM = "arm"  # in whose cell the training data were drawn
 LARGEST_ONNX_BYTES = 256 * 2**20
 GRAPH, METADATA = 7, 14
 MOST_FIELDS = 10_000  # of which a file may have millions to no purpose; what comes later is not read
@@ -133,6 +135,11 @@ class NetworkUse:
     def decision_time_s(self) -> float:
         """What a decision costs in simulated time, as the card declares; 0 where it does not."""
         return float(self.card.get(CARD_TIME, 0.0))
+
+    @property
+    def made_for(self) -> str:
+        """The arm in whose cell its training data were drawn; cards that do not say it are of the UR10."""
+        return str(self.card.get(CARD_ARM, Robot.UR10.label))
 
 
 U = TypeVar("U", bound=NetworkUse)
@@ -239,20 +246,21 @@ def writing_to(path: Path) -> Iterator[None]:
         ) from error
 
 
-def refuse_foreign_seen_space(seen: SeenSpace, settings: Settings, path: Path) -> None:
-    """ModelError if a model never saw the cell's own desired TCP or its nominal hand position."""
+def refuse_foreign_cell(network: NetworkUse, settings: Settings, path: Path) -> None:
+    """ModelError if a network never saw the cell's own desired TCP or its nominal hand position."""
     for name, point_m in (
         ("tcp", settings.cell.desired_tcp_position_in_base_m),
         ("hand", settings.avoidance.nominal_hand_position_in_base_m),
     ):
-        low_m, high_m = seen.boxes[name]
+        low_m, high_m = network.seen.boxes[name]
         if not all(low <= x <= high for low, x, high in zip(low_m, point_m, high_m, strict=True)):
             refuse(
                 path,
                 f"seen.{name}_low_m to seen.{name}_high_m",
                 f"a seen space with the cell's {name} position {list(point_m)} in it",
                 f"{list(low_m)} to {list(high_m)}",
-                hint="the model was trained for another workspace",
+                hint=f"it was trained for another workspace, of the arm {network.made_for}; "
+                "`safety-harness train --robot SCENARIO` makes one for this",
             )
 
 
@@ -305,6 +313,8 @@ def network_use(found: Any, kind: type[U], path: Path, *, others: bool = False) 
     time_s = made.card.get(CARD_TIME, 0.0)
     if type(time_s) not in (int, float) or not 0.0 <= time_s <= LONGEST_S:
         refuse(path, f"card.{CARD_TIME}", f"a time from 0 s to {LONGEST_S:g} s", repr(time_s)[:80])
+    if not (made.made_for.isprintable() and 0 < len(made.made_for) <= 100):
+        refuse(path, f"card.{CARD_ARM}", "the name of an arm", repr(made.made_for)[:80])
     return made
 
 

@@ -17,6 +17,7 @@ from safety_harness.cli.console import BAD_INPUT, NARROW, columns_of, explain, g
 from safety_harness.cli.evaluate import commands as of_scoring
 from safety_harness.cli.fuzz import commands as of_search
 from safety_harness.cli.learning import commands as of_learning
+from safety_harness.cli.log import commands as of_logs
 from safety_harness.cli.machine import commands as of_machine
 from safety_harness.cli.new import commands as of_new
 from safety_harness.cli.robot import commands as of_robots
@@ -39,6 +40,7 @@ for group in (of_new, of_scenarios, of_search, of_scoring, of_reports, of_selfte
 app.add_typer(of_certify, name="certify")
 app.add_typer(of_campaigns, name="campaign")
 app.add_typer(of_robots, name="robot")
+app.add_typer(of_logs, name="log")
 app.add_typer(of_learning)
 
 

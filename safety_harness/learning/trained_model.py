@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.avoidance.learned import LearnedAvoider
-from safety_harness.avoidance.model_file import SIZES, Calibration, Dropout, Model, SeenSpace
+from safety_harness.avoidance.model_file import CARD_ARM, SIZES, Calibration, Dropout, Model, SeenSpace
 from safety_harness.learning.dataset import SPLITS, CompactDataset, Split, fresh_pairs, seed_below
 from safety_harness.learning.manifest import data_hash
 from safety_harness.learning.metrics import conformal_multiplier, spread_threshold
@@ -77,6 +77,7 @@ def _card(trained: Trained, dataset: CompactDataset, split: Split, command: str)
         for member in range(trained.recipe.members)
     ]
     return {
+        CARD_ARM: dataset.arm,
         "command": command,
         "recipe": plain(trained.recipe),
         "seed": trained.seed,

@@ -21,7 +21,8 @@ KEYS = (
     *("extends", "without", "matrix", "tcp start", "avoider", "hands", "faults", "hand sensor", "claims"),
     *("scenarios", "plan", "strata"),
 )
-COMMON = ("about", "duration", "seed", "robot", "object", "camera", "settings")  # ours beside a title only
+# Ours beside a title only.
+COMMON = ("about", "duration", "seed", "robot", "controller", "object", "camera", "settings")
 ALL = (*TITLES, *KEYS, *COMMON)
 _KEY = re.compile(rf"^[\"']?({'|'.join(ALL)})[\"']?[ \t]*:(?:[ \t]+(\S)|[ \t]*\r?$)", re.MULTILINE)
 
