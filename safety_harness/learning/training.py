@@ -1,4 +1,4 @@
-"""Training: Adam on the L1 loss, the best validation epoch is kept (section 4.1 of the paper).
+"""Training: Adam on the recipe's loss (the paper: L1), the best validation epoch is kept (section 4.1 of the paper).
 
 Same recipe, samples, seed and machine: the same bits, whether or not the training was interrupted.
 To that end there is one thread (sums depend on their number), and each epoch of each member draws
@@ -233,11 +233,15 @@ class _Run:
             part = slice(batch * rows, (batch + 1) * rows)
             masks = None if recipe.dropout is Dropout.NONE else network.draw_masks(rows, generator)
             self.optimiser.zero_grad()
-            loss = (network(x[part], masks) - y[part]).abs().mean()  # L1, over samples and axes
+            loss = self._loss(network(x[part], masks) - y[part])
             loss.backward()
             self.optimiser.step()
             total += loss.detach()
         return float(total) / batches
+
+    def _loss(self, error: torch.Tensor) -> torch.Tensor:
+        """The recipe's loss: the mean over samples and axes."""
+        return error.abs().mean() if self.recipe.loss == "l1" else error.square().mean()
 
     def _set_rate(self, progress: float) -> None:
         """The learning rate at ``progress`` from 0 to 1 of the whole training."""
@@ -247,7 +251,7 @@ class _Run:
 
     @torch.no_grad()
     def _validate(self) -> tuple[float, float]:
-        """L1 loss in the network's unit, and RMSE over all axes [m], of the mean of the passes.
+        """Loss in the network's unit, and RMSE over all axes [m], of the mean of the passes.
 
         A dropout network is judged as it will be used: its running statistics are those of layers
         with dropout, and a pass without fits them worse.  The masks are the same after every epoch.
@@ -264,7 +268,7 @@ class _Run:
                 out += network(part, network.draw_masks(len(part), generator) if drops else None)
         error = (total / passes - y).double()
         scale = torch.from_numpy(self.normalisation.target_std).to(self.device)
-        return float(error.abs().mean()), math.sqrt(float(((error * scale) ** 2).mean()))
+        return float(self._loss(error)), math.sqrt(float(((error * scale) ** 2).mean()))
 
     def _mask_generator(self, *leaf: int) -> torch.Generator:
         return torch.Generator(self.device).manual_seed(seed_below(self.seed, *leaf))

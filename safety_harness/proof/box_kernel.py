@@ -1,17 +1,18 @@
 """What holds for every question of a box, compiled: affine forms through the perceptron, then the claim.
 
-A unit's value is c + sum_k g_k e_k + r e', every e in [-1, 1]: the first six e are the place in the box (hand,
-then TCP), the others what ReLUs may add; r is its slack.  An affine map keeps the form.  For l <= z <= u with
-l < 0 < u and any s in [0, 1], relu(z) - s z lies in [0, 2 m], 2 m = max(-s l, (1 - s) u): with s = u / (u - l)
-this is the least such band (Singh et al. 2018, DeepZ).
+A unit's value is c + sum_k g_k e_k + r e', every e in [-1, 1]: the first six e are the place in the box
+(hand, then TCP), the others what ReLUs may add; r is its slack.  An affine map keeps the form.  For l <= z <=
+u with l < 0 < u and any s in [0, 1], relu(z) - s z lies in [0, 2 m], 2 m = max(-s l, (1 - s) u): with s = u /
+(u - l) this is the least such band (Singh et al. 2018, DeepZ).
 
-**Rounding.**  The bounds are of what the *program* computes (``avoidance.perceptron_kernel``, float64).  A sum of n
-products is off by gamma (|b| + sum |w| |x|) at most in any order, with or without fused operations, gamma = n u /
-(1 - n u), u = 2^-53, n <= 33 (Higham 2002, 3.1).  The same holds of the centre computed here, and of the symbols
-and slacks, whose magnitudes are part of |x| <= size.  ``GAMMA`` is four times the sum of these, and goes into the
-slack; ``UP`` is above the rounding of every sum of magnitudes.  After the network come some 500 operations on numbers
-below ``FARTHEST_M`` (or the box is not decided), with vectors of length 1: at most 500 x 100 m x 100 m x u =
-6e-10.  A bound counts as kept only if it keeps ``MARGIN`` = 2e-9 (m, or m2) more than the claim says.
+**Rounding.**  The bounds are of what the *program* computes (``avoidance.perceptron_kernel``, float64).  A
+sum of n products is off by gamma (|b| + sum |w| |x|) at most in any order, with or without fused operations,
+gamma = n u / (1 - n u), u = 2^-53, n <= 33 (Higham 2002, 3.1).  The same holds of the centre computed here,
+and of the symbols and slacks, whose magnitudes are part of |x| <= size.  ``GAMMA`` is four times the sum of
+these, and goes into the slack; ``UP`` is above the rounding of every sum of magnitudes.  After the network
+come some 500 operations on numbers below ``FARTHEST_M`` (or the box is not decided), with vectors of length
+1: at most 500 x 100 m x 100 m x u = 6e-10.  A bound counts as kept only if it keeps ``MARGIN`` = 2e-9 (m, or
+m2) more than the claim says.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ MOST_SYMBOLS = PERCEPTRON_INPUTS + 2 * WIDTH
 
 @njit_no_nrt
 def _rectify(z: Floats, g: Floats, slack: Floats, added: Floats, radius: Floats) -> None:
-    """ReLU of forms z (n,), g (k, n), slack (n,) in place; ``added`` (n,) is what it may add, 0 if nothing."""
+    """ReLU of forms z (n,), g (k, n), slack (n,) in place; ``added`` (n,) is what it may add, or 0."""
     for j in range(z.shape[0]):
         r = 0.0
         for k in range(g.shape[0]):
@@ -76,8 +77,9 @@ def _answer(
 ) -> int:
     """Fill p (3,), g (MOST_SYMBOLS, 3) and slack (3,) of the answer in a box; returns how many symbols.
 
-    ``centre``, ``half`` (6,) are the box.  ``weight`` (6,) is filled with how much of what ReLUs add each of its
-    axes causes [m].  Scratch: ``g1`` (6, WIDTH), ``g2`` (MOST_SYMBOLS, WIDTH), ``units`` (8, WIDTH), ``of_unit``.
+    ``centre``, ``half`` (6,) are the box.  ``weight`` (6,) is filled with how much of what ReLUs add each of
+    its axes causes [m].  Scratch: ``g1`` (6, WIDTH), ``g2`` (MOST_SYMBOLS, WIDTH), ``units`` (8, WIDTH),
+    ``of_unit``.
     """
     z1, s1, a1, r1 = units[0], units[1], units[2], units[3]
     z2, s2, a2, r2 = units[4], units[5], units[6], units[7]
@@ -149,11 +151,11 @@ def _answer(
 
 
 @njit_no_nrt
-def _lengths(c: Floats, g: Floats, slack: Floats, ball: float, frame: Floats, out: Floats) -> None:
-    """Fill ``out`` (2,) with bounds of |c + sum e_k g_k + slack + ball|, for ``g`` (k, 3) and a ``ball`` [m].
+def _lengths(c: Floats, g: Floats, slack: Floats, frame: Floats, out: Floats) -> None:
+    """Fill ``out`` (2,) with bounds of |c + sum e_k g_k + slack|, c (3,), ``g`` (k, 3), ``slack`` (3,) [m].
 
-    In a frame with its first axis along c, ``frame`` (3, 3) being scratch: |q| >= q . n, and |q|^2 is the sum of three
-    squares, each bounded.
+    In a frame with its first axis along c, ``frame`` (3, 3) being scratch: |q| >= q . n, and |q|^2 is the sum
+    of three squares, each bounded.
     """
     length = sqrt(c[0] * c[0] + c[1] * c[1] + c[2] * c[2])
     if length < NEAREST_M:
@@ -176,8 +178,7 @@ def _lengths(c: Floats, g: Floats, slack: Floats, ball: float, frame: Floats, ou
         frame[2, o] = frame[0, a] * frame[1, b] - frame[0, b] * frame[1, a]
     out[1] = 0.0
     for n in range(3):
-        middle = 0.0
-        radius = ball
+        middle, radius = 0.0, 0.0
         for o in range(3):
             middle += c[o] * frame[n, o]
             radius += slack[o] * abs(frame[n, o])
@@ -205,13 +206,14 @@ def _off_optimum(
 ) -> bool:
     """Fill ``found`` (2,) with bounds of |p - o(h, t)| in a box; False where the optimum has no direction.
 
-    t_opt = t + R u, where u is the direction of d = desired - t within the cone, else cos a + sin b with b that of
-    d without its part along the axis a.  The direction f of a vector v has the derivative (1 - f f^T) / |v|, and
-    a second one of at most 2 / (sqrt(3) |v|^2): u is its tangent at the centre +- rho^2 / (sqrt(3) (|v| - rho)^2), rho
-    half the diagonal of the TCP's box.  Where the box may be on either side of the cone, both have to keep the claim.
+    t_opt = t + R u, where u is the direction of d = desired - t within the cone, else cos a + sin b with b
+    that of d without its part along the axis a.  The direction f of a vector v has the derivative (1 - f f^T)
+    / |v|, and a second one of at most 2 / (sqrt(3) |v|^2): u is its tangent at the centre +- rho^2 / (sqrt(3)
+    (|v| - rho)^2), rho half the diagonal of the TCP's box.  Where the box may be on either side of the cone,
+    both have to keep the claim.
 
-    ``optimum`` (10,), ``centre`` (6,), ``half`` (6,), ``p`` (3,), ``g`` (MOST_SYMBOLS, 3), ``slack`` (3,), ``scratch`` (8, 3),
-    ``weight`` (6,).
+    ``optimum`` (10,), ``centre`` (6,), ``half`` (6,), ``p`` (3,), ``g`` (MOST_SYMBOLS, 3), ``slack`` (3,),
+    ``scratch`` (8, 3), ``weight`` (6,).
     """
     axis, radius, cos, sin, pull = optimum[3:6], optimum[6], optimum[7], optimum[8], optimum[9]
     way, vector, c, bounds = scratch[0], scratch[1], scratch[2], scratch[3]
@@ -256,12 +258,13 @@ def _off_optimum(
                     change -= axis[i] * axis[o]
                 change -= vector[i] * vector[o] / (norm * norm)
                 g[3 + i, o] += scale * change / norm * half[3 + i]
-        _lengths(c, g[:count], slack, rest, scratch[5:8], bounds[:2])
+        _lengths(c, g[:count], slack, scratch[5:8], bounds)
         for i in range(PERCEPTRON_INPUTS):
             for o in range(3):
                 weight[i] += abs(g[i, o])
                 g[i, o] = before[i, o]
-        found[0], found[1] = min(found[0], bounds[0]), max(found[1], bounds[1])
+        found[0] = min(found[0], bounds[0] - rest)  # which is a ball about the form
+        found[1] = max(found[1], (bounds[1] + rest) * UP)
     for i in range(3):
         weight[3 + i] += 2.0 * spread * half[3 + i] * half[3 + i] / max(rho * rho, 1e-30)
     return True
@@ -278,10 +281,10 @@ def _away(
     found: Floats,
     weight: Floats,
 ) -> None:
-    """Fill ``found`` (2,) with bounds of (p - t) . (t - h) [m2]; adds to ``weight`` (6,) what its axes make of it [m].
+    """Fill ``found`` (2,) with bounds of (p - t) . (t - h) [m2], and add to ``weight`` (6,) what axes do [m].
 
-    Both factors are forms of the same six symbols: q = c + sum g_i e_i + ..., w = w0 + sum h_i e_i.  A square e_i^2 is
-    in [0, 1], any other product in [-1, 1].
+    Both factors are forms of the same six symbols: q = c + sum g_i e_i + ..., w = w0 + sum h_i e_i.  A square
+    e_i^2 is in [0, 1], any other product in [-1, 1].
 
     ``centre`` (6,), ``half`` (6,), ``p`` (3,), ``g`` (MOST_SYMBOLS, 3), ``slack`` (3,).
     """
@@ -334,8 +337,9 @@ def examine(
 ) -> None:
     """Fill ``codes`` (n,): PROVEN, REFUTED (all of it), OUTSIDE, or the axis along which to halve a box.
 
-    ``low``, ``high`` (n, 6) are boxes of hands and TCPs in the base frame [m]; OUTSIDE are those in which every
-    hand is nearer than ``near_m`` to the TCP, or farther than ``far_m``.  ``optimum`` (10,) is of ``optimum_constants``.
+    ``low``, ``high`` (n, 6) are boxes of hands and TCPs in the base frame [m]; OUTSIDE are those in which
+    every hand is nearer than ``near_m`` to the TCP, or farther than ``far_m``.  ``optimum`` (10,) is of
+    ``optimum_constants``.
     """
     centre, half, weight = np.empty(6), np.empty(6), np.empty(6)
     g1, g2 = np.empty((PERCEPTRON_INPUTS, WIDTH)), np.empty((MOST_SYMBOLS, WIDTH))
@@ -374,10 +378,10 @@ def examine(
             for o in range(3):
                 scratch[0, o] = p[o] - centre[3 + o]
                 g[3 + o, o] -= half[3 + o]
-            _lengths(scratch[0], g[:count], slack, 0.0, scratch[5:8], found)
+            _lengths(scratch[0], g[:count], slack, scratch[5:8], found)
             for i in range(6):
                 weight[i] += abs(g[i, 0]) + abs(g[i, 1]) + abs(g[i, 2])
-        at_least = kind == AT_LEAST or kind == AWAY
+        at_least = kind in (AT_LEAST, AWAY)
         proven = found[0] >= limit_m + MARGIN if at_least else found[1] <= limit_m - MARGIN
         refuted = found[1] <= limit_m - MARGIN if at_least else found[0] >= limit_m + MARGIN
         if decided and proven:

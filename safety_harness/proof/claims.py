@@ -56,20 +56,18 @@ class DecisionClaim:
         """As a plan has it."""
         return _PATTERNS[self.kind].format(format_quantity(self.limit_m, LENGTH))
 
-    def holds(self, hands: ArrayNx3, tcps: ArrayNx3, answers: ArrayNx3) -> NDArray[np.bool_]:
-        """(n,) does it hold of answers (n, 3) to hands and TCPs (n, 3)?  Never of NaN."""
+    def margins(self, hands: ArrayNx3, tcps: ArrayNx3, answers: ArrayNx3) -> Floats:
+        """(n,) by how much answers (n, 3) to hands and TCPs (n, 3) keep it: below 0 where they do not [m;
+        AWAY m2]."""
         steps = answers - tcps
         if self.kind is ClaimKind.AWAY:
-            away: NDArray[np.bool_] = ((steps * (tcps - hands)).sum(axis=1)) >= 0.0
+            away: Floats = (steps * (tcps - hands)).sum(axis=1)
             return away
         if self.kind is ClaimKind.OPTIMUM:
             pull = DEFAULTS.avoidance.hand_pull
             steps = answers - continuous_optimum(DEFAULTS, tcps) - pull * (tcps - hands)
-        length = np.linalg.norm(steps, axis=1)
-        kept: NDArray[np.bool_] = (
-            length >= self.limit_m if self.kind is ClaimKind.AT_LEAST else length <= self.limit_m
-        )
-        return kept
+        below: Floats = self.limit_m - np.linalg.norm(steps, axis=1)
+        return -below if self.kind is ClaimKind.AT_LEAST else below
 
 
 def read_claim(field: Field) -> DecisionClaim:

@@ -1,4 +1,4 @@
-"""A plan of proofs: of which avoider, what is claimed, and of which questions.  docs/proof.md is its reference."""
+"""A plan of proofs: of which network, what is claimed, and of which questions (docs/proof.md)."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from safety_harness.proof.claims import DecisionClaim, read_claim
 from safety_harness.scenario.compose import Library
 from safety_harness.scenario.fields import LARGEST_COORDINATE_M, Field
 from safety_harness.scenario.files import as_path
+from safety_harness.scenario.kinds import FileKind, refuse_other_kind
 from safety_harness.scenario.references import MODEL_SUFFIX
 from safety_harness.scenario.units import LENGTH
 from safety_harness.settings import Vector3
@@ -33,7 +34,7 @@ class ProofRegion:
     hand_high_m: Vector3
     tcp_low_m: Vector3
     tcp_high_m: Vector3
-    apart_m: tuple[float, float] = (0.0, 2.0 * LARGEST_COORDINATE_M * 2.0)
+    apart_m: tuple[float, float] = (0.0, 4.0 * LARGEST_COORDINATE_M)  # more than any pair
 
     def corners(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """(1, 6) twice: the lowest hand and TCP, and the highest."""
@@ -66,8 +67,9 @@ class ProofPlan:
 
 
 def read_proof_plan(path: str | Path) -> ProofPlan:
-    """The plan in a file; ScenarioError with its place where it cannot be used, ModelError for a bad model."""
+    """The plan in a file; ScenarioError with its place, or ModelError, where it cannot be used."""
     path = as_path(path, "read_proof_plan(path)")
+    refuse_other_kind(path, FileKind.PROOF)
     given = Field(Library().tree(path), path, path="", line=1).fields(KEYS)
     title = given.required("proof").prose("a title on one line")
     if about := given.optional("about"):

@@ -1,8 +1,8 @@
 """A region halved until its parts are decided: one code a node, level by level.
 
-A node is halved along an axis (codes 0 to 5: hand, then TCP) or a leaf (``box_kernel``).  The two halves of a level's
-halved nodes, the lower one first, are the next level.  So the leaves fill the region whatever the codes are, each
-at level k has 2^-k of it, and a leaf that is undecided can be taken up at any time.
+A node is halved along an axis (codes 0 to 5: hand, then TCP) or a leaf (``box_kernel``).  The two halves of a
+level's halved nodes, the lower one first, are the next level.  So the leaves fill the region whatever the
+codes are, each at level k has 2^-k of it, and a leaf that is undecided can be taken up at any time.
 """
 
 from __future__ import annotations
@@ -92,8 +92,8 @@ def work(
 ) -> None:
     """Take up what is undecided in ``tree``, largest first, down to ``halvings`` halvings.
 
-    Ends early at ``until_s`` of ``time.monotonic`` or when ``stopped``; the tree is whole at any time.  ``over`` maps, in
-    other processes say, ``at_once`` batches at a time; the result does not depend on it.
+    Ends early at ``until_s`` of ``time.monotonic`` or when ``stopped``; the tree is whole at any time.
+    ``over`` maps, in other processes say, ``at_once`` batches at a time; the result does not depend on it.
     """
     judge = partial(examined, network, optimum_constants(), claim, region)
     low, high = region.corners()
@@ -119,7 +119,7 @@ def _parts(rows: NDArray[np.int64]) -> Iterator[NDArray[np.int64]]:
 
 
 def _put_next(tree: Tree, level: int, before: Codes, count: int) -> None:
-    """Make the next level fit to one whose codes were ``before``: new nodes are undecided, others as they were."""
+    """Fit the next level to one whose codes were ``before`` (n,): its ``count`` nodes, new ones undecided."""
     halved = tree.levels[level] < PROVEN
     fresh = np.full(count, UNDECIDED, np.uint8)
     old = np.repeat(before[halved] < PROVEN, 2)
