@@ -1,4 +1,4 @@
-"""Training: Adam on the recipe's loss (the paper: L1), the best validation epoch is kept (section 4.1 of the paper).
+"""Training: Adam on the L1 loss (a recipe may have L2), the best validation epoch is kept (section 4.1).
 
 Same recipe, samples, seed and machine: the same bits, whether or not the training was interrupted.
 To that end there is one thread (sums depend on their number), and each epoch of each member draws

@@ -17,7 +17,7 @@ m2) more than the claim says.
 
 from __future__ import annotations
 
-from math import sqrt
+from math import log1p, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +36,7 @@ FARTHEST_M = 100.0
 MARGIN = 2e-9
 NEAREST_M = 1e-6  # of a direction's length: nearer to 0 it has none
 AT_MOST, AT_LEAST, OPTIMUM, AWAY = 0, 1, 2, 3
+OF_RELUS, OF_AXES, OF_CURVES = 2.5, 0.4, 3.0  # tried: how much each counts where to halve
 MOST_SYMBOLS = PERCEPTRON_INPUTS + 2 * WIDTH
 
 
@@ -146,7 +147,7 @@ def _answer(
         unit = of_unit[m]
         for i in range(PERCEPTRON_INPUTS):  # rows of g1 and g2 were scaled by their slopes: only a hint
             share = abs(half[i] * w1[i, unit]) / r1[unit] if m < first else abs(g2[i, unit]) / r2[unit]
-            weight[i] += length * share
+            weight[i] += OF_RELUS * length * share
     return count
 
 
@@ -208,9 +209,10 @@ def _off_optimum(
 
     t_opt = t + R u, where u is the direction of d = desired - t within the cone, else cos a + sin b with b
     that of d without its part along the axis a.  The direction f of a vector v has the derivative (1 - f f^T)
-    / |v|, and a second one of at most 2 / (sqrt(3) |v|^2): u is its tangent at the centre +- rho^2 / (sqrt(3)
-    (|v| - rho)^2), rho half the diagonal of the TCP's box.  Where the box may be on either side of the cone,
-    both have to keep the claim.
+    / |v|, and a second one of at most 2 / (sqrt(3) |v|^2): u is its tangent at the centre +- 2 / sqrt(3)
+    (-ln(1 - s) - s), the integral of (1 - x) / (1 - s x)^2 from 0 to 1 times that, s = rho / |v| and rho half
+    the diagonal of the TCP's box.  Where the box may be on either side of the cone, both have to keep the
+    claim.
 
     ``optimum`` (10,), ``centre`` (6,), ``half`` (6,), ``p`` (3,), ``g`` (MOST_SYMBOLS, 3), ``slack`` (3,),
     ``scratch`` (8, 3), ``weight`` (6,).
@@ -236,9 +238,11 @@ def _off_optimum(
             norm += vector[o] * vector[o]
         norm = sqrt(norm)
         if norm - rho <= NEAREST_M:
+            for i in range(3):  # only a smaller box of TCPs helps
+                weight[3 + i] += 10.0 * half[3 + i]
             return False
         scale = radius * (sin if rim else 1.0)
-        rest = scale * rho * rho / (sqrt(3.0) * (norm - rho) * (norm - rho)) * UP
+        rest = scale * 2.0 / sqrt(3.0) * (-log1p(-rho / norm) - rho / norm) * UP
         spread = max(spread, rest)
         for o in range(3):
             to = centre[3 + o] + scale * vector[o] / norm + (radius * cos * axis[o] if rim else 0.0)
@@ -261,12 +265,12 @@ def _off_optimum(
         _lengths(c, g[:count], slack, scratch[5:8], bounds)
         for i in range(PERCEPTRON_INPUTS):
             for o in range(3):
-                weight[i] += abs(g[i, o])
+                weight[i] += OF_AXES * abs(g[i, o])
                 g[i, o] = before[i, o]
         found[0] = min(found[0], bounds[0] - rest)  # which is a ball about the form
         found[1] = max(found[1], (bounds[1] + rest) * UP)
     for i in range(3):
-        weight[3 + i] += 2.0 * spread * half[3 + i] * half[3 + i] / max(rho * rho, 1e-30)
+        weight[3 + i] += OF_CURVES * spread * half[3 + i] * half[3 + i] / max(rho * rho, 1e-30)
     return True
 
 
@@ -391,7 +395,7 @@ def examine(
         else:
             axis = 0
             for i in range(6):
-                if refuted or not decided:  # what is missing is a smaller box, not a better bound
+                if decided and refuted:  # but for hands too near or too far
                     weight[i] += half[i]
                 if weight[i] > weight[axis]:
                     axis = i

@@ -1,8 +1,7 @@
-"""The certificate of a proof: JSON with what is claimed of which network, and the tree of boxes that shows
-it.
+"""The certificate of a proof: JSON with what is claimed of which network, and the tree that shows it.
 
-A tree is its codes (``tree``), level by level, a byte each, compressed, in base64.  ``check.py`` reads the
-same file with code of its own.
+A tree is its codes, level by level, a byte each, compressed, in base64.  ``check.py`` reads the same file with
+code of its own.
 """
 
 from __future__ import annotations
@@ -29,6 +28,7 @@ from safety_harness.settings import Vector3
 from safety_harness.whole_file import write_text
 
 FORMAT = "safety-harness certificate 1"
+MOST_NODES = 2**28
 KINDS = {
     ClaimKind.AT_MOST: "at most",
     ClaimKind.AT_LEAST: "at least",
@@ -59,7 +59,8 @@ class Proof:
         shares = self.tree.shares()
         if self.question is not None:
             return "refuted"
-        return "proven" if not shares["undecided"] and shares["proven"] else "undecided"
+        whole = shares["proven"] > 0.0 and shares["undecided"] == shares["refuted"] == 0.0
+        return "proven" if whole else "undecided"
 
 
 def model_hash(plan: ProofPlan) -> str:
@@ -121,7 +122,8 @@ def taken_up(path: Path, plan: ProofPlan) -> list[Proof]:
 def _proof(one: Mapping[str, Any], planned: PlannedProof, path: Path) -> Proof:
     levels, count = [], 1
     try:
-        codes = np.frombuffer(zlib.decompress(base64.b64decode(one["tree"], validate=True)), np.uint8).copy()
+        packed = base64.b64decode(one["tree"], validate=True)
+        codes = np.frombuffer(zlib.decompressobj().decompress(packed, MOST_NODES), np.uint8).copy()
         while count:
             level, codes = codes[:count], codes[count:]
             if len(level) < count or level.max() > OUTSIDE:

@@ -1,18 +1,16 @@
 """An independent check of a certificate of ``prove``: numpy and nothing of this package.
 
-Run: python check.py CERTIFICATE MODEL.safetensors.  It makes the boxes of the tree, bounds the answers in
-each that the certificate calls proven or refuted, and refuses what it cannot confirm.  (h hand, t TCP, p
-answer, base frame, metres.)
+Run: python check.py CERTIFICATE MODEL.safetensors.  It makes the boxes of the tree, bounds the answers p to
+hands h and TCPs t (base frame, metres) in each that the certificate calls proven or refuted, and refuses what
+it cannot confirm.
 
 Bounds are affine forms (centre, symbols, slack); a ReLU of l < 0 < u is s z + b +- b, s = u / (u - l), b = -s
-l / 2. Float64 sums of less than 40 terms are off by less than 1e-14 of their magnitudes, here and in the
-program: the slack takes ROUNDING of them, and every claim has to be kept by MARGIN more (m, m2), a hundred
-times what is left.
+l / 2. Sums of 40 terms are off by less than 1e-14 of their magnitudes, here and in the program: the slack
+takes ROUNDING of them, and every claim has to be kept by MARGIN more (m, m2), a hundred times what is left.
 
-The optimum: t_opt + 0.05 (t - h), t_opt the point 0.1 m from t and within 60 degrees about the way from
-NOMINAL to DESIRED that is nearest to DESIRED: t + 0.1 u, u the direction of DESIRED - t, or on the cone's
-rim.  The direction f of v has the derivative (1 - f f^T) / |v|, and a second one of at most 2 / (sqrt(3)
-|v|^2).
+The optimum is t_opt + 0.05 (t - h), t_opt = t + 0.1 u, u the direction of DESIRED - t or the nearest to it on
+the rim of the cone of 60 degrees about the way from NOMINAL to DESIRED.  The direction f of a vector v has
+the derivative (1 - f f^T) / |v|, and a second one of at most 2 / (sqrt(3) |v|^2).
 """
 
 from __future__ import annotations
@@ -32,23 +30,18 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Layers = list[tuple[Array, Array]]
 
-FORMAT = "safety-harness certificate 1"
 DESIRED, NOMINAL = np.array([0.7, 0.0, 0.35]), np.array([0.84, -0.35, 0.005])
 RADIUS, CONE, PULL = 0.1, math.pi / 3.0, 0.05
-PROVEN, REFUTED, UNDECIDED, OUTSIDE = 6, 7, 8, 9
-NAMES = {PROVEN: "proven", REFUTED: "refuted", UNDECIDED: "undecided", OUTSIDE: "outside"}
+NAMES = {6: "proven", 7: "refuted", 8: "undecided", 9: "outside"}
+PROVEN, REFUTED, UNDECIDED, OUTSIDE = NAMES
 KINDS = ("at most", "at least", "optimum", "away")
-MARGIN, ROUNDING, FARTHEST, AT_ONCE, DEEPEST = 1e-9, 1e-13, 100.0, 2048, 64
-
-
-class Refused(Exception):
-    """The certificate does not show what it claims."""
+MARGIN, ROUNDING, FARTHEST, AT_ONCE, MOST = 1e-9, 1e-13, 100.0, 2048, 2**28
 
 
 def need(held: bool | np.bool_, what: str) -> None:
     """Refuse unless it holds."""
     if not held:
-        raise Refused(what)
+        raise ValueError(what)
 
 
 def network_of(data: bytes) -> Layers:
@@ -74,8 +67,7 @@ def answers(layers: Layers, centre: Array, half: Array) -> tuple[Array, Array, A
     z, g, r = centre, half[:, :, None] * np.eye(6), np.zeros_like(centre)
     for number, (weight, bias) in enumerate(layers):
         size = np.abs(z) + np.abs(g).sum(axis=1) + r
-        steep = np.abs(weight)
-        r = r @ steep + ROUNDING * (size @ steep + np.abs(bias))
+        r = r @ np.abs(weight) + ROUNDING * (size @ np.abs(weight) + np.abs(bias))
         z, g = z @ weight + bias, g @ weight
         if number < 2:
             radius = np.abs(g).sum(axis=1) + r
@@ -100,8 +92,7 @@ def lengths(c: Array, g: Array, slack: Array) -> tuple[Array, Array]:
         off = np.abs(np.einsum("nki,ni->nk", g, way)).sum(axis=1) + (slack * np.abs(way)).sum(axis=1)
         return (c * way).sum(axis=1), off
 
-    middle, off = reach(along)
-    highest = np.full(len(c), np.inf)
+    (middle, off), highest = reach(along), np.full(len(c), np.inf)
     for axis in np.eye(3):
         side = axis - (along @ axis)[:, None] * along
         norm = np.linalg.norm(side, axis=1)
@@ -117,14 +108,11 @@ def off_optimum(centre: Array, half: Array, z: Array, g: Array, r: Array) -> tup
     """Bounds of |p - o| (n,): over both sides of the cone where a box may be on either."""
     axis = (DESIRED - NOMINAL) / np.linalg.norm(DESIRED - NOMINAL)
     tcp, way = centre[:, 3:], DESIRED - centre[:, 3:]
-    rho, along = np.linalg.norm(half[:, 3:], axis=1), way @ axis
+    rho, along, flat = np.linalg.norm(half[:, 3:], axis=1), way @ axis, np.eye(3) - np.outer(axis, axis)
     beyond = along - math.cos(CONE) * np.linalg.norm(way, axis=1)
     lowest, highest = np.full(len(z), np.inf), np.zeros(len(z))
-    flat = np.eye(3) - np.outer(axis, axis)
-    sides = (
-        (way, np.eye(3), RADIUS, 0.0),
-        (way @ flat, flat, RADIUS * math.sin(CONE), RADIUS * math.cos(CONE)),
-    )
+    rim = way @ flat, flat, RADIUS * math.sin(CONE), RADIUS * math.cos(CONE)
+    sides = (way, np.eye(3), RADIUS, 0.0), rim
     for sign, (vector, project, scale, up) in zip((1.0, -1.0), sides, strict=True):
         norm = np.linalg.norm(vector, axis=1)
         clear = norm - rho > 1e-6
@@ -135,7 +123,8 @@ def off_optimum(centre: Array, half: Array, z: Array, g: Array, r: Array) -> tup
         own = g[:, :6].copy()
         own[:, :3] += PULL * half[:, :3, None] * np.eye(3)
         own[:, 3:] += half[:, 3:, None] * (tangent - (1.0 + PULL) * np.eye(3))
-        rest = scale * rho**2 / (math.sqrt(3.0) * np.where(clear, norm - rho, 1.0) ** 2)
+        part = np.where(clear, rho / safe, 0.0)
+        rest = scale * 2.0 / math.sqrt(3.0) * (-np.log1p(-part) - part)
         low, high = lengths(e, np.concatenate([own, g[:, 6:]], axis=1), r)
         low, high = np.where(clear, low - rest, -np.inf), np.where(clear, high + rest, np.inf)
         applies = sign * beyond + (1.0 + math.cos(CONE)) * rho >= -MARGIN
@@ -153,13 +142,12 @@ def away(centre: Array, half: Array, z: Array, g: Array, r: Array) -> tuple[Arra
     linear = np.einsum("nki,ni->nk", own, w0) + np.einsum("nki,ni->nk", w, q0)
     both = np.einsum("nki,nmi->nkm", own, w)
     both = both + both.transpose(0, 2, 1)
-    square = np.einsum("nkk->nk", both) / 2.0  # e^2 is in [0, 1]
-    cross = np.triu(np.abs(both), 1).sum(axis=(1, 2))
+    square, cross = np.einsum("nkk->nk", both) / 2.0, np.triu(np.abs(both), 1).sum(axis=(1, 2))
     rest = np.abs(g[:, 6:]).sum(axis=1) + r
     off = np.abs(linear).sum(axis=1) + np.abs(square).sum(axis=1) / 2.0 + cross
     off = off + np.abs(np.einsum("nki,ni->nk", g[:, 6:], w0)).sum(axis=1) + (r * np.abs(w0)).sum(axis=1)
     off = off + (rest * np.abs(w).sum(axis=1)).sum(axis=1)
-    middle = (q0 * w0).sum(axis=1) + square.sum(axis=1) / 2.0
+    middle = (q0 * w0).sum(axis=1) + square.sum(axis=1) / 2.0  # e^2 is in [0, 1]
     return middle - off, middle + off
 
 
@@ -181,29 +169,26 @@ def confirm(layers: Layers, claim: dict[str, Any], low: Array, high: Array, code
         least, most = lengths(z - centre[:, 3:], g, r)
     else:
         least, most = (off_optimum if kind == 2 else away)(centre, half, z, g, r)
-    above = kind in (1, 3)
+    kept, broken = (least - limit, limit - most) if kind in (1, 3) else (limit - most, least - limit)
     if code == PROVEN:
-        need((least >= limit + MARGIN if above else most <= limit - MARGIN).all(), "a box is not proven")
+        need((kept >= MARGIN).all(), "a box is not proven")
     else:
-        need((most <= limit - MARGIN if above else least >= limit + MARGIN).all(), "a box is not refuted")
-        need(((nearest >= near) & (farthest <= far)).all(), "a refuted box is partly outside")
+        need(((broken >= MARGIN) & (nearest >= near) & (farthest <= far)).all(), "a box is not refuted")
 
 
-def check_claim(layers: Layers, claim: dict[str, Any]) -> None:
-    """Refused unless the tree of one claim shows what it says."""
+def check_claim(layers: Layers, claim: dict[str, Any]) -> str:
+    """What the tree of one claim shows, in words of this file; refused if that is not what it says."""
     region, limit = claim["region"], claim["limit_m"]
     low, high = (np.array([[*region[f"hand_{c}_m"], *region[f"tcp_{c}_m"]]], float) for c in ("low", "high"))
-    need(
-        low.shape == (1, 6) and bool((np.abs([low, high]) <= FARTHEST).all() and (low < high).all()), "no box"
-    )
+    need(low.shape == (1, 6) and (np.abs([low, high]) <= FARTHEST).all() and (low <= high).all(), "no box")
     need(0.0 <= limit <= FARTHEST and (claim["kind"] != "away" or limit == 0.0), "no limit")
     corner = low, high
-    codes = np.frombuffer(zlib.decompress(base64.b64decode(claim["tree"], validate=True)), np.uint8)
+    codes = np.frombuffer(zlib.decompressobj().decompress(base64.b64decode(claim["tree"]), MOST), np.uint8)
     shares = dict.fromkeys(NAMES.values(), 0.0)
     at = level = 0
     while len(low):
         here = codes[at : at + len(low)]
-        need(len(here) == len(low) and int(here.max()) <= OUTSIDE and level <= DEEPEST, "no whole tree")
+        need(len(here) == len(low) and int(here.max()) <= OUTSIDE, "no whole tree")
         for code, name in NAMES.items():
             rows = np.flatnonzero(here == code)
             shares[name] += len(rows) * 2.0**-level
@@ -215,9 +200,8 @@ def check_claim(layers: Layers, claim: dict[str, Any]) -> None:
         middle = 0.5 * (low[rows, axes] + high[rows, axes])
         below, above = high[rows], low[rows]
         below[k, axes] = above[k, axes] = middle
-        low, high = (
-            np.stack(pair, axis=1).reshape(-1, 6) for pair in ((low[rows], above), (below, high[rows]))
-        )
+        pairs = (low[rows], above), (below, high[rows])
+        low, high = (np.stack(pair, axis=1).reshape(-1, 6) for pair in pairs)
         at, level = at + len(here), level + 1
     need(at == len(codes), "codes that belong to no box")
     need(shares == claim["shares"], f"the shares are {shares}")
@@ -226,21 +210,23 @@ def check_claim(layers: Layers, claim: dict[str, Any]) -> None:
         point = np.array([[*question["hand_in_base_m"], *question["tcp_in_base_m"]]], float)
         need(bool(((point >= corner[0]) & (point <= corner[1])).all()), "a question out of the region")
         confirm(layers, claim, point, point, REFUTED)
-    need(question is not None or shares["refuted"] == 0.0, "refuted without a question")
-    verdict = "refuted" if question else "undecided" if shares["undecided"] else "proven"
-    need(claim["verdict"] == verdict and (verdict != "proven" or shares["proven"] > 0.0), f"it is {verdict}")
+    whole = shares["proven"] > 0.0 and shares["refuted"] == shares["undecided"] == 0.0
+    verdict = "refuted" if question else "proven" if whole else "undecided"
+    need(claim["verdict"] == verdict, f"it is {verdict}")
+    parts = ", ".join(f"{name} {share:.4%}" for name, share in shares.items())
+    region_m = (
+        f"hand and TCP from {corner[0][0].tolist()} to {corner[1][0].tolist()}, {region['apart_m']} apart"
+    )
+    return f"{verdict}: {claim['kind']} {limit:g} m; {region_m} (m): {parts}"
 
 
 def check(certificate: bytes, model: bytes) -> list[str]:
-    """What is confirmed, a line a claim; Refused, or another exception, if anything is not."""
+    """What is confirmed, a line a claim; ValueError, or another exception, if anything is not."""
     found = json.loads(certificate)
-    need(found["format"] == FORMAT, "not a certificate of this format")
+    need(found["format"] == "safety-harness certificate 1" and found["claims"] != [], "no certificate")
     need(found["model_sha256"] == hashlib.sha256(model).hexdigest(), "it is of another network")
     layers = network_of(model)
-    for claim in found["claims"]:
-        check_claim(layers, claim)
-    need(len(found["claims"]) > 0, "it claims nothing")
-    return [f"{one['verdict']}: {one['claim']} ({one['region']['name']})" for one in found["claims"]]
+    return [check_claim(layers, claim) for claim in found["claims"]]
 
 
 if __name__ == "__main__":

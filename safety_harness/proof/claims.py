@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from safety_harness.avoidance.candidates import CandidateCap, continuous_optimum
 from safety_harness.geometry.arrays import ArrayNx3
 from safety_harness.scenario.fields import Field
-from safety_harness.scenario.units import LENGTH, format_quantity, parse_quantity
+from safety_harness.scenario.units import LENGTH, nice, parse_quantity
 from safety_harness.settings import DEFAULTS
 
 Floats = NDArray[np.float64]
@@ -54,11 +54,10 @@ class DecisionClaim:
     @property
     def sentence(self) -> str:
         """As a plan has it."""
-        return _PATTERNS[self.kind].format(format_quantity(self.limit_m, LENGTH))
+        return _PATTERNS[self.kind].format(nice(self.limit_m, LENGTH))
 
     def margins(self, hands: ArrayNx3, tcps: ArrayNx3, answers: ArrayNx3) -> Floats:
-        """(n,) by how much answers (n, 3) to hands and TCPs (n, 3) keep it: below 0 where they do not [m;
-        AWAY m2]."""
+        """(n,) by how much answers (n, 3) to hands and TCPs (n, 3) keep it, in m (AWAY: m2); below 0: not."""
         steps = answers - tcps
         if self.kind is ClaimKind.AWAY:
             away: Floats = (steps * (tcps - hands)).sum(axis=1)

@@ -1,5 +1,4 @@
-"""All claims of a plan of proofs, one after another, for as long as there is time; each a tree that is worked
-on."""
+"""All claims of a plan of proofs, one after another, for as long as there is time."""
 
 from __future__ import annotations
 
@@ -72,8 +71,7 @@ def fresh(plan: ProofPlan) -> list[Proof]:
 
 
 def wrong_question(avoider: LearnedAvoider, planned: PlannedProof, tree: Tree) -> WrongQuestion | None:
-    """The worst of the questions in the middle of leaves that are not proven, as the network itself
-    answers."""
+    """The worst of the questions in the middle of leaves not proven, as the network answers; None if right."""
     leaves = chain(*(tree.leaves(planned.region, code) for code in (REFUTED, UNDECIDED)))
     middles = [(low + high) / 2.0 for low, high in leaves if len(low)]
     asked = np.concatenate([np.empty((0, 6)), *middles])[:MOST_ASKED]
