@@ -4,11 +4,11 @@ The program, of each member, x (6,) the hand and the TCP in the base frame [m]:
 
     h = relu(A1 x + b1),  g = relu(A2 h + b2),  p = A3 g + b3        widths 6, 32, 32, 3; p in metres.
 
-Every unit's sum starts with its bias and takes its inputs in order.  Products and sums are rounded to float64
-one by one (none fused); relu(z) is z unless z < 0.  The normalisation is part of A1, b1, A3 and b3:
-``fold_perceptron`` rounds it into them once, and these rounded numbers *are* the network (a file's float32 are
-float64 as they stand).  The position is the members' mean, their sum in order
-divided by their number; the spread the root of the mean of the squared differences from it, in the same order.
+Every unit's sum starts with its bias and takes its inputs in order.  Products and sums are rounded to
+float64 one by one (none fused); relu(z) is z unless z < 0.  The normalisation is part of A1, b1, A3 and b3:
+``fold_perceptron`` rounds it into them once, and these rounded numbers *are* the network (a file's float32
+are float64 as they stand).  The position is the members' mean, their sum in order divided by their number;
+the spread the root of the mean of the squared differences from it, in the same order.
 """
 
 from __future__ import annotations

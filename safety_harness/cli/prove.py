@@ -87,14 +87,10 @@ def _tell(plan: ProofPlan, proofs: list[Proof], out: Path) -> None:
 
     rows = []
     for proof in proofs:
-        shares = proof.tree.shares()
-        asked = 1.0 - shares["outside"]
-        cells = (
-            f"{shares[name] / asked:.4%}" if asked else "-" for name in ("proven", "refuted", "undecided")
-        )
+        cells = (f"{share:.4%}" for share in proof.least_shares)
         rows.append((proof.planned.claim.sentence, proof.planned.region.name, proof.verdict, *cells))
     columns = ("claim", "region", "verdict", "proven", "refuted", "undecided")
-    result(f"{plan.avoider}: shares of the volume of each region", "")
+    result(f"{plan.avoider}: shares of each region, proven at least and undecided at most", "")
     result(*table(columns, rows, columns_of(sys.stdout), named_by=2, right=range(3, 6)))
     for number, proof in enumerate(proofs, 1):
         if proof.question is not None:

@@ -395,8 +395,8 @@ def examine(
         else:
             axis = 0
             for i in range(6):
-                if decided and refuted:  # but for hands too near or too far
-                    weight[i] += half[i]
+                if not whole:  # smaller boxes are so, or outside
+                    weight[i] += half[i] * (1.0 if decided and refuted else 0.4)
                 if weight[i] > weight[axis]:
                     axis = i
             codes[n] = axis

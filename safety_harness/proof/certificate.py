@@ -1,7 +1,7 @@
 """The certificate of a proof: JSON with what is claimed of which network, and the tree that shows it.
 
-A tree is its codes, level by level, a byte each, compressed, in base64.  ``check.py`` reads the same file with
-code of its own.
+A tree is its codes, level by level, a byte each, compressed, in base64.  ``check.py`` reads the same file
+with code of its own.
 """
 
 from __future__ import annotations
@@ -52,6 +52,19 @@ class Proof:
     planned: PlannedProof
     tree: Tree
     question: WrongQuestion | None = None
+
+    @property
+    def least_shares(self) -> tuple[float, float, float]:
+        """Proven, refuted and undecided, of what the claim is about: the first at least, the last at most.
+
+        A box is proven, or undecided, whole, also where some of its pairs are not ``apart_m`` apart.
+        """
+        shares, whole = self.tree.shares(), self.planned.region.counted_share
+        if not whole > 0.0:
+            return 0.0, 0.0, 0.0
+        refuted = shares["refuted"] / whole
+        undecided = min(shares["undecided"] / whole, max(0.0, 1.0 - refuted))
+        return max(0.0, 1.0 - refuted - undecided), refuted, undecided
 
     @property
     def verdict(self) -> str:

@@ -1,12 +1,11 @@
 """An independent check of a certificate of ``prove``: numpy and nothing of this package.
 
-Run: python check.py CERTIFICATE MODEL.safetensors.  It makes the boxes of the tree, bounds the answers p to
-hands h and TCPs t (base frame, metres) in each that the certificate calls proven or refuted, and refuses what
-it cannot confirm.
+Run: python check.py CERTIFICATE MODEL.safetensors.  It bounds the answers p to hands h and TCPs t (in the
+base frame) in each box that is called proven or refuted, and refuses what it cannot confirm.
 
-Bounds are affine forms (centre, symbols, slack); a ReLU of l < 0 < u is s z + b +- b, s = u / (u - l), b = -s
-l / 2. Sums of 40 terms are off by less than 1e-14 of their magnitudes, here and in the program: the slack
-takes ROUNDING of them, and every claim has to be kept by MARGIN more (m, m2), a hundred times what is left.
+Bounds are affine forms (centre, symbols, slack); a ReLU of l < 0 < u is s z + b +- b with s = u / (u - l) and
+b = -s l / 2.  Sums of 40 terms are off by less than 1e-14 of their magnitudes, here and in the program: the
+slack takes ROUNDING of them, and every claim has to be kept by MARGIN more (m, m2), 100 times what is left.
 
 The optimum is t_opt + 0.05 (t - h), t_opt = t + 0.1 u, u the direction of DESIRED - t or the nearest to it on
 the rim of the cone of 60 degrees about the way from NOMINAL to DESIRED.  The direction f of a vector v has

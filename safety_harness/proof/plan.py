@@ -23,6 +23,7 @@ from safety_harness.shipped.contents import located
 KEYS = ("proof", "about", "avoider", "regions", "claims")
 SEEN = "seen"
 MOST_CLAIMS, MOST_REGIONS = 64, 64
+STEPS = 150
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,6 +41,23 @@ class ProofRegion:
         """(1, 6) twice: the lowest hand and TCP, and the highest."""
         low, high = (*self.hand_low_m, *self.tcp_low_m), (*self.hand_high_m, *self.tcp_high_m)
         return np.array([low]), np.array([high])
+
+    @property
+    def counted_share(self) -> float:
+        """What part of its volume has pairs ``apart_m`` apart: a sum over ``STEPS``^3 ways, good to 1e-3."""
+        ways, chances = [], []
+        for low, high, from_, to in zip(
+            self.hand_low_m, self.hand_high_m, self.tcp_low_m, self.tcp_high_m, strict=True
+        ):
+            edges = np.linspace(low - to, high - from_, STEPS + 1)
+            way = (edges[1:] + edges[:-1]) / 2.0  # from TCP to hand; how likely: the overlap of two boxes
+            overlap = np.maximum(0.0, np.minimum(high, to + way) - np.maximum(low, from_ + way))
+            ways.append(way)
+            chances.append(overlap / overlap.sum())
+        x, y, z = np.meshgrid(*ways, indexing="ij")
+        apart_m = np.sqrt(x**2 + y**2 + z**2)
+        counts = (apart_m >= self.apart_m[0]) & (apart_m <= self.apart_m[1])
+        return min(1.0, float(np.einsum("xyz,x,y,z->", counts.astype(float), *chances)))
 
 
 @dataclass(frozen=True)

@@ -71,7 +71,7 @@ def fresh(plan: ProofPlan) -> list[Proof]:
 
 
 def wrong_question(avoider: LearnedAvoider, planned: PlannedProof, tree: Tree) -> WrongQuestion | None:
-    """The worst of the questions in the middle of leaves not proven, as the network answers; None if right."""
+    """The worst question in the middle of a leaf that is not proven; None if all are answered well."""
     leaves = chain(*(tree.leaves(planned.region, code) for code in (REFUTED, UNDECIDED)))
     middles = [(low + high) / 2.0 for low, high in leaves if len(low)]
     asked = np.concatenate([np.empty((0, 6)), *middles])[:MOST_ASKED]

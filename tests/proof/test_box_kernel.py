@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from avoidance.random_models import random_perceptron
-from proof.regions import SEEN_REGION, random_boxes
 
 from safety_harness.avoidance.learned import LearnedAvoider
 from safety_harness.avoidance.model_file import Model, load_model
@@ -17,6 +16,7 @@ from safety_harness.proof.box_kernel import MARGIN, OUTSIDE, PROVEN, REFUTED
 from safety_harness.proof.claims import ClaimKind, DecisionClaim, optimum_constants
 from safety_harness.proof.plan import ProofRegion
 from safety_harness.proof.tree import Boxes, Codes, examined
+from tests.proof.regions import SEEN_REGION, random_boxes
 
 CLAIMS = [
     DecisionClaim(ClaimKind.AT_MOST, 0.11),

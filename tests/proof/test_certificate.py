@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from proof.regions import plan_file
 
 from safety_harness.avoidance.candidates import CandidateCap
 from safety_harness.avoidance.shipped import shipped_model
@@ -24,6 +23,7 @@ from safety_harness.proof.certificate import taken_up, write_certificate
 from safety_harness.proof.plan import read_proof_plan
 from safety_harness.proof.session import Effort, carry_on, fresh
 from safety_harness.settings import DEFAULTS
+from tests.proof.regions import plan_file
 
 CHECKER = Path(check.__file__)
 MODEL = shipped_model("student").read_bytes()
@@ -34,14 +34,23 @@ regions:
   corner:
     hand: {from: [600 mm, -500 mm, -200 mm], to: [700 mm, -400 mm, -100 mm]}
     tcp: {from: [650 mm, -140 mm, 260 mm], to: [700 mm, -90 mm, 300 mm]}
-  near: {apart: [100 mm, 400 mm]}
+  middle:
+    hand: {from: [640 mm, -350 mm, 200 mm], to: [740 mm, -250 mm, 300 mm]}
+    tcp: {from: [660 mm, -100 mm, 340 mm], to: [740 mm, -20 mm, 420 mm]}
+    apart: [100 mm, 260 mm]
+  above:
+    hand: {from: [640 mm, -150 mm, 240 mm], to: [700 mm, -100 mm, 290 mm]}
+    tcp: {from: [690 mm, -80 mm, 360 mm], to: [740 mm, -40 mm, 410 mm]}
+    apart: [100 mm, 170 mm]
 claims:
   - claim: steps at most 150 mm
     in: corner
-  - claim: steps at least 100 mm
-  - claim: within 40 mm of the optimum
+  - claim: steps at least 105 mm
+    in: middle
+  - claim: within 4 mm of the optimum
+    in: corner
   - claim: leads away
-    in: near
+    in: above
 """
 
 
@@ -49,7 +58,7 @@ claims:
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("certificate")
     plan = read_proof_plan(plan_file(folder, TEXT))
-    proofs = list(carry_on(plan, fresh(plan), Effort(seconds=120.0, halvings=10)))
+    proofs = list(carry_on(plan, fresh(plan), Effort(seconds=120.0, halvings=13)))
     write_certificate(folder / "certificate.json", plan, proofs)
     return folder
 
@@ -77,8 +86,8 @@ def test_what_is_written_is_confirmed(document: dict[str, Any]) -> None:
     shares = [claim["shares"] for claim in document["claims"]]
     assert shares[0]["proven"] == 1.0
     assert all(one["proven"] > 0.1 for one in shares)
-    assert shares[1]["refuted"] > 0.1
-    assert shares[3]["outside"] > 0.1
+    assert shares[3]["refuted"] > 0.005
+    assert shares[1]["outside"] > 0.1
 
 
 def test_the_checker_shares_no_code_and_is_short() -> None:
@@ -194,8 +203,8 @@ def test_a_thousand_altered_certificates_are_refused(document: dict[str, Any]) -
 def test_it_is_taken_up_where_it_ended(made: Path) -> None:
     plan = read_proof_plan(made / "proofs.yaml")
     before = taken_up(made / "certificate.json", plan)
-    after = list(carry_on(plan, before, Effort(seconds=60.0, halvings=12)))
-    straight = list(carry_on(plan, fresh(plan), Effort(seconds=60.0, halvings=12)))
+    after = list(carry_on(plan, before, Effort(seconds=60.0, halvings=15)))
+    straight = list(carry_on(plan, fresh(plan), Effort(seconds=60.0, halvings=15)))
     for one, other in zip(after, straight, strict=True):
         assert all(np.array_equal(a, b) for a, b in zip(one.tree.levels, other.tree.levels, strict=True))
 

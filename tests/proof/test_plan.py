@@ -6,12 +6,12 @@ from pathlib import Path
 
 import pytest
 from avoidance.random_models import SEEN, random_perceptron
-from proof.regions import PLAN, plan_file
 
 from safety_harness.avoidance.model_file import save_model
 from safety_harness.exceptions import InputError
 from safety_harness.proof.claims import ClaimKind, DecisionClaim
 from safety_harness.proof.plan import read_proof_plan
+from tests.proof.regions import PLAN, plan_file
 
 
 def test_claims_and_regions_are_as_written(tmp_path: Path) -> None:

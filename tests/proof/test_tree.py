@@ -6,7 +6,6 @@ import time
 
 import numpy as np
 import pytest
-from proof.regions import SEEN_REGION
 
 from safety_harness.avoidance.model_file import load_model
 from safety_harness.avoidance.perceptron_kernel import Perceptron, fold_perceptron
@@ -15,6 +14,7 @@ from safety_harness.proof import tree as module
 from safety_harness.proof.box_kernel import PROVEN, UNDECIDED
 from safety_harness.proof.claims import ClaimKind, DecisionClaim
 from safety_harness.proof.tree import LEAVES, Tree, work
+from tests.proof.regions import SEEN_REGION
 
 CLAIM = DecisionClaim(ClaimKind.AT_MOST, 0.15)
 
