@@ -57,7 +57,7 @@ lock := uv==0.13.9
 LONG := agreement altered_rows arms busy campaign convergence convergence_in_pybullet crashes dataset decision \
 	environments \
 	evaluate_faults flat_bugs formulas found_in_spaces interval_coverage isolation kinematic kinematics_of_arms \
-	loop overhead rare_in_kinematic scenario_files search_power seam soak spaces start_up training whose_fault
+	loop overhead proof rare_in_kinematic scenario_files search_power seam soak spaces start_up training whose_fault
 
 bench-all: $(LONG:%=bench-%)
 

@@ -129,9 +129,9 @@ def main() -> None:
     lines = [
         "# What is proven of the student\n",
         f"Written by `python benchmarks/proof.py` at {revision}: `plans/student-proofs.yaml`, one process,",
-        f"at most {seconds:.0f} s a claim, on a machine with two cores that others used too. Proven is at",
-        "least, undecided at most, of the pairs that the claim is about. Asked are random questions within",
-        "proven boxes, and those in the corners to which the network's gradient points; none may contradict.\n",
+        f"at most {seconds:.0f} s a claim, on a machine with two cores that others used too. Proven is",
+        "at least, undecided at most, of the pairs that the claim is about. Asked are random questions",
+        "within proven boxes, and those in the corners to which its gradient points; none may contradict.\n",
         f"| {' | '.join(COLUMNS)} |",
         "|---" * len(COLUMNS) + "|",
     ]

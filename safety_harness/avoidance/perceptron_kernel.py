@@ -59,7 +59,10 @@ def fold_perceptron(model: Model) -> Perceptron:
 
 @compiled
 def _layer(weight: Float64s, bias: Float64s, x: Float64s, rectified: bool, out: Float64s) -> None:
-    """Fill out = bias + x weight, weight [input, output]; ``rectified``: its ReLU.  NaN stays NaN."""
+    """Fill out = bias + x weight; ``rectified``: its ReLU.  NaN stays NaN.
+
+    ``weight`` (n, m), ``bias`` (m,), ``x`` (n,), ``out`` (m,).
+    """
     for j in range(out.shape[0]):
         out[j] = bias[j]
     for i in range(x.shape[0]):

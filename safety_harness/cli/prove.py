@@ -131,8 +131,8 @@ def _write_question(plan: ProofPlan, proof: Proof, path: Path) -> None:
 def _check(file: Path, model: Path | None) -> int:
     from safety_harness.avoidance.shipped import SHIPPED, shipped_model
     from safety_harness.exceptions import InputError, Place
-    from safety_harness.proof import check
     from safety_harness.proof.certificate import FORMAT
+    from safety_harness.proof.check import check
     from safety_harness.scenario.files import read_bytes
     from safety_harness.scenario.typed_json import LARGEST_BYTES, of_format, read_json
 
@@ -148,7 +148,7 @@ def _check(file: Path, model: Path | None) -> int:
         for one in (file, network)
     )
     try:
-        lines = check.check(certificate, weights)
+        lines = check(certificate, weights)
     except Exception as error:  # whatever a stranger's certificate makes of the checker, it is not confirmed
         say(f"not confirmed: {type(error).__name__}: {error}")
         document(confirmed=False, why=f"{type(error).__name__}: {error}", claims=[])

@@ -42,7 +42,10 @@ MOST_SYMBOLS = PERCEPTRON_INPUTS + 2 * WIDTH
 
 @njit_no_nrt
 def _rectify(z: Floats, g: Floats, slack: Floats, added: Floats, radius: Floats) -> None:
-    """ReLU of forms z (n,), g (k, n), slack (n,) in place; ``added`` (n,) is what it may add, or 0."""
+    """ReLU of forms in place; ``added`` is what it may add, 0 if nothing.
+
+    ``z`` (n,), ``g`` (k, n), ``slack`` (n,), ``added`` (n,), ``radius`` (n,): of z before it.
+    """
     for j in range(z.shape[0]):
         r = 0.0
         for k in range(g.shape[0]):
@@ -76,7 +79,7 @@ def _answer(
     slack: Floats,
     weight: Floats,
 ) -> int:
-    """Fill p (3,), g (MOST_SYMBOLS, 3) and slack (3,) of the answer in a box; returns how many symbols.
+    """Fill ``p`` (3,), ``g`` (MOST_SYMBOLS, 3), ``slack`` (3,) of a box's answer; returns how many symbols.
 
     ``centre``, ``half`` (6,) are the box.  ``weight`` (6,) is filled with how much of what ReLUs add each of
     its axes causes [m].  Scratch: ``g1`` (6, WIDTH), ``g2`` (MOST_SYMBOLS, WIDTH), ``units`` (8, WIDTH),
@@ -153,7 +156,7 @@ def _answer(
 
 @njit_no_nrt
 def _lengths(c: Floats, g: Floats, slack: Floats, frame: Floats, out: Floats) -> None:
-    """Fill ``out`` (2,) with bounds of |c + sum e_k g_k + slack|, c (3,), ``g`` (k, 3), ``slack`` (3,) [m].
+    """Fill ``out`` (2,) with bounds of |c + sum e_k g_k + slack|, ``c`` (3,), ``g`` (k, 3), ``slack`` (3,) [m].
 
     In a frame with its first axis along c, ``frame`` (3, 3) being scratch: |q| >= q . n, and |q|^2 is the sum
     of three squares, each bounded.

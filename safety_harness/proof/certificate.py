@@ -22,7 +22,7 @@ from safety_harness.exceptions import InputError, Place
 from safety_harness.proof.box_kernel import OUTSIDE, PROVEN
 from safety_harness.proof.claims import ClaimKind
 from safety_harness.proof.plan import PlannedProof, ProofPlan
-from safety_harness.proof.tree import Tree
+from safety_harness.proof.tree import BoxTree
 from safety_harness.scenario.typed_json import of_format, read_json
 from safety_harness.settings import Vector3
 from safety_harness.whole_file import write_text
@@ -50,7 +50,7 @@ class Proof:
     """How far a claim is: its tree, and a question that the network answers wrongly, if one was found."""
 
     planned: PlannedProof
-    tree: Tree
+    tree: BoxTree
     question: WrongQuestion | None = None
 
     @property
@@ -151,4 +151,4 @@ def _proof(one: Mapping[str, Any], planned: PlannedProof, path: Path) -> Proof:
     except (KeyError, IndexError, TypeError, ValueError, zlib.error, binascii.Error):
         place = Place(file=path, field=f"claims: {planned.sentence}")
         raise InputError(place=place, expected="a tree of codes", got="something else") from None
-    return Proof(planned, Tree(levels), question)
+    return Proof(planned, BoxTree(levels), question)

@@ -62,7 +62,7 @@ def network_of(data: bytes) -> Layers:
 
 
 def answers(layers: Layers, centre: Array, half: Array) -> tuple[Array, Array, Array]:
-    """Forms in boxes (n, 6): centre (n, 3), symbols (n, k, 3), first the box's 6, slack (n, 3)."""
+    """Forms in boxes ``centre`` +- ``half`` (n, 6): answers (n, 3), symbols (n, k, 3), the box's 6 first, slack."""
     z, g, r = centre, half[:, :, None] * np.eye(6), np.zeros_like(centre)
     for number, (weight, bias) in enumerate(layers):
         size = np.abs(z) + np.abs(g).sum(axis=1) + r
@@ -83,7 +83,7 @@ def answers(layers: Layers, centre: Array, half: Array) -> tuple[Array, Array, A
 
 
 def lengths(c: Array, g: Array, slack: Array) -> tuple[Array, Array]:
-    """Bounds of |c + sum g e + slack| (n,), from frames that begin along c; the best of three frames."""
+    """Bounds (n,) of forms' lengths: ``c`` (n, 3), ``g`` (n, k, 3), ``slack`` (n, 3); in frames along c, the best."""
     along = c / np.maximum(np.linalg.norm(c, axis=1), 1e-30)[:, None]
     along = np.where((np.linalg.norm(c, axis=1) < 1e-6)[:, None], [1.0, 0.0, 0.0], along)
 
@@ -104,7 +104,7 @@ def lengths(c: Array, g: Array, slack: Array) -> tuple[Array, Array]:
 
 
 def off_optimum(centre: Array, half: Array, z: Array, g: Array, r: Array) -> tuple[Array, Array]:
-    """Bounds of |p - o| (n,): over both sides of the cone where a box may be on either."""
+    """Bounds (n,) of |p - o|: ``centre``, ``half`` (n, 6), ``z`` (n, 3), ``g`` (n, k, 3), ``r`` (n, 3)."""
     axis = (DESIRED - NOMINAL) / np.linalg.norm(DESIRED - NOMINAL)
     tcp, way = centre[:, 3:], DESIRED - centre[:, 3:]
     rho, along, flat = np.linalg.norm(half[:, 3:], axis=1), way @ axis, np.eye(3) - np.outer(axis, axis)
@@ -133,7 +133,7 @@ def off_optimum(centre: Array, half: Array, z: Array, g: Array, r: Array) -> tup
 
 
 def away(centre: Array, half: Array, z: Array, g: Array, r: Array) -> tuple[Array, Array]:
-    """Bounds of (p - t) . (t - h) (n,): two forms of the same six symbols, multiplied."""
+    """Bounds (n,) of (p - t) * (t - h): ``centre``, ``half`` (n, 6), ``z`` (n, 3), ``g`` (n, k, 3), ``r`` (n, 3)."""
     q0, w0 = z - centre[:, 3:], centre[:, 3:] - centre[:, :3]
     own = g[:, :6].copy()
     own[:, 3:] -= half[:, 3:, None] * np.eye(3)
@@ -151,7 +151,7 @@ def away(centre: Array, half: Array, z: Array, g: Array, r: Array) -> tuple[Arra
 
 
 def confirm(layers: Layers, claim: dict[str, Any], low: Array, high: Array, code: int) -> None:
-    """Refused unless all of the boxes (n, 6) are what ``code`` says of them."""
+    """Refused unless all boxes from ``low`` to ``high`` (n, 6) are what ``code`` says of them."""
     kind, limit, (near, far) = KINDS.index(claim["kind"]), claim["limit_m"], claim["region"]["apart_m"]
     centre = (low + high) / 2.0
     half = np.maximum(high - centre, centre - low) * (1.0 + 1e-12)

@@ -14,7 +14,7 @@ from safety_harness.avoidance.perceptron_kernel import fold_perceptron
 from safety_harness.proof.box_kernel import REFUTED, UNDECIDED
 from safety_harness.proof.certificate import Proof, WrongQuestion
 from safety_harness.proof.plan import PlannedProof, ProofPlan
-from safety_harness.proof.tree import Over, Tree, work
+from safety_harness.proof.tree import BoxTree, Over, work
 
 MOST_ASKED = 200_000  # questions at the centres of leaves
 WRONG_BY = 1e-8  # m or m2, beyond all rounding
@@ -46,7 +46,7 @@ def carry_on(plan: ProofPlan, proofs: list[Proof], effort: Effort) -> Iterator[P
         now_s = time.monotonic()
         share_s = (end_s - now_s) / (len(proofs) - number)
 
-        def told(tree: Tree, number: int = number, proof: Proof = proof) -> None:
+        def told(tree: BoxTree, number: int = number, proof: Proof = proof) -> None:
             decided = 1.0 - tree.shares()["undecided"]
             effort.told(f"{proof.planned.sentence}: {decided:.2%} decided", (number + decided) / len(proofs))
 
@@ -67,10 +67,10 @@ def carry_on(plan: ProofPlan, proofs: list[Proof], effort: Effort) -> Iterator[P
 
 def fresh(plan: ProofPlan) -> list[Proof]:
     """Nothing decided yet."""
-    return [Proof(planned, Tree()) for planned in plan.proofs]
+    return [Proof(planned, BoxTree()) for planned in plan.proofs]
 
 
-def wrong_question(avoider: LearnedAvoider, planned: PlannedProof, tree: Tree) -> WrongQuestion | None:
+def wrong_question(avoider: LearnedAvoider, planned: PlannedProof, tree: BoxTree) -> WrongQuestion | None:
     """The worst question in the middle of a leaf that is not proven; None if all are answered well."""
     leaves = chain(*(tree.leaves(planned.region, code) for code in (REFUTED, UNDECIDED)))
     middles = [(low + high) / 2.0 for low, high in leaves if len(low)]

@@ -32,7 +32,7 @@ LEAVES = {PROVEN: "proven", REFUTED: "refuted", UNDECIDED: "undecided", OUTSIDE:
 
 
 @dataclass
-class Tree:
+class BoxTree:
     """The codes of each level; a fresh one is one undecided leaf."""
 
     levels: list[Codes] = field(default_factory=lambda: [np.array([UNDECIDED], np.uint8)])
@@ -53,7 +53,7 @@ class Tree:
 
 
 def halves(low: Floats, high: Floats, codes: Codes) -> Boxes:
-    """The boxes (2 m, 6) of the next level, of those (n, 6) of which m are halved."""
+    """The boxes (2 m, 6) of the next level, of ``low`` to ``high`` (n, 6), of which m are halved."""
     rows = np.flatnonzero(codes < PROVEN)
     axes = codes[rows]
     lows, highs = np.repeat(low[rows], 2, axis=0), np.repeat(high[rows], 2, axis=0)
@@ -70,7 +70,7 @@ Over = Callable[[Callable[[Boxes], Codes], Iterable[Boxes]], Iterable[Codes]]
 def examined(
     network: Perceptron, constants: Floats, claim: DecisionClaim, region: ProofRegion, boxes: Boxes
 ) -> Codes:
-    """The codes (n,) of boxes; a module's function, so that other processes can do it."""
+    """The codes (n,) of boxes, with ``constants`` (10,); a module's function, so that other processes do it."""
     codes = np.empty(len(boxes[0]), np.uint8)
     near_m, far_m = region.apart_m
     examine(network, constants, int(claim.kind), claim.limit_m, near_m, far_m, *boxes, codes)
@@ -78,7 +78,7 @@ def examined(
 
 
 def work(
-    tree: Tree,
+    tree: BoxTree,
     network: Perceptron,
     claim: DecisionClaim,
     region: ProofRegion,
@@ -87,7 +87,7 @@ def work(
     until_s: float,
     over: Over = map,
     at_once: int = 1,
-    told: Callable[[Tree], Any] = lambda tree: None,
+    told: Callable[[BoxTree], Any] = lambda tree: None,
     stopped: Callable[[], bool] = lambda: False,
 ) -> None:
     """Take up what is undecided in ``tree``, largest first, down to ``halvings`` halvings.
@@ -118,7 +118,7 @@ def _parts(rows: NDArray[np.int64]) -> Iterator[NDArray[np.int64]]:
     return (rows[start : start + AT_ONCE] for start in range(0, len(rows), AT_ONCE))
 
 
-def _put_next(tree: Tree, level: int, before: Codes, count: int) -> None:
+def _put_next(tree: BoxTree, level: int, before: Codes, count: int) -> None:
     """Fit the next level to one whose codes were ``before`` (n,): its ``count`` nodes, new ones undecided."""
     halved = tree.levels[level] < PROVEN
     fresh = np.full(count, UNDECIDED, np.uint8)

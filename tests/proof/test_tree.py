@@ -13,7 +13,7 @@ from safety_harness.avoidance.shipped import shipped_model
 from safety_harness.proof import tree as module
 from safety_harness.proof.box_kernel import PROVEN, UNDECIDED
 from safety_harness.proof.claims import ClaimKind, DecisionClaim
-from safety_harness.proof.tree import LEAVES, Tree, work
+from safety_harness.proof.tree import LEAVES, BoxTree, work
 from tests.proof.regions import SEEN_REGION
 
 CLAIM = DecisionClaim(ClaimKind.AT_MOST, 0.15)
@@ -24,19 +24,19 @@ def network() -> Perceptron:
     return fold_perceptron(load_model(shipped_model("student")))
 
 
-def worked(network: Perceptron, tree: Tree, halvings: int, **more: object) -> Tree:
+def worked(network: Perceptron, tree: BoxTree, halvings: int, **more: object) -> BoxTree:
     until_s = time.monotonic() + 60.0
     work(tree, network, CLAIM, SEEN_REGION, halvings=halvings, **({"until_s": until_s} | more))  # type: ignore[arg-type]
     return tree
 
 
 def test_a_step_is_proven_in_all_of_the_seen_space(network: Perceptron) -> None:
-    shares = worked(network, Tree(), 40).shares()
+    shares = worked(network, BoxTree(), 40).shares()
     assert shares == {"proven": 1.0, "refuted": 0.0, "undecided": 0.0, "outside": 0.0}
 
 
 def test_leaves_fill_the_region_and_do_not_overlap(network: Perceptron) -> None:
-    tree = worked(network, Tree(), 12)
+    tree = worked(network, BoxTree(), 12)
     leaves = [box for code in LEAVES for box in tree.leaves(SEEN_REGION, code)]
     low, high = (np.concatenate([leaf[side] for leaf in leaves]) for side in (0, 1))
     whole = SEEN_REGION.corners()
@@ -48,16 +48,16 @@ def test_leaves_fill_the_region_and_do_not_overlap(network: Perceptron) -> None:
 
 
 def test_without_time_nothing_is_decided(network: Perceptron) -> None:
-    assert worked(network, Tree(), 40, until_s=0.0).shares()["undecided"] == 1.0
-    assert worked(network, Tree(), 40, stopped=lambda: True).shares()["undecided"] == 1.0
+    assert worked(network, BoxTree(), 40, until_s=0.0).shares()["undecided"] == 1.0
+    assert worked(network, BoxTree(), 40, stopped=lambda: True).shares()["undecided"] == 1.0
 
 
 def test_work_that_was_ended_anywhere_comes_to_the_same_end(
     network: Perceptron, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    at_once = worked(network, Tree(), 16)
+    at_once = worked(network, BoxTree(), 16)
     monkeypatch.setattr(module, "AT_ONCE", 7)
-    tree, rng = Tree(), np.random.default_rng(1)
+    tree, rng = BoxTree(), np.random.default_rng(1)
     for halvings in (3, 9, 14, 16, 16, 16, 16):
         answers = iter([False] * int(rng.integers(1, 60)))
         worked(network, tree, halvings, stopped=lambda answers=answers: next(answers, True))
@@ -69,9 +69,9 @@ def test_work_that_was_ended_anywhere_comes_to_the_same_end(
 def test_how_many_batches_go_at_once_changes_nothing(
     network: Perceptron, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    alone = worked(network, Tree(), 14)
+    alone = worked(network, BoxTree(), 14)
     monkeypatch.setattr(module, "AT_ONCE", 64)
-    together = worked(network, Tree(), 14, at_once=3)
+    together = worked(network, BoxTree(), 14, at_once=3)
     assert all(np.array_equal(a, b) for a, b in zip(alone.levels, together.levels, strict=True))
     assert (alone.levels[-1] >= PROVEN).all()
     assert (alone.levels[14] == UNDECIDED).any()
