@@ -28,7 +28,7 @@ from safety_harness.proof.tree import halves, work
 
 ROOT = Path(__file__).parents[1]
 PLAN, PAGE = ROOT / "plans" / "student-proofs.yaml", Path(__file__).with_name("PROOF.md")
-RANDOM, GUIDED, STEPS, AT_ONCE = 20_000_000, 250_000, 4, 1_000_000  # questions a claim; 4 steps each
+RANDOM, GUIDED, STEPS, AT_ONCE = 20_000_000, 250_000, 4, 500_000  # questions a claim; 4 steps each
 COLUMNS = (
     *("claim", "region", "proven", "refuted", "undecided"),
     *("took", "boxes", "check", "asked", "contradict", "margin"),
@@ -102,7 +102,7 @@ def rows(plan: ProofPlan, seconds: float) -> Iterator[str]:
     for proof in fresh(plan):
         claim, region = proof.planned.claim, proof.planned.region
         start_s = time.monotonic()
-        work(proof.tree, network, claim, region, halvings=34, until_s=start_s + seconds)
+        work(proof.tree, network, claim, region, halvings=32, until_s=start_s + seconds)
         took_s = time.monotonic() - start_s
         proven, refuted, undecided = proof.least_shares
         path = Path("/tmp") / "benchmark-certificate.json"

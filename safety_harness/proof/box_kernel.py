@@ -156,7 +156,7 @@ def _answer(
 
 @njit_no_nrt
 def _lengths(c: Floats, g: Floats, slack: Floats, frame: Floats, out: Floats) -> None:
-    """Fill ``out`` (2,) with bounds of |c + sum e_k g_k + slack|, ``c`` (3,), ``g`` (k, 3), ``slack`` (3,) [m].
+    """Fill ``out`` (2,) with bounds of |c + sum e_k g_k + slack|; ``c`` (3,), ``g`` (k, 3), ``slack`` (3,).
 
     In a frame with its first axis along c, ``frame`` (3, 3) being scratch: |q| >= q . n, and |q|^2 is the sum
     of three squares, each bounded.

@@ -62,7 +62,7 @@ def network_of(data: bytes) -> Layers:
 
 
 def answers(layers: Layers, centre: Array, half: Array) -> tuple[Array, Array, Array]:
-    """Forms in boxes ``centre`` +- ``half`` (n, 6): answers (n, 3), symbols (n, k, 3), the box's 6 first, slack."""
+    """Forms in boxes ``centre`` +- ``half`` (n, 6): answers, symbols (n, k, 3), first the 6 axes', slack."""
     z, g, r = centre, half[:, :, None] * np.eye(6), np.zeros_like(centre)
     for number, (weight, bias) in enumerate(layers):
         size = np.abs(z) + np.abs(g).sum(axis=1) + r
@@ -83,7 +83,7 @@ def answers(layers: Layers, centre: Array, half: Array) -> tuple[Array, Array, A
 
 
 def lengths(c: Array, g: Array, slack: Array) -> tuple[Array, Array]:
-    """Bounds (n,) of forms' lengths: ``c`` (n, 3), ``g`` (n, k, 3), ``slack`` (n, 3); in frames along c, the best."""
+    """Bounds (n,) of lengths of ``c`` (n, 3), ``g`` (n, k, 3), ``slack`` (n, 3) in 3 frames along c."""
     along = c / np.maximum(np.linalg.norm(c, axis=1), 1e-30)[:, None]
     along = np.where((np.linalg.norm(c, axis=1) < 1e-6)[:, None], [1.0, 0.0, 0.0], along)
 
@@ -133,7 +133,7 @@ def off_optimum(centre: Array, half: Array, z: Array, g: Array, r: Array) -> tup
 
 
 def away(centre: Array, half: Array, z: Array, g: Array, r: Array) -> tuple[Array, Array]:
-    """Bounds (n,) of (p - t) * (t - h): ``centre``, ``half`` (n, 6), ``z`` (n, 3), ``g`` (n, k, 3), ``r`` (n, 3)."""
+    """Bounds (n,) of products: ``centre``, ``half`` (n, 6), ``z`` (n, 3), ``g`` (n, k, 3), ``r`` (n, 3)."""
     q0, w0 = z - centre[:, 3:], centre[:, 3:] - centre[:, :3]
     own = g[:, :6].copy()
     own[:, 3:] -= half[:, 3:, None] * np.eye(3)

@@ -27,7 +27,7 @@ Codes = NDArray[np.uint8]
 Boxes = tuple[Floats, Floats]  # low and high corners (n, 6)
 
 AT_ONCE = 8_192  # boxes; some 50 ms
-MOST_BOXES = 4_000_000  # of a level: 0.4 GB
+MOST_BOXES = 1_500_000  # of a level: 0.15 GB
 LEAVES = {PROVEN: "proven", REFUTED: "refuted", UNDECIDED: "undecided", OUTSIDE: "outside"}
 
 
@@ -70,7 +70,7 @@ Over = Callable[[Callable[[Boxes], Codes], Iterable[Boxes]], Iterable[Codes]]
 def examined(
     network: Perceptron, constants: Floats, claim: DecisionClaim, region: ProofRegion, boxes: Boxes
 ) -> Codes:
-    """The codes (n,) of boxes, with ``constants`` (10,); a module's function, so that other processes do it."""
+    """The codes (n,) of boxes, with ``constants`` (10,); of a module, so that other processes can."""
     codes = np.empty(len(boxes[0]), np.uint8)
     near_m, far_m = region.apart_m
     examine(network, constants, int(claim.kind), claim.limit_m, near_m, far_m, *boxes, codes)
