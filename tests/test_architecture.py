@@ -44,6 +44,7 @@ ORDER = [
     {"search"},
     {"statistics"},
     {"scoring"},
+    {"proof"},
     {"attribution"},
     {"campaign"},
     {"report"},

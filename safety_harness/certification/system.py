@@ -67,7 +67,7 @@ def model_of(scenario: Scenario) -> Model | None:
 
 def card_of(model: Model) -> Iterator[tuple[str, str]]:
     """What the model's own file says of it."""
-    yield "Network", f"regression ResNet, {model.members} member(s), dropout {model.dropout.value}"
+    yield "Network", f"{model.kind}, {model.members} member(s), dropout {model.dropout.value}"
     if model.passes > 1:
         yield "Passes", f"{model.passes}, dropout probability {model.dropout_probability:g}"
     for key, title in CARD.items():

@@ -25,7 +25,7 @@ OfAvoider = Annotated[
     str | None,
     Option(
         help="In place of what the files name: mc-dropout, mc-dropout-full, deterministic, ensemble, "
-        "optimum, 'opposite pose', 'nearest candidate', FILE.py:NAME, FILE.safetensors or FILE.onnx.",
+        "optimum, student, 'opposite pose', 'nearest candidate', FILE.py:NAME, FILE.safetensors, FILE.onnx.",
         metavar="AVOIDER",
     ),
 ]

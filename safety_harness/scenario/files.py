@@ -19,7 +19,7 @@ TITLES = ("scenario", "scenario space", "suite")
 # Keys that few others have.
 KEYS = (
     *("extends", "without", "matrix", "tcp start", "avoider", "hands", "faults", "hand sensor", "claims"),
-    *("scenarios", "plan", "strata"),
+    *("scenarios", "plan", "strata", "proof"),
 )
 # Ours beside a title only.
 COMMON = ("about", "duration", "seed", "robot", "controller", "object", "camera", "settings")

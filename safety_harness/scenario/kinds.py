@@ -30,6 +30,7 @@ class FileKind(Enum):
     SPACE = "a scenario space", "safety-harness fuzz {file}, or sample {file} for scenarios that run takes"
     SUITE = "a suite of scenarios", "safety-harness run {file}"
     PLAN = "a plan", "safety-harness certify {file}, or campaign run {file} for its runs alone"
+    PROOF = "a plan of proofs", "safety-harness prove {file}"
     LOG = "the log of a cell", "safety-harness judge {file}"
     TRACE = "a trace", "safety-harness replay {file}, or judge {file}"
     LEDGER = "the ledger of a campaign", "safety-harness campaign status {file}"
@@ -48,6 +49,7 @@ class FileKind(Enum):
     SELFTEST = "the figures of a selftest", "safety-harness certify PLAN --selftest {file}"
     DECLARATION = "the declaration of a plan", "safety-harness verify REPORT --declared {file}"
     SEAL = "the seal of a report", "safety-harness verify REPORT --seal {file}"
+    CERTIFICATE = "the certificate of a proof", "safety-harness prove --check {file}"
     TIMES = "measured decision times", "a scenario draws from them: safety-harness explain decision time"
     TABLE = "a table", "a recorded motion is named by a scenario: safety-harness explain recording"
     REPORT = "the folder of an evidence report", "safety-harness verify {file}"
@@ -71,6 +73,7 @@ _BY_FORMAT = {
     "selftest": FileKind.SELFTEST,
     "declaration": FileKind.DECLARATION,
     "seal": FileKind.SEAL,
+    "certificate": FileKind.CERTIFICATE,
     "decision times": FileKind.TIMES,
 }
 _BY_TITLE = {
@@ -78,6 +81,7 @@ _BY_TITLE = {
     "scenario space": FileKind.SPACE,
     "suite": FileKind.SUITE,
     "plan": FileKind.PLAN,
+    "proof": FileKind.PROOF,
 }
 _BY_SUFFIX = {".py": FileKind.PYTHON, ".onnx": FileKind.ONNX, ".csv": FileKind.TABLE}
 _IN_FOLDERS = (
@@ -222,7 +226,7 @@ def _text_kind(path: Path, text: str) -> FileKind | None:
     if all(one.search(text) for one in _LOG):
         return FileKind.LOG
     keys = {*_KEY.findall(text)}
-    titles = keys & {*TITLES, "plan"}
+    titles = keys & {*TITLES, "plan", "proof"}
     return _BY_TITLE[titles.pop()] if len(titles) == 1 else None
 
 
