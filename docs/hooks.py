@@ -5,11 +5,15 @@ from __future__ import annotations
 import re
 from html.parser import HTMLParser
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from mkdocs.exceptions import PluginError
 from mkdocs.structure.files import File, Files
 
+from safety_harness.report.arm_page import shipped_robots, write_arm_page
+
+ARMS = "arms.html"
 ROOT = Path(__file__).parents[1]
 LINK = re.compile(r"\]\(([^)#\s:]+)(#[^)\s]*)?\)")
 LANGUAGES = {".py": "python", ".yaml": "yaml", ".json": "json", ".toml": "toml"}
@@ -17,12 +21,16 @@ FETCHED = {"script": "src", "img": "src", "iframe": "src", "link": "href", "sour
 
 
 def on_files(files: Files, config: Any) -> Files:
-    """A page for each file or folder outside docs/ (or of data within it) that a page links to."""
+    """A page for each file or folder outside docs/ (or of data within it) that a page links to; the arms."""
     wanted: set[Path] = set()
     for file in files.documentation_pages():
         wanted |= {outside for _, outside in _outside(file)}
     for path in sorted(wanted):
         files.append(File.generated(config, _page(path), content=_shown(path)))
+    with TemporaryDirectory() as folder:
+        page = Path(folder) / ARMS
+        write_arm_page(page, shipped_robots(), title="The shipped arms and their capsules")
+        files.append(File.generated(config, ARMS, content=page.read_text(encoding="utf-8")))
     return files
 
 

@@ -10,6 +10,8 @@
 from __future__ import annotations
 
 import difflib
+import re
+import traceback
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import partial
@@ -22,11 +24,35 @@ class SafetyHarnessError(Exception):
 
 
 MOST_CHARACTERS = 1_500  # of what came, in a message
+MOST_WORDS = 1_000  # characters of a user's
 
 
 def on_one_line(text: str) -> str:
     """A text that may be a stranger's, without what would break a line or command a terminal."""
     return text if text.isprintable() else "".join(c if c.isprintable() else "?" for c in text)
+
+
+def printable(text: str) -> str:
+    """A user's words on one line, at most ``MOST_WORDS`` characters, without the addresses of objects."""
+    return on_one_line(re.sub(r"0x[0-9a-fA-F]+", "0x...", " ".join(text[:MOST_WORDS].split())))
+
+
+def described(error: BaseException, file: str | None = None) -> str:
+    """What a user's code raised, on one line: "ZeroDivisionError: division by zero (mine.py:12)".
+
+    ``file`` is the user's file, as in the traceback; the line is the deepest one within it.
+    Addresses of objects are left out, so that a run says the same when it is repeated.
+    """
+    try:
+        text = str(error)
+    except Exception:  # a user's own exception may fail to say what it is
+        text = ""
+    what = printable(text)
+    lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == file]
+    if isinstance(error, SyntaxError) and error.filename == file:
+        lines, what = [error.lineno], printable(error.msg)  # its own text names the place, once more
+    where = f" ({Path(file).name}:{lines[-1]})" if file and lines else ""
+    return type(error).__name__ + (f": {what}" if what else "") + where
 
 
 @dataclass(frozen=True)
@@ -128,6 +154,10 @@ class RecordingError(InputError):
     """A recorded motion cannot be used: no time column, a gap or a jump too large, no samples."""
 
 
+class LogError(InputError):
+    """The log of a cell cannot be used as it stands: out of order, faster than it can be, damaged, ..."""
+
+
 class InadmissibleError(InputError):
     """A well-formed scenario that cannot be tried: start out of reach, object out of view, ..."""
 
@@ -199,6 +229,10 @@ class FlakyAvoiderError(AvoiderError):
 
 class SimulationError(SafetyHarnessError):
     """A world could not be built or stepped."""
+
+
+class ControllerError(SimulationError):
+    """A user's controller raised, returned what is no action, or is none: the run has failed."""
 
 
 class NoAnswerError(SimulationError):

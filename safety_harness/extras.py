@@ -83,10 +83,15 @@ ONNX = Extra("onnx", ("onnxruntime",), "avoiders in FILE.onnx")
 LEARNING = Extra("learning", ("torch", "onnx", "onnxscript"), "safety-harness train and export")
 FITTING = Extra("fitting", ("trimesh", "collada"), "safety-harness robot fit")
 EXPORT = Extra("export", ("pyarrow",), "campaigns as Parquet files", instead="a .csv needs none")
+LOGS = Extra("logs", ("rosbags", "pyarrow"), "logs in MCAP, ROS 2 bags, Parquet", instead="a .csv needs none")
 CLUSTER = Extra(
     "cluster",
     ("distributed", "dask"),
     "campaigns on a Dask cluster",
     instead="without --cluster it runs on this machine",
 )
-EXTRAS = (PYBULLET, IMAGES, ONNX, LEARNING, FITTING, EXPORT, CLUSTER)
+GYM = Extra("gym", ("gymnasium",), "worlds as Gymnasium environments")
+POLICIES = Extra(
+    "policies", ("stable_baselines3",), "policies trained in environments", package="stable-baselines3"
+)
+EXTRAS = (PYBULLET, IMAGES, ONNX, LEARNING, FITTING, EXPORT, LOGS, CLUSTER, GYM, POLICIES)

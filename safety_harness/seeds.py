@@ -24,6 +24,8 @@ class Branch(IntEnum):
     SELFTEST = 8
     DECISION_TIME = 9
     SCORING = 10
+    CONTROLLER = 11
+    ENVIRONMENT = 12
 
 
 def generator(root: int, branch: Branch, *path: int) -> np.random.Generator:

@@ -107,8 +107,9 @@ class Missing:
 
 sys.meta_path.insert(0, Missing())
 import safety_harness
-own = ('training', 'networks', 'learning.export', 'pybullet_world', 'simulation.cell', 'engine', '__main__')
-for one in pkgutil.walk_packages(safety_harness.__path__, 'safety_harness.'):
+own = ('training', 'networks', 'learning.export', 'pybullet_world', 'simulation.cell', 'engine', '__main__',
+    '.gym', 'gym.environment', 'gym.observing', 'gym.vector', 'gym.stable_baselines')
+for one in pkgutil.walk_packages(safety_harness.__path__, 'safety_harness.', onerror=lambda name: None):
     if not one.name.endswith(own):
         import_module(one.name)
 print('done')

@@ -62,4 +62,6 @@ def test_branches_keep_their_numbers() -> None:
         "SELFTEST": 8,
         "DECISION_TIME": 9,
         "SCORING": 10,
+        "CONTROLLER": 11,
+        "ENVIRONMENT": 12,
     }

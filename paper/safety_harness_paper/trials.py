@@ -265,6 +265,7 @@ class _TriggeredServo:
     def __init__(
         self, start: Admitted, avoider: Avoider | None, hand_in_base_m: NDArray[np.float64], seed: int
     ) -> None:
+        assert start.view is not None
         settings = start.scenario.settings
         self._avoider, self._hand, self._seed = avoider, hand_in_base_m, seed
         reach = replace(settings, avoidance=replace(settings.avoidance, gate=GateKind.REACH))

@@ -111,7 +111,7 @@ class _PlaneTriggered(ControllerWrapper):
     """
 
     def __init__(self, start: Admitted, *, wall: bool) -> None:
-        super().__init__(start.controller())
+        super().__init__(start.servo())
         self._wall = wall
         self._critical_m = start.scenario.settings.avoidance.critical_distance_m
 

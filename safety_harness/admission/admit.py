@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import cast
@@ -13,8 +13,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.admission.avoiders import Avoiders, folder_of, refuse_unusable
-from safety_harness.admission.checks import check_decision_time, check_faults, checked_view
+from safety_harness.admission.checks import check_cameras, check_decision_time, check_faults, checked_view
 from safety_harness.admission.claims import property_of
+from safety_harness.admission.driving import (
+    IN_PYTHON,
+    NOBODY,
+    Drivers,
+    MadeDriver,
+    driver_of,
+    refuse_faults_of_avoider,
+    refuse_unusable_driver,
+)
 from safety_harness.admission.hands import check_hands
 from safety_harness.admission.poses import (
     DESIRED,
@@ -27,21 +36,24 @@ from safety_harness.admission.poses import (
     checked_start,
 )
 from safety_harness.avoidance.asking import Question, ask
-from safety_harness.avoidance.avoider import Avoider, decision_time_of
+from safety_harness.avoidance.avoider import Avoider, decision_time_of, shown_to
 from safety_harness.avoidance.gate import Gate
+from safety_harness.controller.contract import UserController
 from safety_harness.controller.controller import AvoidingServo
 from safety_harness.controller.decision_times import decision_times_s, recorded_late, recorded_times_s
+from safety_harness.controller.driven import DrivenController
 from safety_harness.exceptions import InadmissibleError, NoAnswerError, SettingsError, refuse_other_type
 from safety_harness.properties.base import Property
 from safety_harness.robot.description import ArmModel
 from safety_harness.robot.robots import arm_capsules, arm_model, drive_model, inverse_kinematics, refuse_unfit
 from safety_harness.robot.urdf import ArmFileError
 from safety_harness.scenario.fault_table import fault_table
-from safety_harness.scenario.model import Scenario
+from safety_harness.scenario.model import NO_AVOIDER, Scenario
 from safety_harness.scenario.robots import AnyRobot
+from safety_harness.seeds import Branch, seed
 from safety_harness.servoing.control import DesiredView
 from safety_harness.settings import DecisionCost, Settings, Vector3
-from safety_harness.space.regions import Seen, seen_by
+from safety_harness.space.regions import SeenRegions, seen_by
 from safety_harness.trace.trace import Trace
 
 FIRST_ANSWER_S = 300.0  # time to import, load and compile whatever an avoider needs
@@ -53,7 +65,7 @@ class Checked:
 
     scenario: Scenario
     arm: ArmModel
-    view: DesiredView
+    view: DesiredView | None  # None: nothing of the object is seen
     joint_position_rad: NDArray[np.float64]  # (n,) where the arm starts
     properties: tuple[Property, ...]  # in the order of the scenario's claims
 
@@ -62,12 +74,36 @@ class Checked:
 class Admitted(Checked):
     """A scenario with everything resolved: ready to be run and judged."""
 
-    avoider: Avoider
+    avoider: Avoider  # NOBODY where another controller than the visual servo drives
     avoider_sha256: str  # of the file that the avoider comes from; empty for one without
+    driver: MadeDriver | None = None  # None: the visual servo
 
-    def controller(self, recorded: Trace | None = None) -> AvoidingServo:
-        """A fresh controller for one run; ``recorded`` is an earlier one, whose times count again."""
+    def controller(self, recorded: Trace | None = None) -> AvoidingServo | DrivenController:
+        """A fresh controller for one run; ``recorded`` is an earlier one, whose times count again.
+
+        ControllerError for a user's whose ``reset`` raises.
+        """
+        if self.driver is None:
+            return self.servo(recorded)
+        return self.driven_by(self.driver.controller)
+
+    def driven_by(self, controller: UserController) -> DrivenController:
+        """With a user's controller for one run."""
+        scenario = self.scenario
+        return DrivenController(
+            controller,
+            scenario.settings,
+            self.arm,
+            self.view,
+            self.joint_position_rad,
+            seed(scenario.seed, Branch.CONTROLLER),
+            scenario.hand_slots,
+        )
+
+    def servo(self, recorded: Trace | None = None) -> AvoidingServo:
+        """As ``controller``, of a scenario that the visual servo drives."""
         scenario, settings = self.scenario, self.scenario.settings
+        assert self.view is not None
         robot = scenario.robot
         gate = Gate.of(settings, inverse_kinematics(robot), arm_capsules(robot), scenario.obstacles)
         cost, declared_s = settings.avoidance.decision_time, decision_time_of(self.avoider)
@@ -97,25 +133,40 @@ class Admitter:
 
     def __init__(self) -> None:
         self._avoiders = Avoiders()
+        self._drivers = Drivers()
         self._answers = lru_cache(maxsize=16)(answers_at_first)
         self._seen_by = lru_cache(maxsize=16)(seen_by)
 
     def admit(self, scenario: Scenario) -> Admitted:
         """Resolve and check; InadmissibleError names the place, what was expected and what came."""
         checked = check(scenario)
+        if scenario.driven:
+            return _driven(checked, self._drivers.of(scenario))
         with _placed(scenario):
             avoider, sha256 = self._avoiders.of(scenario)
         hand, tcp = first_question(scenario.settings)
         return _admitted(checked, avoider, sha256, self._answers(cast(Hashable, avoider), hand, tcp))
 
-    def seen_of(self, scenario: Scenario) -> Seen:
+    def seen_of(self, scenario: Scenario) -> SeenRegions:
         """What the scenario's avoider was trained on, as ``seen_by`` has it."""
-        return self._seen_by(scenario.avoider, folder=folder_of(scenario), settings=scenario.settings)
+        return self._seen_by(scenario.under_test, folder=folder_of(scenario), settings=scenario.settings)
 
 
-def admit(scenario: Scenario, *, avoider: Avoider | None = None) -> Admitted:
-    """As an ``Admitter`` of its own; ``avoider`` takes the place of the one that the scenario names."""
+def admit(
+    scenario: Scenario, *, avoider: Avoider | None = None, controller: UserController | None = None
+) -> Admitted:
+    """As an ``Admitter`` of its own; ``avoider`` takes the place of the one that the scenario names.
+
+    So does ``controller``, which drives the arm in place of the visual servo.
+    """
     refuse_other_type("admit(scenario)", scenario, Scenario)
+    if controller is not None:
+        if avoider is not None:
+            expected = "one of avoider and controller: only the visual servo asks an avoider"
+            raise InadmissibleError.of_option("admit(controller)", expected, "both")
+        driver = driver_of(controller)
+        named = f"{controller.name}{IN_PYTHON}"
+        return _driven(check(replace(scenario, controller=named, avoider=NO_AVOIDER)), driver)
     if avoider is None:
         return Admitter().admit(scenario)
     if isinstance(avoider, type) or not hasattr(avoider, "propose"):
@@ -134,16 +185,22 @@ class Looker:
     def look(self, scenario: Scenario) -> Checked:
         """As ``Admitter.admit``, but that an avoider can be made and answers is for the run to see."""
         checked = check(scenario)
-        key = scenario.avoider, folder_of(scenario), scenario.settings
+        key = scenario.under_test, folder_of(scenario), scenario.settings
         if key not in self._seen:
             with _placed(scenario):
-                refuse_unusable(scenario)
+                (refuse_unusable_driver if scenario.driven else refuse_unusable)(scenario)
             self._seen.add(key)
         return checked
 
 
 def refuse_no_answer(scenario: Scenario) -> None:
-    """As ``admit`` refuses, for the sake of the scenario's avoider alone, which is made and asked once."""
+    """As ``admit`` refuses, for the sake of the scenario's avoider alone, which is made and asked once.
+
+    Or of its controller, which is made.
+    """
+    if scenario.driven:
+        Drivers().of(scenario)
+        return
     with _placed(scenario):
         avoider, _ = Avoiders().of(scenario)
     if not answers_at_first(avoider, *first_question(scenario.settings)):
@@ -151,19 +208,38 @@ def refuse_no_answer(scenario: Scenario) -> None:
 
 
 def check(scenario: Scenario) -> Checked:
-    """All of admission but the avoider, of which nothing is read or executed; errors as of ``admit``."""
+    """All of admission but the avoider, of which nothing is read or executed; errors as of ``admit``.
+
+    And but the controller, unless it is the visual servo: what of the object it sees is not known here.
+    """
+    return _check(scenario, sees_object=not scenario.driven)
+
+
+def _check(scenario: Scenario, *, sees_object: bool) -> Checked:
     arm = _arm_of(scenario)
     with _placed(scenario):
         check_posture(scenario, arm)
         check_stuck_joints(scenario, arm)
-        view = _view_of_cell(_Cell(scenario.settings, scenario.robot, scenario))
-        start = checked_start(scenario, arm)
+        view = None
+        if sees_object:
+            view = _view_of_cell(_Cell(scenario.settings, scenario.robot, scenario))
+        else:
+            check_cameras(scenario)
+        start = checked_start(scenario, arm, sees_object=sees_object)
+        if scenario.driven:
+            refuse_faults_of_avoider(scenario)
         check_obstacles(scenario, arm, start)
         check_drives(scenario, arm, start)
         check_hands(scenario, arm, start)
         check_faults(scenario)
         properties = tuple(property_of(claim, scenario) for claim in scenario.claims)
     return Checked(scenario=scenario, arm=arm, view=view, joint_position_rad=start, properties=properties)
+
+
+def _driven(checked: Checked, driver: MadeDriver) -> Admitted:
+    if driver.sees_object:
+        checked = _check(checked.scenario, sees_object=True)
+    return Admitted(**vars(checked), avoider=NOBODY, avoider_sha256="", driver=driver)
 
 
 def _arm_of(scenario: Scenario) -> ArmModel:
@@ -235,7 +311,10 @@ def answers_at_first(avoider: Avoider, hand_in_base_m: Vector3, tcp_in_base_m: V
     """Ask once before the run, so that no answer is waited for while it loads or compiles.
 
     Whatever comes is thrown away: a fault belongs to the run, which will meet it.  False if nothing does.
+    One that sees more is not asked: nothing is seen yet.
     """
+    if shown_to(avoider):
+        return True
     try:
         ask(avoider, Question(np.array(hand_in_base_m), np.array(tcp_in_base_m), 0, FIRST_ANSWER_S))
     except NoAnswerError:

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 
 from safety_harness.avoidance.avoider import Avoider
 from safety_harness.avoidance.isolation.isolated import isolated_avoider, isolated_onnx
-from safety_harness.avoidance.model_file import LARGEST_BYTES, refuse_foreign_seen_space
+from safety_harness.avoidance.model_file import LARGEST_BYTES, refuse_foreign_cell
 from safety_harness.avoidance.python_file import refuse_undefined
 from safety_harness.avoidance.shipped import SHIPPED, shipped_model
 from safety_harness.avoidance.simple import NearestCandidate, OppositePose
@@ -27,12 +27,26 @@ from safety_harness.exceptions import InadmissibleError, Place, near_miss, refus
 from safety_harness.scenario.fields import SENTENCE, is_sentence
 from safety_harness.scenario.files import resolved, told
 from safety_harness.scenario.kinds import avoider_in, command_for, kind_of
-from safety_harness.scenario.model import OffsetStart, RecordedHand, Scenario
-from safety_harness.scenario.references import MODEL_SUFFIX, ONNX_SUFFIX, file_and_name, named_from
+from safety_harness.scenario.model import (
+    DEFAULT_AVOIDER,
+    NO_AVOIDER,
+    VISUAL_SERVO,
+    Driver,
+    OffsetStart,
+    RecordedHand,
+    Scenario,
+)
+from safety_harness.scenario.references import (
+    MODEL_SUFFIX,
+    ONNX_SUFFIX,
+    file_and_name,
+    named_from,
+    names_a_program,
+)
 from safety_harness.scenario.robots import OwnRobot
 from safety_harness.settings import DEFAULTS, Settings
 from safety_harness.shipped.contents import is_shipped, located
-from safety_harness.space.regions import exported_seen
+from safety_harness.space.regions import exported_use
 
 if TYPE_CHECKING:
     from safety_harness.avoidance.learned import LearnedAvoider
@@ -143,37 +157,55 @@ def _no_avoider(scenario: Scenario, place: Place) -> InadmissibleError:
 
 
 def avoider_sha256(scenario: Scenario) -> str:
-    """The hash of the file that the scenario's avoider comes from; empty for one without a file."""
-    path = _file_of(scenario)
+    """The hash of the file that the scenario's avoider comes from; empty without a file or an avoider."""
+    path = None if scenario.driven else _file_of(scenario)
     return "" if path is None else hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def command_line_reference(scenario: Scenario) -> str:
-    """The scenario's avoider as one would name it on the command line, in the working directory."""
-    file, name = file_and_name(scenario.avoider)
+    """What is tested, as one would name it on the command line, in the working directory."""
+    reference = scenario.under_test
+    file, name = file_and_name(reference)
     if not file:
-        return scenario.avoider
+        return reference
     own = file if is_shipped(file) else os.path.relpath((folder_of(scenario) or Path()) / file)
-    return own + (f":{name}" if name else "")
+    return type(reference)(own + (f":{name}" if name else ""))
 
 
 def told_avoider(reference: str) -> str:
-    """An avoider as a result names it: its file is ``told``."""
+    """What is tested, as a result names it: its file is ``told``."""
     file, name = file_and_name(reference)
     return str(told(Path(os.path.expanduser(file)))) + (f":{name}" if name else "") if file else reference
+
+
+def option_of(reference: str) -> str:
+    """The option of the command line that names what is tested."""
+    return "--controller" if isinstance(reference, Driver) else "--avoider"
+
+
+def one_of(avoider: str | None, controller: str | None) -> str | None:
+    """What the options of a command name, one of which may be given; None for neither."""
+    if avoider is not None and controller is not None:
+        expected = "one of --avoider and --controller: only the visual servo asks an avoider"
+        raise InadmissibleError.of_option("--controller", expected, "both")
+    return avoider if controller is None else Driver(controller)
 
 
 def replay_command(
     scenario: Scenario, trace: Path, *others: Path, by: str = "replay", told: Callable[[Path], Path] = told
 ) -> str:
-    """The command that repeats runs with one avoider; a user's program has to be named anew to be executed.
+    """The command that repeats runs of one avoider or controller, of which a user's program is named anew.
+
+    A trace may come from anybody: what it names is not executed for that.
 
     ``by`` is another command that repeats runs.  ``told`` names files; what is kept nowhere may name them as
     they are.
     """
     command = ["safety-harness", by, *(str(told(one)) for one in (trace, *others))]
-    if is_a_program(scenario.avoider):
-        command += ["--avoider", told_avoider(os.path.abspath(command_line_reference(scenario)))]
+    if is_a_program(scenario.under_test):
+        reference = command_line_reference(scenario)
+        named = told_avoider(os.path.abspath(reference) if file_and_name(reference)[0] else reference)
+        command += [option_of(scenario.under_test), named]
     return shlex.join(command)
 
 
@@ -207,8 +239,8 @@ def shipped_avoider(name: str, settings: Settings = DEFAULTS) -> Avoider:
 
 
 def is_a_program(reference: str) -> bool:
-    """Does the reference name a Python file, which is executed to resolve it?"""
-    return bool(file_and_name(reference)[1])
+    """Does the reference name a Python file, or a program, which is executed to resolve it?"""
+    return bool(file_and_name(reference)[1]) or names_a_program(reference)
 
 
 def is_executed(reference: str) -> bool:
@@ -230,13 +262,21 @@ def _file_of(scenario: Scenario) -> Path | None:
 
 
 def with_avoider(scenario: Scenario, reference: str, place: Place | None = None) -> Scenario:
-    """The scenario with another avoider, a relative file sought from the working directory.
+    """The scenario with another avoider, or ``Driver``, a relative file sought from the working directory.
 
     The file is named anew as seen from the scenario's folder, so that the trace of a run says which
     avoider it was and ``replay`` finds it.  ``place`` (of ``--avoider``, say) is what errors name;
     InadmissibleError if what would be written could not be read again.
     """
+    if isinstance(reference, Driver):
+        return _driven_by(scenario, reference, place or Place(field="--controller"))
     place = place or Place(field="--avoider")
+    if scenario.driven:
+        raise InadmissibleError(
+            place=place,
+            expected=f"no avoider for a scenario that is driven by {scenario.controller}, which asks none",
+            got=repr(reference),
+        )
     file, name = file_and_name(reference)
     if file:
         path = resolved(located(os.path.expanduser(file), place))
@@ -250,6 +290,22 @@ def with_avoider(scenario: Scenario, reference: str, place: Place | None = None)
     return replace(scenario, avoider=reference, places=places)
 
 
+def _driven_by(scenario: Scenario, reference: Driver, place: Place) -> Scenario:
+    """With another controller, and then without an avoider; the visual servo has its own, or the default."""
+    file, name = file_and_name(reference)
+    controller = str(reference)
+    if file:
+        path = resolved(located(os.path.expanduser(file), place))
+        controller = named_from(resolved(folder_of(scenario) or Path()), path) + (f":{name}" if name else "")
+    if not is_sentence(controller):
+        raise InadmissibleError(
+            place=place, expected=f"a controller's name or file, {SENTENCE}", got=repr(controller)
+        )
+    places = ChainMap({"controller": place}, scenario.places)  # type: ignore[arg-type]  # it is only read
+    avoider = NO_AVOIDER if controller != VISUAL_SERVO else scenario.avoider or DEFAULT_AVOIDER
+    return replace(scenario, avoider=avoider, controller=controller, places=places)
+
+
 def _from_model_file(path: Path, settings: Settings) -> Avoider:
     try:
         with path.open("rb") as file:
@@ -257,7 +313,7 @@ def _from_model_file(path: Path, settings: Settings) -> Avoider:
     except OSError:
         digest = ""  # loading says what is wrong
     avoider = _learned(path, digest)
-    refuse_foreign_seen_space(avoider.model.seen, settings, path)
+    refuse_foreign_cell(avoider.model, settings, path)
     return avoider
 
 
@@ -271,9 +327,9 @@ def _learned(path: Path, sha256: str) -> LearnedAvoider:
 
 def _refuse_foreign_onnx(path: Path, settings: Settings) -> None:
     """ModelError for a file of ours that was trained for another workspace; of others nothing is known."""
-    seen = exported_seen(path)
-    if seen is not None:
-        refuse_foreign_seen_space(seen, settings, path)
+    network = exported_use(path)
+    if network is not None:
+        refuse_foreign_cell(network, settings, path)
 
 
 def as_seen_from(folder: Path, scenario: Scenario) -> Scenario:
@@ -289,5 +345,5 @@ def as_seen_from(folder: Path, scenario: Scenario) -> Scenario:
     if isinstance(robot, OwnRobot):
         robot = robot.named(lambda path: named_from(folder, before / path))
     moved = replace(scenario, hands=hands, robot=robot, file=folder / "scenario.yaml")
-    own_file, _ = file_and_name(scenario.avoider)
+    own_file, _ = file_and_name(scenario.under_test)
     return with_avoider(moved, command_line_reference(scenario)) if own_file else moved

@@ -45,8 +45,7 @@ _FAULTS = {
 
 def checked_view(scenario: Scenario) -> DesiredView:
     """The desired view in a cell that can be worked in, whatever hands and start are."""
-    _check_cameras(scenario)
-    _check_restart_delay(scenario)
+    check_cameras(scenario)
     _check_object(scenario)
     view = view_of(scenario.settings)
     _check_view(scenario, view)
@@ -126,9 +125,13 @@ def _check_restart_delay(scenario: Scenario) -> None:
         )
 
 
-def _check_cameras(scenario: Scenario) -> None:
-    """Refuse what a camera cannot do: more images than ticks, an ideal one's faults, a second optics."""
+def check_cameras(scenario: Scenario) -> None:
+    """Refuse what a camera cannot do: more images than ticks, an ideal one's faults, a second optics.
+
+    And a restart before a stop is over.
+    """
     settings = scenario.settings
+    _check_restart_delay(scenario)
     most_hz = 1.0 / settings.clock.control_period_s
     for name, rate_hz in (("camera", settings.camera.rate_hz), ("hand sensor", settings.hand_sensor.rate_hz)):
         if rate_hz is not None and rate_hz > most_hz * (1.0 + 1e-9):

@@ -39,10 +39,15 @@ VIEW = (
 )
 
 
-def checked_start(scenario: Scenario, arm: ArmModel) -> NDArray[np.float64]:
-    """The start's joint angles; one that is singular, too low, or without the object in view is refused."""
+def checked_start(scenario: Scenario, arm: ArmModel, *, sees_object: bool = True) -> NDArray[np.float64]:
+    """The start's joint angles; one that is singular, too low, or without the object in view is refused.
+
+    The last only if the controller ``sees_object``.
+    """
     joints = start_joint_position(scenario, arm)
     _check_pose(scenario, arm, joints, "TCP start", START)
+    if sees_object:
+        _check_in_view(scenario, arm, joints, "TCP start", START)
     return joints
 
 
@@ -76,6 +81,7 @@ def check_desired(scenario: Scenario, arm: ArmModel) -> None:
     target = desired_transform_tcp_to_base(scenario.settings)
     joints = _reached(scenario, arm, target, "desired TCP position", DESIRED)
     _check_pose(scenario, arm, joints, "desired TCP position", DESIRED)
+    _check_in_view(scenario, arm, joints, "desired TCP position", DESIRED)
 
 
 def check_posture(scenario: Scenario, arm: ArmModel) -> None:
@@ -176,6 +182,12 @@ def _check_pose(
             expected=f"a {pose} at least {clearance_m * 1e3:.0f} mm above the table",
             got=f"the position {_millimetres(transforms[-1, :3, 3])}",
         )
+
+
+def _check_in_view(
+    scenario: Scenario, arm: ArmModel, joint_position_rad: NDArray[np.float64], pose: str, field: str
+) -> None:
+    settings, transforms = scenario.settings, links_in_base(arm, joint_position_rad)
     moments = np.empty(MOMENT_COUNT)
     camera, polygon_in_base_m = SensorRecords(camera_state(settings).copy()), object_polygon_in_base(settings)
     if not exact_object(camera, polygon_in_base_m, transforms[-1], moments):

@@ -17,8 +17,9 @@ from operator import attrgetter
 
 import numpy as np
 
-from safety_harness.admission.admit import first_question
-from safety_harness.admission.avoiders import Avoiders
+from safety_harness.admission.admit import Admitter, first_question
+from safety_harness.admission.avoiders import Avoiders, is_a_program
+from safety_harness.admission.trial import run_trial
 from safety_harness.avoidance.asking import (
     Answer,
     OutOfProcessAvoider,
@@ -27,15 +28,17 @@ from safety_harness.avoidance.asking import (
     ask,
     takes_many,
 )
-from safety_harness.avoidance.avoider import Avoider, printable
+from safety_harness.avoidance.avoider import Avoider, shown_to
 from safety_harness.avoidance.flaky import Asked, asked_in, difference
 from safety_harness.avoidance.isolation.host import processes_apart
-from safety_harness.exceptions import InputError, NoAnswerError, SimulationError
+from safety_harness.exceptions import InputError, NoAnswerError, SimulationError, printable
 from safety_harness.scenario.model import Scenario
+from safety_harness.simulation.worlds import world_of_trace
 from safety_harness.trace.trace import Trace
 
 SHARE = 0.02  # of the time that a command took, beside the start of the process
 LEAST, MOST = 8, 1_000  # questions that are asked again, if there are as many
+LEAST_RUNS, MOST_RUNS = 3, 20  # of a controller, that are driven again
 Difference = tuple[float, str]  # how far elsewhere the answer was [m], inf where it was none; in words
 
 
@@ -72,6 +75,49 @@ class RepeatabilityResult:
         )
 
 
+class DrivenAgain(RepeatabilityResult):
+    """Of so many runs of a controller (``questions``) those ``asked`` were driven again by a fresh one."""
+
+    @property
+    def remembers(self) -> str:
+        """That it carries something over or does not repeat itself, in words; empty if that was not seen."""
+        return f"{self.words}; {self.differing} of {self.asked} runs differ" if self.differing else ""
+
+    @property
+    def line(self) -> str:
+        """What came out."""
+        if self.words:
+            return self.remembers or self.words
+        again = f"{self.asked} of {self.questions} runs driven again by a fresh controller"
+        return f"repeatability: {again}: the same to the last bit"
+
+
+@dataclass(frozen=True)
+class DrivenRun:
+    """A run that may be driven again: scenario, world, a hash of what the arm was told, and the file's.
+
+    ``asks``: by the visual servo, which asks the avoider of the file.
+    """
+
+    run: str
+    world: str
+    sha256: str
+    controller_sha256: str
+    asks: bool = False
+
+
+def driven_in(trace: Trace) -> DrivenRun | None:
+    """What of a run has to come out again; None where questions of it can be asked again, or it broke off."""
+    scenario = trace.scenario
+    if not (scenario.driven or is_a_program(scenario.avoider)) or not trace.complete:
+        return None
+    told = trace.ticks["demanded_joint_velocity_radps"].tobytes()
+    told += trace.decisions["proposed_position_in_base_m"].tobytes()
+    digest = hashlib.sha256(told + trace.ticks["joint_position_rad"].tobytes()).hexdigest()
+    sha256 = trace.system.tested.sha256
+    return DrivenRun(scenario.name, trace.provenance.world, digest, sha256, not scenario.driven)
+
+
 @dataclass(frozen=True, eq=False)
 class _Sampled:
     """A question, the hash that draws it, and the scenario and the file of its avoider."""
@@ -85,6 +131,9 @@ class _Sampled:
 class Repeatability:
     """Takes in what avoiders were asked from now on; ``check`` asks a sample of it again.
 
+    Of another controller than the visual servo it takes in the runs, and has a sample driven again by fresh
+    ones: what a controller carries over from earlier episodes comes out otherwise.
+
     How many are asked hangs on the wall's clock: as many as take ``SHARE`` of the time since this was made,
     and ``LEAST`` at least.
     """
@@ -93,11 +142,17 @@ class Repeatability:
         self._begun_s = time.monotonic()
         self._questions = 0
         self._sample: list[_Sampled] = []
+        self._runs = 0
+        self._driven: list[tuple[DrivenRun, Callable[[], Scenario]]] = []
 
     def add(self, trace: Trace) -> None:
-        """The questions of a run."""
+        """The questions of a run, or the run of a controller that is named: an object cannot be made anew."""
         scenario = trace.scenario
-        self.take(asked_in(trace), lambda: scenario, trace.provenance.avoider_sha256)
+        driven = driven_in(trace)
+        if driven is not None:
+            self.take_run(driven, lambda: scenario)
+        if not scenario.driven:
+            self.take(asked_in(trace), lambda: scenario, trace.system.tested.sha256)
 
     def take(
         self, asked: Iterable[Asked], scenario: Callable[[], Scenario], avoider_sha256: str = ""
@@ -109,15 +164,44 @@ class Repeatability:
         if len(self._sample) > 2 * MOST:
             self._sample = self._drawn()
 
+    def take_run(self, run: DrivenRun, scenario: Callable[[], Scenario]) -> None:
+        """A whole run; ``scenario`` gives the one that names its controller, when it is needed."""
+        self._runs += 1
+        self._driven.append((run, scenario))
+        if len(self._driven) > 2 * MOST_RUNS:
+            self._driven = self._drawn_runs()
+
+    def _drawn_runs(self) -> list[tuple[DrivenRun, Callable[[], Scenario]]]:
+        return nsmallest(MOST_RUNS, self._driven, key=lambda one: one[0].sha256)
+
+    def _drive_again(self, allowed_s: float) -> RepeatabilityResult:
+        begun_s, asked, words = time.monotonic(), 0, list[str]()
+        for run, scenario in self._drawn_runs():
+            if asked >= LEAST_RUNS and time.monotonic() - begun_s > allowed_s:
+                break
+            try:
+                found = _driven_otherwise(run, scenario())
+            except (InputError, SimulationError) as error:
+                problem = f"the controller could not drive again: {printable(str(error))}"
+                return DrivenAgain(questions=self._runs, asked=asked, words=problem)
+            asked += 1
+            words += [found] if found else []
+        first = words[0] if words else ""
+        return DrivenAgain(questions=self._runs, asked=asked, differing=len(words), words=first)
+
     def check(self, least: int = LEAST) -> RepeatabilityResult:
         """Ask again, each question alone and in the order of the hashes, then all in one call."""
         allowed_s = SHARE * (time.monotonic() - self._begun_s)
+        if not all(run.asks for run, _ in self._driven):
+            return self._drive_again(allowed_s)
         again = _Again()
         with processes_apart():
             try:
                 again.ask(self._drawn(), least, allowed_s)
             except (InputError, SimulationError) as error:
                 again.problem = f"the avoider could not be asked again: {printable(str(error))}"
+            if again.unkept:
+                return self._drive_again(allowed_s)
         return RepeatabilityResult(
             questions=self._questions,
             asked=again.asked,
@@ -128,6 +212,23 @@ class Repeatability:
 
     def _drawn(self) -> list[_Sampled]:
         return nsmallest(MOST, self._sample, key=attrgetter("order"))
+
+
+def _driven_otherwise(run: DrivenRun, scenario: Scenario) -> str:
+    """Why a fresh controller drives the same scenario otherwise, in words; empty if it does not."""
+    world = world_of_trace(run.world)
+    runs = [driven_in(run_trial(Admitter().admit(scenario), world=world)) for _ in range(2)]
+    again = [one for one in runs if one is not None]
+    if len(again) < 2:
+        return f"{run.run} broke off when it was driven again"
+    if again[0].controller_sha256 != run.controller_sha256:
+        return f"the controller's file has changed since {run.run} was driven"
+    if again[0].sha256 != again[1].sha256:
+        return f"the controller does not repeat itself: two fresh ones drive {run.run} differently"
+    if again[0].sha256 != run.sha256:
+        carries = "the controller carries something over from earlier episodes"
+        return f"{carries}: a fresh one drives {run.run} otherwise"
+    return ""
 
 
 def _order(question: Question) -> bytes:
@@ -141,6 +242,7 @@ class _Again:
 
     asked: int = 0
     problem: str = ""
+    unkept: bool = False  # the avoider sees more than a trace keeps
     differing: dict[Asked, Difference] = field(default_factory=dict)
     seconds: dict[int, _Second] = field(default_factory=dict)
 
@@ -154,6 +256,9 @@ class _Again:
             avoider, sha256 = avoiders.of(scenario)
             if sha256 != (sampled.avoider_sha256 or sha256):
                 self.problem = "the avoider's file has changed since it was asked: it was not asked again"
+                return
+            if shown_to(avoider):
+                self.unkept = True
                 return
             begun_s = begun_s or time.monotonic()  # its process is there
             hand, tcp = first_question(scenario.settings)

@@ -11,7 +11,7 @@ from typing import cast
 from safety_harness.admission.admit import Admitted
 from safety_harness.admission.claims import property_of
 from safety_harness.avoidance.asking import OutOfProcessAvoider, takes_many
-from safety_harness.avoidance.avoider import Avoider
+from safety_harness.avoidance.avoider import Avoider, shown_to
 from safety_harness.controller.controller import Controller
 from safety_harness.exceptions import InadmissibleError, InstallationError, refuse_other_type
 from safety_harness.perception.detector import BoundingBoxDetector
@@ -77,6 +77,12 @@ def run_many(
     ticks = 0
     for admitted in scenarios:
         refuse_other_type("run_many(scenarios)", admitted, Admitted)
+        # one after another: what a driver remembers is in their order, what is seen is not kept in a batch
+        if admitted.driver is not None or shown_to(admitted.avoider):
+            yield from _run_chunk(chunk, world)
+            chunk, ticks = [], 0
+            yield run_trial(admitted, world=world)
+            continue
         refuse_wall_clock(admitted.scenario, InadmissibleError, whose="these runs")
         if chunk and ticks + admitted.scenario.ticks + 1 > ticks_at_once:
             yield from _run_chunk(chunk, world)
@@ -92,7 +98,8 @@ def run_all(admitted: Sequence[Admitted], world: WorldEntry) -> Iterator[Trace |
     All together where the world takes many, and one by one if any of them breaks.  InstallationError for a
     world that is not installed, which is no run's failure.
     """
-    if world.batch and len(admitted) > 1:
+    together = all(one.driver is None for one in admitted)  # others go one after another anyhow
+    if world.batch and len(admitted) > 1 and together:
         try:
             yield from list(run_many(admitted, world=world))
             return
@@ -132,7 +139,7 @@ def _run_chunk(chunk: list[Admitted], world: WorldEntry) -> Iterator[Trace]:
         ]
         traces = simulate_many(
             [
-                Episode(one.scenario, cast(BatchWorld, episode), one.controller())
+                Episode(one.scenario, cast(BatchWorld, episode), one.servo())
                 for one, episode in zip(chunk, worlds, strict=True)
             ]
         )
@@ -142,5 +149,6 @@ def _run_chunk(chunk: list[Admitted], world: WorldEntry) -> Iterator[Trace]:
 
 
 def _of_avoider(trace: Trace, admitted: Admitted) -> Trace:
-    """The trace with the hash of its avoider's file."""
-    return replace(trace, provenance=replace(trace.provenance, avoider_sha256=admitted.avoider_sha256))
+    """The trace with the hash of its avoider's file, or of its controller's."""
+    sha256 = admitted.avoider_sha256 if admitted.driver is None else admitted.driver.sha256
+    return replace(trace, system=trace.system.of_file(sha256))

@@ -19,7 +19,7 @@ from safety_harness.admission.claims import property_of
 from safety_harness.admission.trial import run_all
 from safety_harness.attribution.ingredients import CHOSEN, Altered, Change, Ingredient, changes_for
 from safety_harness.attribution.unavoidable import why_unavoidable
-from safety_harness.avoidance.avoider import described
+from safety_harness.exceptions import described
 from safety_harness.properties.answered import NOT_MODELLED
 from safety_harness.properties.base import Evaluation, Property, Unit
 from safety_harness.scenario.model import Claim, Verdict

@@ -88,9 +88,9 @@ class Altered(Admitted):
         """Nothing changed yet."""
         return cls(**{field.name: getattr(admitted, field.name) for field in fields(admitted)})
 
-    def controller(self, recorded: Trace | None = None) -> AvoidingServo:
+    def servo(self, recorded: Trace | None = None) -> AvoidingServo:
         """As admitted, with the fallback that it has."""
-        pilot = super().controller(recorded)
+        pilot = super().servo(recorded)
         if self.fallback is not None:
             pilot.gate = replace(pilot.gate, fallback=self.fallback)
         return pilot
@@ -137,6 +137,7 @@ class ExactOptimum(AvoiderAround):
     settings: Settings
     name = "exact optimum"
     spread_threshold_m = None
+    sees = ()
 
     def propose(
         self, *, hand_position_in_base_m: Vector, tcp_position_in_base_m: Vector, seed: int
@@ -161,6 +162,7 @@ class InTheTimeOf(AvoiderAround):
     quick: OppositePose
     name = "opposite pose"
     spread_threshold_m = None
+    sees = ()
 
     def propose(
         self, *, hand_position_in_base_m: Vector, tcp_position_in_base_m: Vector, seed: int

@@ -15,7 +15,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from types import FrameType
-from typing import NamedTuple, Protocol, TypeGuard
+from typing import Any, NamedTuple, Protocol, TypeGuard
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,11 +26,11 @@ from safety_harness.avoidance.avoider import (
     Vector,
     Vectors,
     checked,
-    described,
-    printable,
+    shown_to,
     spread_threshold_of,
 )
-from safety_harness.exceptions import AvoiderError, NoAnswerError
+from safety_harness.controller.contract import Seen
+from safety_harness.exceptions import AvoiderError, NoAnswerError, described, printable
 from safety_harness.settings import DEFAULTS
 
 WALL_LIMIT_S = DEFAULTS.clock.wall_limit_s
@@ -54,12 +54,16 @@ class Answer:
 
 
 class Question(NamedTuple):
-    """One question, and how long its answer is waited for on the wall's clock.  Positions are (3,)."""
+    """One question, and how long its answer is waited for on the wall's clock.  Positions are (3,).
+
+    ``seen`` is for an avoider that sees more; None outside of a run.
+    """
 
     hand_position_in_base_m: Vector
     tcp_position_in_base_m: Vector
     seed: int
     limit_s: float = WALL_LIMIT_S
+    seen: Seen | None = None
 
 
 class OutOfProcessAvoider(ABC):
@@ -106,6 +110,7 @@ def _ask(avoider: Avoider, question: Question) -> Answer:
             hand_position_in_base_m=question.hand_position_in_base_m.copy(),
             tcp_position_in_base_m=question.tcp_position_in_base_m.copy(),
             seed=question.seed,
+            **_more(avoider, question),
         )
         return answer_of(proposal, threshold_m)
     except NoAnswerError:  # of an avoider that it asks
@@ -115,6 +120,14 @@ def _ask(avoider: Avoider, question: Question) -> Answer:
     except Exception as error:  # a user's code may raise anything
         frames = traceback.extract_tb(error.__traceback__, limit=2)  # this function, then the avoider's
         return Answer(fault=described(error, frames[1].filename if len(frames) > 1 else None))
+
+
+def _more(avoider: Avoider, question: Question) -> dict[str, Any]:
+    """The fourth keyword of an avoider that sees more."""
+    sees = shown_to(avoider)
+    if sees and question.seen is None:
+        raise AvoiderError(f"it sees {', '.join(sees)}, and is asked outside of a run, where nothing is seen")
+    return {"seen": question.seen} if sees else {}
 
 
 def answer_of(proposal: object, threshold_m: float | None) -> Answer:
@@ -161,8 +174,8 @@ class BatchAvoider(Avoider, Protocol):
 
 
 def takes_many(avoider: Avoider) -> TypeGuard[BatchAvoider]:
-    """Can the avoider be asked many questions at once?"""
-    return callable(getattr(avoider, "propose_many", None))
+    """Can the avoider be asked many questions at once?  One that sees more is asked for each."""
+    return callable(getattr(avoider, "propose_many", None)) and not getattr(avoider, "sees", None)
 
 
 def limit_of(questions: Sequence[Question]) -> float:

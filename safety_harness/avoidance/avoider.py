@@ -7,21 +7,18 @@ sees nothing of the simulator's truth.
 
 from __future__ import annotations
 
-import re
-import traceback
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.exceptions import AvoiderError, on_one_line
+from safety_harness.controller.contract import IMAGE, sees_of
+from safety_harness.exceptions import AvoiderError, ControllerError
 from safety_harness.scenario.decision_times import LONGEST_S
 
 Vector = NDArray[np.float64]  # (3,)
 Vectors = NDArray[np.float64]  # (n, 3)
-MOST_WORDS = 1_000
 LARGEST = float(np.finfo(np.float64).max)
 
 
@@ -42,6 +39,9 @@ class Avoider(Protocol):
     It may also have attributes ``spread_threshold_m`` (a number, or None): the gate then refuses
     a proposal whose spread is above it on any axis; and ``decision_time_s`` (a number): what a decision
     costs in simulated time, where the scenario's settings do not say otherwise.
+
+    And ``sees``, words of a controller's contract but for "image": ``propose`` is then asked with a fourth
+    keyword, ``seen``, which has what they name, as it was when the question was asked.
     """
 
     @property
@@ -80,6 +80,11 @@ class AvoiderAround:
         """The avoider's own; AvoiderError as there."""
         return decision_time_of(self.avoider)
 
+    @property
+    def sees(self) -> tuple[str, ...]:
+        """The avoider's own: an heir that asks it hands ``seen`` on."""
+        return shown_to(self.avoider)
+
 
 def spread_threshold_of(avoider: Avoider) -> float | None:
     """The largest spread [m] with which the avoider's proposals may be used; None for any.
@@ -97,6 +102,22 @@ def decision_time_of(avoider: Avoider) -> float:
     return _declared(avoider, "decision_time_s", f"a time from 0 s to {LONGEST_S:g} s", most=LONGEST_S) or 0.0
 
 
+def shown_to(avoider: Avoider) -> tuple[str, ...]:
+    """What the avoider sees beside the three keywords, in the order of the contract's ``SIGHTS``.
+
+    AvoiderError for a word that is none of them, and for pixels.
+    """
+    if getattr(avoider, "sees", None) is None:
+        return ()
+    try:
+        sees = sees_of(avoider)  # type: ignore[arg-type]  # it reads no more than that
+    except ControllerError as error:
+        raise AvoiderError(str(error)) from error
+    if IMAGE in sees:
+        raise AvoiderError(f"sees must be words that avoiders are shown; got {IMAGE!r}: no pixels")
+    return sees
+
+
 def _declared(avoider: Avoider, name: str, kind: str, *, most: float) -> float | None:
     """A number from 0 to ``most`` that the avoider may have; None for nothing declared, else AvoiderError."""
     value = getattr(avoider, name, None)
@@ -106,29 +127,6 @@ def _declared(avoider: Avoider, name: str, kind: str, *, most: float) -> float |
     if not number or isinstance(value, bool) or not 0.0 <= value <= most:
         raise AvoiderError(f"{name} must be {kind}, or None; got {value!r}")
     return float(value)
-
-
-def printable(text: str) -> str:
-    """A user's words on one line, at most ``MOST_WORDS`` characters, without the addresses of objects."""
-    return on_one_line(re.sub(r"0x[0-9a-fA-F]+", "0x...", " ".join(text[:MOST_WORDS].split())))
-
-
-def described(error: BaseException, file: str | None = None) -> str:
-    """What a user's code raised, on one line: "ZeroDivisionError: division by zero (mine.py:12)".
-
-    ``file`` is the user's file, as in the traceback; the line is the deepest one within it.
-    Addresses of objects are left out, so that a run says the same when it is repeated.
-    """
-    try:
-        text = str(error)
-    except Exception:  # a user's own exception may fail to say what it is
-        text = ""
-    what = printable(text)
-    lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == file]
-    if isinstance(error, SyntaxError) and error.filename == file:
-        lines, what = [error.lineno], printable(error.msg)  # its own text names the place, once more
-    where = f" ({Path(file).name}:{lines[-1]})" if file and lines else ""
-    return type(error).__name__ + (f": {what}" if what else "") + where
 
 
 def checked(proposal: object) -> Proposal:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.avoidance.asking import Answer, Question, ask
-from safety_harness.avoidance.avoider import Avoider, Proposal, Vector
+from safety_harness.avoidance.avoider import Avoider, Proposal, Vector, shown_to
 from safety_harness.exceptions import FlakyAvoiderError
 from safety_harness.scenario.faults import AvoiderNaN
 from safety_harness.trace.records import FAULT_CHARACTERS, Check
@@ -46,7 +46,12 @@ def asked_in(trace: Trace) -> list[Asked]:
 
 
 def refuse_flaky(avoider: Avoider, trace: Trace) -> None:
-    """Ask ``avoider`` again what it was asked in ``trace``; FlakyAvoiderError for other bits."""
+    """Ask ``avoider`` again what it was asked in ``trace``; FlakyAvoiderError for other bits.
+
+    One that sees more is not: no trace keeps all that it saw.
+    """
+    if shown_to(avoider):
+        return
     for one in asked_in(trace):
         answer = ask(avoider, one.question)
         if difference(one.answer, answer):
@@ -87,7 +92,7 @@ def _difference(trace: Trace, one: Asked, answer: Answer) -> str:
     first, second = _words(one.answer), _words(answer)
     time_s = float(trace.decisions["time_s"][one.number - 1])
     return (
-        f"the avoider {trace.provenance.avoider!r} answers the same question in two ways\n"
+        f"the avoider {trace.system.tested.name!r} answers the same question in two ways\n"
         f"  decision  {one.number} of {len(trace.decisions)}, at {time_s:.3f} s of "
         f"{trace.scenario.name}, with the seed {one.question.seed}\n"
         f"  first     {first}\n"

@@ -26,6 +26,7 @@ from safety_harness.avoidance.asking import (
 from safety_harness.avoidance.avoider import Avoider, Proposal, Vector
 from safety_harness.avoidance.own_body import own_distance
 from safety_harness.avoidance.simple import OppositePose
+from safety_harness.controller.contract import Seen
 from safety_harness.robot.capsules import CapsuleSet
 from safety_harness.robot.inverse import InverseKinematics
 from safety_harness.robot.obstacles import BoxRecords, box_records, distance_from
@@ -55,12 +56,13 @@ class Query:
     late: str = ""  # why there is no answer in simulated time; empty if there is one
     limit_s: float = WALL_LIMIT_S
     asked_of: tuple[Vector, Vector] | None = None
+    seen: Seen | None = None  # when it was asked
 
     @property
     def question(self) -> Question:
         """What the avoider is asked."""
         hand, tcp = self.asked_of or (self.hand_position_in_base_m, self.tcp_position_in_base_m)
-        return Question(hand, tcp, self.seed, self.limit_s)
+        return Question(hand, tcp, self.seed, self.limit_s, self.seen)
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.avoidance.avoider import Proposal, Vector, Vectors
-from safety_harness.avoidance.model_file import Dropout, Model
+from safety_harness.avoidance.model_file import PERCEPTRON, Dropout, Model
+from safety_harness.avoidance.perceptron_kernel import Perceptron, decide_perceptron, fold_perceptron
 from safety_harness.avoidance.resnet_kernel import FoldedNetwork, decide, fold
 
 
@@ -17,16 +18,19 @@ class LearnedAvoider:
     """Eqs. 9 and 10 of the paper: the mean of the passes (or members), and their standard deviation.
 
     A decision depends on its hand, TCP and seed alone: the same bits one at a time or in a batch of
-    any size.  The deterministic network and the ensemble take no notice of the seed.
+    any size.  Networks without dropout take no notice of the seed.
     """
 
     model: Model
     name: str
-    _network: FoldedNetwork
+    _network: FoldedNetwork | Perceptron
 
     @classmethod
     def of(cls, model: Model) -> LearnedAvoider:
         """The avoider that ``model`` describes."""
+        if model.kind == PERCEPTRON:
+            name = f"ensemble of {model.members} ReLU students" if model.members > 1 else "ReLU student"
+            return cls(model, name, fold_perceptron(model))
         if model.dropout is not Dropout.NONE:
             name = f"MC dropout ({model.dropout.value}, {model.passes} passes)"
         elif model.members > 1:
@@ -74,5 +78,8 @@ class LearnedAvoider:
                 f"got {hands.shape}, {tcps.shape} and {keys.shape}"
             )
         positions, spreads = np.empty(hands.shape), np.empty(hands.shape)
-        decide(self._network, hands, tcps, keys, positions, spreads)
+        if isinstance(self._network, Perceptron):
+            decide_perceptron(self._network, hands, tcps, positions, spreads)
+        else:
+            decide(self._network, hands, tcps, keys, positions, spreads)
         return positions, spreads

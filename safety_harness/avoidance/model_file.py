@@ -30,22 +30,25 @@ from safety_harness.exceptions import ModelError, OutputError, Place
 from safety_harness.scenario.decision_times import LONGEST_S
 from safety_harness.scenario.files import read_bytes
 from safety_harness.scenario.kinds import FileKind, refuse_other_kind
+from safety_harness.scenario.robots import Robot
 from safety_harness.scenario.typed_json import of_format, parsed, plain, typed
 from safety_harness.settings import Settings, Vector3
 from safety_harness.whole_file import replacing
 
 FORMAT = "safety-harness model 1"
-KIND = "regression resnet"
+RESNET, PERCEPTRON = "regression resnet", "relu perceptron"  # the kinds
 KEY = "safety_harness"  # of the metadata
 LARGEST_BYTES = 64 * 2**20
 LARGEST_DROPOUT = 0.9
 MOST_PASSES = 1000
 MOST_MEMBERS = 100
 CARD_TIME = "decision_time_s"  # of the card: what a decision costs in simulated time
+CARD_ARM = "arm"  # in whose cell the training data were drawn
 LARGEST_ONNX_BYTES = 256 * 2**20
 GRAPH, METADATA = 7, 14
 MOST_FIELDS = 10_000  # of which a file may have millions to no purpose; what comes later is not read
 FIXED = {1: 8, 5: 4}  # bytes of a value by its wire type
+PARTS = (("weight", 2), ("bias", 1))  # of a layer, and how many of its dimensions each has
 FARTHEST_M = 10.0  # a seen space beyond it is not in metres, or not around a robot's base
 
 INPUTS = 7  # hand (3) and TCP (3) in the base frame, normalised, and the constant 1
@@ -55,6 +58,9 @@ STAGES = 3
 BLOCKS = 3  # a stage: one dense block, then identity blocks
 STAGE_LAYERS = 3 * BLOCKS + 1  # a stage's one dense block has a layer in its shortcut too
 LAYERS = STAGES * STAGE_LAYERS
+PERCEPTRON_INPUTS = INPUTS - 1  # no constant: its layers have biases
+HIDDEN_LAYERS = 2
+SIZES = {RESNET: (STAGES, BLOCKS), PERCEPTRON: (HIDDEN_LAYERS, 1)}  # stages, and blocks of each
 NORM = ("weight", "bias", "running_mean", "running_var")  # of a batch norm
 
 Corner = Annotated[float, Meta(ge=-FARTHEST_M, le=FARTHEST_M)]
@@ -130,6 +136,11 @@ class NetworkUse:
         """What a decision costs in simulated time, as the card declares; 0 where it does not."""
         return float(self.card.get(CARD_TIME, 0.0))
 
+    @property
+    def made_for(self) -> str:
+        """The arm in whose cell its training data were drawn; cards that do not say it are of the UR10."""
+        return str(self.card.get(CARD_ARM, Robot.UR10.label))
+
 
 U = TypeVar("U", bound=NetworkUse)
 
@@ -140,14 +151,14 @@ class ModelMetadata(NetworkUse):
 
     The network sees x = (input - input_mean) / input_std (6,) and the constant 1; its answer y
     means the position target_mean + target_std y (3,) in the base frame.  Means and deviations are
-    in metres.
+    in metres.  A perceptron has no constant, and two stages of one layer each.
     """
 
     format: str = FORMAT
-    kind: Annotated[str, Meta(pattern=f"^{KIND}$")] = KIND
+    kind: Annotated[str, Meta(pattern=f"^({RESNET}|{PERCEPTRON})$")] = RESNET
     width: Annotated[int, Meta(ge=WIDTH, le=WIDTH)] = WIDTH
-    stages: Annotated[int, Meta(ge=STAGES, le=STAGES)] = STAGES
-    blocks: Annotated[int, Meta(ge=BLOCKS, le=BLOCKS)] = BLOCKS
+    stages: int = STAGES
+    blocks: int = BLOCKS
     members: Annotated[int, Meta(ge=1, le=MOST_MEMBERS)]
     input_mean: Annotated[tuple[float, ...], OfInputs]
     input_std: Annotated[tuple[Positive, ...], OfInputs]
@@ -157,7 +168,7 @@ class ModelMetadata(NetworkUse):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Model(ModelMetadata):
-    """A regression ResNet (or an ensemble of them) with all that is needed to use it.
+    """A network (or an ensemble of such) with all that is needed to use it.
 
     ``tensors`` are read-only float32 arrays, one set for each member.
     """
@@ -180,8 +191,11 @@ def layer_names() -> list[tuple[str, str]]:
     ]
 
 
-def tensor_shapes() -> dict[str, tuple[int, ...]]:
-    """Name and shape of every tensor of one member, in the order of the layers (figures 3 and 4)."""
+def tensor_shapes(kind: str = RESNET) -> dict[str, tuple[int, ...]]:
+    """Name and shape of every tensor of one member, in the order of the layers (a ResNet's: figures 3, 4)."""
+    if kind == PERCEPTRON:
+        sizes = {"fc1": (WIDTH, PERCEPTRON_INPUTS), "fc2": (WIDTH, WIDTH), "fc_out": (OUTPUTS, WIDTH)}
+        return {f"{name}.{part}": size[:n] for name, size in sizes.items() for part, n in PARTS}
     shapes: dict[str, tuple[int, ...]] = {}
     for block, number in layer_names():
         inputs = INPUTS if block == "stages.0.0" and number in ("1", "s") else WIDTH
@@ -232,20 +246,21 @@ def writing_to(path: Path) -> Iterator[None]:
         ) from error
 
 
-def refuse_foreign_seen_space(seen: SeenSpace, settings: Settings, path: Path) -> None:
-    """ModelError if a model never saw the cell's own desired TCP or its nominal hand position."""
+def refuse_foreign_cell(network: NetworkUse, settings: Settings, path: Path) -> None:
+    """ModelError if a network never saw the cell's own desired TCP or its nominal hand position."""
     for name, point_m in (
         ("tcp", settings.cell.desired_tcp_position_in_base_m),
         ("hand", settings.avoidance.nominal_hand_position_in_base_m),
     ):
-        low_m, high_m = seen.boxes[name]
+        low_m, high_m = network.seen.boxes[name]
         if not all(low <= x <= high for low, x, high in zip(low_m, point_m, high_m, strict=True)):
             refuse(
                 path,
                 f"seen.{name}_low_m to seen.{name}_high_m",
                 f"a seen space with the cell's {name} position {list(point_m)} in it",
                 f"{list(low_m)} to {list(high_m)}",
-                hint="the model was trained for another workspace",
+                hint=f"it was trained for another workspace, of the arm {network.made_for}; "
+                "`safety-harness train --robot SCENARIO` makes one for this",
             )
 
 
@@ -273,7 +288,14 @@ def _parse(data: bytes, path: Path) -> Model:
     # An ensemble's spread is over its members, and one pass has no spread: it would look certain.
     if metadata.dropout is not Dropout.NONE and metadata.members > 1:
         refuse(path, "members", "1 with dropout", str(metadata.members))
-    return Model(**vars(metadata), tensors=_tensors(stored, metadata.members, path))
+    for name, got, size in zip(
+        ("stages", "blocks"), (metadata.stages, metadata.blocks), SIZES[metadata.kind], strict=True
+    ):
+        if got != size:
+            refuse(path, name, f"{size} of a {metadata.kind}", str(got))
+    if metadata.kind == PERCEPTRON and metadata.dropout is not Dropout.NONE:
+        refuse(path, "dropout", f"'none' of a {PERCEPTRON}", repr(metadata.dropout.value))
+    return Model(**vars(metadata), tensors=_tensors(stored, metadata, path))
 
 
 def network_use(found: Any, kind: type[U], path: Path, *, others: bool = False) -> U:
@@ -291,17 +313,20 @@ def network_use(found: Any, kind: type[U], path: Path, *, others: bool = False) 
     time_s = made.card.get(CARD_TIME, 0.0)
     if type(time_s) not in (int, float) or not 0.0 <= time_s <= LONGEST_S:
         refuse(path, f"card.{CARD_TIME}", f"a time from 0 s to {LONGEST_S:g} s", repr(time_s)[:80])
+    if not (made.made_for.isprintable() and 0 < len(made.made_for) <= 100):
+        refuse(path, f"card.{CARD_ARM}", "the name of an arm", repr(made.made_for)[:80])
     return made
 
 
 def _tensors(
-    stored: Mapping[str, Mapping[str, Any]], members: int, path: Path
+    stored: Mapping[str, Mapping[str, Any]], metadata: ModelMetadata, path: Path
 ) -> dict[str, NDArray[np.float32]]:
     """Every tensor of every member, read-only; ``stored`` maps a name to its dtype, shape and bytes."""
-    shapes = {f"{k}/{name}": shape for k in range(members) for name, shape in tensor_shapes().items()}
+    kind, members = metadata.kind, metadata.members
+    shapes = {f"{k}/{name}": shape for k in range(members) for name, shape in tensor_shapes(kind).items()}
     for name in stored:
         if name not in shapes:
-            refuse(path, name, f"only tensors of a {KIND} with {members} member(s)", "this one too")
+            refuse(path, name, f"only tensors of a {kind} with {members} member(s)", "this one too")
     tensors = {}
     for name, shape in shapes.items():
         if name not in stored:

@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.avoidance.avoider import Proposal, Vector, described
+from safety_harness.avoidance.avoider import Proposal, Vector
 from safety_harness.avoidance.masks import masks
 from safety_harness.avoidance.model_file import (
     CARD_TIME,
@@ -39,7 +39,7 @@ from safety_harness.avoidance.model_file import (
     network_use,
     refuse,
 )
-from safety_harness.exceptions import ModelError, Place, on_one_line
+from safety_harness.exceptions import ModelError, Place, described, on_one_line
 from safety_harness.scenario.decision_times import LONGEST_S
 from safety_harness.scenario.typed_json import of_format, parsed
 

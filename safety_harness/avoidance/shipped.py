@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-SHIPPED = ("mc-dropout", "mc-dropout-full", "deterministic", "ensemble", "optimum")
+SHIPPED = ("mc-dropout", "mc-dropout-full", "deterministic", "ensemble", "optimum", "student")
 FOLDER = Path(__file__).resolve().parents[1] / "models"
 
 

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from safety_harness.campaign.identity import unpacked
+from safety_harness.admission.avoiders import option_of
+from safety_harness.campaign.identity import PlanFile, unpacked
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.merging import PAIRS
 from safety_harness.campaign.plan import Plan, read_plan
@@ -30,18 +31,27 @@ _LOST = (
 
 
 def plan_against(ledger: Ledger, reference: str) -> Plan:
-    """The ledger's plan with ``reference`` (named from the working directory) for its avoider.
+    """The ledger's plan with ``reference`` (named from the working directory) for what it tests.
 
     It is written, with all its files, to a folder beside the ledger, and read from there.
     """
+    return plan_with(ledger.files, reference, ledger.path.parent / f"{ledger.path.stem}-against")
+
+
+def plan_with(files: Sequence[PlanFile], reference: str, folder: Path) -> Plan:
+    """The plan of these files with ``reference``, to an avoider or a ``Driver``, for what it tests.
+
+    All files are written to a folder that is named by ``folder`` and the reference, and read from there.
+    """
     slug = re.sub(r"[^a-z0-9]+", "-", reference.lower()).strip("-")
-    file = unpacked(ledger.files, ledger.path.parent / f"{ledger.path.stem}-against-{slug}")
+    file = unpacked(files, folder.with_name(f"{folder.name}-{slug}"))
+    key = option_of(reference).removeprefix("--")
     own, name = file_and_name(reference)
     if own and not is_shipped(own):
         own = os.path.relpath(Path(own).expanduser().resolve(), file.parent)
         reference = f"{own}:{name}" if name else own
-    line, text = f"avoider: {reference}", file.read_text()
-    replaced, count = re.subn(r"(?m)^avoider:.*$", lambda _: line, text)
+    line, text = f"{key}: {reference}", file.read_text()
+    replaced, count = re.subn(r"(?m)^(avoider|controller):.*$", lambda _: line, text)
     write_text(file, replaced if count else f"{text.rstrip()}\n{line}\n")
     return read_plan(file)
 

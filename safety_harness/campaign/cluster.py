@@ -27,13 +27,12 @@ from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Any
 
-from safety_harness.avoidance.avoider import described
 from safety_harness.campaign.episodes import EpisodeRunner
 from safety_harness.campaign.identity import Identity, PlanFile, unpacked
 from safety_harness.campaign.plan import Plan
 from safety_harness.campaign.processes import LIMITS, Arrived, Chunk, Event, Limits, Lost, bench_of_file
 from safety_harness.campaign.rows import Row
-from safety_harness.exceptions import CampaignError, InputError, ScenarioError
+from safety_harness.exceptions import CampaignError, InputError, ScenarioError, described
 from safety_harness.extras import CLUSTER
 
 _AHEAD = 2  # chunks for each thread, so that none waits for the network

@@ -17,13 +17,13 @@ import numpy as np
 from safety_harness.admission.admit import Admitted, Admitter
 from safety_harness.admission.avoiders import is_executed
 from safety_harness.admission.claims import property_of
+from safety_harness.admission.repeatability import driven_in
 from safety_harness.admission.spaces import MAX_REJECTION_RATIO, why_refused
 from safety_harness.admission.trial import run_all
-from safety_harness.avoidance.avoider import described
 from safety_harness.avoidance.flaky import asked_in
 from safety_harness.campaign.plan import Plan
 from safety_harness.campaign.rows import ClaimJudgement, Row
-from safety_harness.exceptions import CampaignError, InputError
+from safety_harness.exceptions import CampaignError, InputError, described
 from safety_harness.properties.answered import fault_of, unanswered
 from safety_harness.properties.base import Evaluation
 from safety_harness.properties.finite import bad_decisions, bad_ticks
@@ -121,7 +121,7 @@ class EpisodeRunner:
         for k in range(MAX_REJECTION_RATIO):
             try:
                 scenario = self.scenario(stratum, episode, k)
-                if not self.programs and is_executed(scenario.avoider):
+                if not self.programs and is_executed(scenario.under_test):
                     raise CampaignError(f"{scenario.name} names a program, which is not to be executed")
                 return Drawn(episode, k + 1, self._admitter.admit(scenario))
             except InputError as error:
@@ -183,7 +183,8 @@ class EpisodeRunner:
             mishap=fault_of(run),
             failure=broken,
             worker=self.worker,
-            asked=tuple(asked_in(run)),
+            asked=() if run.scenario.driven else tuple(asked_in(run)),
+            driven=driven_in(run),
         )
 
     def _kept_whatever(self, stratum: int) -> frozenset[int]:

@@ -25,7 +25,10 @@ from safety_harness.shipped.contents import contents, is_installed, located
 from safety_harness.simulation.worlds import libraries_of, worlds_by_label
 from safety_harness.space.space import ScenarioSpace
 from safety_harness.trace.provenance import provenance
+from safety_harness.trace.system import SystemUnderTest
 from safety_harness.whole_file import writing
+
+SYSTEM = "the system under test"
 
 
 @dataclass(frozen=True)
@@ -49,11 +52,15 @@ class Identity:
         return cls(tuple((str(name), str(value)) for name, value in json.loads(text)))
 
     def changes(self, now: Identity) -> list[str]:
-        """What is another now, in words; empty if nothing is."""
+        """What is another now, in words; empty if nothing is.
+
+        Of a system under test only where no file, network or version of it has been named.
+        """
         before, after = dict(self.parts), dict(now.parts)
         words = [f"{name} changed" for name in before if name in after and before[name] != after[name]]
         words += [f"{name} is gone" for name in before if name not in after]
-        return words + [f"{name} is new" for name in after if name not in before]
+        words += [f"{name} is new" for name in after if name not in before]
+        return [one for one in words if not one.startswith(SYSTEM)] or words
 
     def refuse_other(self, now: Identity, file: Path, *, where: str = "", hint: str = "") -> None:
         """LedgerError that names what of ``file`` is another now than when its plan was declared."""
@@ -63,19 +70,27 @@ class Identity:
 
 
 def identity_of(
-    files: Sequence[PlanFile], spaces: Sequence[ScenarioSpace], avoider: str | None, world: str
+    files: Sequence[PlanFile],
+    spaces: Sequence[ScenarioSpace],
+    avoider: str | None,
+    world: str,
+    systems: Iterable[tuple[str, SystemUnderTest]] = (),
 ) -> Identity:
-    """Of a plan's files, the shipped networks that they name, this package and its libraries."""
+    """Of a plan's files, the shipped networks that they name, this package, its libraries.
+
+    And the ``systems`` under test, by their strata.
+    """
     parts = {f"the file {file.name}": file.sha256 for file in files}
     named = {avoider or ""} | {text for space in spaces for text in references_in(space.tree)}
     named |= {space.simplest.avoider for space in spaces}  # the default, of a space that names none
     for name in sorted(named & set(SHIPPED)):
         parts[f"the network {name}"] = hashlib.sha256(shipped_model(name).read_bytes()).hexdigest()
-    made_by = provenance(world, "", _libraries(spaces, world))
+    made_by = provenance(world, _libraries(spaces, world))
     parts["the source of this package"] = made_by.source_hash
     parts["Python"] = made_by.python
     parts["the platform"] = made_by.platform
     parts |= {f"the library {name}": version for name, version in made_by.libraries}
+    parts |= {f"{SYSTEM} in {name}": one.as_json for name, one in systems}
     return Identity(tuple(parts.items()))
 
 
@@ -87,7 +102,7 @@ def _libraries(spaces: Sequence[ScenarioSpace], world: str) -> tuple[str, ...]:
 
 
 MOST_BYTES = 200_000_000  # of all files together
-REFERRING = ("avoider", "recording")
+REFERRING = ("avoider", "controller", "recording")
 
 
 @dataclass(frozen=True)
@@ -112,7 +127,7 @@ def files_of_plan(
     """
     named = [plan.resolve(), *library.files]
     for space in spaces:
-        avoiders = (file_and_name(text)[0] for text in references_in(space.tree, ("avoider",)))
+        avoiders = (file_and_name(text)[0] for text in references_in(space.tree, ("avoider", "controller")))
         folder = space.file.parent if space.file else Path()
         named += _existing((*avoiders, *references_in(space.tree, ("recording",))), folder)
         named += _existing(map(str, _files_of(space.simplest.robot)), Path())

@@ -20,7 +20,7 @@ from urllib.parse import quote
 
 import numpy as np
 
-from safety_harness.admission.repeatability import RepeatabilityResult
+from safety_harness.admission.repeatability import DrivenAgain, RepeatabilityResult
 from safety_harness.campaign.identity import Identity, PlanFile
 from safety_harness.campaign.opening import connect, create, explained, refuse_any_file, unusable
 from safety_harness.campaign.plan import Plan
@@ -58,6 +58,13 @@ class Declared:
     claims: tuple[str, ...]
     units: tuple[Unit, ...]
     targets: tuple[float | None, ...]
+
+
+APART, BY_RUNS = 1, 2  # how it was asked again: elsewhere, or by driving again
+
+
+def _how(found: RepeatabilityResult) -> int:
+    return BY_RUNS if isinstance(found, DrivenAgain) else APART * found.apart
 
 
 class Ledger:
@@ -171,11 +178,11 @@ class Ledger:
             self.connection.execute(insert, (began, workers, machine))
 
     def note_repeated(self, found: RepeatabilityResult) -> None:
-        """Note down what a second avoider answered to questions of a session."""
+        """Note down what a second avoider answered to questions of a session, or a fresh controller did."""
         with self.transaction():
             self.connection.execute(
                 "INSERT INTO repeated (questions, asked, differing, words, apart) VALUES (?, ?, ?, ?, ?)",
-                (found.questions, found.asked, found.differing, found.words, found.apart),
+                (found.questions, found.asked, found.differing, found.words, _how(found)),
             )
 
     @property
@@ -191,12 +198,13 @@ class Ledger:
         order = "ORDER BY differing = 0, words = '', id"
         rows = list(self.all(f"SELECT questions, asked, differing, words, apart FROM repeated {order}"))
         questions, asked, differing = (sum(row[k] for row in rows) for k in range(3))
-        return RepeatabilityResult(
+        kind = DrivenAgain if any(row[4] == BY_RUNS for row in rows) else RepeatabilityResult
+        return kind(
             questions=questions,
             asked=asked,
             differing=differing,
             words=next((row[3] for row in rows), ""),
-            apart=any(row[4] for row in rows),
+            apart=any(row[4] == APART for row in rows),
         )
 
     @property
@@ -205,8 +213,10 @@ class Ledger:
         found = self.repeated.remembers
         if not found:
             return ""
-        why = "the avoider remembers earlier questions: episodes are not independent, no bound is stated"
-        return f"{why} ({found})"
+        why = "the avoider remembers earlier questions"
+        if isinstance(self.repeated, DrivenAgain):
+            why = "the controller is another from run to run"
+        return f"{why}: episodes are not independent, no bound is stated ({found})"
 
     def missing(self, stratum: int) -> Iterator[range]:
         """The planned episodes that are not there yet, as ranges in their order; none beyond a stop."""

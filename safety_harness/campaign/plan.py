@@ -7,27 +7,38 @@ docs/campaigns.md is the reference of the file.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
 
 from safety_harness.admission.avoiders import command_line_reference, with_avoider
 from safety_harness.admission.claims import property_of
+from safety_harness.admission.driving import named_system
 from safety_harness.campaign.identity import Identity, PlanFile, files_of_plan, identity_of, references_in
-from safety_harness.exceptions import Place
+from safety_harness.exceptions import InadmissibleError, Place
 from safety_harness.properties.base import Unit
 from safety_harness.scenario.compose import Library
 from safety_harness.scenario.fields import Field, Fields
 from safety_harness.scenario.files import as_path
 from safety_harness.scenario.kinds import FileKind, refuse_other_kind
-from safety_harness.scenario.model import LARGEST_SEED, Claim, Scenario, Verdict
+from safety_harness.scenario.model import (
+    LARGEST_SEED,
+    NO_AVOIDER,
+    VISUAL_SERVO,
+    Claim,
+    Driver,
+    Scenario,
+    Verdict,
+)
 from safety_harness.scenario.references import file_and_name
 from safety_harness.scenario.units import FRACTION
 from safety_harness.shipped.contents import located
 from safety_harness.simulation.worlds import REFERENCE, WorldEntry, worlds_by_label
 from safety_harness.space.read import read_space
 from safety_harness.space.space import ScenarioSpace
+from safety_harness.trace.system import SystemUnderTest
 
 V = TypeVar("V")
 
@@ -35,6 +46,7 @@ KEYS = (
     "plan",
     "about",
     "avoider",
+    "controller",
     "world",
     "confidence",
     "seed",
@@ -137,11 +149,16 @@ def read_plan(path: str | Path) -> Plan:
     root = Field(library.tree(path), path, path="", line=1)
     given = root.fields(KEYS)
     title = given.required("plan").prose("a title on one line")
-    avoider = given.optional("avoider")
+    avoider, controller = given.optional("avoider"), given.optional("controller")
     reference = avoider.sentence("the name of an avoider") if avoider else None
-    place = avoider.place if avoider else Place(field="avoider")
+    if controller:
+        if avoider:
+            raise avoider.error("one of avoider and controller: only the visual servo asks one", got="both")
+        reference = Driver(controller.sentence("the name of a controller"))
+    named = avoider or controller
+    place = named.place if named else Place(field="avoider")
     strata = _strata(given.required("strata"), path.parent, library)
-    if avoider and reference:
+    if reference:
         for stratum in strata:
             with_avoider(stratum.space.simplest, _from(path.parent, reference), place)
     claims = _claims(given.required("claims"), strata)
@@ -170,9 +187,23 @@ def read_plan(path: str | Path) -> Plan:
         stop_early=stop_early,
         file=path,
         files=files,
-        identity=identity_of(files, [s.space for s in strata], reference, world.label),
+        identity=identity_of(
+            files, [s.space for s in strata], reference, world.label, _systems(strata, path, reference)
+        ),
         avoider_place=place,
     )
+
+
+def _systems(
+    strata: Iterable[Stratum], path: Path, reference: str | None
+) -> Iterator[tuple[str, SystemUnderTest]]:
+    """What each stratum tests; without one whose program is not there, which admission refuses in words."""
+    for stratum in strata:
+        scenario = stratum.space.simplest
+        if reference:
+            scenario = with_avoider(scenario, _from(path.parent, reference))
+        with suppress(OSError, InadmissibleError):
+            yield stratum.name, named_system(scenario)
 
 
 def stratum_number(name: str) -> int:
@@ -185,19 +216,26 @@ def scenarios_by_avoider(plan: Plan) -> Iterable[Scenario]:
     found: dict[str, Scenario] = {}
     for stratum in plan.strata:
         simplest = plan.with_avoider(stratum.space.simplest)
-        others = [] if plan.avoider else references_in(stratum.space.tree, ("avoider",))
-        for reference in (simplest.avoider, *others):
-            one = replace(simplest, avoider=reference)
+        others: list[Scenario] = []
+        if not plan.avoider:
+            tree = stratum.space.tree
+            others = [replace(simplest, avoider=one) for one in references_in(tree, ("avoider",))]
+            others += [
+                replace(simplest, controller=one, avoider=NO_AVOIDER)
+                for one in references_in(tree, ("controller",))
+                if one != VISUAL_SERVO
+            ]
+        for one in (simplest, *others):
             found.setdefault(command_line_reference(one), one)
     return found.values()
 
 
 def _from(folder: Path, reference: str) -> str:
-    """The reference to an avoider, its file as seen from the working directory."""
+    """The reference to what is tested, its file as seen from the working directory."""
     file, name = file_and_name(reference)
     if not file:
         return reference
-    return str(located(folder / Path(file).expanduser())) + (f":{name}" if name else "")
+    return type(reference)(str(located(folder / Path(file).expanduser())) + (f":{name}" if name else ""))
 
 
 def _read(given: Fields | None, key: str, read: Callable[[Field], V], default: V) -> V:

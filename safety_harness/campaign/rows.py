@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
+from safety_harness.admission.repeatability import DrivenRun
 from safety_harness.avoidance.flaky import Asked
 from safety_harness.statistics.sample import EpisodeOutcome
 from safety_harness.trace.overruling import Overruling
@@ -48,7 +49,9 @@ class Row:
     seconds: float = 0.0
     worker: str = ""
     trace: bytes | None = field(default=None, repr=False)
-    asked: tuple[Asked, ...] = field(default=(), repr=False, compare=False)  # of which a ledger keeps nothing
+    # Of which a ledger keeps nothing.
+    asked: tuple[Asked, ...] = field(default=(), repr=False, compare=False)
+    driven: DrivenRun | None = field(default=None, repr=False, compare=False)
 
     @property
     def violates(self) -> bool:

@@ -137,6 +137,8 @@ class CampaignRunner:
             waiting.discard(row.episode)
             drawn = partial(self._bench.scenario, row.stratum, row.episode, row.draws - 1)
             self.repeatability.take(row.asked, drawn)
+            if row.driven is not None:
+                self.repeatability.take_run(row.driven, drawn)
             self._rows.append(row)
             self.done_now += 1
             self._spent_s += row.seconds

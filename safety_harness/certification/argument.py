@@ -97,14 +97,14 @@ def argument_of(evidence: Evidence) -> Element:
     )
     top = Element(
         ElementKind.GOAL,
-        f"{system.avoider} keeps the plan's claims in the declared domain, as often as it asks"
+        f"{system.tested} keeps the plan's claims in the declared domain, as often as it asks"
         + (f"; {evidence.fallback}" if evidence.fallback else ""),
         "claims",
         STATE[evidence.standing],
         below=(by_claims, by_means),
         beside=(
             Element(ElementKind.CONTEXT, domain, "strata"),
-            Element(ElementKind.CONTEXT, f"System: {system.avoider} on {system.robot}", "system"),
+            Element(ElementKind.CONTEXT, f"System: {system.tested} on {system.robot}", "system"),
             Element(ElementKind.ASSUMPTION, cell, "assumptions"),
         ),
     )

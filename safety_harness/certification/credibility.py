@@ -71,7 +71,7 @@ def _no_reruns(chosen: Sequence[Trace]) -> list[str]:
     """Why no run is made again; empty if some are."""
     if not chosen:
         return ["No declared random run was stored, so none was made again with other step sizes."]
-    if any(is_a_program(trace.scenario.avoider) for trace in chosen):
+    if any(is_a_program(trace.scenario.under_test) for trace in chosen):
         return ["Runs of a program of the user's are not made again here: verify does, when told to."]
     return []
 

@@ -19,6 +19,7 @@ import msgspec
 from safety_harness.certification.tools import CoverageOfRuns, Credibility, SelfTest
 from safety_harness.properties.answered import fallback_words
 from safety_harness.scenario.typed_json import of_format, plain, read_json, typed
+from safety_harness.trace.system import SystemUnderTest
 
 FORMAT = "safety-harness evidence 1"
 UNANSWERED = "decision faults"  # among a stratum's decisions: those without a usable answer of the avoider
@@ -179,17 +180,39 @@ class DeclaredPlan:
 
 @dataclass(frozen=True, kw_only=True)
 class SystemDescription:
-    """The system under test.  Pairs are (label, value) in words."""
+    """The system under test.  Pairs are (label, value) in words; ``gate`` is empty where there is none."""
 
-    avoider: str
-    avoider_sha256: str
-    robot: str
-    robot_sha256: str
+    under_test: tuple[SystemUnderTest, ...]  # each that a stratum has
     card: tuple[tuple[str, str], ...]
     limits: tuple[str, ...]
     gate: tuple[tuple[str, str], ...]
     settings: tuple[tuple[str, str], ...]
     changed: tuple[tuple[str, str, str], ...]  # setting, default, in this plan
+
+    @property
+    def tested(self) -> str:
+        """Avoiders and controllers, by name."""
+        return " and ".join(dict.fromkeys(one.tested.name for one in self.under_test))
+
+    @property
+    def robot(self) -> str:
+        """Or robots."""
+        return " and ".join(dict.fromkeys(one.robot.name for one in self.under_test))
+
+    @property
+    def asks(self) -> bool:
+        """Is there an avoider?"""
+        return any(one.avoider is not None for one in self.under_test)
+
+    @property
+    def facts(self) -> tuple[tuple[str, str], ...]:
+        """(part, name and hash), each once."""
+        found = (pair for one in self.under_test for pair in one.parts.items())
+        labels = (
+            (name.capitalize(), f"{part.name}, sha256 {part.sha256}" if part.sha256 else part.name)
+            for name, part in found
+        )
+        return tuple(dict.fromkeys(labels))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -154,7 +154,7 @@ def _plan(plan: Plan, ledger: Ledger) -> PlanEvidence:
 
 
 def _origin(plan: Plan, ledger: Ledger, folder: Path, command: str) -> Origin:
-    made = provenance(plan.world.label, "")
+    made = provenance(plan.world.label)
     began_at, machine, spent_s = sessions_of(ledger)
     return Origin(
         package_version=made.package_version,

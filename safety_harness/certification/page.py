@@ -26,7 +26,7 @@ MEANINGS = {
     ClaimStatus.SHOWN: "the upper bound of the violation probability is at or below the target in every "
     "stratum",
     ClaimStatus.DOUBTED: "so it is, but runs without a verdict count against it, or it is about the model "
-    "only, or about the fallback in the avoider's place",
+    "only",
     ClaimStatus.NOT_SHOWN: "the upper bound is above the target: too few runs, or too many violations",
     ClaimStatus.REFUTED: "even the lower bound is above the target",
     ClaimStatus.ESTIMATED: "the plan sets no target, so there is nothing to be shown",
@@ -38,6 +38,11 @@ MEANINGS = {
 def write_page(path: Path, evidence: Evidence, runs: Mapping[int, JudgedRun]) -> None:
     """Write the page whole or not at all; it asks nothing of the network.  Raises OSError."""
     write_whole(path, render(evidence, runs))
+
+
+def _meanings(evidence: Evidence) -> dict[ClaimStatus, str]:
+    stood_in = ", or about the fallback in the avoider's place" if evidence.system.asks else ""
+    return MEANINGS | {ClaimStatus.DOUBTED: MEANINGS[ClaimStatus.DOUBTED] + stood_in}
 
 
 def render(evidence: Evidence, runs: Mapping[int, JudgedRun]) -> str:
@@ -55,7 +60,7 @@ def render(evidence: Evidence, runs: Mapping[int, JudgedRun]) -> str:
         evidence=evidence,
         state=STATE,
         counts=_counts(evidence),
-        meanings=MEANINGS,
+        meanings=_meanings(evidence),
         tables=TABLES,
         bounds_figure=bounds_figure,
         margins_figure=margins_figure,

@@ -7,14 +7,13 @@ viewer goes straight from one kept tick to the next.
 
 from __future__ import annotations
 
-import base64
-import json
 from math import isfinite
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from safety_harness.report.arm_page import arm_in_scene, column, in_script, rounded
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.path_views import shown_moment
 from safety_harness.report.svg import plain
@@ -26,7 +25,6 @@ from safety_harness.simulation.truth import cell_capsules
 from safety_harness.trace.unmeasured import as_measured, decided, measured
 
 MOST_TICKS = 750  # more are not seen; a run of ten seconds has 1250
-LITTLE_ENDIAN = "<f4"
 ANY = 1_000_000  # no capsule: it is not known to which a hand is nearest
 
 
@@ -46,19 +44,7 @@ def replay_json(run: JudgedRun) -> str:
     predicted = np.where(ticks["track_valid"][:, :, None], ticks["predicted_hand_in_base_m"], np.nan)
     used = int(np.max(np.flatnonzero(ticks["track_valid"].any(axis=0)) + 1, initial=0))
     found: dict[str, Any] = {
-        "joint_origins": [_rounded(origin, 9) for origin in arm.joint_origins],
-        "joint_axes": arm.joint_axes.tolist(),
-        "flange": _rounded(arm.flange, 9),
-        "capsules": [
-            {"link": int(link), "start": _rounded(start), "end": _rounded(end), "radius_m": float(radius)}
-            for link, start, end, radius in zip(
-                capsules.link_index,
-                capsules.start_in_link,
-                capsules.end_in_link,
-                capsules.radius_m,
-                strict=True,
-            )
-        ],
+        **arm_in_scene(arm, capsules),
         "hands": [plain(hand.name, longest=40) for hand in trace.scenario.hands],
         "hand_radius_m": settings.hand.radius_m,
         "forearm_radius_m": settings.hand.forearm_radius_m,
@@ -72,18 +58,18 @@ def replay_json(run: JudgedRun) -> str:
         "modes": {str(int(mode)): words for mode, words in MODE_WORDS.items()} | modes,
         "decisions": [_decision(decision) for decision in trace.decisions if decided(trace, "time_s")],
         "columns": {
-            "time_s": _column(ticks["time_s"]),
-            "joint_position_rad": _column(ticks["joint_position_rad"]),
-            "tcp_in_base_m": _column(ticks["transform_tcp_to_base"][:, :3, 3]),
-            "hand_in_base_m": _column(ticks["hand_position_in_base_m"][:, :hands]),
-            "elbow_in_base_m": _column(ticks["elbow_position_in_base_m"][:, :hands]),
-            "hand_distance_m": _column(np.where(present, ticks["hand_distance_m"], np.nan)[:, :hands]),
-            "nearest_capsule": _column(np.where(there, nearest, -1)[:, :hands]),
-            "predicted_in_base_m": _column(predicted[:, :used]),
-            "mode": _column(np.where(measured(trace, "mode")[kept], ticks["mode"], -1)),
+            "time_s": column(ticks["time_s"]),
+            "joint_position_rad": column(ticks["joint_position_rad"]),
+            "tcp_in_base_m": column(ticks["transform_tcp_to_base"][:, :3, 3]),
+            "hand_in_base_m": column(ticks["hand_position_in_base_m"][:, :hands]),
+            "elbow_in_base_m": column(ticks["elbow_position_in_base_m"][:, :hands]),
+            "hand_distance_m": column(np.where(present, ticks["hand_distance_m"], np.nan)[:, :hands]),
+            "nearest_capsule": column(np.where(there, nearest, -1)[:, :hands]),
+            "predicted_in_base_m": column(predicted[:, :used]),
+            "mode": column(np.where(measured(trace, "mode")[kept], ticks["mode"], -1)),
         },
     }
-    return json.dumps(found, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
+    return in_script(found)
 
 
 def kept_ticks(run: JudgedRun) -> NDArray[np.int64]:
@@ -107,24 +93,16 @@ def _object(shape: Object) -> list[list[float]]:
     c, s = np.cos(shape.yaw_rad), np.sin(shape.yaw_rad)
     corners = np.zeros((len(shape.polygon_m), 3))
     corners[:, :2] = np.array(shape.polygon_m) @ np.array([[c, s], [-s, c]])
-    return [_rounded(corner) for corner in corners + shape.position_in_base_m]
+    return [rounded(corner) for corner in corners + shape.position_in_base_m]
 
 
 def _faces(box: Obstacle) -> list[list[list[float]]]:
     """The corners of its floor, its top and two walls, which have all edges."""
-    corners = [_rounded(corner) for corner in box.corners_in_base_m]
+    corners = [rounded(corner) for corner in box.corners_in_base_m]
     return [[corners[k] for k in face] for face in ((0, 1, 2, 3), (4, 5, 6, 7), (0, 1, 5, 4), (2, 3, 7, 6))]
 
 
 def _decision(decision: np.void) -> dict[str, Any]:
     chosen = decision["chosen_position_in_base_m"]
     finite = bool(np.all(np.isfinite(chosen)))
-    return {"time_s": float(decision["time_s"]), "chosen_in_base_m": _rounded(chosen) if finite else None}
-
-
-def _column(values: NDArray[Any]) -> str:
-    return base64.b64encode(np.ascontiguousarray(values, LITTLE_ENDIAN).tobytes()).decode()
-
-
-def _rounded(values: NDArray[np.float64], digits: int = 5) -> list[float]:
-    return [round(float(value), digits) for value in values.ravel()]
+    return {"time_s": float(decision["time_s"]), "chosen_in_base_m": rounded(chosen) if finite else None}

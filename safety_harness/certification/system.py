@@ -8,7 +8,8 @@ from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
-from safety_harness.admission.avoiders import NAMES, avoider_sha256
+from safety_harness.admission.avoiders import NAMES
+from safety_harness.admission.driving import named_system
 from safety_harness.avoidance.model_file import Model, load_model
 from safety_harness.avoidance.shipped import SHIPPED, shipped_model
 from safety_harness.campaign.plan import Plan
@@ -16,7 +17,6 @@ from safety_harness.certification.evidence import SystemDescription
 from safety_harness.properties.answered import NOT_MODELLED
 from safety_harness.report.decisions import cost_words
 from safety_harness.report.words import changed_settings, drives_as_modelled, setting_words
-from safety_harness.robot.robots import urdf_sha256_of
 from safety_harness.scenario.files import resolved
 from safety_harness.scenario.model import Scenario
 from safety_harness.scenario.references import MODEL_SUFFIX
@@ -37,18 +37,13 @@ def system_of(plan: Plan) -> SystemDescription:
     """What the plan's strata have in common is taken from each one's simplest scenario."""
     scenarios = [plan.with_avoider(stratum.space.simplest) for stratum in plan.strata]
     first = scenarios[0]
-    avoiders = list(dict.fromkeys(scenario.avoider for scenario in scenarios))
-    robots = list(dict.fromkeys(scenario.robot.label for scenario in scenarios))
     model = model_of(first)
     changed = dict.fromkeys(row for scenario in scenarios for row in _changed(scenario))
     return SystemDescription(
-        avoider=" and ".join(avoiders),
-        avoider_sha256=avoider_sha256(first) if len(avoiders) == 1 else "",
-        robot=" and ".join(robots),
-        robot_sha256=urdf_sha256_of(first.robot),
+        under_test=tuple(dict.fromkeys(map(named_system, scenarios))),
         card=() if model is None else tuple(card_of(model)),
         limits=() if model is None else tuple(str(one) for one in model.card.get("limits", ())),
-        gate=tuple(_gate(first.settings, model, named=first.avoider in NAMES)),
+        gate=() if first.driven else tuple(_gate(first.settings, model, named=first.avoider in NAMES)),
         settings=tuple(_settings("", first.settings)),
         changed=tuple(changed),
     )
@@ -72,7 +67,7 @@ def model_of(scenario: Scenario) -> Model | None:
 
 def card_of(model: Model) -> Iterator[tuple[str, str]]:
     """What the model's own file says of it."""
-    yield "Network", f"regression ResNet, {model.members} member(s), dropout {model.dropout.value}"
+    yield "Network", f"{model.kind}, {model.members} member(s), dropout {model.dropout.value}"
     if model.passes > 1:
         yield "Passes", f"{model.passes}, dropout probability {model.dropout_probability:g}"
     for key, title in CARD.items():

@@ -23,7 +23,7 @@ from safety_harness.certification.folder import JSON, read_manifest
 from safety_harness.certification.lodged import L, declaration_of, read_declaration, read_seal, seal_of
 from safety_harness.certification.verify_files import (
     Examination,
-    Report,
+    ReportFolder,
     check_files,
     check_plan,
     check_rows,
@@ -61,7 +61,9 @@ def lodged_hash(text: str | None, field: str) -> str | Path | None:
     )
 
 
-def check_lodged(report: Report, *, seal: str | Path | None, declared: str | Path | None) -> Examination:
+def check_lodged(
+    report: ReportFolder, *, seal: str | Path | None, declared: str | Path | None
+) -> Examination:
     """Against what was lodged elsewhere, or what it means that nothing was."""
     faults, notes, unchecked = [], [], []
     if seal is None:
@@ -137,7 +139,7 @@ def verify(
         if not own.stands:
             yield Examination("rest", "nothing that follows from the plan", unchecked=(_REST,))
             return
-        report = Report(folder, hashes, recorded, plan, ledger)
+        report = ReportFolder(folder, hashes, recorded, plan, ledger)
         drawing = Drawing(runs=runs, miss=miss, seed=seed, programs=execute_avoider, on_progress=on_progress)
         try:
             yield from _of_the_plan(report, drawing)
@@ -148,7 +150,7 @@ def verify(
             yield Examination("rest", "the rest of the report", (str(error),), unchecked=(_REST,))
 
 
-def _of_the_plan(report: Report, drawing: Drawing) -> Iterator[Examination]:
+def _of_the_plan(report: ReportFolder, drawing: Drawing) -> Iterator[Examination]:
     """What follows from a plan that is the declared one, and a ledger whose rows are of its runs."""
     plan, ledger, same = report.plan, report.ledger, report.same
     repeats = same and not programs_in(plan)

@@ -88,7 +88,7 @@ def check_plan(folder: Path, known: Plan, ledger: Ledger) -> Examination:
 
 
 @dataclass(frozen=True, eq=False)
-class Report:
+class ReportFolder:
     """What is verified: a folder, the hashes in its manifest, its evidence, its plan and its ledger."""
 
     folder: Path

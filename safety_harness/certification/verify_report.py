@@ -36,7 +36,7 @@ from safety_harness.certification.lodged import declaration_of
 from safety_harness.certification.page import render
 from safety_harness.certification.stored import Stored
 from safety_harness.certification.tools import Credibility, HarnessTrials
-from safety_harness.certification.verify_files import Examination, Report, few
+from safety_harness.certification.verify_files import Examination, ReportFolder, few
 from safety_harness.certification.whose_fault import whose_fault
 from safety_harness.exceptions import InputError, Place
 from safety_harness.scenario.files import read_bytes
@@ -52,7 +52,7 @@ _NUMBER = re.compile(rb"-?\d+(?:\.\d+)?")
 _AROUND = 60  # letters shown before and after a difference
 
 
-def check_pages(report: Report, gathered: GatheredEvidence) -> Examination:
+def check_pages(report: ReportFolder, gathered: GatheredEvidence) -> Examination:
     """The page and the JUnit XML, made again from the evidence; with other software a difference is said."""
     folder, recorded = report.folder, report.recorded
     faults, notes, unchecked = list(_traces(folder, gathered)), [], []
@@ -135,7 +135,7 @@ WORDS = {
 CLOSE = 1e-9  # relative: another scipy's last digits
 
 
-def check_numbers(report: Report, *, again: bool) -> tuple[Examination, GatheredEvidence]:
+def check_numbers(report: ReportFolder, *, again: bool) -> tuple[Examination, GatheredEvidence]:
     """Everything that follows from the ledger and the searches, computed anew.
 
     ``again``: the runs are made again that doubt the simulator.
@@ -191,7 +191,7 @@ def _origin(recorded: EvidenceProvenance, ledger: Ledger, *, same: bool) -> Evid
     began_at, machine, spent_s = sessions_of(ledger)
     return replace(
         recorded,
-        package_version=provenance("", "").package_version if same else recorded.package_version,
+        package_version=provenance("").package_version if same else recorded.package_version,
         source_hash=parts.get("the source of this package", ""),
         python=parts.get("Python", ""),
         platform=parts.get("the platform", ""),
@@ -233,7 +233,7 @@ def _short(value: Any) -> str:
     return text if len(text) <= 80 else f"{text[:77]}..."
 
 
-def _files(report: Report) -> Iterator[str]:
+def _files(report: ReportFolder) -> Iterator[str]:
     """The list in the evidence is that of the manifest, and the evidence the file that certify wrote."""
     folder, recorded = report.folder, report.recorded
     listed = {one.path: one.sha256 for one in recorded.files}

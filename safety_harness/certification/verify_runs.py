@@ -11,7 +11,6 @@ from itertools import groupby
 from safety_harness.admission.admit import admit
 from safety_harness.admission.avoiders import is_executed
 from safety_harness.admission.trial import run_trial
-from safety_harness.avoidance.avoider import described
 from safety_harness.campaign.episodes import EpisodeRunner
 from safety_harness.campaign.identity import references_in
 from safety_harness.campaign.ledger import Ledger
@@ -22,7 +21,7 @@ from safety_harness.certification.gather import GatheredEvidence
 from safety_harness.certification.stored import trace_of
 from safety_harness.certification.verdicts import percent
 from safety_harness.certification.verify_files import Examination, few, kept
-from safety_harness.exceptions import CampaignError, InputError, SafetyHarnessError
+from safety_harness.exceptions import CampaignError, InputError, SafetyHarnessError, described
 from safety_harness.properties.true_motion import refuse_contradictions
 from safety_harness.scenario.write import write_scenario
 from safety_harness.seeds import Branch, generator
@@ -98,7 +97,7 @@ def programs_in(plan: Plan) -> list[str]:
     """Files that a run of the plan may execute, wherever its spaces name them: Python, and ONNX."""
     texts = [plan.avoider or ""]
     for stratum in plan.strata:
-        texts += [stratum.space.simplest.avoider, *references_in(stratum.space.tree)]
+        texts += [stratum.space.simplest.under_test, *references_in(stratum.space.tree)]
     return sorted({text for text in texts if is_executed(text)})
 
 
@@ -226,7 +225,7 @@ def check_searched(gathered: GatheredEvidence, *, same: bool, programs: bool) ->
         if one.shown.independent:
             continue
         trace, count = one.run.trace, count + 1
-        if is_executed(trace.scenario.avoider) and not programs:
+        if is_executed(trace.scenario.under_test) and not programs:
             unchecked.append(f"{one.shown.trace_file} is of a program, which is not executed")
             continue
         try:

@@ -8,11 +8,10 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from safety_harness.admission.admit import Admitted, Admitter
-from safety_harness.admission.avoiders import is_a_program, with_avoider
+from safety_harness.admission.avoiders import is_a_program, option_of, with_avoider
 from safety_harness.admission.trial import judge
 from safety_harness.attribution.attribute import Attribution, AttributionAnswer, attribute, confirmed
 from safety_harness.attribution.tally import AttributionTally
-from safety_harness.avoidance.avoider import described
 from safety_harness.cli.console import (
     AS_EXPECTED,
     BAD_INPUT,
@@ -25,7 +24,7 @@ from safety_harness.cli.console import (
     usable,
 )
 from safety_harness.cli.progress import counting
-from safety_harness.exceptions import InputError, Place, ScenarioError, TraceError
+from safety_harness.exceptions import InputError, Place, ScenarioError, TraceError, described
 from safety_harness.report.attribution_picture import draw_attributions
 from safety_harness.report.page_parts import asset
 from safety_harness.report.search_attribution import confirming_line
@@ -138,11 +137,12 @@ def _violated(path: Path, avoider: str | None) -> Scenario:
     scenario = trace.scenario
     if avoider is not None:
         scenario = with_avoider(scenario, avoider)
-    elif is_a_program(scenario.avoider):
+    elif is_a_program(tested := scenario.under_test):
+        option = option_of(tested)
         raise TraceError(
-            place=Place(file=path, field="avoider"),
-            expected="the program named with --avoider, since repeating the run executes it",
-            got=f"a trace made with {scenario.avoider}",
+            place=Place(file=path, field=option.removeprefix("--")),
+            expected=f"the program named with {option}, since repeating the run executes it",
+            got=f"a trace made with {tested}",
         )
     evaluations = judge(trace, file=path)
     claims = tuple(

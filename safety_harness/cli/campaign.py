@@ -19,7 +19,15 @@ from safety_harness.cli.console import (
     say_shared_modules,
     verbatim,
 )
-from safety_harness.cli.options import AttributionOut, Confirm, Executes, OfReference, Workers, command
+from safety_harness.cli.options import (
+    AttributionOut,
+    Confirm,
+    Executes,
+    OfController,
+    OfReference,
+    Workers,
+    command,
+)
 from safety_harness.exceptions import LedgerError, ScenarioError
 
 if TYPE_CHECKING:
@@ -46,6 +54,7 @@ def run(
     workers: Workers = None,
     cluster: _Cluster = None,
     part: _Part = "1/1",
+    controller: OfController = None,
 ) -> int:
     """Run a plan's episodes in many processes, or what is left of them if the ledger is there already.
 
@@ -55,10 +64,14 @@ def run(
     left; 2: bad input, another plan's
     ledger, or a disk that takes no more; 130: interrupted.
     """
+    from safety_harness.campaign.against import plan_with
     from safety_harness.campaign.plan import read_plan
     from safety_harness.campaign.session import LEDGER
+    from safety_harness.scenario.model import Driver
 
     read = read_plan(plan)
+    if controller is not None:
+        read = plan_with(read.files, Driver(controller), Path("reports") / read.name)
     return _carry_on(read, ledger or Path("reports") / read.name / LEDGER, workers, cluster, part)
 
 
@@ -219,12 +232,13 @@ def compare(
     first: Annotated[Path, Argument(help="The ledger before; with --against, that after.", metavar="A")],
     second: Annotated[Path | None, Argument(help="The ledger after.", metavar="[B]")] = None,
     against: OfReference = None,
+    controller: OfController = None,
     workers: Workers = None,
 ) -> int:
     """Say what got worse from A to B, two campaigns over the same episodes with different avoiders.
 
-    With --against in place of B the plan of A is run with that avoider first, beside the ledger, or what is
-    left of it; then it says what is worse in A.
+    With --against (an avoider) or --controller in place of B the plan of A is run with that first, beside the
+    ledger, or what is left of it; then it says what is worse in A.
     For each claim and stratum the difference in the chance of a violation with exact bounds, paired by
     episode; how much more the gate overruled; then the episodes that only B violates, the largest loss of
     margin first; last margins that B lost though both hold, and in one sentence the episodes that only one of
@@ -232,6 +246,7 @@ def compare(
     Exit code 0; 1: B is shown to be worse somewhere; 2: campaigns that cannot be compared; of a run that did
     not end well, its own.
     """
+    from safety_harness.admission.avoiders import one_of
     from safety_harness.campaign.against import against_lines, plan_against
     from safety_harness.campaign.ledger import Ledger
     from safety_harness.campaign.merging import compare_ledgers, worse_episodes
@@ -241,20 +256,21 @@ def compare(
     from safety_harness.cli.campaign_lines import difference_lines
     from safety_harness.report.machine import SI_UNITS
 
-    if (second is None) is (against is None):
-        raise ScenarioError.of_option("compare", "either B or --against", "both or none")
-    if against is not None:
+    reference = one_of(against, controller)
+    if (second is None) is (reference is None):
+        raise ScenarioError.of_option("compare", "either B or --against or --controller", "both or none")
+    if reference is not None:
         with Ledger.open(first) as mine:
-            plan = plan_against(mine, against)
+            plan = plan_against(mine, reference)
         first, second = plan.file.parent / LEDGER, first
         code = _carry_on(plan, first, workers, None, "1/1")
         if code != AS_EXPECTED:
             return code
     assert second is not None
     with Ledger.open(first) as before, Ledger.open(second) as after:
-        for one_of in (before, after):
-            if words := fallback_of(one_of).words:
-                result(f"{one_of.path}: {words}")
+        for ledger in (before, after):
+            if words := fallback_of(ledger).words:
+                result(f"{ledger.path}: {words}")
         compared, overruled = compare_ledgers(before, after), compare_overruling(before, after)
         worse, lost = worse_episodes(before, after), list(against_lines(before, after))
         document(
@@ -274,7 +290,7 @@ def compare(
             remarks=lost,
         )
         result(*difference_lines(compared, before.declared.confidence))
-        result(*(one.words for one in overruled))
+        result(*(one.words for one in overruled if one.before.proposals or one.after.proposals))
         for found in worse:
             was, now = (found.unit.margin_text(margin) for margin in (found.before, found.after))
             result(f"  worse: {found.stratum}, episode {found.episode}: {found.claim}: {was} -> {now}")

@@ -9,7 +9,7 @@ from typer import Argument, BadParameter, Option, Typer
 from typer.core import TyperGroup
 
 from safety_harness.cli.console import AS_EXPECTED, DIFFERS, INTERRUPTED, document, result, say
-from safety_harness.cli.options import Executes, Workers, command
+from safety_harness.cli.options import Executes, OfController, Workers, command
 
 
 class _PlanOrCommand(TyperGroup):
@@ -60,6 +60,7 @@ def certify(
     declared: Annotated[
         Path | None, Option(help="What certify declare wrote; without it PLAN.declared.json, if it is there.")
     ] = None,
+    controller: OfController = None,
 ) -> int:
     """Run a declared plan and write its evidence: one page, JSON, JUnit XML, and all to re-run it.
 
@@ -73,6 +74,9 @@ def certify(
     """
     import shlex
 
+    from safety_harness.admission.avoiders import told_avoider
+    from safety_harness.campaign.against import plan_with
+    from safety_harness.campaign.plan import read_plan
     from safety_harness.certification.argument import STATE
     from safety_harness.certification.certify import Certification
     from safety_harness.certification.evidence import ClaimStatus
@@ -80,10 +84,15 @@ def certify(
     from safety_harness.certification.verdicts import overruling_line, percent
     from safety_harness.cli.progress import watching_campaign, watching_search, watching_words
     from safety_harness.scenario.files import told
+    from safety_harness.scenario.model import Driver
     from safety_harness.scenario.typed_json import plain
     from safety_harness.search.session import SearchOutput
 
     words = ["safety-harness", "certify", str(told(plan))]
+    if controller is not None:
+        read, tested = read_plan(plan), Driver(controller)
+        plan = plan_with(read.files, tested, Path("reports") / read.name).file
+        words += ["--controller", told_avoider(tested)]
     files = {"--out": out, "--selftest": selftest, "--oracles": oracles, "--declared": declared}
     for name, value in files.items():
         words += [name, str(told(value))] if value else []

@@ -18,7 +18,7 @@ from safety_harness.cli.console import (
     say,
     say_shared_modules,
 )
-from safety_harness.cli.options import OfAvoider, OfReference, OfSpace, Seed, command
+from safety_harness.cli.options import OfAvoider, OfController, OfReference, OfSpace, Seed, command
 from safety_harness.exceptions import ScenarioError
 
 commands = Typer()
@@ -28,6 +28,7 @@ commands = Typer()
 def fuzz(
     space: OfSpace,
     avoider: OfAvoider = None,
+    controller: OfController = None,
     against: OfReference = None,
     budget: Annotated[int, Option(help="Runs to search with; shrinking has its own.")] = 1000,
     seed: Seed = 0,
@@ -58,6 +59,7 @@ def fuzz(
     none of what it does, or an avoider that gave no answer, or answered otherwise when asked again; 2: bad
     input, or a place that cannot be written; 130: interrupted.
     """
+    from safety_harness.admission.avoiders import one_of
     from safety_harness.cli.progress import watching_search, watching_words
     from safety_harness.report.search_attribution import SearchAttribution
     from safety_harness.report.search_files import write_search
@@ -81,7 +83,7 @@ def fuzz(
             read_space(space),
             in_kinematic,
             seed=seed,
-            avoider=avoider,
+            avoider=one_of(avoider, controller),
             sentences=tuple(claims or ()),
             reference=None if against is None else Reference(against),
         ),

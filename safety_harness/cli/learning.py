@@ -20,6 +20,14 @@ if TYPE_CHECKING:
     from safety_harness.learning.recipes import Recipe
 
 MODEL = "model.safetensors"
+Cell = Annotated[
+    str | None,
+    Option(
+        "--robot",
+        help="A scenario with the cell, arm and settings: a file, or shipped:NAME; else the UR10's.",
+        metavar="SCENARIO",
+    ),
+]
 commands = Typer()
 
 
@@ -30,6 +38,7 @@ def dataset(
     tcps: Annotated[int, Option(help="TCP positions.")] = 10_000,
     candidates: Annotated[int, Option(help="Repulsive candidates of each TCP.")] = 100,
     hands: Annotated[int, Option(help="Hand positions, joined with every TCP.")] = 500,
+    robot: Cell = None,
     seed: Seed = 0,
 ) -> int:
     """Make the data that an avoider learns from: TCP x hand, with eq. 13's ground truth.
@@ -38,20 +47,28 @@ def dataset(
     Exit code 0; 2: bad input; 130: interrupted, nothing was written.
     """
     from safety_harness.cli.progress import counting
+    from safety_harness.learning.cell import training_cell
     from safety_harness.learning.dataset import generate, space_named
     from safety_harness.learning.manifest import data_hash, manifest_of, save_dataset
-    from safety_harness.settings import DEFAULTS
 
-    where = space_named(space, DEFAULTS)
+    cell = training_cell(robot)
+    where = space_named(space, cell.settings)
     say(f"{where.name} space: {tcps} TCPs, {candidates} candidates each, {hands} hands")
     with counting(tcps, "TCPs") as show:
         made = generate(
-            DEFAULTS, where, seed=seed, tcps=tcps, candidates=candidates, hands=hands, on_progress=show
+            cell.settings,
+            where,
+            seed=seed,
+            tcps=tcps,
+            candidates=candidates,
+            hands=hands,
+            arm=cell.arm,
+            on_progress=show,
         )
     save_dataset(made, out)
     views, away = made.tcps * made.candidates, made.views_without_object
     result(
-        f"space       {made.space.name}",
+        f"space       {made.space.name}, of the arm {made.arm}",
         f"samples     {len(made):,} = {made.tcps:,} TCPs x {made.hands:,} hands",
         f"candidates  {views:,}; object not wholly in view of {away:,} ({away / views:.2%}), "
         "which are not selected",
@@ -73,9 +90,11 @@ def train(
             help="mc-dropout, mc-dropout-full, deterministic, ensemble or optimum; "
             "also with paper- or trial- before it."
         ),
-    ],
+    ] = "mc-dropout",
+    robot: Cell = None,
     data: Annotated[
-        Path | None, Option(help="Folder of a data set; without it the paper's is made on the spot.")
+        Path | None,
+        Option(help="Folder of a data set; without it one is made on the spot."),
     ] = None,
     out: Annotated[Path, Option(help="Folder for model.safetensors and the checkpoint.")] = Path(
         "models/new"
@@ -84,7 +103,7 @@ def train(
     resume: Annotated[bool, Option("--resume", help="Go on from the folder's checkpoint.")] = False,
     device: Annotated[str, Option(help="Where PyTorch computes: cpu, cuda, ...")] = "cpu",
 ) -> int:
-    """Train and calibrate a network; "trial-mc-dropout" takes under a minute.
+    """Train and calibrate a network, of the UR10's cell or another; "trial-mc-dropout" takes under a minute.
 
     Ctrl-C costs the epoch that was under way; --resume goes on from there, to the same bits.
     Needs PyTorch, the extra "learning" of this package.
@@ -94,24 +113,31 @@ def train(
 
     from safety_harness.avoidance.model_file import save_model
     from safety_harness.cli.progress import paced_lines
+    from safety_harness.learning.cell import training_cell
     from safety_harness.learning.dataset import generate, seen
     from safety_harness.learning.manifest import load_dataset
     from safety_harness.learning.recipes import recipe_named
     from safety_harness.learning.samples import samples_for
     from safety_harness.learning.trained_model import calibrate, model_of, split_for
-    from safety_harness.settings import DEFAULTS
     from safety_harness.whole_file import writing
 
+    if robot and data:
+        raise InadmissibleError.of_option("--robot", "no --data, whose data are of a cell already", robot)
     again = ["safety-harness", "train", recipe, "--seed", str(seed), "--out", str(out)]
+    again += ["--robot", robot] if robot else []
     again += ["--data", str(data)] if data else []
     again += ["--device", device] if device != "cpu" else []
     try:
         chosen = recipe_named(recipe)
-        dataset = load_dataset(data) if data else generate(DEFAULTS, seen(DEFAULTS), seed=seed)
+        if data:
+            dataset = load_dataset(data)
+        else:
+            cell = training_cell(robot)
+            dataset = generate(cell.settings, seen(cell.settings), seed=seed, arm=cell.arm)
         split = split_for(chosen, dataset)
         with LEARNING.needed("train"):
             from safety_harness.learning.training import train as train_networks  # brings PyTorch
-        say(f"training on {len(split.train):,} samples")
+        say(f"training on {len(split.train):,} samples of the cell of a {dataset.arm}")
         with paced_lines() as tell:
             trained = train_networks(
                 chosen,
@@ -136,8 +162,12 @@ def train(
     multiplier, threshold_m = model.calibration.interval_multiplier, model.calibration.spread_threshold_m
     result(f"intervals of 95 % joint coverage: {multiplier:.3f} times sqrt(spread^2 + residual^2)")
     result(f"spread threshold: {1e3 * threshold_m:.2f} mm")
+    low_m, high_m = model.seen.boxes["tcp"]
+    result(f"made for the arm {model.made_for}, TCPs from {list(low_m)} to {list(high_m)} m")
     result(f"model: {out / MODEL}")
-    document(model=out / MODEL, interval_multiplier=multiplier, spread_threshold_m=threshold_m)
+    document(
+        model=out / MODEL, arm=model.made_for, interval_multiplier=multiplier, spread_threshold_m=threshold_m
+    )
     return AS_EXPECTED
 
 
@@ -165,6 +195,7 @@ def metrics(
         list[str],
         Argument(help="Model files (*.safetensors), or names of shipped models.", metavar="MODEL..."),
     ],
+    robot: Cell = None,
     samples: Annotated[int, Option(help="Fresh pairs of TCP and hand in each set.")] = 10_000,
     seed: Seed = 0,
     out: Annotated[Path | None, Option(help="Also every figure, as JSON, to this file.")] = None,
@@ -178,6 +209,7 @@ def metrics(
     from safety_harness.avoidance.learned import LearnedAvoider
     from safety_harness.cli.evaluation_tables import tables
     from safety_harness.cli.progress import paced_lines
+    from safety_harness.learning.cell import training_cell
     from safety_harness.learning.evaluation_file import (
         evaluation_data,
         figures_of,
@@ -185,9 +217,10 @@ def metrics(
         write_evaluation,
     )
 
-    loaded = load_models(models)
+    cell = training_cell(robot)
+    loaded = load_models(models, cell.settings)
     with paced_lines() as tell:
-        figures, remarks = figures_of(loaded, samples, seed, tell)
+        figures, remarks = figures_of(loaded, samples, seed, tell, cell)
     found = evaluation_data(loaded, figures, remarks, samples, seed)
     document(**found)
     if out is not None:

@@ -17,8 +17,10 @@ from safety_harness.cli.console import BAD_INPUT, NARROW, columns_of, explain, g
 from safety_harness.cli.evaluate import commands as of_scoring
 from safety_harness.cli.fuzz import commands as of_search
 from safety_harness.cli.learning import commands as of_learning
+from safety_harness.cli.log import commands as of_logs
 from safety_harness.cli.machine import commands as of_machine
 from safety_harness.cli.new import commands as of_new
+from safety_harness.cli.prove import commands as of_proofs
 from safety_harness.cli.robot import commands as of_robots
 from safety_harness.cli.scenario_commands import commands as of_scenarios
 from safety_harness.cli.selftest import commands as of_selftest
@@ -34,11 +36,22 @@ app = typer.Typer(
     help="Verify a hand-avoidance controller of a robot arm: run scenarios, judge them, search what breaks "
     "it, score an avoider, and certify; make the data of a learned avoider, train and export it.",
 )
-for group in (of_new, of_scenarios, of_search, of_scoring, of_reports, of_selftest, of_shipped, of_machine):
+for group in (
+    of_new,
+    of_scenarios,
+    of_search,
+    of_scoring,
+    of_proofs,
+    of_reports,
+    of_selftest,
+    of_shipped,
+    of_machine,
+):
     app.add_typer(group)
 app.add_typer(of_certify, name="certify")
 app.add_typer(of_campaigns, name="campaign")
 app.add_typer(of_robots, name="robot")
+app.add_typer(of_logs, name="log")
 app.add_typer(of_learning)
 
 

@@ -25,8 +25,16 @@ OfAvoider = Annotated[
     str | None,
     Option(
         help="In place of what the files name: mc-dropout, mc-dropout-full, deterministic, ensemble, "
-        "optimum, 'opposite pose', 'nearest candidate', FILE.py:NAME, FILE.safetensors or FILE.onnx.",
+        "optimum, student, 'opposite pose', 'nearest candidate', FILE.py:NAME, FILE.safetensors, FILE.onnx.",
         metavar="AVOIDER",
+    ),
+]
+OfController = Annotated[
+    str | None,
+    Option(
+        help="What drives the arm in place of the visual servo and its avoider: 'stop when near', "
+        "'learned policy', FILE.py:NAME, FILE.onnx, or a program (exec:COMMAND, tcp:HOST:PORT, unix:PATH).",
+        metavar="CONTROLLER",
     ),
 ]
 OfReference = Annotated[
@@ -51,7 +59,7 @@ AttributionOut = Annotated[
     Path | None, Option(help="Folder for attribution.json and attribution.svg; none for neither.")
 ]
 Executes = Annotated[
-    bool, Option("--execute-avoider", help="Allow the Python files of what is given to be executed.")
+    bool, Option("--execute-avoider", help="Allow the programs of what is given to be executed.")
 ]
 Workers = Annotated[int | None, Option(help="Processes; without it, one for each core.", min=1)]
 Seed = Annotated[int, Option(help="Root of every random number.", min=0)]

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Sequence
 from dataclasses import replace
+from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
-from safety_harness.admission.admit import admit
+from safety_harness.admission.admit import Admitted, admit
 from safety_harness.admission.avoiders import is_a_program, replay_command, with_avoider
 from safety_harness.admission.repeatability import MOST, Repeatability
 from safety_harness.admission.trial import judge, run_trial
@@ -21,24 +24,30 @@ from safety_harness.cli.console import (
     say,
 )
 from safety_harness.cli.progress import watching_runs
-from safety_harness.cli.run import say_results
+from safety_harness.cli.run import DATA, REPORT, TRACES, say_results
 from safety_harness.exceptions import InadmissibleError, InputError, Place, TraceError
+from safety_harness.logs.judging import recorded
 from safety_harness.properties.answered import with_expectation
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.knowledge import measured_lines, unmeasured_words
 from safety_harness.report.machine import refused_data, run_data
 from safety_harness.scenario.fields import SENTENCE, is_sentence
-from safety_harness.scenario.model import Claim, Scenario, Verdict
+from safety_harness.scenario.files import told
+from safety_harness.scenario.kinds import is_log
+from safety_harness.scenario.model import VISUAL_SERVO, Claim, Scenario, Verdict
+from safety_harness.scenario.references import file_and_name
 from safety_harness.scenario.units import shown
 from safety_harness.simulation.worlds import world_of_trace
 from safety_harness.trace.compare import first_difference
-from safety_harness.trace.store import load_trace
-from safety_harness.trace.trace import Provenance, Trace
+from safety_harness.trace.store import load_trace, save_trace
+from safety_harness.trace.system import Component
+from safety_harness.trace.trace import Trace
 from safety_harness.trace.unmeasured import refuse_not_simulated
+from safety_harness.whole_file import writing
 
 
 def replay(path: Path, avoider: str | None = None) -> int:
-    """Repeat a recorded run: "identical", or the first step that differs; and does the avoider remember?
+    """Repeat a recorded run: "identical", or the first step that differs; and does what is tested remember?
 
     ``avoider`` names the program anew that a trace of a user's own avoider was made with: a trace may
     come from anybody, and repeating it must not execute what it says.
@@ -47,6 +56,7 @@ def replay(path: Path, avoider: str | None = None) -> int:
     refuse_not_simulated(stored, path)
     world = world_of_trace(stored.provenance.world)
     admitted = admit(_with_program(stored, path, avoider))
+    _refuse_other(stored, admitted, path)
     with watching_runs([stored.scenario]) as progress:
         progress.begin(0)
         fresh = run_trial(admitted, world=world, recorded=stored, on_tick=progress.tick)
@@ -63,7 +73,7 @@ def replay(path: Path, avoider: str | None = None) -> int:
     else:
         result(f"{stored.scenario.name}: {difference}")
     (result if repeated.words else say)(repeated.line)
-    changed = [] if difference is None else changes(stored.provenance, fresh.provenance)
+    changed = [] if difference is None else changes(stored, fresh)
     say(*changed)
     document(
         scenario=stored.scenario.name,
@@ -81,25 +91,43 @@ def _with_program(stored: Trace, path: Path, avoider: str | None) -> Scenario:
     """The scenario of a trace, with the avoider that the user names."""
     if avoider is not None:
         return with_avoider(stored.scenario, avoider)
-    if is_a_program(stored.scenario.avoider):
+    under_test = stored.scenario.under_test
+    if is_a_program(under_test):
         raise TraceError(
-            place=Place(file=path, field="avoider"),
+            place=Place(file=path, field="controller" if stored.scenario.driven else "avoider"),
             expected="the program named on the command line, since repeating the run executes it",
-            got=f"a trace made with {stored.scenario.avoider}",
+            got=f"a trace made with {under_test}",
             hint=replay_command(stored.scenario, path),
         )
     return stored.scenario
 
 
-def changes(stored: Provenance, now: Provenance) -> list[str]:
+def _refuse_other(stored: Trace, admitted: Admitted, path: Path) -> None:
+    """TraceError where another controller would drive than did then, or the same from an edited file."""
+    then = stored.system.controller
+    now = admitted.driver.component if admitted.driver else Component(name=VISUAL_SERVO)
+    known = then.sha256 if admitted.driver else ""
+    other = file_and_name(stored.scenario.controller)[1] != file_and_name(admitted.scenario.controller)[1]
+    if then.name != now.name or other or (known and known != now.sha256):
+        place = Place(file=path, field="controller")
+        raise TraceError(place=place, expected=f"{then}, which drove then", got=_named(now, admitted))
+
+
+def _named(now: Component, admitted: Admitted) -> str:
+    return f"{now}, {admitted.scenario.controller}" if admitted.driver else str(now)
+
+
+def changes(before: Trace, after: Trace) -> list[str]:
     """What is not the same as when the trace was made."""
-    names = ("package_version", "source_hash", "world", "avoider", "avoider_sha256", "python", "platform")
+    stored, now = before.provenance, after.provenance
+    names = ("package_version", "source_hash", "world", "python", "platform")
     values = ((name, getattr(stored, name), getattr(now, name)) for name in names)
-    lines = [f"  {name}: {before} then, {after} now" for name, before, after in values if before != after]
+    lines = [f"  {name}: {then} then, {new} now" for name, then, new in values if then != new]
+    lines += [f"  {line}" for line in before.system.changes(after.system)]
     versions = dict(now.libraries + now.files)
-    for name, before in stored.libraries + stored.files:
-        if versions.get(name) != before:
-            lines.append(f"  {name}: {before} then, {versions.get(name, 'absent')} now")
+    for name, then in stored.libraries + stored.files:
+        if versions.get(name) != then:
+            lines.append(f"  {name}: {then} then, {versions.get(name, 'absent')} now")
     return lines or ["  the software is the same as when the trace was made"]
 
 
@@ -112,17 +140,24 @@ def _claims(sentences: Sequence[str]) -> tuple[Claim, ...]:
     return tuple(Claim(sentence=sentence, expected=Verdict.HOLDS, place=place) for sentence in sentences)
 
 
-def judge_again(paths: Sequence[Path], sentences: Sequence[str] = (), *, keep_going: bool = False) -> int:
-    """Judge stored traces by their claims, with the present code, without simulating.
+def judge_again(
+    paths: Sequence[Path],
+    sentences: Sequence[str] = (),
+    *,
+    keep_going: bool = False,
+    out: Path | None = None,
+) -> int:
+    """Judge stored traces, and logs of cells, by their claims, with the present code, without simulating.
 
-    ``sentences`` take the place of the traces' own claims, and are expected to hold.  ``keep_going``: a
-    trace that cannot be judged is told, and the others are judged.
+    ``sentences`` take the place of their own claims, and are expected to hold.  ``keep_going``: one
+    that cannot be judged is told, and the others are judged.  ``out``: a folder for a report, and for the
+    traces of logs.
     """
     runs: list[JudgedRun] = []
     refused: list[InputError] = []
     for path in paths:
         try:
-            run = _judged(path, sentences)
+            run = _judged(path, sentences, out)
         except InputError as error:
             if not keep_going:
                 raise
@@ -130,9 +165,12 @@ def judge_again(paths: Sequence[Path], sentences: Sequence[str] = (), *, keep_go
             continue
         say_results(run)
         result(*measured_lines(run.trace))
+        say(*(f"note: {run.trace.scenario.name}: {note}" for note in run.notes if run.trace.known.recorded))
         runs.append(run)
     evaluations = [evaluation for run in runs for _, evaluation in run.judged_claims()]
     document(runs=[run_data(run) for run in runs], refused=refused_data(refused))
+    if out is not None and runs:
+        _report(runs, refused, out, paths)
     if unmeasured := unmeasured_words(evaluations):
         say(f"inconclusive of {len(evaluations)} claims: {unmeasured}")
     if refused:
@@ -141,9 +179,51 @@ def judge_again(paths: Sequence[Path], sentences: Sequence[str] = (), *, keep_go
     return AS_EXPECTED if all(run.all_as_expected for run in runs) else DIFFERS
 
 
-def _judged(path: Path, sentences: Sequence[str]) -> JudgedRun:
+def _judged(path: Path, sentences: Sequence[str], out: Path | None) -> JudgedRun:
+    if is_log(path):
+        return _of_log(path, _claims(sentences), out)
     trace = load_trace(path)
     if sentences:
         claims = with_expectation(_claims(sentences), trace.scenario)
         trace = replace(trace, scenario=replace(trace.scenario, claims=claims))
     return JudgedRun(trace=trace, evaluations=judge(trace, file=path), replay_command="", trace_file=path)
+
+
+def _of_log(path: Path, claims: Sequence[Claim], out: Path | None) -> JudgedRun:
+    found = recorded(path, claims)
+    file = None
+    if out is not None:
+        file = out / TRACES / f"{found.trace.scenario.name}.trace"
+        with writing(file):
+            file.parent.mkdir(parents=True, exist_ok=True)
+            save_trace(found.trace, file, recordings=found.recordings)
+    return JudgedRun(
+        trace=found.trace,
+        evaluations=judge(found.trace, file=path),
+        replay_command="",
+        trace_file=file,
+        notes=found.notes,
+    )
+
+
+def _report(
+    runs: Sequence[JudgedRun], refused: Sequence[InputError], out: Path, paths: Sequence[Path]
+) -> None:
+    from safety_harness.report.html import write_report
+    from safety_harness.report.machine import report_data, write_json
+
+    of_all: dict[str, Any] = {"interrupted": False, "refused": refused}
+    command = shlex.join(
+        ["safety-harness", "judge", *(str(told(path)) for path in paths), "--out", str(told(out))]
+    )
+    with writing(out / REPORT):
+        write_report(
+            out / REPORT,
+            runs,
+            title="Judged without simulating",
+            command=command,
+            generated_at=datetime.now(UTC),
+            **of_all,
+        )
+        write_json(out / DATA, report_data(runs, **of_all))
+    say(f"report: {out / REPORT} (for programs: {DATA})")

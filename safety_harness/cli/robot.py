@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -14,6 +15,7 @@ from safety_harness.exceptions import SettingsError
 
 if TYPE_CHECKING:
     from safety_harness.robot.description import ArmModel
+    from safety_harness.scenario.robots import AnyRobot
 
 _ABOUT = "Show an arm of a URDF, or fit capsules."
 commands = Typer(no_args_is_help=True, help=_ABOUT, short_help=_ABOUT)
@@ -35,16 +37,46 @@ Packages = Annotated[
 
 
 @command(commands, "show")
-def show(file: File, base: Base = None, tcp: Tcp = None, package: Packages = []) -> int:  # noqa: B006
+def show(
+    file: Annotated[
+        Path,
+        Argument(
+            help="A URDF, one of an installed package (pybullet/kuka_iiwa/model), an arm's file "
+            "(arm.yaml, shipped:panda), or UR10, UR5, UR3.",
+            metavar="FILE",
+        ),
+    ],
+    base: Base = None,
+    tcp: Tcp = None,
+    package: Packages = [],  # noqa: B006
+    html: Annotated[
+        Path | None, Option(help="Also a page with the arm and its capsules in 3-D.", metavar="PAGE")
+    ] = None,
+) -> int:
     """Show what is read from a URDF: joints, limits, reach, and links with their meshes.
 
+    The page is of an arm with capsules: of an arm's file, or UR10, UR5, UR3.  Meshes are drawn with the extra
+    "fitting" alone.
     Exit code 0; 2: it cannot be used, with file and line.
     """
     import numpy as np
 
     from safety_harness.properties.tally import table
 
-    arm = _arm(file, base, tcp, package)
+    robot = _robot(file)
+    if robot is None:
+        if html is not None:
+            raise SettingsError.of_option(
+                "--html", "an arm with capsules: an arm's file, or UR10, UR5, UR3", str(file)
+            )
+        arm = _arm(file, base, tcp, package)
+    elif base or tcp or package:
+        raise SettingsError.of_option("--base, --tcp, --package", "none, with an arm's file", str(file))
+    else:
+        from safety_harness.robot.robots import arm_model, refuse_unfit
+
+        refuse_unfit(robot)
+        arm = arm_model(robot)
     degrees = [np.degrees(arm.position_lower_rad), np.degrees(arm.position_upper_rad)]
     degrees.append(np.degrees(arm.velocity_limit_radps))
     rows = zip(arm.joint_names, *(map("{:.1f}".format, column) for column in degrees), strict=True)
@@ -79,7 +111,15 @@ def show(file: File, base: Base = None, tcp: Tcp = None, package: Packages = [])
         effort_limit_nm=arm.effort_limit,
         shapes=dict(zip(arm.link_names, names, strict=True)),
         left_out=arm.left_out,
+        page=html,
     )
+    if html is not None and robot is not None:
+        from safety_harness.report.arm_page import write_arm_page
+        from safety_harness.whole_file import writing
+
+        with writing(html):
+            write_arm_page(html, [robot], title=f"{arm.name} and its capsules")
+        say(f"page: {html}")
     return AS_EXPECTED
 
 
@@ -91,6 +131,7 @@ def fit(
     tcp: Tcp = None,
     package: Packages = [],  # noqa: B006
     seed: Seed = 0,
+    jobs: Annotated[int, Option(help="Links at a time, each in a process.")] = 1,
 ) -> int:
     """Fit capsules that enclose every triangle of an arm's collision and visual meshes, in minutes.
 
@@ -100,15 +141,20 @@ def fit(
     """
     import numpy as np
 
+    from safety_harness.campaign.pool import pool
     from safety_harness.cli.progress import counting
     from safety_harness.extras import FITTING
     from safety_harness.properties.tally import table
     from safety_harness.robot.fit_capsules import FINE_M, excess, fit_arm, link_surface, write_capsules
 
     FITTING.require("robot fit")
+    if jobs < 1:
+        raise SettingsError.of_option("--jobs", "a number of at least 1", str(jobs))
     arm = _arm(file, base, tcp, package)
-    with counting(len(arm.links), "links") as tell:
-        fitted = fit_arm(arm, seed, tell)
+    shaped = sum(bool(link.collision or link.visual) for link in arm.links)
+    with counting(shaped, "links") as tell, ExitStack() as closing:
+        over = map if jobs == 1 else closing.enter_context(pool(jobs)).map
+        fitted = fit_arm(arm, seed, tell, over)
     write_capsules(out, arm, fitted)
     rng = np.random.default_rng(0)
     stands_out_m = [excess(capsules, link_surface(link, FINE_M), rng) for link, capsules in fitted]
@@ -169,6 +215,14 @@ def enclose(
     )
     say(f"at most {1e3 * most_m:.1f} mm over the mesh, {1e3 * mean_m:.1f} mm on average")
     return AS_EXPECTED
+
+
+def _robot(file: Path) -> AnyRobot | None:
+    """The arm of an arm's file, or one of the package by name; None for anything else."""
+    from safety_harness.scenario.robots import Robot, is_arm_file, robot_named
+
+    text = str(file)
+    return robot_named(text) if is_arm_file(text) or text in [one.label for one in Robot] else None
 
 
 def _arm(file: Path, base: str | None, tcp: str | None, package: list[str]) -> ArmModel:

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from safety_harness.admission.admit import Admitted, admit
-from safety_harness.admission.avoiders import command_line_reference, replay_command, told_avoider
+from safety_harness.admission.avoiders import command_line_reference, option_of, replay_command, told_avoider
 from safety_harness.admission.repeatability import Repeatability, RepeatabilityResult
 from safety_harness.admission.taking import NotTaken, not_taken_words, taken
 from safety_harness.admission.trial import run_trial
@@ -73,7 +73,7 @@ def read_all(
     gathered = gather(paths)
     if gathered.scenarios:
         world.opener()
-    avoiders = [(avoider, "--avoider")] + ([] if against is None else [(against, "--against")])
+    avoiders = [(avoider, option_of(avoider or ""))] + ([] if against is None else [(against, "--against")])
     found, errors = usable(gathered.scenarios, take)
     return (
         [one for one in found if not isinstance(one, NotTaken)],
@@ -113,13 +113,13 @@ def run(
         with writing(out / folder):
             (out / folder).mkdir(parents=True, exist_ok=True)
     again = ["safety-harness", "run", *(str(told(path)) for path in paths), "--out", str(told(out))]
-    named = {"--avoider": avoider, "--against": against}
+    named = {option_of(avoider or ""): avoider, "--against": against}
     again += ["--keep-going"] * keep_going
     again += [word for option, one in named.items() if one for word in (option, told_avoider(one))]
     again += [] if world is REFERENCE else ["--world", world.label]
     session = RunSession(out, shlex.join(again), len(admitted), skipped, refused, world)
     if against is not None:
-        mine = "each file's own avoider" if avoider is None else told_avoider(avoider)
+        mine = "what each file names" if avoider is None else told_avoider(avoider)
         session.against = Against(mine=mine, reference=told_avoider(against), runs=session.differences)
     say(*(f"skipped: {one}" for one in skipped))
     session.run_all(admitted)

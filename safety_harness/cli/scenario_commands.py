@@ -14,6 +14,7 @@ from safety_harness.cli.options import (
     Files,
     KeepGoing,
     OfAvoider,
+    OfController,
     OfReference,
     OfSpace,
     OfWorld,
@@ -33,10 +34,11 @@ def run(
     against: OfReference = None,
     world: OfWorld = "PyBullet",
     keep_going: KeepGoing = False,
+    controller: OfController = None,
 ) -> int:
     """Run scenario files in PyBullet or another world, judge their claims and write a report.
 
-    A Python or ONNX file that they name as an avoider is executed, which is said on standard error.
+    A program that they name as avoider or controller is executed, which is said on standard error.
     One line a claim goes to standard output: verdict, margin, time of the worst moment.
     At the end a table says how often each claim was put to the test.
     That the avoider answered is judged of every run, whether its file claims it or not.
@@ -47,15 +49,17 @@ def run(
     something was never put to the test; 2: bad input, nothing was run, or with
     --keep-going only the rest; 130: interrupted, what was finished is kept.
     """
+    from safety_harness.admission.avoiders import one_of
     from safety_harness.cli.run import run as run_files
     from safety_harness.simulation.worlds import world_named
 
     chosen = world_named(world, "--world")
-    return run_files(files, out, avoider, against, world=chosen, keep_going=keep_going)
+    tested = one_of(avoider, controller)
+    return run_files(files, out, tested, against, world=chosen, keep_going=keep_going)
 
 
 @command(commands)
-def validate(files: Files, avoider: OfAvoider = None) -> int:
+def validate(files: Files, avoider: OfAvoider = None, controller: OfController = None) -> int:
     """Read and check scenario files without running them, and tell every mistake of every file.
 
     Nothing of theirs is executed: a Python file is parsed, of an ONNX file the metadata are read.
@@ -63,9 +67,10 @@ def validate(files: Files, avoider: OfAvoider = None) -> int:
     error with file, line, what was expected and what came.
     Exit code 0: all of them can be run; 2: some cannot; 130: interrupted.
     """
+    from safety_harness.admission.avoiders import one_of
     from safety_harness.cli.validate import validate as validate_files
 
-    return validate_files(files, avoider)
+    return validate_files(files, one_of(avoider, controller))
 
 
 @command(commands)
@@ -132,21 +137,26 @@ def schema() -> int:
 def replay(
     trace: Annotated[Path, Argument(help="A .trace file of an earlier run.", metavar="TRACE")],
     avoider: OfAvoider = None,
+    controller: OfController = None,
 ) -> int:
     """Repeat a recorded run bit by bit: "identical", or the first step that differs.
 
-    A trace that was made with a Python file of yours needs that file named by --avoider, as repeating
-    the run executes it.
+    A trace that was made with a program of yours needs that program named by --avoider or --controller, as
+    repeating the run executes it; a controller with another hash is refused.
     Exit code 0: identical; 1: it differs; 2: not a trace that can be read; 130: interrupted.
     """
+    from safety_harness.admission.avoiders import one_of
     from safety_harness.cli.replay import replay as replay_trace
 
-    return replay_trace(trace, avoider)
+    return replay_trace(trace, one_of(avoider, controller))
 
 
 @command(commands)
 def judge(
-    traces: Annotated[list[Path], Argument(help="Trace files of earlier runs.", metavar="TRACE...")],
+    traces: Annotated[
+        list[Path],
+        Argument(help="Traces of earlier runs, or descriptions of logs (LOG.yaml).", metavar="TRACE..."),
+    ],
     claim: Annotated[
         list[str] | None,
         Option(
@@ -156,14 +166,17 @@ def judge(
         ),
     ] = None,
     keep_going: KeepGoing = False,
+    out: Annotated[
+        Path | None, Option(help="Folder for report.html, report.json and the traces of logs.")
+    ] = None,
 ) -> int:
-    """Judge stored traces again by their claims, or by others, without simulating.
+    """Judge stored traces, or logs of a real cell, by their claims, or by others, without simulating.
 
     Exit codes as for run.
     """
     from safety_harness.cli.replay import judge_again
 
-    return judge_again(traces, claim or (), keep_going=keep_going)
+    return judge_again(traces, claim or (), keep_going=keep_going, out=out)
 
 
 @command(commands, interrupted="interrupted: this picture and those after it were not drawn")
@@ -208,6 +221,7 @@ def attribute(
         Argument(help="Scenario files, such as fuzz writes, traces, or folders of them.", metavar="RUN..."),
     ],
     avoider: OfAvoider = None,
+    controller: OfController = None,
     out: AttributionOut = None,
     confirm: Confirm = False,
 ) -> int:
@@ -216,10 +230,12 @@ def attribute(
     Changed are the avoider, its deadline, perception, drives and brakes, the servoing camera, prediction, the
     gate, the fallback, the critical distance, and last the hand, which goes half as fast.  What no arm could
     have kept is unavoidable.  Of a trace all that it violates is attributed, of a scenario file all that the
-    kinematic replay violates.  The program that a trace was made with has to be named again with --avoider.
+    kinematic replay violates.  The program that a trace was made with has to be named again.
+    Of another controller than the visual servo those are left out that it does not have.
     Exit code 0: every violation has an answer, or there is none; 1: one is not attributed, since the
     kinematic replay does not show it, or fails; 2: bad input, nothing was run; 130: interrupted.
     """
+    from safety_harness.admission.avoiders import one_of
     from safety_harness.cli.attribute import attribute_runs
 
-    return attribute_runs(runs, avoider, out, confirm)
+    return attribute_runs(runs, one_of(avoider, controller), out, confirm)

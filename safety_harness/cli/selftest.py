@@ -8,7 +8,7 @@ from typing import Annotated
 from typer import Option, Typer
 
 from safety_harness.cli.console import AS_EXPECTED, DIFFERS, INTERRUPTED, columns_of, document, result, say
-from safety_harness.cli.options import OfAvoider, command
+from safety_harness.cli.options import OfAvoider, OfController, command
 from safety_harness.exceptions import SettingsError
 
 commands = Typer()
@@ -20,6 +20,7 @@ def selftest(
         str, Option(help="quick: some minutes; nightly: every scenario, and many draws.")
     ] = "quick",
     avoider: OfAvoider = None,
+    controller: OfController = None,
     scenarios: Annotated[
         Path, Option(help="Folder of scenario files, and of spaces/ in it, to try faults on.")
     ] = Path("shipped:scenarios"),
@@ -33,7 +34,8 @@ def selftest(
 
     A fault is caught by a claim that is violated with it and holds without it on the same scenario. The
     table says which, after how many episodes, and the slightest magnitude that was caught. With --avoider
-    the faults are seeded into yours. Harmless changes are tried as well, and must raise no alarm.
+    or --controller the faults are seeded into yours: those of avoider, gate and servoing only where there
+    are any, and it says how many do not apply. Harmless changes are tried as well, and must raise no alarm.
     What was tried is kept, however it ends.
     Exit code 0; 1: a fault survives that is no stated limit, a harmless change raises a false alarm, or no
     fault applies; 2: bad input; 130: interrupted.
@@ -42,6 +44,7 @@ def selftest(
     import sys
     import time
 
+    from safety_harness.admission.avoiders import one_of, option_of
     from safety_harness.certification.tools import FaultState
     from safety_harness.cli.progress import paced_lines, where
     from safety_harness.properties.tally import table
@@ -61,11 +64,12 @@ def selftest(
     from safety_harness.whole_file import writing
 
     again = ["safety-harness", "selftest", "--profile", profile, "--scenarios", str(scenarios)]
-    again += ["--avoider", avoider] if avoider is not None else []
+    tested = one_of(avoider, controller)
+    again += [option_of(tested), tested] if tested is not None else []
     again += ["--fault", fault] if fault is not None else []
     again += ["--out", str(out), "--jobs", str(jobs)]
     try:
-        plan = SelfTestPlan(profile_named(profile), scenarios, avoider)
+        plan = SelfTestPlan(profile_named(profile), scenarios, tested)
         if jobs < 1:
             raise SettingsError.of_option("--jobs", "a number of at least 1", str(jobs))
         numbers = numbers_of(fault)

@@ -15,9 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.avoidance.asking import Answer, late_fault
-from safety_harness.avoidance.avoider import Avoider
+from safety_harness.avoidance.avoider import Avoider, shown_to
 from safety_harness.avoidance.gate import Gate, GateDecision, Query, answer_to
 from safety_harness.avoidance.simple import faulty
+from safety_harness.controller.contract import Seen
 from safety_harness.controller.cycle import QUESTION, ControllerRecords, act, answer_after, look, report
 from safety_harness.controller.decision_times import NOTHING
 from safety_harness.controller.records import (
@@ -35,6 +36,7 @@ from safety_harness.controller.records import (
     initial_state,
     parameters,
 )
+from safety_harness.controller.sight import Sight
 from safety_harness.perception.hand_filter import filter_parameters
 from safety_harness.perception.tracking import no_tracks
 from safety_harness.robot.description import ArmModel
@@ -114,6 +116,8 @@ class AvoidingServo:
         self._held: Answer | None = None  # by the wall's clock: an answer that does not count yet
         self._root_seed = root_seed
         self._decision = decision_dtype(joints)
+        self._sight = Sight.of(shown_to(avoider), hand_slots, joints, settings.clock.control_period_s)
+        self._seen: Seen | None = None  # when the question that is open was asked
         self._recorded_late = tuple(recorded_late)
         self._decisions: list[NDArray[np.void]] = []
         self._latencies_s: list[float] = []
@@ -121,7 +125,10 @@ class AvoidingServo:
     def step(self, observation: NDArray[np.void]) -> NDArray[np.void]:
         """Look, decide if it is time to, act.  ``observation`` (1,) OBSERVATION."""
         r, o = self.records, ObservationRecords(observation)
-        if look(*r[:7], o):
+        decides = look(*r[:7], o)
+        if self._sight is not None and r.question[0]["asked_tick"] == r.question[0]["tick"]:
+            self._seen = self._sight.seen(r, o)
+        if decides:
             query = self.query(observation)
             held, self._held = self._held, None
             gate = self.gate
@@ -175,6 +182,7 @@ class AvoidingServo:
             late=self._late if question["late"] else self._recorded_words,
             limit_s=self._limit_s,
             asked_of=(asked_hand.copy(), asked_tcp.copy()) if question["delayed"] else None,
+            seen=self._seen,
         )
 
     @property

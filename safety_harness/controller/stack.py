@@ -210,14 +210,9 @@ def finish_tick(
 ) -> None:
     """Act on the answer, if one was asked for, and command the arm for this tick.
 
-    The wanted twist (eq. 1, the way to the repulsive position, or none) is bounded (``shaped``), and
-
-        q' = k J^-1 (v, w),   k = min(1, min_i limit_i/|q'_i|),
-
-    so that a joint at its limit slows all down and the TCP keeps its direction.  Near a singularity
-    (``joint_velocity``) a protective stop.
+    The wanted twist is that of eq. 1, of the way to the repulsive position, or none.
     """
-    p, s, o, answer, command = parameters[0], states[0], observations[0], answers[0], commands[0]
+    p, s, answer = parameters[0], states[0], answers[0]
     if s.decision_pending:
         s.decision_pending = False
         if answer.stop:
@@ -226,8 +221,8 @@ def finish_tick(
             s.mode = REPULSING
             copy_vector(answer.position_in_base_m, s.target_in_base_m)
 
-    jacobian, wanted, twist = s.jacobian, s.wanted_twist_in_base, s.twist_in_base
-    geometric_jacobian(p.chain.joint_axes, s.link_transforms, jacobian)
+    wanted = s.wanted_twist_in_base
+    geometric_jacobian(p.chain.joint_axes, s.link_transforms, s.jacobian)
     for i in range(6):
         wanted[i] = s.camera_twist[i] = 0.0
     s.gain = 0.0
@@ -239,7 +234,28 @@ def finish_tick(
         acceleration = p.repulsion_acceleration_mps2
         speed = p.repulsion_speed_mps
         approach_twist(parameters, states, wanted)
-    s.limits |= shaped(parameters, s.previous_twist_in_base, wanted, speed, acceleration, twist)
+    command_arm(parameters, states, observations, speed, acceleration, commands)
+
+
+@inlined
+def command_arm(
+    parameters: ParameterRecords,
+    states: StateRecords,
+    observations: ObservationRecords,
+    speed_mps: float,
+    acceleration_mps2: float,
+    commands: CommandRecords,
+) -> None:
+    """Command the wanted twist, which is bounded (``shaped``), by the Jacobian of now.
+
+        q' = k J^-1 (v, w),   k = min(1, min_i limit_i/|q'_i|),
+
+    so that a joint at its limit slows all down and the TCP keeps its direction.  Near a singularity
+    (``joint_velocity``) a protective stop.
+    """
+    p, s, o, command = parameters[0], states[0], observations[0], commands[0]
+    jacobian, wanted, twist = s.jacobian, s.wanted_twist_in_base, s.twist_in_base
+    s.limits |= shaped(parameters, s.previous_twist_in_base, wanted, speed_mps, acceleration_mps2, twist)
     if not joint_velocity(jacobian, twist, p.min_singular_value, command.joint_velocity_radps):
         s.limits |= LIMIT_SINGULARITY
         if s.mode != PROTECTIVE_STOP and not np.isnan(s.clear_since_s):

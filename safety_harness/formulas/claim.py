@@ -290,7 +290,7 @@ def judge_part(part: Formula, trace: Trace) -> Evaluation:
     whole = trace.known.whole
     missing = () if whole else trace.known.missing(_columns_of(part))
     if missing:
-        return not_measured(_Asked(part, trace, {}), missing)
+        return not_measured(_Asked(part, trace, {}), missing, known=trace.known)
     seen = trace if whole else blanked(trace)
     with np.errstate(invalid="ignore", over="ignore"):  # of values that no run has, which is found below
         sampled = {signal: signal.sample(seen) for signal in signals_of(part)}

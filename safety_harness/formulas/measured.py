@@ -14,7 +14,8 @@ from safety_harness.properties.true_motion import follows_unknown
 from safety_harness.trace.trace import Trace, once_a_trace
 from safety_harness.trace.unmeasured import as_measured
 
-Off = Callable[[Trace], tuple[float, float, float]]
+Bound = float | NDArray[np.float64]  # everywhere, or (n,) at each tick and from it to the next
+Off = Callable[[Trace], tuple[Bound, Bound, Bound]]
 Truths = NDArray[np.bool_]
 TCP, TCP_SPEED, HANDS = "transform_tcp_to_base", "tcp_speed_mps", "hand_position_in_base_m"
 
@@ -131,7 +132,13 @@ def of_nearest_hand(trace: Trace) -> tuple[float, float, float]:
     return tcp + hand, between + 2.0 * hand, between + 2.0 * hand
 
 
-def of_hand_distance(trace: Trace) -> tuple[float, float, float]:
+def of_hand_distance(trace: Trace) -> tuple[Bound, Bound, Bound]:
     """Below as far as the catalogue's bound; above by that beside the distances at the ticks."""
     at, moved = distance_moved_m(trace)
-    return at, max(at, moved), at + moved
+    between, beside = np.maximum(at, moved), at + moved
+    return at, np.maximum(between, _next(between)), np.maximum(beside, _next(beside))
+
+
+def _next(value: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(n,) of each tick that of the one after."""
+    return np.append(value[1:], value[-1:])

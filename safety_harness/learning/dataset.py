@@ -27,6 +27,7 @@ from safety_harness.compiled import compiled
 from safety_harness.exceptions import DatasetError, Place, near_miss
 from safety_harness.geometry.regions import Region
 from safety_harness.learning.image_error import ImageErrors
+from safety_harness.scenario.robots import Robot
 from safety_harness.settings import Settings
 from safety_harness.space.regions import paper_seen, region_named
 
@@ -100,6 +101,7 @@ class CompactDataset:
     ``selected_in_base`` is t_opt of eq. 13, the candidate with the least image error;
     ``optimum_in_base`` the point of the whole cap nearest to the desired position, which has no noise.
     ``candidates_in_view`` counts the candidates of a TCP from which the whole object is in the image.
+    ``arm`` is the one in whose cell that is.
     """
 
     settings: Settings
@@ -110,6 +112,7 @@ class CompactDataset:
     optimum_in_base: Vectors  # (n, 3)
     candidates_in_view: NDArray[np.int64]  # (n,)
     hand_in_base: Vectors  # (m, 3)
+    arm: str = Robot.UR10.label
 
     def __post_init__(self) -> None:
         for value in vars(self).values():
@@ -178,6 +181,7 @@ def generate(
     tcps: int = 10_000,
     candidates: int = 100,
     hands: int = 500,
+    arm: str = Robot.UR10.label,
     on_progress: Callable[[int], object] | None = None,
 ) -> CompactDataset:
     """Draw TCPs, candidates and hands, and select by least |f - f*|^2 (eq. 15) of the exact image.
@@ -215,6 +219,7 @@ def generate(
         optimum_in_base=continuous_optimum(settings, tcp_in_base),
         candidates_in_view=in_view,
         hand_in_base=space.hand.draw(stream(seed, Stream.HANDS), hands),
+        arm=arm,
     )
 
 

@@ -50,6 +50,7 @@ from safety_harness.learning.metrics import (
 from safety_harness.learning.recipes import SplitKind
 from safety_harness.learning.trained_model import interval_scale
 from safety_harness.proportions import Proportion
+from safety_harness.scenario.robots import AnyRobot, Robot
 from safety_harness.settings import Settings
 
 Floats = NDArray[np.float64]
@@ -246,7 +247,13 @@ def learns_noise_free(model: Model) -> bool:
 
 
 def evaluate_model(
-    label: str, model: Model, sets: list[EvaluationSet], settings: Settings, *, place: Place
+    label: str,
+    model: Model,
+    sets: list[EvaluationSet],
+    settings: Settings,
+    *,
+    place: Place,
+    robot: AnyRobot = Robot.UR10,
 ) -> list[Figures]:
     """The figures of ``model`` on each set; the first set is the seen one that others are told from.
 
@@ -281,7 +288,7 @@ def evaluate_model(
                 median_largest_spread_m=float(np.median(largest)),
                 intervals=_intervals(model, positions, labels, spreads),
                 auroc=auroc(seen_spread, largest) if told else None,
-                unreachable=Proportion.of(~reachable(positions, settings)),
+                unreachable=Proportion.of(~reachable(positions, settings, robot)),
             )
         )
     return figures

@@ -17,6 +17,7 @@ from safety_harness.avoidance.model_file import Model, load_model, writing_to
 from safety_harness.avoidance.shipped import model_file
 from safety_harness.compiled import source_hash
 from safety_harness.exceptions import DatasetError, ModelError, Place
+from safety_harness.learning.cell import UR10_CELL, TrainingCell
 from safety_harness.learning.dataset import seen
 from safety_harness.learning.evaluation import (
     LEVELS,
@@ -31,7 +32,7 @@ from safety_harness.learning.evaluation import (
 from safety_harness.learning.metrics import IntervalCoverage
 from safety_harness.proportions import Proportion
 from safety_harness.scenario.typed_json import plain
-from safety_harness.settings import DEFAULTS
+from safety_harness.settings import DEFAULTS, Settings
 from safety_harness.whole_file import write_whole
 
 SCHEMA = "safety-harness evaluation 1"
@@ -55,7 +56,7 @@ class LoadedModel:
         return card.candidates if card and card.candidates else DEFAULTS.avoidance.candidate_count
 
 
-def load_models(models: Sequence[str | Path]) -> list[LoadedModel]:
+def load_models(models: Sequence[str | Path], settings: Settings = DEFAULTS) -> list[LoadedModel]:
     """Model files, or shipped models by name; ModelError for none, or one of another seen space."""
     if not models:
         raise ModelError(place=Place(field="MODEL"), expected="at least one model", got="none")
@@ -63,7 +64,7 @@ def load_models(models: Sequence[str | Path]) -> list[LoadedModel]:
     for reference in models:
         path = model_file(str(reference))
         model = load_model(path)
-        _refuse_another_space(model, path)
+        _refuse_another_space(model, path, settings)
         name = path.parent.name if path.stem == "model" and path.parent.name else path.stem
         same = sum(one.label.partition(" #")[0] == name for one in loaded)
         digest = hashlib.sha256(path.read_bytes()).hexdigest()
@@ -71,21 +72,26 @@ def load_models(models: Sequence[str | Path]) -> list[LoadedModel]:
     return loaded
 
 
-def _refuse_another_space(model: Model, path: Path) -> None:
+def _refuse_another_space(model: Model, path: Path, settings: Settings) -> None:
     """What is drawn as seen must be what the model has seen."""
-    space = seen(DEFAULTS)
+    space = seen(settings)
     for name, ours in (("hand", space.hand.outer), ("tcp", space.tcp.outer)):
         corners, theirs = np.array([ours.low_m, ours.high_m]), model.seen.boxes[name]
         if not np.abs(corners - np.array(theirs)).max() <= SAME_PLACE_M:
             raise ModelError(
                 place=Place(file=path, field=f"seen.{name}_low_m to seen.{name}_high_m"),
-                expected=f"this package's seen space, {corners[0].tolist()} to {corners[1].tolist()}",
-                got=f"{list(theirs[0])} to {list(theirs[1])}",
+                expected=f"the seen space of the cell, {corners[0].tolist()} to {corners[1].tolist()}",
+                got=f"{list(theirs[0])} to {list(theirs[1])}, of the arm {model.made_for}",
+                hint="--robot SCENARIO is the cell that it was made for",
             )
 
 
 def figures_of(
-    loaded: list[LoadedModel], samples: int, seed: int, say: Callable[[str], None]
+    loaded: list[LoadedModel],
+    samples: int,
+    seed: int,
+    say: Callable[[str], None],
+    cell: TrainingCell = UR10_CELL,
 ) -> tuple[list[Figures], list[str]]:
     """The figures of every model on every set, in the order of the models, and what could not be had.
 
@@ -104,7 +110,7 @@ def figures_of(
     for one in loaded:
         if one.candidates not in fresh:
             fresh[one.candidates] = fresh_sets(
-                DEFAULTS,
+                cell.settings,
                 samples=samples,
                 seed=seed,
                 candidates=one.candidates,
@@ -113,7 +119,7 @@ def figures_of(
         card = DataCard.of(one.model.card)
         if card is not None and card not in parts:
             say(f"{one.label}: making its training data again")
-            parts[card] = test_part(DEFAULTS, card, samples=samples, seed=seed)
+            parts[card] = test_part(cell.settings, card, samples=samples, seed=seed)
         part, why = (None, "its card does not say how its data were made") if card is None else parts[card]
         if part is None:
             remarks.append(f"{one.label}: no test part of the training data: {why}")
@@ -124,7 +130,8 @@ def figures_of(
         say(f"{one.label}: evaluating")
         seen_set, *unseen = fresh[one.candidates]
         sets = [seen_set, *([part] if part is not None else []), *unseen]
-        figures += evaluate_model(one.label, one.model, sets, DEFAULTS, place=Place(file=one.path))
+        place = Place(file=one.path)
+        figures += evaluate_model(one.label, one.model, sets, cell.settings, place=place, robot=cell.robot)
     return figures, remarks
 
 

@@ -33,7 +33,7 @@ from safety_harness.avoidance.onnx_model import (
     open_session,
 )
 from safety_harness.exceptions import ModelError, OutputError, Place
-from safety_harness.learning.networks import RegressionResNet, load_tensors
+from safety_harness.learning.networks import Network, load_tensors, network_of
 from safety_harness.scenario.references import ONNX_SUFFIX
 from safety_harness.whole_file import replacing
 
@@ -79,8 +79,8 @@ class WholeFunction(nn.Module):
         return self.get_buffer("target_mean") + std * mean + doubt, spread + doubt
 
 
-def _network(model: Model, member: int) -> RegressionResNet:
-    network = RegressionResNet(dropout=model.dropout, probability=model.dropout_probability)
+def _network(model: Model, member: int) -> Network:
+    network = network_of(model.kind, model.dropout, model.dropout_probability)
     prefix = f"{member}/"
     tensors = {n.removeprefix(prefix): t for n, t in model.tensors.items() if n.startswith(prefix)}
     load_tensors(network, tensors)

@@ -24,6 +24,7 @@ from safety_harness.exceptions import DatasetError, OutputError, Place, RegionEr
 from safety_harness.learning.dataset import CompactDataset, Space
 from safety_harness.scenario.files import refuse_no_file
 from safety_harness.scenario.kinds import FileKind, refuse_other_kind
+from safety_harness.scenario.robots import Robot
 from safety_harness.scenario.typed_json import of_format, plain, read_json, typed
 from safety_harness.settings import Settings
 from safety_harness.whole_file import replacing, write_whole
@@ -57,6 +58,7 @@ class _Read:
     space: Space
     settings: Settings
     arrays: dict[str, _StoredArray]
+    arm: str = Robot.UR10.label
 
 
 def manifest_of(dataset: CompactDataset) -> dict[str, Any]:
@@ -67,6 +69,7 @@ def manifest_of(dataset: CompactDataset) -> dict[str, Any]:
         "source_hash": source_hash(),
         "python": platform.python_version(),
         "numpy": np.__version__,
+        "arm": dataset.arm,
         "seed": dataset.seed,
         "tcps": dataset.tcps,
         "candidates": dataset.candidates,
@@ -119,7 +122,7 @@ def load_dataset(folder: Path) -> CompactDataset:
     except RegionError as error:
         raise _error(file, "a manifest as this version writes it", str(error), "space") from error
     arrays = _read_arrays(folder / ARRAYS, read.arrays)
-    dataset = CompactDataset(settings=settings, space=read.space, seed=read.seed, **arrays)
+    dataset = CompactDataset(settings=settings, space=read.space, seed=read.seed, arm=read.arm, **arrays)
     for name in ("tcps", "hands", "candidates"):
         number, said = getattr(dataset, name), getattr(read, name)
         if number != said:

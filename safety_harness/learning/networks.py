@@ -14,7 +14,17 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from safety_harness.avoidance.model_file import BLOCKS, INPUTS, OUTPUTS, PLACES, STAGES, WIDTH, Dropout
+from safety_harness.avoidance.model_file import (
+    BLOCKS,
+    INPUTS,
+    OUTPUTS,
+    PERCEPTRON,
+    PERCEPTRON_INPUTS,
+    PLACES,
+    STAGES,
+    WIDTH,
+    Dropout,
+)
 from safety_harness.learning.recipes import Recipe
 
 UNTRACKED = "num_batches_tracked"  # PyTorch's counter, of no use to a network that is done
@@ -113,14 +123,39 @@ class RegressionResNet(nn.Module):
         return y
 
 
-def fresh_network(recipe: Recipe, seed: int) -> RegressionResNet:
+class ReluPerceptron(nn.Module):
+    """Two hidden layers with ReLU; takes what a ResNet takes, without masks, and ignores the constant."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.fc1, self.fc2 = nn.Linear(PERCEPTRON_INPUTS, WIDTH), nn.Linear(WIDTH, WIDTH)
+        self.fc_out = nn.Linear(WIDTH, OUTPUTS)
+
+    def forward(self, x: Tensor, masks: Masks | None = None) -> Tensor:
+        """(n, 7) to (n, 3)."""
+        h = torch.relu(self.fc1(x[:, :PERCEPTRON_INPUTS]))
+        y: Tensor = self.fc_out(torch.relu(self.fc2(h)))
+        return y
+
+
+Network = RegressionResNet | ReluPerceptron
+
+
+def network_of(kind: str, dropout: Dropout, probability: float) -> Network:
+    """A network of one of the two kinds that a model file may have."""
+    return (
+        ReluPerceptron() if kind == PERCEPTRON else RegressionResNet(dropout=dropout, probability=probability)
+    )
+
+
+def fresh_network(recipe: Recipe, seed: int) -> Network:
     """A network with PyTorch's usual initial weights, drawn from ``seed`` alone."""
     with torch.random.fork_rng(devices=[]):  # layers draw from the global generator, left as it was
         torch.default_generator.manual_seed(seed)
-        return RegressionResNet(dropout=recipe.dropout, probability=recipe.dropout_probability)
+        return network_of(recipe.kind, recipe.dropout, recipe.dropout_probability)
 
 
-def to_tensors(network: RegressionResNet) -> dict[str, NDArray[np.float32]]:
+def to_tensors(network: Network) -> dict[str, NDArray[np.float32]]:
     """Weights and running statistics by state-dict name: copies, float32."""
     return {
         name: tensor.detach().cpu().numpy().copy()
@@ -129,7 +164,7 @@ def to_tensors(network: RegressionResNet) -> dict[str, NDArray[np.float32]]:
     }
 
 
-def load_tensors(network: RegressionResNet, tensors: Mapping[str, NDArray[np.float32]]) -> None:
+def load_tensors(network: Network, tensors: Mapping[str, NDArray[np.float32]]) -> None:
     """The reverse of ``to_tensors``; RuntimeError on a missing or unknown name or a wrong shape."""
     state = {name: torch.from_numpy(np.array(array)) for name, array in tensors.items()}
     counters = {name: t for name, t in network.state_dict().items() if name.endswith(UNTRACKED)}

@@ -1,4 +1,4 @@
-"""Training: Adam on the L1 loss, the best validation epoch is kept (section 4.1 of the paper).
+"""Training: Adam on the L1 loss (a recipe may have L2), the best validation epoch is kept (section 4.1).
 
 Same recipe, samples, seed and machine: the same bits, whether or not the training was interrupted.
 To that end there is one thread (sums depend on their number), and each epoch of each member draws
@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -21,7 +22,14 @@ from safety_harness.avoidance.model_file import Dropout
 from safety_harness.exceptions import ModelError, Place
 from safety_harness.learning.checkpoint import Checkpoint, Epoch, Tensors, begin_or_resume, save_checkpoint
 from safety_harness.learning.dataset import seed_below
-from safety_harness.learning.networks import RegressionResNet, fresh_network, load_tensors, to_tensors
+from safety_harness.learning.networks import (
+    Masks,
+    Network,
+    RegressionResNet,
+    fresh_network,
+    load_tensors,
+    to_tensors,
+)
 from safety_harness.learning.recipes import Recipe
 from safety_harness.learning.samples import Index, Normalisation, Samples, moments, network_samples
 
@@ -126,7 +134,7 @@ def _one_thread() -> Iterator[None]:
 class _Run:
     """What stays the same during a training, and the network and optimiser of the present member."""
 
-    network: RegressionResNet
+    network: Network
     optimiser: torch.optim.Adam
 
     def __init__(
@@ -205,7 +213,7 @@ class _Run:
             is_best=all(validation_loss < epoch.validation_loss for epoch in before),
         )
 
-    def _use(self, network: RegressionResNet) -> None:
+    def _use(self, network: Network) -> None:
         self.network = network.to(self.device)
         self.optimiser = torch.optim.Adam(
             self.network.parameters(),
@@ -227,17 +235,29 @@ class _Run:
         batches = len(chosen) // rows
         generator = self._mask_generator(_EPOCH, member, number, 1)
         total = torch.zeros((), dtype=torch.float64, device=self.device)
+        draw = self._masks
         network.train()
         for batch in range(batches):
             self._set_rate((number + batch / batches) / recipe.epochs)
             part = slice(batch * rows, (batch + 1) * rows)
-            masks = None if recipe.dropout is Dropout.NONE else network.draw_masks(rows, generator)
+            masks = draw(rows, generator) if draw else None
             self.optimiser.zero_grad()
-            loss = (network(x[part], masks) - y[part]).abs().mean()  # L1, over samples and axes
+            loss: Any = self._loss(network(x[part], masks) - y[part])
             loss.backward()
             self.optimiser.step()
             total += loss.detach()
         return float(total) / batches
+
+    @property
+    def _masks(self) -> Callable[[int, torch.Generator], Masks] | None:
+        """What draws masks, of a network that drops units."""
+        if self.recipe.dropout is Dropout.NONE or not isinstance(self.network, RegressionResNet):
+            return None
+        return self.network.draw_masks
+
+    def _loss(self, error: torch.Tensor) -> torch.Tensor:
+        """The recipe's loss: the mean over samples and axes."""
+        return error.abs().mean() if self.recipe.loss == "l1" else error.square().mean()
 
     def _set_rate(self, progress: float) -> None:
         """The learning rate at ``progress`` from 0 to 1 of the whole training."""
@@ -247,24 +267,24 @@ class _Run:
 
     @torch.no_grad()
     def _validate(self) -> tuple[float, float]:
-        """L1 loss in the network's unit, and RMSE over all axes [m], of the mean of the passes.
+        """Loss in the network's unit, and RMSE over all axes [m], of the mean of the passes.
 
         A dropout network is judged as it will be used: its running statistics are those of layers
         with dropout, and a pass without fits them worse.  The masks are the same after every epoch.
         """
-        network, drops = self.network.eval(), self.recipe.dropout is not Dropout.NONE
+        network, draw = self.network.eval(), self._masks
         x, y = self._validation
         generator = self._mask_generator(_VALIDATION, 0)
         total = torch.zeros_like(y)
-        passes = self.recipe.passes if drops else 1
+        passes = self.recipe.passes if draw else 1
         for _ in range(passes):
             for part, out in zip(
                 torch.split(x, VALIDATION_ROWS), torch.split(total, VALIDATION_ROWS), strict=True
             ):
-                out += network(part, network.draw_masks(len(part), generator) if drops else None)
+                out += network(part, draw(len(part), generator) if draw else None)
         error = (total / passes - y).double()
         scale = torch.from_numpy(self.normalisation.target_std).to(self.device)
-        return float(error.abs().mean()), math.sqrt(float(((error * scale) ** 2).mean()))
+        return float(self._loss(error)), math.sqrt(float(((error * scale) ** 2).mean()))
 
     def _mask_generator(self, *leaf: int) -> torch.Generator:
         return torch.Generator(self.device).manual_seed(seed_below(self.seed, *leaf))

@@ -37,24 +37,30 @@ TURNED_RAD = 8.0 * np.pi  # four times the limits: an arm that has come apart, i
 
 
 def _ends(prop: HandDistance, trace: Trace, margin_m: float) -> tuple[float, float, bool]:
-    """For ``reads``: the way of distance and joint bend, and the resolution of what is between ticks."""
+    """For ``reads``: the way of distance and joint bend, and the resolution of what is between ticks.
+
+    From below at every moment, as closely as it is known there; from above by the distances at the ticks.
+    """
     at_ticks_m, between_m = distance_moved_m(trace)
-    by_m = max(at_ticks_m, between_m) + RESOLUTION_M
-    exercised = bool(true_motion(trace).nearest_m.min() + at_ticks_m < prop.near_m)
-    return margin_m - by_m, margin_m + by_m, exercised
+    off_m, surely_m = np.maximum(at_ticks_m, between_m), true_motion(trace).nearest_m + at_ticks_m
+    low_m = margin_m - float(off_m.max())
+    if off_m.min() < off_m.max():
+        low_m = max(low_m, closest_approach(trace, hand_paths(trace), off_m)[0] - prop.minimum_m)
+    nearest_m = float(surely_m.min())
+    return low_m - RESOLUTION_M, nearest_m - prop.minimum_m, nearest_m < prop.near_m
 
 
-def distance_moved_m(trace: Trace) -> tuple[float, float]:
-    """By how much [m] the distances of hands may be off, at the ticks and between them.
+def distance_moved_m(trace: Trace) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """(n,) and (n,) by how much [m] the distances of hands may be off, at the ticks and between them.
 
     Infinite if a hand heads for a TCP that was not measured everywhere and exactly.
     """
-    known = trace.known
+    known, count = trace.known, len(trace.ticks)
     if follows_unknown(trace):
-        return np.inf, np.inf
+        return np.full(count, np.inf), np.full(count, np.inf)
     bend_s = trace.scenario.settings.clock.control_period_s / 2.0
-    bend_m = bend_s * known.of("joint_velocity_radps").uncertainty * float(arm_of(trace).reach_m.sum())
-    return known.of("hand_distance_m").uncertainty, apart_moved_m(trace) + bend_m
+    bend_m = bend_s * known.within("joint_velocity_radps", count) * float(arm_of(trace).reach_m.sum())
+    return known.within("hand_distance_m", count), apart_moved_m(trace) + bend_m
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -145,12 +151,22 @@ def capsule_name(trace: Trace, tick: int, hand: int) -> str:
     return names[number].replace("_", " ") if 0 <= number < len(names) else "an unknown part"
 
 
-def closest_approach(trace: Trace, paths: HandPaths) -> tuple[float, float, int]:
-    """(distance [m], time [s], hand) of the closest approach of any hand, ticks and between them."""
+def closest_approach(
+    trace: Trace, paths: HandPaths, off_m: NDArray[np.float64] | None = None
+) -> tuple[float, float, int]:
+    """(distance [m], time [s], hand) of the closest approach of any hand, ticks and between them.
+
+    Less ``off_m`` (n,), by which the distance may be off at each tick, and the larger of two between them.
+    """
     settings = trace.scenario.settings
     best = (np.inf, 0.0, 0)
     for hand in range(len(trace.scenario.hands)):
         at, joints_rad, hand_m, elbow_m, distance_m, slack_m = instants(trace, paths, hand)
+        if off_m is not None:
+            before = np.minimum(at.astype(int), len(off_m) - 1)
+            distance_m = distance_m - off_m[before]
+            after = np.minimum(before[:-1] + 1, len(off_m) - 1)
+            slack_m = slack_m + np.maximum(off_m[before[:-1]], off_m[after])
         least_m, index, fraction = _closest_in_trace(
             arm_of(trace),
             joints_rad,

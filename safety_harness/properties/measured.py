@@ -33,6 +33,7 @@ from safety_harness.trace.known import (
     Knowledge,
     Measurement,
     Source,
+    measurement,
     until,
 )
 from safety_harness.trace.trace import Trace
@@ -86,10 +87,16 @@ def columns_read_by(prop: Property) -> tuple[str, ...] | None:
     return None if said is None else tuple(said)
 
 
-def not_measured(prop: Said, columns: Sequence[str], what: str = "") -> Evaluation:
-    """Inconclusive for want of ``columns``; ``what`` says more exactly what of them was not measured."""
+def not_measured(
+    prop: Said, columns: Sequence[str], what: str = "", known: Knowledge | None = None
+) -> Evaluation:
+    """Inconclusive for want of ``columns``; ``what`` says more exactly what of them was not measured.
+
+    Or not reported, if all of them are what the controller of a ``known`` run does not say.
+    """
     words = what or ", ".join(columns)
-    return replace(inconclusive(prop, f"not measured: {words}"), unmeasured=tuple(columns))
+    why = "not reported" if known is not None and known.unreported(columns) else "not measured"
+    return replace(inconclusive(prop, f"{why}: {words}"), unmeasured=tuple(columns))
 
 
 @dataclass(frozen=True)
@@ -121,7 +128,7 @@ class _Judging:
             if found.verdict is Verdict.VIOLATED:
                 return replace(found, reason=f"{found.reason} ({which}; not measured: {words})")
             told.append(f"{which}: {found.margin_text()} ({found.reason})")
-        return not_measured(prop, lacking, "; ".join(told))
+        return not_measured(prop, lacking, "; ".join(told), known)
 
     def _widened(self, found: Evaluation, prop: Property, trace: Trace, limited: Sequence[str]) -> Evaluation:
         """The verdict that every value within the uncertainty gives, with the margin that is certain."""
@@ -235,6 +242,7 @@ def _without_arms(trace: Trace) -> Trace:
     ticks = ticks.copy()
     for name in ("hand_distance_m", "hand_distance_capsule"):
         ticks[name] = derived(armless)[name]
-    distance = Measurement(source=Source.DERIVED, uncertainty=apart_moved_m(armless), gaps=position.gaps)
-    columns |= {"hand_distance_m": distance, "hand_distance_capsule": replace(distance, uncertainty=0.0)}
+    distance = measurement(Source.DERIVED, apart_moved_m(armless), position.gaps)
+    part = Measurement(source=Source.DERIVED, gaps=position.gaps)
+    columns |= {"hand_distance_m": distance, "hand_distance_capsule": part}
     return replace(armless, ticks=ticks, known=Knowledge(columns))

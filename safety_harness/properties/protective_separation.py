@@ -47,18 +47,19 @@ def _ends(prop: ProtectiveSeparation, trace: Trace, margin_m: float) -> tuple[fl
     """
     known, true, settings = trace.known, true_motion(trace), trace.scenario.settings
     braking, period_s, reach_m = settings.braking, settings.clock.control_period_s, arm_of(trace).reach_m
-    distance_m, faster_radps, speed_mps = (
-        known.of(name).uncertainty for name in ("hand_distance_m", "joint_velocity_radps", "tcp_speed_mps")
+    distance_m, rate_radps = (
+        known.within(name, len(trace.ticks)) for name in ("hand_distance_m", "joint_velocity_radps")
     )
+    speed_mps, faster_radps = known.of("tcp_speed_mps").uncertainty, rate_radps[:, None]
     per_speed_s2pm, grace_s = braking.stop_time_per_speed_s2pm, GRACE_TICKS * period_s
     reaction_s, stop_s = times_left_s(trace)
     longest_s = braking.stop_time_base_s + grace_s
     longest_s += per_speed_s2pm * float(trace.ticks["tcp_speed_mps"].max() + speed_mps)
     turns_radps = np.abs(true.rates_radps)
-    sure = turns_radps.max(axis=1) >= STANDSTILL_RADPS + faster_radps
-    maybe = turns_radps.max(axis=1) >= STANDSTILL_RADPS - faster_radps
+    sure = turns_radps.max(axis=1) >= STANDSTILL_RADPS + rate_radps
+    maybe = turns_radps.max(axis=1) >= STANDSTILL_RADPS - rate_radps
     off_mps = 2.0 / period_s * max(known.of(name).uncertainty for name in OF_HANDS[:2])
-    hand_mps = _steps_m(trace)[1] / period_s + off_mps
+    hand_mps = np.minimum(_steps_m(trace)[1] / period_s + off_mps, _fastest_mps(trace))
     most_mps = hand_mps if prop.own_speeds else np.full_like(hand_mps, prop.assumed_mps)
     least_mps = 0.0 if prop.own_speeds else prop.assumed_mps
 
@@ -84,6 +85,12 @@ def _ends(prop: ProtectiveSeparation, trace: Trace, margin_m: float) -> tuple[fl
         low = float(np.where(maybe, true.nearest_m - distance_m - needed_m, np.inf).min())
     near = sure & (true.nearest_m + distance_m < prop.largest_m(settings))
     return low, high, bool(near.any())
+
+
+def _fastest_mps(trace: Trace) -> float:
+    """No hand or elbow is faster, by what is known of them."""
+    rates = [trace.known.of(name).at_most_per_s for name in OF_HANDS[:2]]
+    return max(np.inf if rate is None else rate for rate in rates)
 
 
 @dataclass(frozen=True, kw_only=True)

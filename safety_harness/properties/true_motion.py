@@ -203,12 +203,11 @@ def follows_unknown(trace: Trace) -> bool:
     return seeks and trace.known.of("transform_tcp_to_base").limited
 
 
-def apart_moved_m(trace: Trace) -> float:
-    """By how much [m] a distance from hand to arm may be off, as hands and joints are uncertain."""
-    known, turned_rad = trace.known, trace.known.of("joint_position_rad").uncertainty
-    return max(known.of(name).uncertainty for name in BODIES) + turned_rad * float(
-        arm_of(trace).reach_m.sum()
-    )
+def apart_moved_m(trace: Trace) -> NDArray[np.float64]:
+    """(n,) by how much [m] a distance from hand to arm may be off, as hands and joints are uncertain."""
+    known, count = trace.known, len(trace.ticks)
+    hands, elbows = (known.within(name, count) for name in BODIES)
+    return np.maximum(hands, elbows) + known.within(JOINTS[0], count) * float(arm_of(trace).reach_m.sum())
 
 
 def tcp_velocity_moved_mps(trace: Trace) -> NDArray[np.float64]:
@@ -216,7 +215,7 @@ def tcp_velocity_moved_mps(trace: Trace) -> NDArray[np.float64]:
 
     u' sum over j of l_j + u sum over j of |q'_j| sum over i of l_max(i, j), as for ``faster_mps``.
     """
-    turned_rad, faster_radps = (trace.known.of(name).uncertainty for name in JOINTS)
+    turned_rad, faster_radps = (trace.known.within(name, len(trace.ticks)) for name in JOINTS)
     reach_m = arm_of(trace).reach_m
     joints = np.arange(len(reach_m))
     farther_m = np.array([reach_m[np.maximum(joints, j)].sum() for j in joints])
@@ -400,12 +399,13 @@ def first_untruth(trace: Trace) -> Inconsistency | None:
 
 def _moved(trace: Trace, name: str) -> NDArray[np.float64]:
     """(n,) by how much one of ``DERIVED`` may be off from the others, as all of them are uncertain."""
-    off = trace.known.of(name).uncertainty
+    off = trace.known.within(name, len(trace.ticks))
     if name == "tcp_speed_mps":
         return off + tcp_velocity_moved_mps(trace)
-    turned_rad = trace.known.of("joint_position_rad").uncertainty
-    pose = turned_rad * (arm_of(trace).reach_m.sum() + 6.0)  # an entry of a rotation changes by 6 at most
-    return np.full(len(trace.ticks), off + (apart_moved_m(trace) if name == "hand_distance_m" else pose))
+    if name == "hand_distance_m":
+        return off + apart_moved_m(trace)
+    turned_rad = trace.known.within(JOINTS[0], len(trace.ticks))
+    return off + turned_rad * (float(arm_of(trace).reach_m.sum()) + 6.0)  # an entry of a rotation: 6 at most
 
 
 def derived(trace: Trace) -> NDArray[np.void]:

@@ -38,7 +38,7 @@ def only_whole(*columns: str) -> Callable[[Judge], Judge]:
         def evaluate_whole(prop: Property, trace: Trace) -> Evaluation:
             known = trace.known
             lacking = [name for name in names if known.missing([name]) or known.of(name).gaps]
-            return not_measured(prop, lacking) if lacking else evaluate(prop, trace)
+            return not_measured(prop, lacking, known=trace.known) if lacking else evaluate(prop, trace)
 
         evaluate_whole.reads = names  # type: ignore[attr-defined]
         return cast(Judge, evaluate_whole)

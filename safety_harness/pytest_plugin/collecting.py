@@ -17,9 +17,11 @@ from hypothesis import given, seed
 from safety_harness.admission.claims import property_of
 from safety_harness.admission.taking import NotTaken, taken
 from safety_harness.exceptions import InputError
+from safety_harness.logs.judging import recorded
 from safety_harness.properties.against import ClaimDifference
 from safety_harness.properties.answered import AvoiderAnswered, by_default
 from safety_harness.properties.base import Evaluation
+from safety_harness.properties.true_motion import refuse_contradictions
 from safety_harness.pytest_plugin.plugin import TEST, explained
 from safety_harness.scenario.expand import gather
 from safety_harness.scenario.model import Claim, Scenario, Verdict
@@ -96,6 +98,24 @@ class ScenarioFile(pytest.File):
         return scenarios, spaces, refused
 
 
+class LogFile(pytest.File):
+    """The log of a cell, judged without simulating."""
+
+    def collect(self) -> Nodes:
+        """An item a claim; CollectError for a log that cannot be used, or that claims nothing."""
+        try:
+            found = recorded(self.path)
+        except InputError as error:
+            raise self.CollectError(explained(error)) from None
+        session().recordings.update(found.recordings)
+        scenario = found.trace.scenario
+        if not scenario.claims:
+            raise self.CollectError(f'{self.path}: expected the key "claims"; got a log that claims nothing')
+        for claim in scenario.claims:
+            check = partial(_judge_log, found.trace, claim)
+            yield ClaimItem.from_parent(self, name=claim.sentence, claim=claim, check=check)
+
+
 class ScenarioNode(pytest.Collector):
     """One scenario or space of a file that holds several."""
 
@@ -159,6 +179,12 @@ def _judge(scenario: Scenario, claim: Claim, test: TestRun) -> None:
     prop = property_of(claim, trace.scenario)
     require(prop.evaluate(trace), claim.expected, trace, prop.evaluate)
     refuse_fallback(trace)
+
+
+def _judge_log(trace: Trace, claim: Claim, _: TestRun) -> None:
+    prop = property_of(claim, trace.scenario)
+    refuse_contradictions(trace, trace.scenario.file)
+    require(prop.evaluate(trace), claim.expected, trace, prop.evaluate)
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,6 +20,7 @@ import pytest
 from safety_harness.compiling import CompilationLine, watchers
 from safety_harness.exceptions import InputError, Place, SafetyHarnessError, explanation
 from safety_harness.scenario.files import is_titled
+from safety_harness.scenario.kinds import is_log
 from safety_harness.testing.session import (
     FAILURES,
     PROFILES,
@@ -31,7 +32,7 @@ from safety_harness.testing.session import (
 )
 
 if TYPE_CHECKING:
-    from safety_harness.pytest_plugin.collecting import ScenarioFile
+    from safety_harness.pytest_plugin.collecting import LogFile, ScenarioFile
     from safety_harness.testing.simulating import Simulate
 
 SUFFIXES = (".yaml", ".yml")
@@ -115,19 +116,20 @@ def pytest_configure_node(node: Any) -> None:
     node.workerinput["safety_seed"] = session().seed
 
 
-def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> ScenarioFile | None:
-    """Scenario files, spaces and suites: those of ``safety_scenarios``, else those with keys of ours."""
+def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> LogFile | ScenarioFile | None:
+    """Scenario files, spaces, suites, logs: those of ``safety_scenarios``, else those with keys of ours."""
     patterns = parent.config.getini("safety_scenarios")
     if patterns is not None:
         name = os.path.relpath(file_path, parent.config.rootpath)
         ours = any(fnmatch(name, pattern) for pattern in patterns)
     else:
-        ours = file_path.suffix in SUFFIXES and looks_like_ours(file_path)
+        ours = file_path.suffix in SUFFIXES and (looks_like_ours(file_path) or is_log(file_path))
     if not ours:
         return None
-    from safety_harness.pytest_plugin.collecting import ScenarioFile
+    from safety_harness.pytest_plugin.collecting import LogFile, ScenarioFile
 
-    return ScenarioFile.from_parent(parent, path=file_path)
+    kind = LogFile if is_log(file_path) else ScenarioFile
+    return kind.from_parent(parent, path=file_path)
 
 
 def looks_like_ours(path: Path) -> bool:

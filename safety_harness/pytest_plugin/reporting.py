@@ -49,7 +49,7 @@ def save_runs(test: TestRun, report: Path) -> list[list[Any]]:
         file = folder / f"{scenario.name.partition('#')[0]}-{digest}.trace"
         if file not in session().saved:  # what an earlier session wrote may be of other code
             folder.mkdir(parents=True, exist_ok=True)
-            save_trace(trace, file)
+            save_trace(trace, file, recordings=session().recordings)
             session().saved.add(file)
         found.append([str(file), worst.expected.value, packed(worst.evaluation)])
     return found

@@ -16,8 +16,8 @@ from typing import Any
 
 import pytest
 
-from safety_harness.avoidance.isolation.host import executed
 from safety_harness.exceptions import FlakyAvoiderError, InputError, SafetyHarnessError
+from safety_harness.isolation.telling import executed
 from safety_harness.properties.against import ClaimDifference, RunDifference
 from safety_harness.properties.answered import ANSWERED
 from safety_harness.properties.base import Evaluation, Unit
@@ -224,6 +224,7 @@ def junit_properties(test: TestRun) -> list[tuple[str, object]]:
     for number, (sentence, several) in enumerate(by_sentence.items(), start=1):
         worst = test.worst[sentence]
         evaluation, end = worst.evaluation, "" if number == 1 else f" {number}"
+        kind, _, name = worst.run.tested.partition(" ")
         margin, when = evaluation.margin, evaluation.worst_time_s
         values = {
             "claim": sentence,
@@ -234,7 +235,7 @@ def junit_properties(test: TestRun) -> list[tuple[str, object]]:
             "exercised": sum(j.evaluation.exercised for j in several),
             "runs": len(several),
             "scenario": worst.run.name,
-            "avoider": worst.run.avoider,
+            kind: name,
             "seed": worst.run.seed,
         }
         if evaluation.unmeasured:

@@ -107,15 +107,22 @@ def are_counted(trace: Trace) -> bool:
 
 
 def avoiders(traces: Iterable[Trace]) -> list[tuple[str, int]]:
-    """(name, runs) of every avoider that was asked, in the order in which they first occur."""
-    return list(Counter(trace.provenance.avoider for trace in traces).items())
+    """(name, runs) of every avoider or controller, in the order in which they first occur."""
+    return list(Counter(trace.system.tested.name for trace in traces).items())
+
+
+def tested_words(traces: Iterable[Trace]) -> str:
+    """What ``avoiders`` names: ``Avoider``, ``Controllers``, or both."""
+    names = {trace.system.tested.name: trace.system.avoider is not None for trace in traces}
+    kinds = [w for w, asks in (("Avoider", True), ("Controller", False)) if asks in names.values()]
+    return " and ".join(kinds).capitalize() + "s" * (len(names) > 1)
 
 
 def overruling_of_each(traces: Iterable[Trace]) -> dict[str, Overruling]:
     """Of every avoider that proposed anything, in the order in which they first occur."""
     found: dict[str, Overruling] = {}
     for trace in traces:
-        name = trace.provenance.avoider
+        name = trace.system.tested.name
         found[name] = found.get(name, Overruling()) + Overruling.of([trace])
     return {name: one for name, one in found.items() if one.proposals}
 
@@ -216,7 +223,7 @@ class ComputingTime:
         drawn_s = cost.quantiles_s if isinstance(cost, DecisionTimes) else trace.decisions["decision_time_s"]
         cost_s = float(np.max(drawn_s, initial=0.0))
         return cls(
-            trace.provenance.avoider,
+            trace.system.tested.name,
             cost_words(cost, cost_s),
             cost_s,
             settings.clock.control_period_s,

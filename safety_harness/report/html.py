@@ -30,6 +30,7 @@ from safety_harness.report.decisions import (
     latency_words,
     overruling_lines,
     overruling_of_each,
+    tested_words,
 )
 from safety_harness.report.evidence import JudgedRun, notes_of, tallies
 from safety_harness.report.knowledge import measured_rows
@@ -148,7 +149,9 @@ def _summary(runs: Sequence[JudgedRun], *, interrupted: bool) -> Row:
         "cut_short": sum(not run.trace.complete for run in runs),
         "without_claims": sum(not run.trace.scenario.claims for run in runs),
         "interrupted": interrupted,
+        "tested": tested_words(traces),
         "avoiders": avoiders(traces),  # name, runs
+        "recorded": any(trace.known.recorded for trace in traces),
         "computing_time": computing_time_lines(traces),
         "overruling": overruling_lines(overruling_of_each(traces)),
         "uncounted": sum(not are_counted(trace) for trace in traces),
@@ -182,6 +185,7 @@ def _section(run: JudgedRun, number: int) -> Row:
         "latency": latency_words(trace),
         "decided": decided(trace, "tick", "time_s"),
         "counted": are_counted(trace),
+        "kind": tested_words([trace]),
         "limits": _ticks_rows(trace, "limits", limits),
         "modes": _ticks_rows(trace, "mode", modes),
         "measured": measured_rows(trace),

@@ -63,7 +63,8 @@ def report_data(
     An object with ``format``, ``interrupted`` (more was planned than is here), ``overruling`` (of each
     avoider: of its proposals how many were overruled, why, and what came instead), ``runs``, ``coverage``,
     ``skipped``, ``refused``, ``against`` and ``repeatability`` (what a second avoider answered to questions
-    of the runs; null if none was asked); each run says what was run, whether its ``avoider_answered``, and
+    of the runs; null if none was asked); each run says what was run, of which ``system`` (null for what it
+    has not), whether its ``avoider_answered`` (null if it has none), and
     has its ``claims`` (a formula that "and" joins also each of its ``parts``), and coverage says of each
     claim over all runs how often it was put to the test; ``known`` has those columns of the trace that are
     not simulated truth, and ``unmeasured`` those for want of which a claim is inconclusive (``decisions`` and
@@ -111,8 +112,7 @@ def run_data(run: JudgedRun) -> dict[str, Any]:
         "title": scenario.title,
         "file": str(told(scenario.file)) if scenario.file else None,
         "seed": scenario.seed,
-        "avoider": trace.provenance.avoider,
-        "avoider_sha256": trace.provenance.avoider_sha256 or None,
+        "system": asdict(trace.system),
         "world": trace.provenance.world,
         "package_version": trace.provenance.package_version,
         "source_hash": trace.provenance.source_hash,
@@ -123,7 +123,7 @@ def run_data(run: JudgedRun) -> dict[str, Any]:
         "trace_sha256": hashlib.sha256(file.read_bytes()).hexdigest() if file else None,
         "decisions": asdict(DecisionTally.of([trace])) if are_counted(trace) else None,
         "overruling": Overruling.of([trace]).named if is_measured(trace) else None,
-        "avoider_answered": _outcome(AvoiderAnswered().evaluate(trace)),
+        "avoider_answered": None if scenario.driven else _outcome(AvoiderAnswered().evaluate(trace)),
         "computing_time": computing_time_lines([trace]),
         "claims": [
             {

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from safety_harness.admission.admit import Admitter
 from safety_harness.attribution.attribute import Attribution, AttributionAnswer, Replay, attribute, confirmed
 from safety_harness.attribution.tally import AttributionTally
-from safety_harness.avoidance.avoider import described
+from safety_harness.exceptions import described
 from safety_harness.scenario.model import Claim, Scenario
 from safety_harness.search.findings import Group
 from safety_harness.search.session import SearchSession

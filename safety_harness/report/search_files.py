@@ -10,7 +10,7 @@ from datetime import UTC, datetime
 from math import isfinite
 
 from safety_harness.admission.agreement import measured_agreement
-from safety_harness.admission.avoiders import told_avoider
+from safety_harness.admission.avoiders import option_of, told_avoider
 from safety_harness.attribution.tally import as_json_of
 from safety_harness.exceptions import OutputError
 from safety_harness.interrupts import one_more_ctrl_c
@@ -22,6 +22,7 @@ from safety_harness.report.search_attribution import SearchAttribution
 from safety_harness.report.search_page import SearchEvidence, map_of, render
 from safety_harness.report.svg import standalone
 from safety_harness.scenario.files import told
+from safety_harness.scenario.model import Driver
 from safety_harness.search.findings import Findings, Goal, Group
 from safety_harness.search.session import FINDINGS, NO_REFERENCE, SearchSession, complaint_of
 from safety_harness.search.trials import Trials
@@ -65,13 +66,13 @@ def write_search(
 def evidence_of(session: SearchSession, attribution: SearchAttribution | None = None) -> SearchEvidence:
     """Everything that the page shows."""
     trials = session.trials
-    avoider = trials.avoider or trials.space.simplest.avoider
+    tested = trials.avoider or trials.space.simplest.under_test
     faults = None if attribution is None else attribution.of_search(session)
     each = {} if attribution is None else attribution.found
     return SearchEvidence(
         title=trials.space.title,
         space=trials.space.name,
-        avoider=avoider,
+        tested=f"{option_of(tested).removeprefix('--')} {tested}",
         computing_time=cost_words(trials.space.simplest.settings.avoidance.decision_time, trials.declared_s),
         seed=trials.seed,
         budget=session.budget,
@@ -95,9 +96,9 @@ def evidence_of(session: SearchSession, attribution: SearchAttribution | None = 
         },
         nearest_hand_m=trials.nearest_hand_m,
         agreement=measured_agreement(),
+        system=trials.system,
         provenance=provenance(
             KINEMATIC.name + (f", confirmed in {PYBULLET.name}" if session.reference else ""),
-            avoider,
             PYBULLET.libraries if session.reference else (),
         ),
         unconfirmable="" if session.reference else NO_REFERENCE,
@@ -111,7 +112,7 @@ def _command(session: SearchSession) -> str:
     command = ["safety-harness", "fuzz", str(told(trials.space.file))]
     command += ["--searcher", session.findings.searcher, "--budget", str(session.budget)]
     command += ["--seed", str(trials.seed), "--out", str(told(session.out))]
-    command += [] if trials.avoider is None else ["--avoider", told_avoider(trials.avoider)]
+    command += [] if trials.avoider is None else [option_of(trials.avoider), told_avoider(trials.avoider)]
     command += [] if trials.reference is None else ["--against", trials.reference.name]
     command += [word for sentence in trials.sentences for word in ("--claim", sentence)]
     return shlex.join(command + ["--baseline"] * (session.baseline is not None))
@@ -122,7 +123,8 @@ def as_json(trials: Trials, evidence: SearchEvidence) -> dict[str, object]:
     findings, baseline = evidence.findings, evidence.baseline
     return {
         "space": evidence.space,
-        "avoider": trials.avoider,
+        "avoider": None if isinstance(trials.avoider, Driver) else trials.avoider,
+        "system": asdict(evidence.system),
         "against": None if trials.against is None else _held(trials.against),
         "computing_time": evidence.computing_time,
         "searcher": findings.searcher,

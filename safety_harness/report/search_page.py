@@ -14,7 +14,7 @@ from safety_harness.admission.agreement import Agreement
 from safety_harness.admission.avoiders import replay_command
 from safety_harness.admission.repeatability import RepeatabilityResult
 from safety_harness.attribution.attribute import Attribution
-from safety_harness.avoidance.avoider import described
+from safety_harness.exceptions import described
 from safety_harness.properties.against import Against
 from safety_harness.properties.base import Evaluation, Unit
 from safety_harness.proportions import share_words
@@ -35,6 +35,7 @@ from safety_harness.search.findings import Findings, Group
 from safety_harness.search.session import WrittenCounterexample, not_found_words
 from safety_harness.simulation.worlds import KINEMATIC, PYBULLET
 from safety_harness.trace.overruling import Overruling
+from safety_harness.trace.system import NOT_NOTED, SystemUnderTest
 from safety_harness.trace.trace import Provenance, Trace
 
 MOST_GROUPS = 100  # rows of violations that were found
@@ -56,7 +57,7 @@ class SearchEvidence:
 
     title: str
     space: str
-    avoider: str
+    tested: str  # by its reference
     computing_time: str  # what a decision costs in simulated time
     seed: int
     budget: int
@@ -76,6 +77,7 @@ class SearchEvidence:
     nearest_hand_m: float
     agreement: Agreement
     provenance: Provenance
+    system: SystemUnderTest = NOT_NOTED
     unconfirmable: str = ""
     faults: FaultsOfSearch | None = None  # whose fault all violations are
     attributed: Mapping[str, Attribution] = field(default_factory=dict)  # of counterexamples, by their files

@@ -10,8 +10,9 @@ a share of ``WORTH`` off that volume, at most ``MOST_CAPSULES``.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -323,26 +324,35 @@ def fit_mesh(file: Path, scale: float, seed: int = 0) -> tuple[list[Capsule], Su
 
 
 def fit_arm(
-    arm: ArmModel, seed: int = 0, tell: Callable[[int, str], None] = lambda done, link: None
+    arm: ArmModel,
+    seed: int = 0,
+    tell: Callable[[int, str], None] = lambda done, link: None,
+    over: Callable[..., Iterable[list[Capsule]]] = map,
 ) -> list[tuple[LinkShapes, list[Capsule]]]:
     """The capsules of every link that has shapes; the same for the same seed.
 
-    ``tell`` is told how many of the links are done, and which is next.
+    ``tell`` is told how many of the links are done, and which is next; ``over`` is ``map``, or that of a pool
+    of processes.
     """
+    links = [link for link in arm.links if link.collision or link.visual]
+    if not links:
+        raise ArmFileError.of_file(arm.file, "an arm with shapes", "none at all")
     result = []
-    for link in arm.links:
-        tell(link.index, link.link)
-        if not (link.collision or link.visual):
-            continue
-        capsules = fit_link(link_surface(link, PIECE_M), np.random.default_rng((seed, link.index)))
+    tell(0, links[0].link)
+    for link, capsules in zip(links, over(partial(_fitted, seed=seed), links), strict=True):
         if not capsules:
             raise ArmFileError.of_file(arm.file, f"shapes with an area for {link.link!r}", "none with one")
-        longest_m = FINE_M if len(capsules) > 1 else PIECE_M
-        result.append((link, polish(link_surface(link, longest_m), capsules)))
-    tell(len(arm.links), "")
-    if not result:
-        raise ArmFileError.of_file(arm.file, "an arm with shapes", "none at all")
+        result.append((link, capsules))
+        tell(len(result), links[len(result)].link if len(result) < len(links) else "")
     return result
+
+
+def _fitted(link: LinkShapes, seed: int) -> list[Capsule]:
+    """The capsules of one link; none for one without an area."""
+    capsules = fit_link(link_surface(link, PIECE_M), np.random.default_rng((seed, link.index)))
+    if not capsules:
+        return []
+    return polish(link_surface(link, FINE_M if len(capsules) > 1 else PIECE_M), capsules)
 
 
 def write_capsules(file: Path, arm: ArmModel, fitted: list[tuple[LinkShapes, list[Capsule]]]) -> None:

@@ -134,6 +134,7 @@ def refuse_unfit(robot: AnyRobot) -> None:
     read_capsules(robot.files[1], _own(robot, meshes=True), text=robot.capsules_text)
 
 
+@_OnceEach
 def urdf_sha256_of(robot: AnyRobot) -> str:
     """SHA-256 of the arm's URDF."""
     if isinstance(robot, Robot):

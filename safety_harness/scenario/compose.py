@@ -249,6 +249,7 @@ def _moved(node: Node, folder: Path, to: Path) -> Node:
     """A tree in which avoiders and recordings are named as seen from another folder."""
     words: dict[str, _Rewrite] = {
         "avoider": lambda text: avoider_seen_from(to, text, folder),
+        "controller": lambda text: avoider_seen_from(to, text, folder),
         "recording": lambda text: seen_from(to, text, folder),
         "robot": lambda text: robot_seen_from(to, text, folder),
         **{key: lambda text: seen_from(to, text, folder) for key in FILES},

@@ -19,9 +19,10 @@ TITLES = ("scenario", "scenario space", "suite")
 # Keys that few others have.
 KEYS = (
     *("extends", "without", "matrix", "tcp start", "avoider", "hands", "faults", "hand sensor", "claims"),
-    *("scenarios", "plan", "strata"),
+    *("scenarios", "plan", "strata", "proof"),
 )
-COMMON = ("about", "duration", "seed", "robot", "object", "camera", "settings")  # ours beside a title only
+# Ours beside a title only.
+COMMON = ("about", "duration", "seed", "robot", "controller", "object", "camera", "settings")
 ALL = (*TITLES, *KEYS, *COMMON)
 _KEY = re.compile(rf"^[\"']?({'|'.join(ALL)})[\"']?[ \t]*:(?:[ \t]+(\S)|[ \t]*\r?$)", re.MULTILINE)
 

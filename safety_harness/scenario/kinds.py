@@ -18,6 +18,7 @@ HEAD_BYTES = 1_000_000  # of a file, which is as much as a scenario has
 TAIL_BYTES = 100_000
 MOST_ENTRIES = 100  # of a folder
 _KEY = re.compile(rf"^[\"']?({'|'.join(ALL)})[\"']?[ \t]*:(?=[ \t\r\n]|$)", re.MULTILINE)
+_LOG = re.compile(r"^log:(?=[ \t\r\n]|$)", re.MULTILINE), re.compile(r"^(claims|clock|robot):", re.MULTILINE)
 _FORMAT = re.compile(r'"(?:format|schema)": ?"safety-harness ([a-z ]+) \d+"')
 _UTF_16 = (b"\xff\xfe", b"\xfe\xff")
 
@@ -29,6 +30,8 @@ class FileKind(Enum):
     SPACE = "a scenario space", "safety-harness fuzz {file}, or sample {file} for scenarios that run takes"
     SUITE = "a suite of scenarios", "safety-harness run {file}"
     PLAN = "a plan", "safety-harness certify {file}, or campaign run {file} for its runs alone"
+    PROOF = "a plan of proofs", "safety-harness prove {file}"
+    LOG = "the log of a cell", "safety-harness judge {file}"
     TRACE = "a trace", "safety-harness replay {file}, or judge {file}"
     LEDGER = "the ledger of a campaign", "safety-harness campaign status {file}"
     MODEL = "a model", "safety-harness evaluate {file}, or run FILE --avoider {file}"
@@ -46,6 +49,7 @@ class FileKind(Enum):
     SELFTEST = "the figures of a selftest", "safety-harness certify PLAN --selftest {file}"
     DECLARATION = "the declaration of a plan", "safety-harness verify REPORT --declared {file}"
     SEAL = "the seal of a report", "safety-harness verify REPORT --seal {file}"
+    CERTIFICATE = "the certificate of a proof", "safety-harness prove --check {file}"
     TIMES = "measured decision times", "a scenario draws from them: safety-harness explain decision time"
     TABLE = "a table", "a recorded motion is named by a scenario: safety-harness explain recording"
     REPORT = "the folder of an evidence report", "safety-harness verify {file}"
@@ -69,6 +73,7 @@ _BY_FORMAT = {
     "selftest": FileKind.SELFTEST,
     "declaration": FileKind.DECLARATION,
     "seal": FileKind.SEAL,
+    "certificate": FileKind.CERTIFICATE,
     "decision times": FileKind.TIMES,
 }
 _BY_TITLE = {
@@ -76,6 +81,7 @@ _BY_TITLE = {
     "scenario space": FileKind.SPACE,
     "suite": FileKind.SUITE,
     "plan": FileKind.PLAN,
+    "proof": FileKind.PROOF,
 }
 _BY_SUFFIX = {".py": FileKind.PYTHON, ".onnx": FileKind.ONNX, ".csv": FileKind.TABLE}
 _IN_FOLDERS = (
@@ -102,6 +108,11 @@ def kind_of(path: Path) -> FileKind | None:
     except (OSError, ValueError):
         return None
     return _binary_kind(path, head) or _text_kind(path, head.decode("utf-8", "replace"))
+
+
+def is_log(path: Path) -> bool:
+    """Does a file describe the log of a cell?"""
+    return kind_of(path) is FileKind.LOG
 
 
 def refuse_other_kind(
@@ -212,8 +223,10 @@ def _text_kind(path: Path, text: str) -> FileKind | None:
     form = _format_of(text) if begin.startswith("{") else None
     if form is not None:
         return _BY_FORMAT.get(form)
+    if all(one.search(text) for one in _LOG):
+        return FileKind.LOG
     keys = {*_KEY.findall(text)}
-    titles = keys & {*TITLES, "plan"}
+    titles = keys & {*TITLES, "plan", "proof"}
     return _BY_TITLE[titles.pop()] if len(titles) == 1 else None
 
 

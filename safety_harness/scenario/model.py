@@ -34,7 +34,7 @@ from safety_harness.scenario.faults import Fault
 from safety_harness.scenario.moves import LONGEST_S, MOVE, REACHING_MPS, SPEEDS, TREMOR, HandMove, Tremor
 from safety_harness.scenario.obstacles import Obstacle
 from safety_harness.scenario.robots import DIGEST, AnyRobot, Robot
-from safety_harness.scenario.units import ACCELERATION, NUMBER, TIME
+from safety_harness.scenario.units import ACCELERATION, NUMBER, SPEED, TIME
 from safety_harness.settings import DEFAULTS, Settings, Vector3
 
 HAND_SLOTS = (2, 4, 8)  # the records of a run have room for as many hands as one of these says
@@ -42,12 +42,24 @@ MAX_HANDS = HAND_SLOTS[-1]
 LARGEST_SEED = 2**63 - 1
 FEWEST_JOINTS, MOST_JOINTS = 3, 8
 DEFAULT_AVOIDER = "mc-dropout"
+VISUAL_SERVO = "visual servo"  # the controller that asks an avoider; no other does
+NO_AVOIDER = ""
 LARGEST_FACTOR = 10.0
 LONGEST_GAP_S = 10.0
+FASTEST_JUMP_MPS = 1000.0  # of noise between two samples that follow each other quickly
 # An assumption: a reach of 0.66 m with the minimum-jerk profile of Flash and Hogan (1985) that peaks
 # at 2.0 m/s (REACHING_MPS) has 1.642 v^2/d = 10 m/s^2 at most.
 REACHING_MPS2 = 10.0
 ACCELERATIONS_MPS2 = (0.1, 100.0)  # what is slower or larger is a slip of the unit
+
+
+class Driver(str):
+    """A reference to a controller in place of the visual servo, where one to an avoider may stand.
+
+    What is tested is either: the avoider that the visual servo asks, or the driver of the arm.
+    """
+
+    __slots__ = ()
 
 
 class Verdict(Enum):
@@ -234,6 +246,7 @@ _TRACK = Text(words="name", reads=lambda field: field.sentence("the name of a tr
 _FACTOR = QuantityValue(NUMBER, least=0.01, most=LARGEST_FACTOR)
 _RECORDED_TIME = QuantityValue(TIME)
 _GAP = QuantityValue(TIME, above=0.0, most=LONGEST_GAP_S)
+_JUMP = QuantityValue(SPEED, above=0.0, most=FASTEST_JUMP_MPS)
 
 
 @declared
@@ -310,7 +323,7 @@ class RecordedHand:
         "longest gap", _GAP, "how long the track may be missing", "300 ms", default=0.2
     )
     fastest_jump_mps: float = key(
-        "fastest jump", SPEEDS, "what is faster is another marker, not this one", "4 m/s", default=5.0
+        "fastest jump", _JUMP, "what is faster is another marker, not this one", "4 m/s", default=5.0
     )
 
 
@@ -347,7 +360,10 @@ class Claim:
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Scenario:
-    """One thing to try: the hands, the TCP start, the avoider, the settings and the claims."""
+    """One thing to try: the hands, the TCP start, what is tested, the settings and the claims.
+
+    ``avoider`` is ``NO_AVOIDER`` where another ``controller`` than VISUAL_SERVO drives the arm.
+    """
 
     name: str
     title: str
@@ -362,6 +378,7 @@ class Scenario:
     robot: AnyRobot = Robot.UR10
     faults: tuple[Fault, ...] = ()
     obstacles: tuple[Obstacle, ...] = ()
+    controller: str = VISUAL_SERVO
     file: Path | None = field(default=None, compare=False)
     places: Mapping[str, Place] = field(default_factory=dict, compare=False)
 
@@ -386,6 +403,16 @@ class Scenario:
             return hand
         before = self.hands[: self.hands.index(hand)]
         return next((o for o in before if o.name == hand.joined_to and not isinstance(o, JoinedHand)), None)
+
+    @property
+    def driven(self) -> bool:
+        """Does another controller than the visual servo drive the arm, one without avoider and gate?"""
+        return self.controller != VISUAL_SERVO
+
+    @property
+    def under_test(self) -> str:
+        """What is tested: the avoider of the visual servo, or else the ``Driver``."""
+        return Driver(self.controller) if self.driven else self.avoider
 
     @property
     def hand_slots(self) -> int:

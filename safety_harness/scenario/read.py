@@ -26,8 +26,10 @@ from safety_harness.scenario.model import (
     JOINED_HAND,
     MAX_HANDS,
     MOVING_HAND,
+    NO_AVOIDER,
     NOT_LOADED,
     RECORDED_HAND,
+    VISUAL_SERVO,
     Claim,
     HandTrajectory,
     JoinedHand,
@@ -120,6 +122,7 @@ def scenario_of(
     given = root.fields(TOP.names, hints=_COMPOSED)
     values = TOP.values(given)
     values["robot"] = read_robot(values["robot"], recordings or {})
+    _choose_controller(given, values)
     settings = _settings(given, values["robot"])
     _check_duration(values["duration_s"], given.required("duration"), settings)
     return Scenario(
@@ -132,6 +135,18 @@ def scenario_of(
         places=Places(root),
         **values,
     )
+
+
+def _choose_controller(given: Fields, values: dict[str, Any]) -> None:
+    """Only the visual servo has an avoider."""
+    if values["controller"] == VISUAL_SERVO:
+        return
+    if "avoider" in given:
+        raise given.required("avoider").error(
+            "no avoider beside another controller than the visual servo, which alone asks one",
+            got=f"one, and the controller {shown(values['controller'])}",
+        )
+    values["avoider"] = NO_AVOIDER
 
 
 def refuse_distributions(root: Field) -> None:

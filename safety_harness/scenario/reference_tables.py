@@ -9,7 +9,7 @@ from safety_harness.scenario.codec import Below, FreeKeys, Key, KeyTable, Quanti
 from safety_harness.scenario.compose import LONGEST_CHAIN, MOST_COMBINATIONS
 from safety_harness.scenario.faults import MOST_FAULTS, fault_tables
 from safety_harness.scenario.fields import Field
-from safety_harness.scenario.model import DEFAULT_AVOIDER, HANDS, LARGEST_SEED, START, Verdict
+from safety_harness.scenario.model import DEFAULT_AVOIDER, HANDS, LARGEST_SEED, START, VISUAL_SERVO, Verdict
 from safety_harness.scenario.moves import LASTING, LONGEST_S
 from safety_harness.scenario.obstacles import OBSTACLES
 from safety_harness.scenario.robots import ROBOT_VALUE, Robot
@@ -134,6 +134,15 @@ TOP = KeyTable(
             "opposite pose",
             attribute="avoider",
             fallback=DEFAULT_AVOIDER,
+        ),
+        Key(
+            "controller",
+            Text(words="name or file", expected="the name of a controller"),
+            "what drives the arm: a name, or a program of yours; only the visual servo has an avoider "
+            "([controllers](controllers.md))",
+            "stop when near",
+            attribute="controller",
+            fallback=VISUAL_SERVO,
         ),
         Key(
             "object",

@@ -9,14 +9,22 @@ from safety_harness.scenario.files import resolved
 from safety_harness.shipped.contents import is_installed, is_shipped, located, shipped_name
 
 MODEL_SUFFIX, ONNX_SUFFIX = ".safetensors", ".onnx"
+EXEC, TCP, UNIX = "exec:", "tcp:", "unix:"  # of a controller: a program that is started, or that listens
 
 
 def file_and_name(reference: str) -> tuple[str, str]:
-    """The file of an avoider's reference and the name within it; two empty texts if it means none."""
+    """The file of an avoider's or controller's reference, and the name within it; two empty texts if none."""
+    if names_a_program(reference):
+        return "", ""
     file, _, name = reference.rpartition(":")
     if file.endswith(".py"):
         return file, name
     return (reference, "") if reference.endswith((MODEL_SUFFIX, ONNX_SUFFIX)) else ("", "")
+
+
+def names_a_program(reference: str) -> bool:
+    """Does it mean a program, which speaks the controller protocol?"""
+    return reference.startswith((EXEC, TCP, UNIX))
 
 
 def seen_from(folder: Path, path: str, standing_in: Path) -> str:

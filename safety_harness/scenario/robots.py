@@ -349,7 +349,7 @@ def read_robot(field: Field | Robot, carried: Mapping[str, bytes]) -> AnyRobot:
         return field
     arm: tuple[Path, ...] = ()
     if isinstance(field.node, Scalar):
-        if not (field.node.text.endswith(_ENDINGS) or is_shipped(field.node.text)):
+        if not is_arm_file(field.node.text):
             return field.choice(Robot)
         arm = (_path(field),)
         given = _keys_of_file(field)
@@ -371,6 +371,16 @@ def read_robot(field: Field | Robot, carried: Mapping[str, bytes]) -> AnyRobot:
         if name in given:
             values[name] = _named_from(field, given.required(name))
     return OwnRobot(**values, files=(urdf, capsules, *arm))
+
+
+def robot_named(text: str) -> AnyRobot:
+    """The arm that a scenario in the working directory means by ``text``, a name or a file; ScenarioError."""
+    return read_robot(Field(Scalar(text, 1), None, path="FILE", line=1), {})
+
+
+def is_arm_file(text: str) -> bool:
+    """Does a text name a file with the keys of an arm?"""
+    return text.endswith(_ENDINGS) or is_shipped(text)
 
 
 def _keys_of_file(field: Field) -> Fields:

@@ -18,7 +18,7 @@ from safety_harness.geometry.regions import Region
 from safety_harness.scenario.robots import AnyRobot, Robot
 from safety_harness.scoring.questions import Questions
 from safety_harness.settings import Settings
-from safety_harness.space.regions import Seen, region_named
+from safety_harness.space.regions import SeenRegions, region_named
 
 Generator = np.random.Generator
 Pairs = tuple[ArrayNx3, ArrayNx3]  # hands and TCPs in the base frame [m]
@@ -64,7 +64,7 @@ class QuestionRegion:
         return Questions(hands, tcps, rng.integers(0, 2**63, len(hands), dtype=np.uint64))
 
 
-def named_regions(seen: Seen, settings: Settings) -> tuple[QuestionRegion, ...]:
+def named_regions(seen: SeenRegions, settings: Settings) -> tuple[QuestionRegion, ...]:
     """The four of an avoider's training (Table 3), and what no run asks about, over all of their boxes."""
     near_m = settings.avoidance.critical_distance_m
     about = f"of {seen.source}; hands within {near_m * 1e3:g} mm of the TCP"

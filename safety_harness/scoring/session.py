@@ -24,7 +24,7 @@ from safety_harness.scoring.space_region import space_region
 from safety_harness.scoring.worst import TOLERANCE_M, Objective, Tried, search_region, worst_questions
 from safety_harness.settings import DEFAULTS
 from safety_harness.space.read import read_space
-from safety_harness.space.regions import Seen, seen_by
+from safety_harness.space.regions import SeenRegions, seen_by
 from safety_harness.whole_file import write_text
 
 CLAIMS = (
@@ -87,7 +87,7 @@ class ScoringSession:
         self.on_step(words, min(self._steps_done / self._steps, 0.99))
         self._steps_done += 1
 
-    def _seen(self, reference: str) -> Seen:
+    def _seen(self, reference: str) -> SeenRegions:
         return seen_by(reference, folder=None, settings=DEFAULTS)
 
     def _regions(self, reference: str) -> list[QuestionRegion]:

@@ -6,11 +6,12 @@ What one world shows and the other does not is a finding of its own, with the ru
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 from safety_harness.admission.admit import Admitted, admit
 from safety_harness.admission.claims import property_of
-from safety_harness.avoidance.avoider import AvoiderAround, Proposal, Vector, described
-from safety_harness.exceptions import InputError
+from safety_harness.avoidance.avoider import AvoiderAround, Proposal, Vector
+from safety_harness.exceptions import InputError, described
 from safety_harness.properties.answered import fault_of
 from safety_harness.properties.base import Evaluation
 from safety_harness.scenario.model import Claim, Scenario, Verdict
@@ -104,13 +105,14 @@ class OtherDraws(AvoiderAround):
     stream: int
 
     def propose(
-        self, *, hand_position_in_base_m: Vector, tcp_position_in_base_m: Vector, seed: int
+        self, *, hand_position_in_base_m: Vector, tcp_position_in_base_m: Vector, seed: int, **seen: Any
     ) -> Proposal:
         """What the avoider says with another seed."""
         return self.avoider.propose(
             hand_position_in_base_m=hand_position_in_base_m,
             tcp_position_in_base_m=tcp_position_in_base_m,
             seed=leaf(seed, Branch.SEARCH, 5, self.stream),
+            **seen,
         )
 
 

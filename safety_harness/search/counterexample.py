@@ -18,7 +18,6 @@ import numpy as np
 from safety_harness.admission.admit import admit
 from safety_harness.admission.avoiders import folder_of
 from safety_harness.properties.base import Evaluation
-from safety_harness.robot.robots import urdf_sha256_of
 from safety_harness.scenario.model import Claim, Scenario, Verdict
 from safety_harness.scenario.write import write_scenario
 from safety_harness.search.confirm import Complaint, Confirm, in_one_world
@@ -26,7 +25,7 @@ from safety_harness.search.coverage import cell_of
 from safety_harness.search.findings import TriedPoint
 from safety_harness.search.shrink import Shrunk, shrink
 from safety_harness.search.trials import ScenarioRunner, Trials
-from safety_harness.space.regions import Seen, seen_by
+from safety_harness.space.regions import SeenRegions, seen_by
 from safety_harness.trace.records import Check, DecisionOutcome
 from safety_harness.trace.trace import Trace
 from safety_harness.trace.unmeasured import decided
@@ -40,9 +39,9 @@ def unexplained(scenario: Scenario, claim: Claim) -> Sequence[str]:
     return ()
 
 
-def seen_of(scenario: Scenario) -> Seen:
+def seen_of(scenario: Scenario) -> SeenRegions:
     """What the scenario's avoider was trained on."""
-    return seen_by(scenario.avoider, folder=folder_of(scenario), settings=scenario.settings)
+    return seen_by(scenario.under_test, folder=folder_of(scenario), settings=scenario.settings)
 
 
 def circumstances(trace: Trace) -> list[str]:
@@ -84,7 +83,8 @@ class Counterexample:
     ``run`` is that run (an Exception for one that could not be carried on), ``draws`` in how many of
     DRAWS draws of the avoider's own randomness it happens.  ``found_margin`` is the margin in the confirming
     world before shrinking [SI], None for a mishap.  ``circumstances`` and ``attribution``, whose fault
-    it is, are lines for people.  Where shrinking was interrupted there are neither attribution nor draws.
+    it is, are lines for people.  Where shrinking was interrupted there are neither attribution nor draws, and
+    no draws where there is no avoider.
     """
 
     complaint: Complaint
@@ -181,7 +181,7 @@ def counterexample_of(
         tuple(explain(shrunk.scenario, complaint.claim))
         if whole and complaint.claim is not None and not complaint.kind
         else (),
-        confirm.share_of_draws(shrunk.scenario, DRAWS) if whole else None,
+        confirm.share_of_draws(shrunk.scenario, DRAWS) if whole and not shrunk.scenario.driven else None,
     )
 
 
@@ -220,8 +220,8 @@ def _evidence(trace: Trace) -> list[str]:
         f"world {made.world}, safety-harness {made.package_version}, Python {made.python}, {made.platform}",
         f"libraries: {libraries}",
         f"source {made.source_hash}",
-        f"avoider {made.avoider}, file {made.avoider_sha256 or 'none'}",
-        f"URDF {urdf_sha256_of(scenario.robot)}",
+        f"{trace.system.words}, file {trace.system.tested.sha256 or 'none'}",
+        f"URDF {trace.system.robot.sha256}",
         f"claims {hashlib.sha256(claims.encode()).hexdigest()}",
         f"seed {scenario.seed} (hands and sensors); seeds of the decisions: {seeds}",
     ]

@@ -2,7 +2,8 @@
 
 A run is in one cell.  Direction, speed and what was seen are those at its gravest decision (a protective
 stop before an opposite pose before a proposed one, the first of them), or, without a decision, at the
-hand's nearest approach; the distance is the nearest of the run.
+hand's nearest approach; the distance is the nearest of the run.  A controller that reports no decisions is
+covered by distances and motion alone, and by its first protective stop if it reports its mode.
 """
 
 from __future__ import annotations
@@ -15,8 +16,8 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.space.regions import Seen
-from safety_harness.trace.records import DecisionOutcome
+from safety_harness.space.regions import SeenRegions
+from safety_harness.trace.records import DecisionOutcome, Mode
 from safety_harness.trace.trace import Trace
 
 # From the TCP, in the base: +x -x +y -y +z -z.
@@ -27,10 +28,8 @@ SEEN = ("seen", "hand unseen", "TCP unseen", "both unseen")
 OUTCOMES = ("no decision", "proposed position", "opposite pose", "protective stop")
 AXES = {"direction": DIRECTIONS, "speed": SPEEDS, "distance": DISTANCES, "seen": SEEN, "outcome": OUTCOMES}
 
-READ = (
-    *("transform_tcp_to_base", "hand_present", "hand_position_in_base_m", "hand_distance_m"),
-    *("decision.tick", "decision.outcome"),
-)
+READ = ("transform_tcp_to_base", "hand_present", "hand_position_in_base_m", "hand_distance_m")
+READ_OF_DECISIONS = ("decision.tick", "decision.outcome")
 _AT_REST_MPS = 0.05
 _GRAVITY = {DecisionOutcome.PROPOSED: 1, DecisionOutcome.OPPOSITE: 2, DecisionOutcome.STOP: 3}
 
@@ -97,16 +96,15 @@ class Coverage:
         return "\n".join(lines)
 
 
-def cell_of(trace: Trace, seen: Seen) -> CoverageCell | None:
+def cell_of(trace: Trace, seen: SeenRegions) -> CoverageCell | None:
     """Where a run belongs; None if no hand was there, or what it takes was not all measured or finite."""
-    if any(trace.known.missing([name]) or trace.known.of(name).gaps for name in READ):
+    if not (_measured(trace, READ) and (trace.scenario.driven or _measured(trace, READ_OF_DECISIONS))):
         return None
     distances = np.where(trace.ticks["hand_present"], trace.ticks["hand_distance_m"], np.inf)
     if not np.any(np.isfinite(distances)):
         return None
-    gravity = [_GRAVITY[DecisionOutcome(int(outcome))] for outcome in trace.decisions["outcome"]]
-    gravest = int(np.argmax(gravity)) if gravity else -1
-    tick = int(trace.decisions["tick"][gravest]) if gravity else int(np.nanargmin(distances.min(axis=1)))
+    gravity, tick = _gravest(trace)
+    tick = int(np.nanargmin(distances.min(axis=1))) if tick is None else tick
     hand = int(np.nanargmin(distances[tick]))
     hand_m = trace.ticks["hand_position_in_base_m"][:, hand]
     tcp_m = trace.ticks["transform_tcp_to_base"][tick, :3, 3]
@@ -117,8 +115,25 @@ def cell_of(trace: Trace, seen: Seen) -> CoverageCell | None:
         speed=_speed(trace, hand_m, tick),
         distance=DISTANCES[int(np.searchsorted([0.0, 0.05, 0.2], float(np.nanmin(distances))))],
         seen=SEEN[int(not seen.hand.contains(hand_m[tick])) + 2 * int(not seen.tcp.contains(tcp_m))],
-        outcome=OUTCOMES[gravity[gravest] if gravity else 0],
+        outcome=OUTCOMES[gravity],
     )
+
+
+def _measured(trace: Trace, names: Iterable[str]) -> bool:
+    return not any(trace.known.missing([name]) or trace.known.of(name).gaps for name in names)
+
+
+def _gravest(trace: Trace) -> tuple[int, int | None]:
+    """How grave the gravest decision was that is known of, and its tick; None without any."""
+    if not _measured(trace, READ_OF_DECISIONS):
+        stops = np.flatnonzero(trace.ticks["mode"] == Mode.PROTECTIVE_STOP)
+        known = len(stops) > 0 and _measured(trace, ["mode"])
+        return (_GRAVITY[DecisionOutcome.STOP], int(stops[0])) if known else (0, None)
+    gravity = [_GRAVITY[DecisionOutcome(int(outcome))] for outcome in trace.decisions["outcome"]]
+    if not gravity:
+        return 0, None
+    gravest = int(np.argmax(gravity))
+    return gravity[gravest], int(trace.decisions["tick"][gravest])
 
 
 def _speed(trace: Trace, hand_m: NDArray[np.float64], tick: int) -> str:

@@ -19,8 +19,15 @@ from safety_harness.admission.claims import property_of
 from safety_harness.admission.repeatability import Repeatability
 from safety_harness.admission.spaces import why_refused
 from safety_harness.admission.trial import run_all
-from safety_harness.avoidance.avoider import decision_time_of, described
-from safety_harness.exceptions import InadmissibleError, InputError, Place, ScenarioError, refuse_other_type
+from safety_harness.avoidance.avoider import decision_time_of
+from safety_harness.exceptions import (
+    InadmissibleError,
+    InputError,
+    Place,
+    ScenarioError,
+    described,
+    refuse_other_type,
+)
 from safety_harness.properties.against import Against, RunDifference
 from safety_harness.properties.answered import (
     DEFAULT_CLAIM,
@@ -41,6 +48,7 @@ from safety_harness.simulation.simulate import INTERRUPTED
 from safety_harness.simulation.worlds import KINEMATIC, PYBULLET, WorldEntry
 from safety_harness.space.space import ScenarioSpace, each_to_hold
 from safety_harness.trace.overruling import Overruling
+from safety_harness.trace.system import NOT_NOTED, SystemUnderTest
 from safety_harness.trace.trace import Trace
 from safety_harness.trace.unmeasured import as_measured
 
@@ -107,6 +115,7 @@ class Trials:
     nearest_hand_m: float = field(default=np.inf, init=False)
     decisions: int = field(default=0, init=False)
     unanswered: int = field(default=0, init=False)
+    system: SystemUnderTest = field(default=NOT_NOTED, init=False)  # of the first run
     overruling: Overruling = field(default_factory=Overruling, init=False)
     differences: list[RunDifference] = field(default_factory=list, init=False)
     repeatability: Repeatability = field(default_factory=Repeatability, init=False)
@@ -139,7 +148,7 @@ class Trials:
         """How the runs differ from the reference's; None without one."""
         if self.reference is None:
             return None
-        mine = told_avoider(self.avoider or self.space.simplest.avoider)
+        mine = told_avoider(self.avoider or self.space.simplest.under_test)
         return Against(mine=mine, reference=self.reference.name, runs=self.differences, drawn=False)
 
     def scenario(self, point: Point, number: int) -> Scenario:
@@ -153,9 +162,11 @@ class Trials:
             place = Place(field="--claim")
             claims = tuple(Claim(sentence=s, expected=Verdict.HOLDS, place=place) for s in self.sentences)
         claims = with_expectation(claims, scenario)
-        claims = claims if is_claimed(claims) else (*claims, DEFAULT_CLAIM)
-        scenario = replace(scenario, claims=claims)
-        return scenario if self.avoider is None else with_avoider(scenario, self.avoider)
+        if self.avoider is not None:
+            scenario = with_avoider(scenario, self.avoider)
+        if not (scenario.driven or is_claimed(claims)):
+            claims = (*claims, DEFAULT_CLAIM)
+        return replace(scenario, claims=claims)
 
     def __call__(self, points: Points, first: int) -> Outcomes:
         """Admit and run; what admission refuses is not run."""
@@ -188,6 +199,7 @@ class Trials:
             conclusive[k] = [one.verdict is not Verdict.INCONCLUSIVE for one in evaluations]
             if reference is not None:
                 self._hold_against(reference, trace, evaluations, margins[k], conclusive[k])
+            self.system = trace.system if self.system is NOT_NOTED else self.system
             self.decisions += len(trace.decisions)
             self.repeatability.add(trace)
             self.unanswered += int(np.count_nonzero(unanswered(trace)))

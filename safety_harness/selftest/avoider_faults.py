@@ -10,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from itertools import count
+from typing import Any
 
 import numpy as np
 
@@ -39,10 +40,22 @@ class FaultyAvoider(AvoiderAround):
     answers: Answers
 
     def propose(
-        self, *, hand_position_in_base_m: Vector, tcp_position_in_base_m: Vector, seed: int
+        self, *, hand_position_in_base_m: Vector, tcp_position_in_base_m: Vector, seed: int, **seen: Any
     ) -> Proposal:
         """What becomes of the answer."""
-        return self.answers(self.avoider, hand_position_in_base_m, tcp_position_in_base_m, seed)
+        avoider = _Shown(self.avoider, seen) if seen else self.avoider
+        return self.answers(avoider, hand_position_in_base_m, tcp_position_in_base_m, seed)
+
+
+@dataclass(frozen=True, eq=False)
+class _Shown(AvoiderAround):
+    """An avoider that sees more, to be asked with three keywords: the fourth is what is seen now."""
+
+    seen: dict[str, Any]
+
+    def propose(self, **question: Any) -> Proposal:
+        """The avoider's own."""
+        return self.avoider.propose(**question, **self.seen)
 
 
 def asked(avoider: Avoider, hand: Vector, tcp: Vector, seed: int) -> Proposal:

@@ -164,8 +164,11 @@ def outcomes(plan: SelfTestPlan, numbers: list[int], jobs: int) -> Iterator[Faul
 
 def sound_remarks(episodes: Sequence[Admitted]) -> list[str]:
     """What a user has to know of the sound system: an avoider that is slow to ask, or not repeatable."""
-    avoiders = {one.avoider.name: number for number, one in reversed(list(enumerate(episodes)))}
+    asking = [(n, one) for n, one in enumerate(episodes) if one.driver is None]
+    avoiders = {one.avoider.name: number for number, one in reversed(asking)}
     said = [why for number in avoiders.values() if (why := slower_because(episodes[number].avoider))]
+    if len(asking) < len(episodes):
+        said.append("no avoider and no gate: faults of theirs, and of the visual servo itself, do not apply")
     if not REFERENCE.is_installed:
         said.append(f"{REFERENCE} is not installed: neither its world nor its geometry is asked")
     for name, number in avoiders.items():

@@ -77,13 +77,16 @@ class ChangedSystem:
         return replace(self, admitted=replace(self.admitted, joint_position_rad=joint_position_rad))
 
     def run(self, world: WorldEntry = KINEMATIC) -> Trace:
-        """One run; whatever the faults raise passes through, and Ctrl-C raises KeyboardInterrupt."""
+        """One run; whatever the faults raise passes through, and Ctrl-C raises KeyboardInterrupt.
+
+        A user's controller is made afresh for each, so that a fault leaves nothing in it.
+        """
         admitted = self.admitted
         scenario = admitted.scenario
-        pilot = admitted.controller()
-        for edit in self.edits:
-            edit(pilot)
-        controller: Controller = pilot if self.pilot is None else self.pilot(pilot)
+        if admitted.driver is not None:
+            controller: Controller = admitted.driven_by(admitted.driver.make())
+        else:
+            controller = self._servo()
         with world.open(scenario, admitted.arm, admitted.joint_position_rad) as episode:
             for wrap in self.worlds:
                 episode = wrap(episode)
@@ -92,6 +95,12 @@ class ChangedSystem:
         if trace.ended == INTERRUPTED:
             raise KeyboardInterrupt
         return trace
+
+    def _servo(self) -> Controller:
+        pilot = self.admitted.servo()
+        for edit in self.edits:
+            edit(pilot)
+        return pilot if self.pilot is None else self.pilot(pilot)
 
 
 class Delayed:

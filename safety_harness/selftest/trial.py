@@ -7,9 +7,9 @@ from dataclasses import dataclass, field, replace
 
 from safety_harness.admission.admit import Admitted
 from safety_harness.admission.claims import property_of
-from safety_harness.avoidance.avoider import described, spread_threshold_of
+from safety_harness.avoidance.avoider import spread_threshold_of
 from safety_harness.avoidance.flaky import refuse_flaky
-from safety_harness.exceptions import FlakyAvoiderError
+from safety_harness.exceptions import FlakyAvoiderError, described
 from safety_harness.properties.base import Evaluation, Unit
 from safety_harness.properties.hand_distance import HAND_DISTANCE
 from safety_harness.scenario.model import Verdict
@@ -111,10 +111,26 @@ class FaultTrials:
     _sound: dict[tuple[int, str, str], Words] = field(default_factory=dict)
 
     def applies(self, fault: SeededFault) -> bool:
-        """A fault of the spread needs an avoider that states one."""
+        """A fault of the spread needs an avoider that states one; others may need the visual servo.
+
+        That is a fault in what the visual servo alone has: avoider, gate, and its own records.
+        """
+        if not self._all_servo:
+            return self._touches_any(fault)
         if not fault.of_spread:
             return True
         return any(spread_threshold_of(one.avoider) is not None for one in self.episodes)
+
+    @property
+    def _all_servo(self) -> bool:
+        return all(one.driver is None for one in self.episodes)
+
+    def _touches_any(self, fault: SeededFault) -> bool:
+        """Is all that the fault changes in the world, in what is seen of it or told to it?"""
+        before = ChangedSystem(self.episodes[0])
+        after = fault.seed_into(fault.circumstance.bring_about(before), fault.ladder.values[0])
+        own = after.admitted.avoider is before.admitted.avoider
+        return own and not after.edits and after.pilot is None
 
     def rung(self, fault: SeededFault, magnitude: float) -> Rung:
         """Episode after episode, until something catches it."""
@@ -213,6 +229,8 @@ def words_on(admitted: Admitted, trace: Trace) -> dict[str, Evaluation]:
 
 
 def _flaky(admitted: Admitted, trace: Trace) -> str:
+    if admitted.driver is not None:
+        return ""
     try:
         refuse_flaky(admitted.avoider, trace)
     except FlakyAvoiderError as error:

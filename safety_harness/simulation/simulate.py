@@ -12,13 +12,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.avoidance.gate import ask_many
+from safety_harness.controller.around import ControllerWrapper
 from safety_harness.controller.controller import AvoidingServo, Controller
-from safety_harness.robot.robots import arm_model
+from safety_harness.controller.driven import DrivenController
+from safety_harness.robot.robots import arm_model, urdf_sha256_of
 from safety_harness.scenario.model import Scenario
+from safety_harness.simulation.driving import drive
+from safety_harness.simulation.kinematic_world import KinematicWorld
 from safety_harness.simulation.world import BatchWorld, World
 from safety_harness.simulation.worlds import libraries_of
+from safety_harness.trace.known import knowing
 from safety_harness.trace.provenance import provenance
 from safety_harness.trace.records import Limit, tick_dtype
+from safety_harness.trace.system import Component, SystemUnderTest, system_of
 from safety_harness.trace.trace import Trace
 
 INTERRUPTED = "interrupted by the user"
@@ -32,8 +38,11 @@ def simulate(
     ``on_tick`` is told the number of ticks done, for progress.  Ctrl-C between ticks ends the run
     early: the trace then says that it was interrupted, and no property takes it for a safe one.
     """
-    ticks = _no_ticks(scenario)
+    ticks = no_ticks(scenario)
     done, ended = 0, "complete"
+    if isinstance(controller, DrivenController) and type(world) is KinematicWorld:
+        done, ended = _driven(world, controller, ticks, on_tick)
+        return trace_of(scenario, world, controller, ticks[:done], ended)
     try:
         for k in range(len(ticks)):
             tick = ticks[k : k + 1]
@@ -51,29 +60,61 @@ def simulate(
     except KeyboardInterrupt:
         ended = INTERRUPTED
     # no copy of the ticks: that would fill the padding between fields with anything
-    return _trace(scenario, world, controller, ticks[:done], ended)
+    return trace_of(scenario, world, controller, ticks[:done], ended)
 
 
-def _no_ticks(scenario: Scenario) -> NDArray[np.void]:
+def _driven(
+    world: KinematicWorld,
+    controller: DrivenController,
+    ticks: NDArray[np.void],
+    on_tick: Callable[[int], None] | None,
+) -> tuple[int, str]:
+    """How many ticks were done, and how it ended."""
+    done = 0
+
+    def count(number: int) -> None:
+        nonlocal done
+        done = number
+        if on_tick is not None:
+            on_tick(number)
+
+    try:
+        drive(world, controller, ticks, count)
+    except KeyboardInterrupt:
+        return done, INTERRUPTED
+    return done, "complete"
+
+
+def no_ticks(scenario: Scenario) -> NDArray[np.void]:
     """(n,) TICK of its hands and its arm, to be filled."""
     joints = len(arm_model(scenario.robot).joint_names)
     return np.zeros(scenario.ticks + 1, tick_dtype(scenario.hand_slots, joints))
 
 
-def _trace(
+def trace_of(
     scenario: Scenario, world: World, controller: Controller, ticks: NDArray[np.void], ended: str = "complete"
 ) -> Trace:
     """What happened in ``ticks`` (n,) TICK."""
     decisions = controller.decisions
     decisions = decisions[decisions["tick"] < len(ticks)]  # not one of a tick that Ctrl-C cut short
-    return Trace(
+    trace = Trace(
         scenario=scenario,
         ticks=ticks,
         decisions=decisions,
         decision_latency_s=controller.decision_latencies_s[: len(decisions)],
-        provenance=provenance(world.name, controller.name, libraries_of(world.name, scenario)),
+        provenance=provenance(world.name, libraries_of(world.name, scenario)),
         ended=ended,
+        system=_system(scenario, controller),
     )
+    return knowing(trace, controller.known) if isinstance(controller, DrivenController) else trace
+
+
+def _system(scenario: Scenario, controller: Controller) -> SystemUnderTest:
+    """Of the run; the hash of a user's file is for whoever has read it."""
+    part = Component(name=controller.name)
+    asks = isinstance(controller, AvoidingServo | ControllerWrapper)
+    own = {"avoider" if asks else "controller": part}
+    return system_of(scenario, robot_sha256=urdf_sha256_of(scenario.robot), **own)
 
 
 @dataclass(eq=False)
@@ -87,7 +128,7 @@ class Episode:
     observation: NDArray[np.void] | None = field(init=False, default=None)  # to be decided on
 
     def __post_init__(self) -> None:
-        self.ticks = _no_ticks(self.scenario)
+        self.ticks = no_ticks(self.scenario)
 
     def advance(self) -> bool:
         """On to the next decision (True) or to the end (False)."""
@@ -97,7 +138,7 @@ class Episode:
 
     def trace(self) -> Trace:
         """What happened, when it has come to its end."""
-        return _trace(self.scenario, self.world, self.controller, self.ticks)
+        return trace_of(self.scenario, self.world, self.controller, self.ticks)
 
 
 def simulate_many(episodes: Sequence[Episode]) -> list[Trace]:

@@ -12,6 +12,7 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Protocol
 
+from safety_harness.controller.named import LEARNED
 from safety_harness.exceptions import InstallationError, Place, ScenarioError, TraceError, near_miss
 from safety_harness.extras import IMAGES
 from safety_harness.extras import PYBULLET as PYBULLET_EXTRA
@@ -147,7 +148,8 @@ def libraries_of(world: str, scenario: Scenario) -> tuple[str, ...]:
     """What a run of ``scenario`` uses beside the libraries of every run, in the world of this ``name``."""
     engines = next((one.libraries for one in WORLDS if one.name == world), ())
     images = ("cv2",) if has_rendered_images(scenario) else ()
-    return (*engines, *images, *(("onnxruntime",) if scenario.avoider.endswith(ONNX_SUFFIX) else ()))
+    in_onnx = scenario.under_test.endswith(ONNX_SUFFIX) or scenario.controller == LEARNED
+    return (*engines, *images, *(("onnxruntime",) if in_onnx else ()))
 
 
 def worlds_by_label() -> dict[str, WorldEntry]:

@@ -94,7 +94,7 @@ def _with_regions(space: ScenarioSpace) -> ScenarioSpace:
 
     base = with_regions(lambda name, path: _SOMEWHERE).simplest
     folder = space.file.parent if space.file else None
-    seen = seen_by(base.avoider, folder=folder, settings=base.settings)
+    seen = seen_by(base.under_test, folder=folder, settings=base.settings)
     x, y, z = base.settings.cell.desired_tcp_position_in_base_m
     return with_regions(region, f"the seen space is that of {seen.source}")
 
@@ -143,7 +143,7 @@ def _anchors(scenario: Scenario) -> tuple[object, ...]:
     """What the named regions depend on."""
     cell, avoidance = scenario.settings.cell, scenario.settings.avoidance
     return (
-        scenario.avoider,
+        scenario.under_test,
         cell.desired_tcp_position_in_base_m,
         cell.table_height_m,
         avoidance.nominal_hand_position_in_base_m,

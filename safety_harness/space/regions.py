@@ -46,7 +46,7 @@ REGIONS = ("seen hand", "unseen hand", "seen tcp", "unseen tcp")
 
 
 @dataclass(frozen=True)
-class Seen:
+class SeenRegions:
     """The boxes of hands and TCPs that an avoider was trained on, in the base frame.
 
     ``source`` says whose they are.
@@ -57,16 +57,16 @@ class Seen:
     source: str
 
 
-def paper_seen(settings: Settings, source: str = "the paper") -> Seen:
+def paper_seen(settings: Settings, source: str = "the paper") -> SeenRegions:
     """The paper's seen space: TCPs about the desired one, hands about the nominal one."""
-    return Seen(
+    return SeenRegions(
         hand=Box.about(settings.avoidance.nominal_hand_position_in_base_m, SEEN_HAND_HALF_SIZE_M),
         tcp=Box.about(settings.cell.desired_tcp_position_in_base_m, SEEN_TCP_HALF_SIZE_M),
         source=source,
     )
 
 
-def seen_by(avoider: str, *, folder: Path | None, settings: Settings) -> Seen:
+def seen_by(avoider: str, *, folder: Path | None, settings: Settings) -> SeenRegions:
     """What the avoider that a scenario names has seen, by its own file's metadata.
 
     ``folder`` is where relative files are sought from.  The metadata of a network are read, and no user's
@@ -78,14 +78,15 @@ def seen_by(avoider: str, *, folder: Path | None, settings: Settings) -> Seen:
     if avoider in SHIPPED or avoider.endswith(MODEL_SUFFIX):
         seen = load_model(shipped_model(avoider) if avoider in SHIPPED else path).seen
     elif avoider.endswith(ONNX_SUFFIX):
-        seen = exported_seen(path)
+        exported = exported_use(path)
+        seen = exported.seen if exported else None
     if seen is None:
         return paper_seen(settings, f"the paper, as {avoider} does not say what it has seen")
     hand, tcp = Box(seen.hand_low_m, seen.hand_high_m), Box(seen.tcp_low_m, seen.tcp_high_m)
-    return Seen(hand=hand, tcp=tcp, source=avoider)
+    return SeenRegions(hand=hand, tcp=tcp, source=avoider)
 
 
-def region_named(name: str, seen: Seen, settings: Settings) -> Region:
+def region_named(name: str, seen: SeenRegions, settings: Settings) -> Region:
     """One of ``REGIONS``, in the base frame; RegionError with their names for any other."""
     if name == "seen hand":
         return Region(seen.hand)
@@ -101,9 +102,9 @@ def region_named(name: str, seen: Seen, settings: Settings) -> Region:
     raise RegionError.of_option("in", f"one of {', '.join(REGIONS)}", repr(name), near_miss(name, REGIONS))
 
 
-def exported_seen(path: Path) -> SeenSpace | None:
-    """What an ONNX file of ours says it has seen; None for one of others."""
+def exported_use(path: Path) -> NetworkUse | None:
+    """What an ONNX file of ours says of its network; None for one of others."""
     text = onnx_metadata(path, onnx_bytes(path)).get(KEY)
     if text is None:
         return None
-    return network_use(parsed(text, path, "metadata", ModelError), NetworkUse, path, others=True).seen
+    return network_use(parsed(text, path, "metadata", ModelError), NetworkUse, path, others=True)

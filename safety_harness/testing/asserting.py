@@ -129,7 +129,7 @@ def run_of(trace: Trace) -> Run:
     """What is remembered of a run."""
     return Run(
         name=trace.scenario.name,
-        avoider=trace.provenance.avoider,
+        tested=trace.system.words,
         seed=trace.scenario.seed,
         sound=trace.complete and unreadable(trace, TRUTH) is None and _is_measured(trace),
     )

@@ -60,9 +60,7 @@ def _facts(evaluation: Evaluation, trace: Trace) -> list[str]:
         for part in evaluation.parts
     ]
     lines.append(f"  exercised {count_words(evaluation.exercised, 'time', 'times')}")
-    lines.append(
-        f"  run       {trace.scenario.name}, avoider {trace.provenance.avoider}, seed {trace.scenario.seed}"
-    )
+    lines.append(f"  run       {trace.scenario.name}, {trace.system.words}, seed {trace.scenario.seed}")
     if not trace.complete:
         lines.append(f"  ended     {trace.ended}")
     return lines

@@ -41,7 +41,7 @@ class Run:
     """What is remembered of a run when its trace is gone; ``sound``: it was whole, and of finite numbers."""
 
     name: str  # of its scenario
-    avoider: str
+    tested: str  # "avoider" or "controller", and its name
     seed: int
     sound: bool
 
@@ -133,6 +133,7 @@ class Session:
     failures: Path = FAILURES
     report: Path | None = None
     saved: set[Path] = field(default_factory=set)  # traces that this process wrote for the report
+    recordings: dict[str, bytes] = field(default_factory=dict)  # of logs, by their SHA-256
     test: TestRun | None = None
 
 

@@ -12,10 +12,11 @@ from types import FrameType
 from weakref import WeakKeyDictionary
 
 from safety_harness.admission.admit import Admitted, Admitter, Looker, admit
-from safety_harness.admission.avoiders import command_line_reference, with_avoider
+from safety_harness.admission.avoiders import command_line_reference, option_of, with_avoider
 from safety_harness.admission.trial import run_trial
 from safety_harness.avoidance.avoider import Avoider
 from safety_harness.avoidance.flaky import refuse_flaky
+from safety_harness.controller.contract import UserController
 from safety_harness.exceptions import FlakyAvoiderError, InputError, Place
 from safety_harness.properties.answered import by_default
 from safety_harness.report.decisions import ComputingTime
@@ -57,7 +58,7 @@ def avoiders_asked() -> list[tuple[str | None, str]]:
     """That of ``--avoider``, or None, and that of ``--safety-against`` if any; each with its option."""
     now = session()
     reference = [] if now.against is None else [(now.against, "--safety-against")]
-    return [(now.avoider, "--avoider"), *reference]
+    return [(now.avoider, option_of(now.avoider or "")), *reference]
 
 
 looker = Looker()  # what is collected is looked at, and nothing of a user's executed
@@ -78,7 +79,8 @@ class Simulate:
     It runs in PyBullet, or in the world of ``--safety-world``.
 
     A path, also as a text, is that of a scenario file; a relative one is sought as ``scenarios`` does.
-    The avoider is that of ``--avoider``, else the scenario's own, or the object given as ``avoider``.
+    The avoider is that of ``--avoider``, else the scenario's own, or the object given as ``avoider``; or
+    ``controller`` drives the arm, in place of the visual servo.
     InputError for a scenario that cannot be tried; FlakyAvoiderError for an avoider that, asked the
     questions of the run once more, answers otherwise.
     """
@@ -89,7 +91,13 @@ class Simulate:
     def __repr__(self) -> str:
         return "<simulate>"
 
-    def __call__(self, scenario: Scenario | str | Path, *, avoider: Avoider | None = None) -> Trace:
+    def __call__(
+        self,
+        scenario: Scenario | str | Path,
+        *,
+        avoider: Avoider | None = None,
+        controller: UserController | None = None,
+    ) -> Trace:
         """Run ``scenario``, or remember a run of the same."""
         __tracebackhide__ = True
         frame = inspect.currentframe()
@@ -97,8 +105,8 @@ class Simulate:
             if not isinstance(scenario, Scenario):
                 path = as_path(scenario, "simulate(scenario)", of_text="parse_scenario")
                 scenario = read_scenario(sought_from(path, frame.f_back if frame else None))
-            if avoider is not None:
-                trace = _run(admit(scenario, avoider=avoider))
+            if avoider is not None or controller is not None:
+                trace = _run(admit(scenario, avoider=avoider, controller=controller))
             else:
                 trace = self._remembered(as_asked(scenario))
                 _asked_for[trace] = scenario
@@ -108,7 +116,7 @@ class Simulate:
         if test is None or not test.counts:
             return trace
         if len(trace.decisions):
-            run = f"{trace.provenance.avoider}: {digest_of(trace.scenario)}"
+            run = f"{trace.system.tested.name}: {digest_of(trace.scenario)}"
             test.overruled[run] = Overruling.of([trace])
         if test.fallback is None and by_default(trace) is not None:
             test.fallback = trace
@@ -149,7 +157,8 @@ def _run(admitted: Admitted) -> Trace:
     trace = run_trial(admitted, world=world_named(session().world, "--safety-world"))
     if trace.ended == INTERRUPTED:
         raise KeyboardInterrupt
-    refuse_flaky(admitted.avoider, trace)
+    if admitted.driver is None:
+        refuse_flaky(admitted.avoider, trace)
     if (test := session().test) is not None and len(trace.decisions):
         test.computing_times.append(ComputingTime.of(trace))
     return trace

@@ -136,7 +136,7 @@ def keep(test_id: str, violation: SafetyViolation) -> Path:
     head = [
         f"A failure of {test_id}",
         f"{evaluation.sentence}: {evaluation.verdict.value}, margin {evaluation.margin_text()}",
-        f"avoider {violation.trace.provenance.avoider}",
+        violation.trace.system.words,
         "It is tried first whenever that test runs; delete this file when it need not be any more.",
     ]
     try:

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from functools import cached_property
-from math import isfinite
+from math import inf, isfinite
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
@@ -39,6 +39,10 @@ class Source(Enum):
     LOG = "log"
     DERIVED = "derived"
     NONE = "not measured"
+    UNREPORTED = "not reported"  # of a simulated run: the controller does not say
+
+
+_NOWHERE = (Source.NONE, Source.UNREPORTED)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,25 +59,39 @@ class Gap:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Closer:
+    """Ticks from ``first`` to the one before ``after`` in which a column is known more closely."""
+
+    first: int
+    after: int
+    uncertainty: float
+
+
+@dataclass(frozen=True, kw_only=True)
 class Measurement:
     """How a column was measured.
 
     Every stored number is within ``uncertainty`` (in the column's own SI unit) of the true one, a position or
-    that of a pose by its distance, but in ``gaps``.  One that is ``Source.NONE`` was not measured at all.
-    A derived one is as uncertain as what it was derived from makes it.
+    that of a pose by its distance, but in ``gaps``; it is within less where it is ``closer``, and from one
+    tick to the next within the larger of theirs.  ``at_most_per_s``: the true one changes no faster.
+    One that is ``Source.NONE`` was not measured at all, and so it is with one that the controller of a
+    simulated run does not report.  A derived one is as uncertain as what it was derived from makes it.
     """
 
     source: Source = Source.SIMULATED
     uncertainty: float = 0.0
     gaps: tuple[Gap, ...] = ()
+    closer: tuple[Closer, ...] = ()
+    at_most_per_s: float | None = None
 
     @property
     def limited(self) -> bool:
         """Is anything in it unknown or uncertain?"""
-        return self.source is Source.NONE or self.uncertainty > 0.0 or bool(self.gaps)
+        return self.source in _NOWHERE or self.uncertainty > 0.0 or bool(self.gaps)
 
 
 NOT_MEASURED = Measurement(source=Source.NONE)
+NOT_REPORTED = Measurement(source=Source.UNREPORTED)
 
 
 @dataclass(frozen=True)
@@ -102,15 +120,35 @@ class Knowledge:
     @property
     def simulated(self) -> bool:
         """Was all of it simulated, so that it can be run again?"""
-        return all(one.source is Source.SIMULATED and not one.limited for one in self.columns.values())
+        return all(
+            one == NOT_REPORTED or (one.source is Source.SIMULATED and not one.limited)
+            for one in self.columns.values()
+        )
+
+    @property
+    def recorded(self) -> bool:
+        """Was any of it read from a log?"""
+        return any(one.source is Source.LOG for one in self.columns.values())
 
     def of(self, name: str) -> Measurement:
         """Of one column."""
         return self.columns.get(name, _SIMULATED)
 
+    def within(self, name: str, count: int) -> NDArray[np.float64]:
+        """(count,) the uncertainty of one column at each tick, in its SI unit."""
+        one = self.of(name)
+        found = np.full(count, one.uncertainty)
+        for span in one.closer:
+            found[span.first : span.after] = span.uncertainty
+        return found
+
     def missing(self, names: Iterable[str]) -> tuple[str, ...]:
         """Those of ``names`` that were not measured at all."""
-        return tuple(name for name in names if self.of(name).source is Source.NONE)
+        return tuple(name for name in names if self.of(name).source in _NOWHERE)
+
+    def unreported(self, names: Iterable[str]) -> bool:
+        """Are all of ``names`` what the controller of a simulated run does not say?"""
+        return all(self.of(name).source is Source.UNREPORTED for name in names)
 
     def uncertain(self, names: Iterable[str]) -> tuple[str, ...]:
         """Those of ``names`` that are known to within some uncertainty only."""
@@ -124,7 +162,7 @@ class Knowledge:
     def measured(self, name: str, ticks: NDArray[np.void]) -> NDArray[np.bool_]:
         """(n,), or (n, hands) of a column of hands: at which of ``ticks`` (n,) it was measured."""
         shape = (len(ticks), *ticks.dtype[name].shape[: name in PER_HAND])
-        found = np.full(shape, self.of(name).source is not Source.NONE)
+        found = np.full(shape, self.of(name).source not in _NOWHERE)
         for gap in self.of(name).gaps:
             found[gap.first : gap.after, ... if gap.hand is None else gap.hand] = False
         return found
@@ -141,6 +179,10 @@ class Knowledge:
                 if gap.after > count or (gap.hand is not None and gap.hand >= most):
                     expected = f"gaps within {count} ticks, of all hands or one of {most}, counted from 0"
                     raise TraceError(place=Place(field=f"known.{name}"), expected=expected, got=str(gap))
+            for span in one.closer:
+                if span.after > count:
+                    expected = f"spans within {count} ticks"
+                    raise TraceError(place=Place(field=f"known.{name}"), expected=expected, got=str(span))
 
 
 _SIMULATED = Measurement()
@@ -158,11 +200,36 @@ def _refuse_impossible(name: str, one: Measurement) -> None:
         raise refuse("an uncertainty of at least 0", repr(one.uncertainty))
     if one.uncertainty > 0.0 and whole.kind != "f":
         raise refuse("no uncertainty, as the column has no real numbers", repr(one.uncertainty))
+    for span in one.closer:
+        if not (0 <= span.first < span.after and 0.0 <= span.uncertainty <= one.uncertainty):
+            raise refuse(
+                f"spans of ticks in which it is known within less than {one.uncertainty:g}", str(span)
+            )
+    if one.at_most_per_s is not None and not 0.0 <= one.at_most_per_s < inf:
+        raise refuse("a finite rate of at least 0", repr(one.at_most_per_s))
     for gap in one.gaps:
         if not 0 <= gap.first < gap.after or name.startswith(OF_DECISIONS):
             raise refuse("gaps of ticks, each from one to a later one", str(gap))
         if gap.hand is not None and (gap.hand < 0 or name not in PER_HAND):
             raise refuse("gaps of one hand, counted from 0, only in columns of hands", str(gap))
+
+
+LEVELS = 1.1  # an uncertainty by tick is rounded up to the next of a geometric series, for few spans
+
+
+def measurement(
+    source: Source, within: NDArray[np.float64], gaps: Iterable[Gap] = (), at_most_per_s: float | None = None
+) -> Measurement:
+    """That of a column which is known to ``within`` (n,) at each tick, in its SI unit; zeros are as good."""
+    most, closer = float(within.max(initial=0.0)), []
+    if most > 0.0:
+        steps = np.floor(np.log(most / np.clip(within, most * 1e-6, most)) / np.log(LEVELS) + 1e-9)
+        ends = (np.flatnonzero(np.diff(steps)) + 1).tolist()
+        for first, after in zip([0, *ends], [*ends, len(within)], strict=True):
+            if steps[first] > 0.0:
+                closer.append(Closer(first=first, after=after, uncertainty=float(within[first:after].max())))
+    gaps, spans = tuple(gaps), tuple(closer)
+    return Measurement(source=source, uncertainty=most, gaps=gaps, closer=spans, at_most_per_s=at_most_per_s)
 
 
 def knowing(trace: Trace, columns: Mapping[str, Measurement]) -> Trace:
@@ -179,7 +246,7 @@ def knowing(trace: Trace, columns: Mapping[str, Measurement]) -> Trace:
         values = records[name.removeprefix(OF_DECISIONS)]
         blank = np.nan if values.dtype.kind == "f" else -1 if name in _INDICES else np.zeros((), values.dtype)
         if name.startswith(OF_DECISIONS):
-            values[...] = blank if one.source is Source.NONE else values
+            values[...] = blank if one.source in _NOWHERE else values
         else:
             values[~known.measured(name, ticks)] = blank
     return replace(trace, ticks=ticks, decisions=decisions, known=known)
@@ -193,7 +260,9 @@ def until(trace: Trace, tick: int, why: str) -> Trace:
     before = trace.decisions["tick"] < tick
     columns = {
         name: replace(
-            one, gaps=tuple(replace(g, after=min(g.after, tick)) for g in one.gaps if g.first < tick)
+            one,
+            gaps=tuple(replace(g, after=min(g.after, tick)) for g in one.gaps if g.first < tick),
+            closer=tuple(replace(c, after=min(c.after, tick)) for c in one.closer if c.first < tick),
         )
         for name, one in trace.known.columns.items()
     }

@@ -41,7 +41,7 @@ NOT_LOADED = "not loaded"
 
 
 @lru_cache
-def provenance(world: str, avoider: str, used: tuple[str, ...] = ()) -> Provenance:
+def provenance(world: str, used: tuple[str, ...] = ()) -> Provenance:
     """Provenance of a run in this process, with the libraries of every run and those that this one ``used``.
 
     What is loaded besides, by others, is not named: it would depend on what ran before.
@@ -54,7 +54,6 @@ def provenance(world: str, avoider: str, used: tuple[str, ...] = ()) -> Provenan
         package_version=metadata.version("safety-harness"),
         source_hash=source_hash(),
         world=world,
-        avoider=avoider,
         python=platform.python_version(),
         platform=f"{platform.system()} {platform.machine()}",
         libraries=(*(named for named, _ in found), data),

@@ -37,7 +37,8 @@ from safety_harness.shipped.contents import located
 from safety_harness.trace.consistency import first_inconsistency
 from safety_harness.trace.known import WHOLLY_KNOWN, Knowledge, Measurement
 from safety_harness.trace.records import DECISION, decision_dtype, tick_dtype
-from safety_harness.trace.trace import Line, Provenance, Trace
+from safety_harness.trace.system import Component, Line, SystemUnderTest, system_of
+from safety_harness.trace.trace import Provenance, Trace
 from safety_harness.whole_file import replacing
 
 FORMAT = "safety-harness trace 4"
@@ -50,6 +51,7 @@ KNOWN = "known.json"
 CARRIED = ("recordings/", "robot/")  # files of the scenario by their SHA-256
 MOST_PARTS = 9 + MAX_HANDS
 ZIP_END = struct.Struct("<4s4H2LH")  # without a comment, as it is written here
+OF_AVOIDER = ("avoider", "avoider_sha256")  # in the provenance, before the system was a record
 NEW = ("asked_tick", "decision_time_s")
 DECISION_3 = np.dtype(
     [(name, field[0]) for name, field in (DECISION.fields or {}).items() if name not in NEW], align=True
@@ -71,6 +73,7 @@ class _Run:
     scenario_file: Line | None
     ended: Line
     provenance: Provenance
+    system: SystemUnderTest | None = None  # None in a trace of an earlier version
 
 
 def save_trace(trace: Trace, path: str | Path, recordings: Mapping[str, bytes] | None = None) -> None:
@@ -106,9 +109,10 @@ def save_trace(trace: Trace, path: str | Path, recordings: Mapping[str, bytes] |
         "scenario_file": str(told(trace.scenario.file)) if trace.scenario.file else None,
         "ended": trace.ended,
         "provenance": asdict(trace.provenance),
+        "system": asdict(trace.system),
     }
     parts["run.json"] = json.dumps(run, indent=1, sort_keys=True).encode()
-    if not trace.known.simulated:
+    if not (trace.known.simulated and trace.known.whole):
         columns = {n: {**asdict(one), "source": one.source.value} for n, one in trace.known.columns.items()}
         parts[KNOWN] = json.dumps(columns, indent=1, sort_keys=True).encode()
     header = {
@@ -135,8 +139,9 @@ def _fields_alone(records: NDArray[np.void]) -> NDArray[np.void]:
 def _portable(scenario: Scenario) -> Scenario:
     """The scenario without a path that only this machine has."""
     folder = scenario.file.parent if scenario.file else Path()
-    file, name = file_and_name(scenario.avoider)
-    avoider = portable(file, folder) + (f":{name}" if name else "") if file else scenario.avoider
+    avoider, controller = (
+        _portable_reference(one, folder) for one in (scenario.avoider, scenario.controller)
+    )
     hands = tuple(
         replace(hand, recording=Path(portable(str(hand.recording), folder)))
         if isinstance(hand, RecordedHand)
@@ -146,7 +151,12 @@ def _portable(scenario: Scenario) -> Scenario:
     robot = scenario.robot
     if isinstance(robot, OwnRobot):
         robot = robot.named(lambda path: portable(path, folder))
-    return replace(scenario, avoider=avoider, hands=hands, robot=robot)
+    return replace(scenario, avoider=avoider, controller=controller, hands=hands, robot=robot)
+
+
+def _portable_reference(reference: str, folder: Path) -> str:
+    file, name = file_and_name(reference)
+    return portable(file, folder) + (f":{name}" if name else "") if file else reference
 
 
 def _recording(scenario: Scenario, hand: RecordedHand) -> bytes:
@@ -200,7 +210,7 @@ class _Reader:
         carried = [name for name in self._parts if name.startswith(CARRIED)]
         for name in ("run.json", "scenario.yaml", *carried):
             self._unpack(archive, name, SMALL_BYTES if name not in carried else MAX_BYTES)
-        run = self._json("run.json", _Run)
+        run, before = self._run()
         scenario = self._scenario(run)
         most = scenario.ticks + 1
         old = self._format == BEFORE
@@ -227,6 +237,7 @@ class _Reader:
             provenance=run.provenance,
             ended=run.ended,
             known=known,
+            system=run.system or system_of(scenario, avoider=before),
         )
         wrong = first_inconsistency(trace)
         if wrong is not None:
@@ -268,11 +279,22 @@ class _Reader:
         found = parsed(self._parts[name], self._path, name, TraceError)
         return typed(found, kind, self._path, defaults=True, error=TraceError)
 
+    def _run(self) -> tuple[_Run, Component | None]:
+        """And the avoider, where that is all that an earlier version says of the system."""
+        found, before = parsed(self._parts["run.json"], self._path, "run.json", TraceError), None
+        made = found.get("provenance") if isinstance(found, dict) else None
+        if isinstance(made, dict) and "system" not in found and OF_AVOIDER[0] in made:
+            values = zip(("name", "sha256"), (made.pop(name, "") for name in OF_AVOIDER), strict=True)
+            before = typed(dict(values), Component, self._path, where="provenance.avoider", error=TraceError)
+        elif isinstance(found, dict) and "system" not in found:
+            raise self._error("this field", "none", "system")
+        return typed(found, _Run, self._path, defaults=True, error=TraceError), before
+
     def _known(self, ticks: NDArray[np.void], hands: int) -> Knowledge:
         try:
             found = self._json(KNOWN, dict[str, Any])
             columns = {
-                name: typed(one, Measurement, self._path, where=f"known.{name}", error=TraceError)
+                name: typed(_whole(one), Measurement, self._path, where=f"known.{name}", error=TraceError)
                 for name, one in found.items()
             }
             known = Knowledge(columns)
@@ -349,3 +371,10 @@ def _asked(made: NDArray[np.int64], acted: NDArray[np.int64], faults: Sequence[F
     begun = np.maximum.accumulate(np.where(waiting, -1, np.arange(len(waiting)))) + 1
     after_the_one_before = np.concatenate([[0], made[:-1] + 1])
     return np.where(waiting[made], np.maximum(begun[made], after_the_one_before), made)
+
+
+def _whole(measurement: Any) -> Any:
+    """With what earlier files do not say of a column."""
+    return (
+        {"closer": [], "at_most_per_s": None} | measurement if isinstance(measurement, dict) else measurement
+    )

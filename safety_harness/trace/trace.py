@@ -5,18 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import wraps
-from typing import Annotated, Any, TypeVar
+from typing import Any, TypeVar
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from msgspec import Meta
 from numpy.typing import NDArray
 
 from safety_harness.scenario.model import Scenario
 from safety_harness.trace.known import WHOLLY_KNOWN, Knowledge
+from safety_harness.trace.system import NOT_NOTED, Line, SystemUnderTest
 
 R = TypeVar("R")
-Line = Annotated[str, Meta(max_length=4_096, pattern=r"\A[^\0\n\r]*\Z")]  # it is printed, and may name a file
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,11 +29,9 @@ class Provenance:
     package_version: Line
     source_hash: Line
     world: Line
-    avoider: Line
     python: Line
     platform: Line
     libraries: tuple[tuple[Line, Line], ...]
-    avoider_sha256: Line = ""  # of the file that the avoider came from; empty for one without
     files: tuple[tuple[Line, Line], ...] = ()  # none in a trace of an earlier version
 
 
@@ -48,6 +45,7 @@ class Trace:
     timed since it was made together with others: the one thing here that a repetition does not give
     again, and nothing but reports reads it (by the wall's clock each decision's own record has it).
     ``known`` says which columns were measured, and how well; of a simulated run all are known.
+    ``system`` is what was tested.
     """
 
     scenario: Scenario
@@ -57,6 +55,7 @@ class Trace:
     provenance: Provenance
     ended: str = "complete"
     known: Knowledge = WHOLLY_KNOWN
+    system: SystemUnderTest = NOT_NOTED
 
     def __post_init__(self) -> None:
         self.ticks.setflags(write=False)

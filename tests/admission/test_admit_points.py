@@ -52,7 +52,7 @@ def test_an_avoider_of_ones_own_takes_the_place_of_theirs(space: ScenarioSpace) 
     avoider = Displaced((0.0, 0.0, 0.05))
     found = [one for one in admit_points(space, u, range(8), avoider=avoider) if isinstance(one, Admitted)]
     assert all(one.avoider is avoider for one in found)
-    assert all(trace.provenance.avoider == "displaced" for trace in run_many(found[:2]))
+    assert all(trace.system.tested.name == "displaced" for trace in run_many(found[:2]))
 
 
 def test_seeds_and_points_go_together(space: ScenarioSpace) -> None:

@@ -223,7 +223,7 @@ def test_the_trace_of_every_run_of_a_search_says_which_file_its_avoider_came_fro
 
     reference = f"{root / 'a' / 'mine.py'}:Up"
     Trials(parse_space(TEXT), world, avoider=reference)(np.array([[0.0], [1.0]]), 0)
-    hashes = {run.provenance.avoider_sha256 for run in runs if isinstance(run, Trace)}
+    hashes = {run.system.tested.sha256 for run in runs if isinstance(run, Trace)}
     assert len(runs) == 2
     assert len(hashes) == 1
     assert "" not in hashes

@@ -13,6 +13,7 @@ import pytest
 
 from safety_harness import admit, read_scenario, run_trial
 from safety_harness.admission.avoiders import NAMES
+from safety_harness.controller.contract import SIGHTS
 from safety_harness.exceptions import ModelError
 from safety_harness.report.words import flag_words
 from safety_harness.scenario.model import Scenario
@@ -95,8 +96,11 @@ def test_a_file_that_is_no_model_is_refused(tmp_path: Path) -> None:
 
 
 def test_the_page_shows_what_the_example_holds() -> None:
-    code, _ = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
+    code, seeing, _ = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
     assert code in (EXAMPLES / "upwards.py").read_text()
+    made: dict[str, object] = {}
+    exec(seeing, made)
+    assert set(made["AwayFromAll"].sees) <= {sight.word for sight in SIGHTS}
 
 
 def test_the_page_names_every_avoider_of_ours_every_example_and_every_check() -> None:

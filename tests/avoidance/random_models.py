@@ -7,6 +7,9 @@ from numpy.typing import NDArray
 
 from safety_harness.avoidance.model_file import (
     BLOCKS,
+    PERCEPTRON,
+    RESNET,
+    SIZES,
     STAGES,
     Dropout,
     Model,
@@ -23,9 +26,18 @@ SEEN = SeenSpace(
 )
 
 
-def random_model(dropout: Dropout, *, members: int = 1, seed: int = 0, passes: int = PASSES) -> Model:
+def random_perceptron(*, members: int = 1, seed: int = 0) -> Model:
+    return random_model(Dropout.NONE, members=members, seed=seed, passes=1, kind=PERCEPTRON)
+
+
+def random_model(
+    dropout: Dropout, *, members: int = 1, seed: int = 0, passes: int = PASSES, kind: str = RESNET
+) -> Model:
     rng = np.random.default_rng(seed)
     return Model(
+        kind=kind,
+        stages=SIZES[kind][0],
+        blocks=SIZES[kind][1],
         dropout=dropout,
         dropout_probability=0.1,
         members=members,
@@ -40,7 +52,7 @@ def random_model(dropout: Dropout, *, members: int = 1, seed: int = 0, passes: i
         tensors={
             f"{k}/{name}": _tensor(name, shape, rng)
             for k in range(members)
-            for name, shape in tensor_shapes().items()
+            for name, shape in tensor_shapes(kind).items()
         },
     )
 

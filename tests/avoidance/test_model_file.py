@@ -25,7 +25,7 @@ from safety_harness.avoidance.model_file import (
     Dropout,
     Model,
     load_model,
-    refuse_foreign_seen_space,
+    refuse_foreign_cell,
     save_model,
     tensor_shapes,
 )
@@ -348,12 +348,13 @@ def test_a_damaged_header_is_refused_or_still_makes_a_sound_model(position: int,
 
 
 def test_a_model_of_another_workspace_is_refused(tmp_path: Path) -> None:
-    refuse_foreign_seen_space(MODEL.seen, DEFAULTS, tmp_path)
+    refuse_foreign_cell(MODEL, DEFAULTS, tmp_path)
     elsewhere = replace(MODEL.seen, tcp_low_m=(-0.7, -0.2, 0.2), tcp_high_m=(-0.5, 0.2, 0.5))
     with pytest.raises(ModelError, match="another workspace") as caught:
-        refuse_foreign_seen_space(elsewhere, DEFAULTS, tmp_path)
+        refuse_foreign_cell(replace(MODEL, seen=elsewhere), DEFAULTS, tmp_path)
     assert "tcp" in str(caught.value.place.field)
     elsewhere = replace(MODEL.seen, hand_low_m=(0.5, 0.1, -0.3), hand_high_m=(1.2, 0.7, 0.3))
     with pytest.raises(ModelError, match="another workspace") as caught:
-        refuse_foreign_seen_space(elsewhere, DEFAULTS, tmp_path)
+        refuse_foreign_cell(replace(MODEL, seen=elsewhere), DEFAULTS, tmp_path)
     assert "hand" in str(caught.value.place.field)
+    assert "of the arm UR10" in str(caught.value)

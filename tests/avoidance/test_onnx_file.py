@@ -22,7 +22,7 @@ from safety_harness.avoidance.isolation.isolated import IsolatedAvoider, isolate
 from safety_harness.avoidance.onnx_model import OnnxAvoider
 from safety_harness.exceptions import ModelError, NoAnswerError, Place
 from safety_harness.settings import DEFAULTS
-from safety_harness.space.regions import exported_seen
+from safety_harness.space.regions import exported_use
 from tests.examples import scenario
 
 HAND, TCP = np.array([0.8, -0.3, 0.1]), np.array([0.7, 0.0, 0.35])
@@ -96,7 +96,7 @@ def asked(avoider: IsolatedAvoider | OnnxAvoider, seed: int) -> str:
 def test_an_answer_has_the_bits_that_it_has_at_home(tmp_path: Path) -> None:
     made = counts_kept(exported())
     path = written(tmp_path, made)
-    there, seen = isolated_onnx(path, DEFAULTS), exported_seen(path)
+    there, seen = isolated_onnx(path, DEFAULTS), exported_use(path).seen
     here = OnnxAvoider.of(tmp_path / "mine.onnx", made.SerializeToString(), hand=HAND, tcp=TCP)
     for seed in (0, 3, 2**64 - 1):
         assert asked(there, seed) == asked(here, seed)

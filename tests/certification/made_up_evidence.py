@@ -37,6 +37,7 @@ from safety_harness.certification.tools import (
     SelfTest,
     WorldAgreement,
 )
+from safety_harness.trace.system import Component, SystemUnderTest
 
 HOSTILE = "<script>alert(1)</script><b>bold</b> & \"quoted\" 'single'"
 STRATA = ("seen", "unseen hand", f"odd {HOSTILE}")
@@ -167,10 +168,16 @@ def evidence(*, only_shown: bool = False, counterexamples: int = 2) -> Evidence:
         ),
         claims=every,
         system=SystemDescription(
-            avoider="mc-dropout",
-            avoider_sha256=HASH,
-            robot="UR10",
-            robot_sha256=HASH,
+            under_test=(
+                SystemUnderTest(
+                    controller=Component(name="visual servo", sha256=HASH),
+                    avoider=Component(name="mc-dropout", sha256=HASH),
+                    gate=Component(name="full gate", sha256=HASH),
+                    perception=Component(name="hands overhead, object exact", sha256=HASH),
+                    robot=Component(name="UR10", sha256=HASH),
+                    settings=Component(name="settings", sha256=HASH),
+                ),
+            ),
             card=(
                 ("Network", "regression ResNet, dropout after each stage"),
                 ("Training data", "5,000,000 samples"),

@@ -25,7 +25,7 @@ from safety_harness.certification.gather import gather
 from safety_harness.certification.lodged import declaration_of, write_seal
 from safety_harness.certification.page import render
 from safety_harness.certification.verify import verify
-from safety_harness.certification.verify_files import Examination, Report
+from safety_harness.certification.verify_files import Examination, ReportFolder
 from safety_harness.certification.verify_runs import MOST_AGAIN, Drawing, drawn, programs_in
 from safety_harness.exceptions import CampaignError, InputError
 from tests.campaign.plans import PLAN, plan_in
@@ -284,7 +284,7 @@ def test_words_that_other_software_writes_otherwise_are_no_fault(
     reworded = tuple(replace(claim, rationale="In other words.", terms=()) for claim in claims)
     edited(report, claims=reworded)
     assert "claims[0].rationale: In other words." in faults(report)
-    monkeypatch.setattr(Report, "same", False)
+    monkeypatch.setattr(ReportFolder, "same", False)
     found: dict[str, Examination] = {check.name: check for check in verify(report, runs=0, seed=1)}
     assert found["numbers"].stands
     assert any("claims[0].rationale" in note for note in found["numbers"].notes)

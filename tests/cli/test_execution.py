@@ -18,6 +18,7 @@ from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import read_plan
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT
 from safety_harness.cli.main import app
+from safety_harness.isolation import telling
 from tests.campaign.plans import PLAN
 from tests.search.short_space import TEXT
 
@@ -63,6 +64,7 @@ LOOKS: dict[str, tuple[str, int]] = {
     "judge": (TRACE, 1),
     "show": ("scenario.yaml space.yaml --draws 3", AS_EXPECTED),
     "sample": ("space.yaml --count 2", AS_EXPECTED),
+    "log align": ("scenario.yaml --body hand", BAD_INPUT),
     "robot show": ("scenario.yaml", BAD_INPUT),
     "robot fit": ("scenario.yaml --out capsules.json", BAD_INPUT),
     "robot enclose": ("scenario.yaml", BAD_INPUT),
@@ -133,14 +135,14 @@ def folder(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     folder = tmp_path / "copy"
     shutil.copytree(made, folder, ignore=shutil.ignore_patterns("executed"))
     monkeypatch.chdir(folder)
-    monkeypatch.setattr(host, "executed", {})
+    monkeypatch.setattr(telling, "executed", {})
     host._shared.clear()  # processes that live from a test before
     return folder
 
 
 def test_every_command_takes_a_stand() -> None:
     stands = {
-        name for name in LOOKS if " " not in name or name.startswith(("campaign", "certify", "robot"))
+        name for name in LOOKS if " " not in name or name.startswith(("campaign", "certify", "log", "robot"))
     } | EXECUTES.keys()
     assert stands == set(commands(typer.main.get_command(app)))
 
@@ -165,11 +167,11 @@ def test_a_command_that_looks_executes_nothing(
 
     monkeypatch.setattr(host, "Process", begun)
     words, code = LOOKS[name]
-    command = name if name.startswith(("campaign", "certify", "robot")) else name.split()[0]
+    command = name if name.startswith(("campaign", "certify", "log", "robot")) else name.split()[0]
     found = CliRunner().invoke(app, [*command.split(), *words.split()])
     assert found.exit_code == code, found.output
     assert not (folder / "executed").exists()
-    assert host.executed == {}
+    assert telling.executed == {}
 
 
 @pytest.mark.parametrize("name", [name for name, words in EXECUTES.items() if words])

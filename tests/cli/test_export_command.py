@@ -13,7 +13,7 @@ from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, INTERRUPTED
 from safety_harness.cli.learning import export
 from safety_harness.learning import export as module
 from safety_harness.settings import DEFAULTS
-from safety_harness.space.regions import exported_seen
+from safety_harness.space.regions import exported_use
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -44,7 +44,7 @@ def test_a_model_file_becomes_one_that_a_run_can_use(
     assert float(second.split(" by ")[1].split()[0]) < 1e-3
     avoider = isolated_onnx(out, DEFAULTS)
     assert avoider.name == "ONNX model model.onnx"
-    assert exported_seen(out) == SEEN
+    assert exported_use(out).seen == SEEN
     assert printed.err == ""
 
 

@@ -45,7 +45,7 @@ def test_without_a_word_it_is_the_shipped_bayesian_network(visit: Path) -> None:
     assert run([visit], Path("out")) == AS_EXPECTED
     trace = load_trace(trace_of("out"))
     assert trace.scenario.avoider == "mc-dropout"
-    assert trace.provenance.avoider == "MC dropout (inter, 10 passes)"
+    assert trace.system.tested.name == "MC dropout (inter, 10 passes)"
     assert len(trace.decisions) > 0
     assert (trace.decisions["proposed_spread_m"] > 0.0).all()
     assert replay(trace_of("out")) == AS_EXPECTED
@@ -91,7 +91,7 @@ def test_a_replay_with_an_edited_program_says_that_it_was_edited(
     assert replay(trace_of("out"), "mine.py:Mine") == DIFFERS
     out, err = capsys.readouterr()
     assert "first difference at decision 0" in out or "first difference at tick" in out
-    assert "avoider_sha256" in err
+    assert "avoider: mine (sha256 " in err
 
 
 HOSTILE = """\

@@ -1,6 +1,7 @@
 """``safety-harness robot``: an arm as a table and as JSON, and the file of its capsules."""
 
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -10,6 +11,8 @@ from safety_harness.cli.robot import fit, show
 from safety_harness.robot import fit_capsules
 from safety_harness.robot.capsules import read_capsules
 from safety_harness.robot.description import read_arm
+from safety_harness.robot.robots import arm_capsules, arm_model
+from safety_harness.scenario.robots import robot_named
 
 JOINT = (
     '<joint name="j{0}" type="{2}"><parent link="l{0}"/><child link="l{1}"/><origin xyz="0 0 0.2"/>'
@@ -69,3 +72,24 @@ def test_mistakes_end_with_2_and_no_traceback(
     assert not (tmp_path / "arm.json").exists()
     assert show(urdf, package=["small"]) == BAD_INPUT
     assert "--package\n  expected NAME=FOLDER" in capsys.readouterr().err
+
+
+def test_a_page_shows_an_arm_with_every_capsule(tmp_path: Path) -> None:
+    page = tmp_path / "arm.html"
+    assert show(Path("shipped:ur10e"), html=page) == AS_EXPECTED
+    text = page.read_text()
+    arm = robot_named("shipped:ur10e")
+    for name in (*arm_capsules(arm).names, *arm_model(arm).joint_names):
+        assert name in text
+    assert not re.search(r"(?:src|href)=.https?:", text)
+
+
+def test_a_page_needs_capsules(urdf: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert show(urdf, html=tmp_path / "arm.html") == BAD_INPUT
+    assert "--html\n  expected an arm with capsules" in capsys.readouterr().err
+    assert not (tmp_path / "arm.html").exists()
+
+
+def test_an_arms_file_has_its_base_and_tcp_already(capsys: pytest.CaptureFixture[str]) -> None:
+    assert show(Path("UR10"), base="base_link") == BAD_INPUT
+    assert "expected none, with an arm's file" in capsys.readouterr().err

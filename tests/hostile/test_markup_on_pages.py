@@ -8,6 +8,7 @@ from datetime import UTC, datetime
 from enum import Enum
 from html.parser import HTMLParser
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 from xml.etree import ElementTree
 
@@ -24,6 +25,7 @@ import safety_harness
 import safety_harness_paper
 from safety_harness.certification.folder import junit_xml
 from safety_harness.certification.page import render as evidence_page
+from safety_harness.report import arm_page
 from safety_harness.report.coverage_map import coverage_map
 from safety_harness.report.html import render as report_page
 from safety_harness.report.page_parts import asset
@@ -32,6 +34,8 @@ from safety_harness.report.score_page import OFF, ScoreEvidence
 from safety_harness.report.score_page import render as score_page
 from safety_harness.report.search_page import render as search_page
 from safety_harness.report.svg import standalone
+from safety_harness.robot.robots import arm_capsules, arm_model
+from safety_harness.scenario.robots import Robot
 from safety_harness.selftest.document import render as selftest_page
 from safety_harness_paper import figure7, table1
 from safety_harness_paper.page import render as reproduction_page
@@ -108,6 +112,16 @@ def question_map_file() -> str:
     return question_map(asked.hands_in_base_m, values, OFF, VIEWS[0], prefix="m-", title=MARKUP)
 
 
+def arms() -> str:
+    arm, capsules = arm_model(Robot.UR10), arm_capsules(Robot.UR10)
+    with pytest.MonkeyPatch.context() as patch, TemporaryDirectory() as folder:
+        named = {"name": MARKUP, "joint_names": spoilt(arm.joint_names), "link_names": spoilt(arm.link_names)}
+        patch.setattr(arm_page, "arm_model", lambda robot: replace(arm, **named))
+        patch.setattr(arm_page, "arm_capsules", lambda robot: replace(capsules, names=spoilt(capsules.names)))
+        arm_page.write_arm_page(Path(folder) / "arms.html", [Robot.UR10], title=MARKUP)
+        return (Path(folder) / "arms.html").read_text()
+
+
 PAGES: dict[str, Callable[[], str]] = {
     "report.html.j2": report,
     "search.html.j2": a_search,
@@ -115,6 +129,7 @@ PAGES: dict[str, Callable[[], str]] = {
     "evidence.html.j2": certified,
     "selftest.html.j2": tried,
     "reproduction.html.j2": reproduced,
+    "arms.html.j2": arms,
 }
 
 

@@ -12,17 +12,18 @@ from safety_harness.scenario.model import Claim, MovingHand, OffsetStart, Scenar
 from safety_harness.scenario.moves import ReachForTcp, Withdraw
 from safety_harness.settings import DEFAULTS, Settings
 from safety_harness.trace.records import DECISION, Check, DecisionOutcome, Limit, Mode, Trigger, tick_dtype
+from safety_harness.trace.system import NOT_NOTED, Component
 from safety_harness.trace.trace import Provenance, Trace
 
 PROVENANCE = Provenance(
     package_version="0.1.0",
     source_hash="0123456789abcdef",
     world="kinematic",
-    avoider="opposite",
     python="3.11.9",
     platform="Linux-x86_64",
     libraries=(("numpy", "2.4.6"), ("numba", "0.68.1")),
 )
+SYSTEM = replace(NOT_NOTED, avoider=Component(name="opposite"))
 SEED_JOINTS = np.array([-0.22, -1.27, 1.98, -2.27, -1.57, -0.22])
 
 
@@ -117,6 +118,7 @@ def trace(
         decision_latency_s=np.full(len(made), 1.2e-4),
         provenance=PROVENANCE,
         ended=ended,
+        system=SYSTEM,
     )
 
 

@@ -110,7 +110,7 @@ def evidence(**changes: object) -> SearchEvidence:
     whole = SearchEvidence(
         title="a hand comes",
         space="unseen-hand",
-        avoider="mc-dropout",
+        tested="avoider mc-dropout",
         seed=3,
         budget=1000,
         command="safety-harness fuzz space.yaml --budget 1000",
@@ -310,7 +310,7 @@ def test_a_search_interrupted_before_anything_was_tried_has_a_page() -> None:
 def test_markup_in_any_text_of_the_user_is_shown_and_not_obeyed() -> None:
     path = Path(f"out/x{factory.HOSTILE}.yaml")
     hostile = replace(shown(), path=path, trace_file=path.with_suffix(".trace"), text=factory.HOSTILE)
-    text = render(evidence(title=factory.HOSTILE, avoider=factory.HOSTILE, shown=(hostile,)))
+    text = render(evidence(title=factory.HOSTILE, tested=factory.HOSTILE, shown=(hostile,)))
     assert text.count("<script") == 1
     assert "<b>" not in text
 

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import json
+import pickle
 import re
 import sys
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -97,6 +100,16 @@ def test_an_arm_of_the_shipped_ones_has_primitives_that_its_capsules_hold(name: 
     arm, rng = load_arm(name), np.random.default_rng(3)
     (box,) = [shape for shape in arm.links[6].collision if shape.kind == "box"]
     assert depth(points_of(box, rng), load_capsules(name), 6).max(axis=1).min() > 0.0
+
+
+def test_a_link_can_be_fitted_in_another_process(small: ArmModel, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "STARTS", 1)
+    one = replace(small, links=small.links[2:3])
+
+    def elsewhere(function: Any, links: Any) -> list[Any]:  # as a pool does
+        return [pickle.loads(pickle.dumps(function))(pickle.loads(pickle.dumps(link))) for link in links]
+
+    assert repr(fit_arm(one)) == repr(fit_arm(one, over=elsewhere))
 
 
 def test_a_seed_decides_what_is_fitted(small: ArmModel) -> None:

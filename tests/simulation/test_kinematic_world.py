@@ -139,7 +139,7 @@ def test_any_controller_drives_it() -> None:
     trace = run_kinematic(admit(what), controller=ConstantSpeed(tuple(0.1 * RATES)))
     assert trace.complete
     assert trace.provenance.world == "kinematic"
-    assert trace.provenance.avoider == "constant speed"
+    assert trace.system.tested.name == "constant speed"
     turned = trace.ticks["joint_position_rad"][-1] - trace.ticks["joint_position_rad"][0]
     assert turned == pytest.approx(0.1 * RATES * what.ticks * PERIOD_S, abs=1e-12)
 

@@ -117,7 +117,7 @@ def test_ticks_and_decisions_refer_to_each_other(visit: Trace) -> None:
 
 def test_a_trace_says_which_software_made_it_and_cannot_be_written(visit: Trace) -> None:
     assert visit.provenance.world == "pybullet"
-    assert visit.provenance.avoider == "opposite pose"
+    assert visit.system.tested.name == "opposite pose"
     assert dict(visit.provenance.libraries)["numpy"] == np.__version__
     for array in (visit.ticks, visit.decisions):
         with pytest.raises(ValueError, match="read-only"):

@@ -45,7 +45,7 @@ def installed(folder: Path, name: str, version: str, *, record: str = "", names:
 
 
 def of_every_library() -> Provenance:
-    return provenance("world", "avoider", tuple(software.LIBRARIES))
+    return provenance("world", tuple(software.LIBRARIES))
 
 
 def opencv_file() -> tuple[str, str]:
@@ -100,7 +100,7 @@ def test_a_file_that_no_package_records_has_the_version_that_its_module_says(
 
 def test_what_is_not_there_is_said_to_be_not_loaded(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pybullet", None)
-    found = provenance("pybullet", "avoider", ("pybullet",))
+    found = provenance("pybullet", ("pybullet",))
     assert dict(found.libraries)["pybullet"] == "not loaded"
     assert not any(name.startswith("pybullet") for name, _ in found.files)
 
@@ -115,7 +115,7 @@ def test_a_run_names_what_it_used_and_nothing_else_whatever_is_loaded() -> None:
         ("kinematic", scenario(avoider="mine.onnx"), {"onnxruntime"}),
         ("somebody's own", scenario(), set[str]()),
     ):
-        named = dict(provenance(world, "avoider", libraries_of(world, what)).libraries)
+        named = dict(provenance(world, libraries_of(world, what)).libraries)
         assert named.keys() & engines == own
         assert {"numpy", "numba"} <= named.keys()
 
@@ -165,7 +165,7 @@ def test_a_campaign_s_identity_is_of_versions_and_not_of_a_machine_s_files() -> 
     assert not parts["the library pybullet"].startswith("not")
     assert "the library pybullet" not in dict(identity_of([], [], None, "kinematic").parts)
     assert parts["the library numpy"] == sys.modules["numpy"].__version__
-    files = provenance("PyBullet", "").files
+    files = provenance("PyBullet").files
     assert files
     assert not any(name in f"{parts}" or sha256 in f"{parts}" for name, sha256 in files)
 

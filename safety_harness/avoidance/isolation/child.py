@@ -8,30 +8,17 @@ from __future__ import annotations
 
 import json
 import os
-import resource
-import select
-import signal
 import sys
-import threading
 from collections.abc import Iterator
-from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from msgspec import Struct
 
 from safety_harness.avoidance.asking import Answer, Question, answers_together, ask, takes_many
-from safety_harness.avoidance.avoider import (
-    Avoider,
-    decision_time_of,
-    described,
-    printable,
-    spread_threshold_of,
-)
+from safety_harness.avoidance.avoider import Avoider, decision_time_of, shown_to, spread_threshold_of
 from safety_harness.avoidance.isolation.frames import (
-    HEADER,
     MOST_ANSWER_WORDS,
     MOST_QUESTION_BYTES,
     Answered,
@@ -40,79 +27,38 @@ from safety_harness.avoidance.isolation.frames import (
     Made,
     Make,
     Refused,
-    length_of,
     packed,
     to_the_child,
 )
 from safety_harness.avoidance.python_file import avoider_in
-from safety_harness.exceptions import InputError
-
-MEMORY_BYTES = 4 << 30  # of the avoider's own data; libraries and reserved addresses do not count
+from safety_harness.exceptions import InputError, described, printable
+from safety_harness.isolation.child import Ends
 
 
 def main(question_fd: int, answer_fd: int) -> None:
     """Answer until the other side is gone."""
-    for fd in (question_fd, answer_fd):
-        os.set_inheritable(fd, False)
-    os.register_at_fork(after_in_child=lambda: _close(question_fd, answer_fd))
-    _limit(resource.RLIMIT_DATA, MEMORY_BYTES)
-    _limit(resource.RLIMIT_CORE, 0)
-    threading.Thread(target=_end_with, args=(question_fd,), daemon=True).start()
-    _Child(question_fd, answer_fd).serve()
-
-
-def _close(*fds: int) -> None:
-    """In a process that the avoider forks, which has nothing to say to us."""
-    for fd in fds:
-        os.closerange(fd, fd + 1)  # which minds no error
-
-
-def _limit(kind: int, most: int) -> None:
-    _, hard = resource.getrlimit(kind)
-    least = most if hard == resource.RLIM_INFINITY else min(most, hard)
-    resource.setrlimit(kind, (least, least))
-
-
-def _end_with(question_fd: int) -> None:
-    """End, with all that was forked, when the other side is gone, even in the midst of an answer."""
-    gone = select.poll()
-    gone.register(question_fd, 0)  # a hang-up is told unasked
-    gone.poll()
-    os.killpg(0, signal.SIGKILL)
+    _Child(Ends(question_fd, answer_fd)).serve()
 
 
 class _Child:
     """The avoiders made so far, by number."""
 
-    def __init__(self, question_fd: int, answer_fd: int) -> None:
-        self._questions = open(question_fd, "rb", closefd=False)  # noqa: SIM115
-        self._answered = open(answer_fd, "wb", closefd=False)  # noqa: SIM115
-        self._process = os.getpid()
+    def __init__(self, ends: Ends) -> None:
+        self._ends = ends
         self._avoiders: dict[int, tuple[Avoider, str]] = {}  # and their file
 
     def serve(self) -> None:
         """One message after another."""
-        while header := self._questions.read(HEADER.size):
-            length = length_of(header, MOST_QUESTION_BYTES)
-            told = to_the_child.decode(self._questions.read(length))
+        while True:
+            told = to_the_child.decode(self._ends.read(MOST_QUESTION_BYTES))
             if isinstance(told, Make):
-                self._write(self._make(told))
+                self._ends.write(packed(self._make(told)))
             elif isinstance(told, Drop):
                 self._avoiders.pop(told.number, None)
             else:
                 for k, answer in enumerate(self._answers(told)):
                     words = answer.fault.encode(errors="replace")[:MOST_ANSWER_WORDS].decode(errors="ignore")
-                    self._write(Answered(k, replace(answer, fault=words)))
-        os._exit(0)  # the other side is gone
-
-    def _write(self, message: Struct) -> None:
-        if os.getpid() != self._process:
-            os._exit(0)  # a fork of the avoider's that came back from it
-        for stream in (sys.stdout, sys.stderr):  # what the avoider has printed; it may have closed its output
-            with suppress(Exception):
-                stream.flush()
-        self._answered.write(packed(message))
-        self._answered.flush()
+                    self._ends.write(packed(Answered(k, replace(answer, fault=words))))
 
     def _make(self, told: Make) -> Made | Refused:
         """An avoider under the number that is told."""
@@ -128,6 +74,7 @@ class _Child:
                 spread_threshold_of(avoider),
                 decision_time_of(avoider),
                 takes_many(avoider),
+                shown_to(avoider),
             )
         except InputError as error:
             words = error.expected, error.got, error.hint, error.place.field or ""
@@ -139,7 +86,7 @@ class _Child:
     def _answers(self, told: Ask) -> Iterator[Answer]:
         """All together if that is asked and it can, else each as soon as it is there."""
         avoider, file = self._avoiders[told.number]
-        questions, found = told.questions, []
+        questions, found = told.asked, []
         if told.together:
             try:
                 found = answers_together(avoider, questions)

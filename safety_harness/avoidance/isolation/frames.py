@@ -1,12 +1,10 @@
 """What is said between us and the process of a user's avoider: MessagePack of known kinds, no pickle.
 
-A message goes in a frame, behind a header that tells its length.  Each side decodes what the other may say
-and nothing else.
+Each side decodes what the other may say and nothing else.
 """
 
 from __future__ import annotations
 
-import struct
 from operator import methodcaller
 from typing import Annotated
 
@@ -16,10 +14,9 @@ from msgspec import Meta, Struct, msgpack
 
 from safety_harness.avoidance.asking import Answer, Question
 from safety_harness.avoidance.avoider import LARGEST, Vector
+from safety_harness.controller.rows import PackedSeen, packed_seen, unpacked
 from safety_harness.scenario.decision_times import LONGEST_S
 
-HEADER = struct.Struct("<4sI")  # MAGIC, bytes of the message
-MAGIC = b"AVO2"
 MOST_QUESTION_BYTES = 1 << 30
 MOST_ANSWER_BYTES = 131_072
 MOST_ANSWER_WORDS = 960  # bytes; a trace keeps 240 characters
@@ -34,11 +31,29 @@ class Make(Struct, tag=True):
 
 
 class Ask(Struct, tag=True):
-    """Questions to the avoider of that number; ``together``: in one call if it takes many."""
+    """Questions to the avoider of that number; ``together``: in one call if it takes many.
+
+    ``seen`` is what goes with each, for an avoider that sees more.
+    """
 
     number: int
     questions: list[Question]
     together: bool
+    seen: list[PackedSeen] = []
+
+    @classmethod
+    def of(cls, number: int, questions: list[Question], together: bool) -> Ask:
+        """Those questions, what is seen apart from them."""
+        seen = [packed_seen(one.seen) for one in questions if one.seen is not None]
+        return cls(number, [one._replace(seen=None) for one in questions], together, seen)
+
+    @property
+    def asked(self) -> list[Question]:
+        """The questions as they were."""
+        if not self.seen:
+            return self.questions
+        pairs = zip(self.questions, self.seen, strict=True)
+        return [question._replace(seen=unpacked(seen)) for question, seen in pairs]
 
 
 class Drop(Struct, tag=True):
@@ -54,6 +69,7 @@ class Made(Struct, tag=True):
     spread_threshold_m: Annotated[float, Meta(ge=0.0, le=LARGEST)] | None
     decision_time_s: Annotated[float, Meta(ge=0.0, le=LONGEST_S)]
     takes_many: bool
+    sees: tuple[str, ...]
 
 
 class Refused(Struct, tag=True):
@@ -84,14 +100,5 @@ from_the_child: msgpack.Decoder[Said] = msgpack.Decoder(Said, dec_hook=_vector)
 
 
 def packed(message: Struct) -> bytes:
-    """A frame, as bytes."""
-    payload = msgpack.encode(message, enc_hook=methodcaller("tolist"))
-    return HEADER.pack(MAGIC, len(payload)) + payload
-
-
-def length_of(header: bytes, most: int) -> int:
-    """How long the message is, which is at most ``most`` bytes; ValueError otherwise."""
-    magic, length = HEADER.unpack(header)
-    if magic != MAGIC or length > most:
-        raise ValueError("no frame of ours")
-    return int(length)
+    """The message, as bytes."""
+    return msgpack.encode(message, enc_hook=methodcaller("tolist"))

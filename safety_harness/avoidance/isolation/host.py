@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import logging
-import multiprocessing
 import os
 import sys
 import threading
@@ -19,13 +18,26 @@ from pathlib import Path
 from msgspec import Struct
 
 from safety_harness.avoidance.asking import Answer, Question, limit_of
-from safety_harness.avoidance.avoider import printable
-from safety_harness.avoidance.isolation.frames import Answered, Ask, Drop, Made, Make, Refused
-from safety_harness.avoidance.isolation.process import GoneError, NonsenseError, Process
+from safety_harness.avoidance.isolation.frames import (
+    MOST_ANSWER_BYTES,
+    Answered,
+    Ask,
+    Drop,
+    Made,
+    Make,
+    Refused,
+    Said,
+    from_the_child,
+    packed,
+)
+from safety_harness.exceptions import printable
+from safety_harness.isolation.channel import Channel, GoneError, NonsenseError
+from safety_harness.isolation.frames import framed
+from safety_harness.isolation.process import Process
+from safety_harness.isolation.telling import Heard, say_it_is_executed
 from safety_harness.scenario.fields import is_sentence
 
 SEND_S = 10.0
-MOST_LINES, MOST_CHARACTERS = 5, 200
 KEPT = 2  # processes that are kept though no avoider lives in them
 LOGGER = logging.getLogger("safety_harness.avoider")
 
@@ -61,8 +73,7 @@ class Host:
         self._source = source
         self._process: Process | None = None
         self._dropped: deque[int] = deque()
-        self._heard = b""
-        self._lines = MOST_LINES + 1 if silent else 0
+        self._heard = Heard(path.name, LOGGER, silent=silent)
 
     @property
     def alive(self) -> bool:
@@ -74,15 +85,15 @@ class Host:
     def make(self, number: int, wanted: Wanted) -> Made:
         """An avoider of the file; RefusedError, GoneError."""
         if not self.alive:
-            _say_it_is_executed(self.path, self._source)
+            say_it_is_executed(self.path, self._source, LOGGER)
             try:
-                self._process = Process(self._hear)
+                self._process = Process.python("safety_harness.avoidance.isolation.child", self._hear)
             except OSError as error:
                 raise GoneError(f"no process could be started: {error}") from error
             self.generation += 1
         asked = {"path": str(self.path), "folder": os.getcwd(), "sys_path": sys.path, **wanted.words}
-        process = self._told(Make(number, json.dumps(asked).encode(), self._source))
-        said = process.receive(wanted.within_s)
+        channel = self._told(Make(number, json.dumps(asked).encode(), self._source))
+        said = _received(channel, wanted.within_s)
         if isinstance(said, Refused):
             raise RefusedError(said)
         if not isinstance(said, Made) or not is_sentence(said.name):
@@ -91,9 +102,9 @@ class Host:
 
     def ask(self, number: int, questions: list[Question], *, together: bool) -> Iterator[Answer]:
         """The answers as they come, as they were sent; GoneError at the one that does not."""
-        process = self._told(Ask(number, questions, together))
+        channel = self._told(Ask.of(number, questions, together))
         for k, question in enumerate(questions):
-            said = process.receive(limit_of(questions) if together else question.limit_s)
+            said = _received(channel, limit_of(questions) if together else question.limit_s)
             if not isinstance(said, Answered) or said.number != k:
                 raise NonsenseError
             yield said.answer
@@ -108,42 +119,26 @@ class Host:
             self._process.end()
             self._process = None
 
-    def _told(self, message: Struct) -> Process:
+    def _told(self, message: Struct) -> Channel:
         assert self._process is not None
+        channel = self._process.channel
         while self._dropped:
-            self._process.send(Drop(self._dropped.popleft()), SEND_S)
-        self._process.send(message, SEND_S)
-        return self._process
+            channel.send(framed(packed(Drop(self._dropped.popleft()))), SEND_S)
+        channel.send(framed(packed(message)), SEND_S)
+        return channel
 
     def _hear(self, written: bytes) -> None:
-        """Say the first lines that the avoider writes, once: not again what a new process repeats."""
-        if self._lines > MOST_LINES or self.generation > 1:
-            return
-        *lines, self._heard = (self._heard + written[:65_536]).split(b"\n")
-        if len(self._heard) > MOST_CHARACTERS or (not written and self._heard):
-            lines, self._heard = [*lines, self._heard], b""
-        for line in lines:
-            self._lines += 1
-            if self._lines > MOST_LINES:
-                LOGGER.warning("%s wrote more, which is not shown", self.path.name)
-                return
-            text = printable(line.decode(errors="replace")[:MOST_CHARACTERS])
-            LOGGER.warning("%s wrote: %s", self.path.name, text)
+        """Not again what a new process repeats."""
+        if self.generation <= 1:
+            self._heard.hear(written)
 
 
-executed: dict[tuple[Path, str], str] = {}  # the files that this process had executed, in words
-
-
-def _say_it_is_executed(path: Path, source: bytes) -> None:
-    """Before a file is executed for the first time by this command; its workers do not say it again."""
-    key = path, hashlib.sha256(source).hexdigest()
-    if key in executed:
-        return
-    here = Path.cwd()
-    shown = printable(str(path.relative_to(here) if here in path.parents else path))
-    executed[key] = f"{shown} (sha256 {key[1][:12]}), in a process of its own, as you"
-    if multiprocessing.parent_process() is None:
-        LOGGER.warning("executes %s", executed[key])
+def _received(channel: Channel, limit_s: float) -> Said:
+    """What is said next; GoneError if that is nothing within the limit, or another kind of thing."""
+    try:
+        return from_the_child.decode(channel.frame(limit_s, MOST_ANSWER_BYTES))
+    except (ValueError, RecursionError):
+        raise NonsenseError from None
 
 
 _Hosts = OrderedDict[tuple[Path, str], Host]

@@ -17,12 +17,11 @@ from pathlib import Path
 import numpy as np
 
 from safety_harness.avoidance.asking import WALL_LIMIT_S, Answer, OutOfProcessAvoider, Question, answer_of
-from safety_harness.avoidance.avoider import Proposal, Vector, printable
+from safety_harness.avoidance.avoider import Proposal, Vector
 from safety_harness.avoidance.isolation.frames import Made
 from safety_harness.avoidance.isolation.host import Host, RefusedError, Wanted, host_of
-from safety_harness.avoidance.isolation.process import GoneError
 from safety_harness.avoidance.model_file import onnx_bytes
-from safety_harness.avoidance.python_file import source_of
+from safety_harness.controller.contract import Seen
 from safety_harness.exceptions import (
     AvoiderError,
     InadmissibleError,
@@ -31,8 +30,11 @@ from safety_harness.exceptions import (
     NoAnswerError,
     Place,
     SimulationError,
+    printable,
 )
 from safety_harness.extras import ONNX
+from safety_harness.isolation.channel import GoneError
+from safety_harness.isolation.python_file import source_of
 from safety_harness.settings import Settings
 
 ATTEMPTS = 3  # to make it anew, one after another
@@ -53,6 +55,7 @@ class IsolatedAvoider(OutOfProcessAvoider):
         self.spread_threshold_m = made.spread_threshold_m
         self.decision_time_s = made.decision_time_s
         self.takes_many = made.takes_many
+        self.sees = made.sees
         self._host = host
         self._wanted = wanted
         self._asked = False
@@ -60,10 +63,15 @@ class IsolatedAvoider(OutOfProcessAvoider):
         weakref.finalize(self, host.drop, self._number).atexit = False
 
     def propose(
-        self, *, hand_position_in_base_m: Vector, tcp_position_in_base_m: Vector, seed: int
+        self,
+        *,
+        hand_position_in_base_m: Vector,
+        tcp_position_in_base_m: Vector,
+        seed: int,
+        seen: Seen | None = None,
     ) -> Proposal:
         """As any avoider; AvoiderError says what was wrong there."""
-        question = Question(hand_position_in_base_m, tcp_position_in_base_m, seed, WALL_LIMIT_S)
+        question = Question(hand_position_in_base_m, tcp_position_in_base_m, seed, WALL_LIMIT_S, seen)
         answer = self.answers([question], together=False)[0]
         if answer.fault:
             raise AvoiderError(answer.fault)

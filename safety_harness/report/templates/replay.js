@@ -134,6 +134,14 @@
         links[one.link].add(body.mesh);
         return body.mesh;
       });
+      for (const { link, corners, triangles } of data.meshes ?? []) {  // within capsules that are then clear
+        const shape = new THREE.BufferGeometry();
+        shape.setAttribute("position", new THREE.BufferAttribute(floats(corners), 3));
+        shape.setIndex([...floats(triangles)]);
+        links[link].add(new THREE.Mesh(shape, solid("--replay-arm", { side: THREE.DoubleSide, flatShading: true })));
+      }
+      this.clear = Boolean(data.meshes?.length);
+      if (this.clear) for (const { material } of this.capsules) Object.assign(material, { opacity: 0.22, depthWrite: false });
       // hands with forearms, and where they are predicted
       this.hands = data.hands.map((name, k) => {
         const ink = `--fig-hand-${k + 1}`;
@@ -206,10 +214,11 @@
     look(view) {
       this.view = view;
       const tcp = new THREE.Vector3(...this.data.desired_tcp_in_base_m);
-      const target = new THREE.Vector3(tcp.x * 0.62, tcp.y - 0.1, 0.12);
+      const size = this.data.size_m ?? 1;
+      const target = this.data.size_m ? tcp : new THREE.Vector3(tcp.x * 0.62, tcp.y - 0.1, 0.12);
       const from = { oblique: [1.75, -1.75, 1.15], top: [0, -0.01, 3.1], side: [0, -3.1, 0.1], front: [3.1, 0, 0.25] }[view];
       this.controls.target.copy(target);
-      this.camera.position.copy(target).add(new THREE.Vector3(...from));
+      this.camera.position.copy(target).addScaledVector(new THREE.Vector3(...from), size);
       this.controls.update();
       this.figure.querySelectorAll("[data-view]").forEach((one) => one.setAttribute("aria-pressed", one.dataset.view === view));
       this.draw();
@@ -305,7 +314,7 @@
       const tcp = new THREE.Vector3(...this.between("tcp_in_base_m", 3, moment));
       this.critical.position.copy(tcp);
       this.travelled.geometry.setDrawRange(0, tick + 1);
-      this.capsules.forEach((mesh) => mesh.material.color.copy(this.plain));
+      this.capsules.forEach((mesh) => mesh.material.color.copy(this.clear ? this.marked : this.plain));
       this.hands.forEach(({ hand, forearm }, k) => {
         const count = data.hands.length, nearest = this.columns.nearest_capsule[tick * count + k];
         const here = nearest >= 0;

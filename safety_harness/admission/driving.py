@@ -1,0 +1,108 @@
+"""The controller that a scenario names, where it is not the visual servo, and what it needs of the cell."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from safety_harness.admission.avoiders import avoider_sha256, folder_of
+from safety_harness.avoidance.avoider import Avoider, Proposal, Vector
+from safety_harness.controller.contract import IMAGE, OBJECT, UserController, sees_of
+from safety_harness.controller.named import controller_of, controller_sha256, refuse_unusable_controller
+from safety_harness.controller.python_file import checked_controller
+from safety_harness.exceptions import AvoiderError, InadmissibleError, Place
+from safety_harness.robot.robots import urdf_sha256_of
+from safety_harness.scenario.faults import AvoiderLate, AvoiderNaN, AvoiderSilent
+from safety_harness.scenario.model import NO_AVOIDER, Scenario
+from safety_harness.scenario.references import file_and_name
+from safety_harness.trace.system import Component, SystemUnderTest, system_of
+
+IN_PYTHON = " (an object in Python)"  # after its name: a reference that names no file, and means none
+
+
+class _Nobody:
+    """The avoider where there is none: nobody asks it."""
+
+    name = NO_AVOIDER
+
+    def propose(
+        self, *, hand_position_in_base_m: Vector, tcp_position_in_base_m: Vector, seed: int
+    ) -> Proposal:
+        """Not to be called."""
+        raise AvoiderError("the controller asks no avoider")
+
+
+NOBODY: Avoider = _Nobody()
+
+
+@dataclass(frozen=True, eq=False)
+class MadeDriver:
+    """A user's controller, which keeps its memory if it has one, and how to make it once more without."""
+
+    controller: UserController
+    make: Callable[[], UserController]
+    sha256: str = ""  # of its file; empty for one that ships, or without a file
+
+    @property
+    def component(self) -> Component:
+        """As a record of the system under test has it."""
+        return Component(name=self.controller.name, sha256=self.sha256)
+
+    @property
+    def sees_object(self) -> bool:
+        """Does it need the object in view?"""
+        return bool({OBJECT, IMAGE} & {*sees_of(self.controller)})
+
+
+class Drivers:
+    """The controllers that scenarios name, each made once: what it remembers from run to run is its own."""
+
+    def __init__(self) -> None:
+        self._made: dict[tuple[str, Path | None], MadeDriver] = {}
+
+    def of(self, scenario: Scenario) -> MadeDriver:
+        """The one of ``scenario``; InadmissibleError where it names it if there is none."""
+        key = scenario.controller, folder_of(scenario)
+        if key not in self._made:
+            make = controller_of(*key, scenario.place("controller"))
+            self._made[key] = MadeDriver(make(), make, controller_sha256(*key))
+        return self._made[key]
+
+
+def driver_of(controller: object) -> MadeDriver:
+    """A user's own object; InadmissibleError for one that does not follow the contract."""
+    place = Place(field="admit(controller)")
+    if isinstance(controller, type):
+        hint = f"{controller.__name__}() makes one"
+        raise InadmissibleError(place=place, expected="an object", got="a class", hint=hint)
+    made = checked_controller(controller, type(controller).__name__, place)
+    return MadeDriver(made, lambda: made)
+
+
+def refuse_unusable_driver(scenario: Scenario) -> None:
+    """As ``Drivers`` refuses, as far as can be seen without executing anything of a user's."""
+    refuse_unusable_controller(scenario.controller, folder_of(scenario), scenario.place("controller"))
+
+
+def named_system(scenario: Scenario) -> SystemUnderTest:
+    """As the scenario names it, a file without its folder; neither avoider nor controller is made."""
+    file, name = file_and_name(scenario.under_test)
+    called = f"{Path(file).name}:{name}" if name else Path(file).name or str(scenario.under_test)
+    if scenario.driven:
+        sha256 = controller_sha256(scenario.controller, folder_of(scenario))
+        own = {"controller": Component(name=called, sha256=sha256)}
+    else:
+        own = {"avoider": Component(name=called, sha256=avoider_sha256(scenario))}
+    return system_of(scenario, robot_sha256=urdf_sha256_of(scenario.robot), **own)
+
+
+def refuse_faults_of_avoider(scenario: Scenario) -> None:
+    """InadmissibleError for a fault of an avoider where there is none."""
+    for number, fault in enumerate(scenario.faults):
+        if isinstance(fault, AvoiderLate | AvoiderNaN | AvoiderSilent):
+            raise InadmissibleError(
+                place=scenario.place(f"faults[{number}]", "faults"),
+                expected=f"faults of cameras, joints and brakes: {scenario.controller} asks no avoider",
+                got="one of the avoider",
+            )

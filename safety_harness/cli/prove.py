@@ -1,0 +1,158 @@
+"""``safety-harness prove``: what holds for every question of a region, and ``--check`` of its certificate."""
+
+from __future__ import annotations
+
+import sys
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from typer import Argument, Option, Typer
+
+from safety_harness.cli.console import AS_EXPECTED, DIFFERS, INTERRUPTED, columns_of, document, result, say
+from safety_harness.cli.options import command
+
+if TYPE_CHECKING:
+    from safety_harness.proof.certificate import Proof
+    from safety_harness.proof.plan import ProofPlan
+
+CERTIFICATE = "certificate.json"
+commands = Typer()
+
+
+@command(commands)
+def prove(
+    file: Annotated[
+        Path, Argument(help="A plan of proofs; with --check a certificate.", metavar="PLAN|CERTIFICATE")
+    ],
+    check: Annotated[
+        bool, Option("--check", help="Check a certificate, with code that shares none.")
+    ] = False,
+    model: Annotated[
+        Path | None, Option(help="The network of a certificate, if it is none that ships.", metavar="FILE")
+    ] = None,
+    out: Annotated[Path, Option(help="Folder for the certificate and wrong answers.")] = Path(
+        "reports/prove"
+    ),
+    minutes: Annotated[float, Option(help="For all claims together.", min=0.0)] = 5.0,
+    halvings: Annotated[int, Option(help="How often a box is halved at most.", min=1, max=60)] = 26,
+    jobs: Annotated[int, Option(help="Processes.", min=1)] = 1,
+    resume: Annotated[bool, Option("--resume", help="Go on with the certificate in the folder.")] = False,
+) -> int:
+    """Prove claims about every answer of a small ReLU network, with bounds that hold for its own arithmetic.
+
+    A region is halved until its boxes are proven, or refuted as a whole; what is left is undecided.  A claim
+    is refuted with a question that the network itself answers wrongly, written as a scenario where a run can
+    ask it. Exit code 0: all proven; 1: not so, or a certificate that is not confirmed; 2: bad input; 130:
+    interrupted, with the certificate of what was done.
+    """
+    if check:
+        return _check(file, model)
+    from safety_harness.campaign.pool import pool
+    from safety_harness.cli.progress import watching_steps
+    from safety_harness.interrupts import one_more_ctrl_c
+    from safety_harness.proof.certificate import taken_up, write_certificate
+    from safety_harness.proof.plan import read_proof_plan
+    from safety_harness.proof.session import Effort, carry_on, fresh
+
+    plan, path = read_proof_plan(file), out / CERTIFICATE
+    before = taken_up(path, plan) if resume else fresh(plan)
+    proofs = list(before)
+    remark = "interrupted: finishing the batch"
+    with ExitStack() as closing:
+        stopped = closing.enter_context(one_more_ctrl_c(say, remark))
+        told = closing.enter_context(watching_steps())
+        over = map if jobs == 1 else closing.enter_context(pool(jobs)).map
+        effort = Effort(
+            seconds=60.0 * minutes, halvings=halvings, over=over, at_once=jobs, stopped=stopped, told=told
+        )
+        for number, proof in enumerate(carry_on(plan, before, effort)):
+            proofs[number] = proof
+        interrupted = stopped()
+    written = write_certificate(path, plan, proofs)
+    _tell(plan, proofs, out)
+    document(
+        certificate=path, claims=[{k: v for k, v in one.items() if k != "tree"} for one in written["claims"]]
+    )
+    say(f"certificate: {path} (safety-harness prove --check {path})")
+    if interrupted:
+        say("interrupted: --resume goes on")
+        return INTERRUPTED
+    return AS_EXPECTED if all(proof.verdict == "proven" for proof in proofs) else DIFFERS
+
+
+def _tell(plan: ProofPlan, proofs: list[Proof], out: Path) -> None:
+    """The table, and the files of questions that were answered wrongly."""
+    from safety_harness.properties.tally import table
+
+    rows = []
+    for proof in proofs:
+        cells = (f"{share:.4%}" for share in proof.least_shares)
+        rows.append((proof.planned.claim.sentence, proof.planned.region.name, proof.verdict, *cells))
+    columns = ("claim", "region", "verdict", "proven", "refuted", "undecided")
+    result(f"{plan.avoider}: shares of each region, proven at least and undecided at most", "")
+    result(*table(columns, rows, columns_of(sys.stdout), named_by=2, right=range(3, 6)))
+    for number, proof in enumerate(proofs, 1):
+        if proof.question is not None:
+            _write_question(plan, proof, out / f"refuted-{number}.yaml")
+
+
+def _write_question(plan: ProofPlan, proof: Proof, path: Path) -> None:
+    import numpy as np
+
+    from safety_harness.avoidance.learned import LearnedAvoider
+    from safety_harness.proof.claims import ClaimKind
+    from safety_harness.scoring.question_file import question_file
+    from safety_harness.whole_file import write_text
+
+    assert proof.question is not None
+    claim = {
+        ClaimKind.AWAY: "proposals lead away to within 10 mm",
+        ClaimKind.OPTIMUM: "proposals within 60 mm of the optimum",
+    }.get(proof.planned.claim.kind, "trace finite and monotone")
+    made = question_file(
+        path,
+        plan.avoider,
+        LearnedAvoider.of(plan.model),
+        np.array(proof.question.hand_in_base_m),
+        np.array(proof.question.tcp_in_base_m),
+        0,
+        title=f"answered wrongly: {proof.planned.claim.sentence}",
+        about=f"A question to {plan.avoider} that refutes: {proof.planned.sentence}.",
+        claims=(claim,),
+    )
+    if made.path is None:
+        say(f"{proof.planned.sentence}: its question is in the certificate alone, {made.remark}")
+        return
+    write_text(made.path, made.text)
+    say(f"{proof.planned.sentence}: refuted by {made.path}")
+
+
+def _check(file: Path, model: Path | None) -> int:
+    from safety_harness.avoidance.shipped import SHIPPED, shipped_model
+    from safety_harness.exceptions import InputError, Place
+    from safety_harness.proof.certificate import FORMAT
+    from safety_harness.proof.check import check
+    from safety_harness.scenario.files import read_bytes
+    from safety_harness.scenario.typed_json import LARGEST_BYTES, of_format, read_json
+
+    found = of_format(read_json(file, "a certificate of prove"), FORMAT, file)
+    name = found.get("avoider")
+    if model is None and name not in SHIPPED:
+        raise InputError.of_option(
+            "--model", "the file of the network, which does not ship", "nothing", str(name)
+        )
+    network = model if model is not None else shipped_model(str(name))
+    certificate, weights = (
+        read_bytes(one, most=LARGEST_BYTES, place=Place(file=one), error=InputError)
+        for one in (file, network)
+    )
+    try:
+        lines = check(certificate, weights)
+    except Exception as error:  # whatever a stranger's certificate makes of the checker, it is not confirmed
+        say(f"not confirmed: {type(error).__name__}: {error}")
+        document(confirmed=False, why=f"{type(error).__name__}: {error}", claims=[])
+        return DIFFERS
+    result(*(f"confirmed {line}" for line in lines))
+    document(confirmed=True, why=None, claims=lines)
+    return AS_EXPECTED

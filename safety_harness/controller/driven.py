@@ -1,0 +1,321 @@
+"""A user's controller as a ``Controller``: observations become what it sees, its actions commands.
+
+Perception is its own affair but for what it says that it sees; limits, drives and brakes are those of every
+run.  What it does not report is not reported in the trace either.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import lru_cache
+from typing import Any
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.controller.contract import (
+    DECISIONS,
+    DOUBT,
+    IMAGE,
+    MODE,
+    OBJECT,
+    PREDICTED_HANDS,
+    Decision,
+    DrivenArm,
+    Move,
+    Report,
+    Seen,
+    Start,
+    Stop,
+    UserController,
+    reports_of,
+    sees_of,
+)
+from safety_harness.controller.cycle import QUESTION, report
+from safety_harness.controller.records import (
+    ObservationRecords,
+    QuestionRecords,
+    command_dtype,
+    initial_state,
+    observation_dtype,
+    parameters_dtype,
+)
+from safety_harness.controller.rows import SeenLayout, seen_dtype
+from safety_harness.controller.seeing import SeenRecords, driven_records, obey, see
+from safety_harness.exceptions import ControllerError, described, printable
+from safety_harness.perception.hand_filter import FILTER_PARAMETERS
+from safety_harness.perception.tracking import no_tracks
+from safety_harness.robot.description import ArmModel
+from safety_harness.robot.kinematics import links_in_base
+from safety_harness.servoing.control import DesiredView
+from safety_harness.settings import Settings
+from safety_harness.trace.known import NOT_REPORTED, OF_DECISIONS, Measurement
+from safety_harness.trace.records import DECISION, Mode, as_compiled, decision_dtype, tick_dtype
+
+Floats = NDArray[np.float64]
+
+# What only the visual servo has, or one that reports it.
+_OF_SERVO = ("gain", "camera_twist")
+_OF_OBJECT = ("object_visible", "features", "feature_error", "sse")
+_OF_TRACKS = ("track_valid", "predicted_hand_in_base_m", "predicted_distance_m")
+_OF_GATE = (
+    "asked_tick",
+    "decision_time_s",
+    "seed",
+    "opposite_position_in_base_m",
+    "proposed_failed",
+    "opposite_failed",
+)
+_OF_DOUBT = ("proposed_spread_m", "spread_threshold_m")
+
+
+class DrivenController:
+    """One episode of a user's controller; ControllerError for what it raises or returns that is no action.
+
+    ``joint_position_rad`` (n,) is where the arm starts.  ``view`` is read only if the object is seen.
+    """
+
+    def __init__(
+        self,
+        user: UserController,
+        settings: Settings,
+        arm: ArmModel,
+        view: DesiredView | None,
+        joint_position_rad: Floats,
+        seed: int,
+        hand_slots: int,
+    ) -> None:
+        self.user = user
+        self.name = user.name
+        self.sees, self.reports = sees_of(user), reports_of(user)
+        joints = len(arm.joint_names)
+        records = driven_records(settings, arm, view, hand_slots)
+        self._parameters, self._filter, self._state, self._tracks, self._seen, self._command = records
+        self._question = QuestionRecords(np.zeros(1, QUESTION))
+        self._decision = decision_dtype(joints)
+        self._decisions: list[NDArray[np.void]] = []
+        self._twist, self._joints, self._nothing = np.zeros(6), np.zeros(joints), np.zeros(6)
+        self._period_s = settings.clock.control_period_s
+        self._layout = SeenLayout(hand_slots, joints, self.sees)
+        self._floats = self._seen.view(np.float64)[: self._layout.wanted]
+        self._wants = OBJECT in self.sees, PREDICTED_HANDS in self.sees
+        self._mode = -1  # as reported at this tick
+        self._see, self._obey, self._tell = _entries(hand_slots, joints)
+        self._image: Callable[[], Any] | None = None
+        pose = links_in_base(arm, joint_position_rad)[-1]
+        start = Start(joint_position_rad=_frozen(joint_position_rad), transform_tcp_to_base=_frozen(pose))
+        try:
+            user.reset(settings=settings, arm=arm_of(arm), start=start, seed=seed)
+        except ControllerError:
+            raise
+        except (Exception, SystemExit) as error:  # a user's code may raise anything
+            raise self._failed("reset raised", described(error)) from error
+
+    def sees_images_of(self, image: Callable[[], Any]) -> None:
+        """Let it see the ``image()`` of now, if "image" is among its sees."""
+        self._image = image
+
+    def step(self, observation: NDArray[np.void]) -> NDArray[np.void]:
+        """(1,) OBSERVATION to (1,) COMMAND."""
+        self.look(observation)
+        return self.carry_out(*self._asked(), observation)
+
+    def look(self, observation: NDArray[np.void]) -> SeenRecords:
+        """(1,) SEEN of (1,) OBSERVATION: the first half of ``step``."""
+        o = ObservationRecords(observation)
+        self._see(self._parameters, self._filter, self._state, self._tracks, o, self._seen, *self._wants)
+        return self._seen
+
+    def carry_out(
+        self, wanted: Floats, by_joints: bool, stop: bool, observation: NDArray[np.void]
+    ) -> NDArray[np.void]:
+        """(1,) COMMAND for an action, as ``obey`` has it: the second half of ``step``.
+
+        ``wanted`` (6,) or (n,), ``observation`` (1,) OBSERVATION; ControllerError for what is not finite.
+        """
+        o = ObservationRecords(observation)
+        if not self._obey(self._parameters, self._state, o, wanted, by_joints, stop, self._command):
+            raise self._failed("act returned", f"velocities that are not finite: {wanted.tolist()}")
+        self._question["tick"] += 1
+        return self._command
+
+    def report(self, tick: NDArray[np.void]) -> None:
+        """Write what it saw and reports into ``tick`` (1,) TICK."""
+        self.report_compiled(as_compiled(tick))
+
+    def report_compiled(self, tick: NDArray[np.void]) -> None:
+        """As ``report``, into a tick (1,) ``as_compiled``."""
+        self._tell(self._state, self._question, self._command, tick)
+        if self._mode >= 0:
+            tick["mode"] = self._mode
+
+    @property
+    def decisions(self) -> NDArray[np.void]:
+        """(m,) DECISION: those that it reported."""
+        decisions = np.zeros(len(self._decisions), self._decision)
+        for k, decision in enumerate(self._decisions):
+            decisions[k] = decision[0]
+        return decisions
+
+    @property
+    def decision_latencies_s(self) -> Floats:
+        """(m,) NaN: nobody asked it for a decision."""
+        return np.full(len(self._decisions), np.nan)
+
+    @property
+    def known(self) -> dict[str, Measurement]:
+        """What of its traces is not reported, by column."""
+        lacking = [*_OF_SERVO]
+        lacking += [] if OBJECT in self.sees else _OF_OBJECT
+        lacking += [] if PREDICTED_HANDS in self.sees else _OF_TRACKS
+        lacking += [] if MODE in self.reports else ["mode"]
+        if DECISIONS in self.reports:
+            of_decisions = [*_OF_GATE, *([] if DOUBT in self.reports else _OF_DOUBT)]
+        else:
+            of_decisions, lacking = [*(DECISION.names or ())], [*lacking, "decision"]
+        return dict.fromkeys([*lacking, *(OF_DECISIONS + name for name in of_decisions)], NOT_REPORTED)
+
+    def _asked(self) -> tuple[Floats, bool, bool]:
+        """What it wants of the arm until the next tick: velocities, are they the joints', is it a stop?"""
+        row = self._floats.copy()
+        row.flags.writeable = False
+        seen = Seen.of_row(float(row[0]), self._period_s, self._layout, row)
+        if self._image is not None and IMAGE in self.sees:
+            seen.__dict__["image"] = self._image()
+        try:
+            action = self.user.act(seen)
+        except ControllerError as error:
+            raise self._failed(
+                "act raised" if not str(error).startswith("act") else "", str(error)
+            ) from error
+        except (Exception, SystemExit) as error:  # a user's code may raise anything
+            raise self._failed("act raised", described(error)) from error
+        self._note(action)
+        if isinstance(action, Stop):
+            return self._nothing, False, True
+        if not isinstance(action, Move):
+            raise self._failed("act returned no Move and no Stop", printable(repr(action)))
+        return self._move(action)
+
+    def _move(self, action: Move) -> tuple[Floats, bool, bool]:
+        linear, angular = action.tcp_velocity_mps, action.tcp_angular_velocity_radps
+        if action.joint_velocity_radps is not None:
+            if linear is not None or angular is not None:
+                raise self._failed("act returned a Move", "of the TCP and of the joints at once")
+            self._joints[:] = self._numbers("joint_velocity_radps", action.joint_velocity_radps, self._joints)
+            return self._joints, True, False
+        twist = self._twist
+        twist[:3] = 0.0 if linear is None else self._numbers("tcp_velocity_mps", linear, twist[:3])
+        twist[3:] = (
+            0.0 if angular is None else self._numbers("tcp_angular_velocity_radps", angular, twist[3:])
+        )
+        return twist, False, False
+
+    def _numbers(self, name: str, value: object, like: Floats) -> Floats:
+        """Real numbers in the shape of ``like``."""
+        try:
+            given = np.asarray(value)
+        except (TypeError, ValueError) as error:
+            raise self._failed(f"act returned a {name} that is no array of numbers", str(error)) from error
+        if given.dtype.kind not in "fiu" or given.shape != like.shape:
+            what = f"{given.dtype} of the shape {given.shape}"
+            raise self._failed(
+                f"act returned a {name} other than real numbers of the shape {like.shape}", what
+            )
+        return given
+
+    def _failed(self, what: str, got: str) -> ControllerError:
+        when = f" at {float(self._seen[0]['time_s']):.3f} s"
+        return ControllerError(f"the controller {self.name!r}: {what + ': ' if what else ''}{got}{when}")
+
+    def _note(self, action: object) -> None:
+        """What it reports of itself; ControllerError if that is less than it says."""
+        if not self.reports:
+            return
+        said = getattr(action, "report", None)
+        if MODE in self.reports:
+            if not isinstance(said, Report) or not isinstance(said.mode, Mode):
+                raise self._failed("act reported no Mode", 'though "mode" is among its reports')
+            self._mode = int(said.mode)
+        if DECISIONS in self.reports:
+            decision = said.decision if isinstance(said, Report) else None
+            self._question["made_now"] = decision is not None
+            if decision is not None:
+                self._decisions.append(self._record(decision))
+                self._question["made"] += 1
+
+    def _record(self, decision: Decision) -> NDArray[np.void]:
+        """(1,) DECISION."""
+        record = np.zeros(1, self._decision)
+        record["tick"] = record["asked_tick"] = self._question["tick"]
+        for name in ("time_s", "joint_position_rad"):
+            record[name] = self._seen[name]
+        record["tcp_position_in_base_m"] = self._state["transform_tcp_to_base"][0, :3, 3]
+        record["opposite_position_in_base_m"] = np.nan
+        record["outcome"], record["trigger"] = int(decision.outcome), int(decision.trigger)
+        pairs = {"proposed_spread_m": decision.spread_m, "spread_threshold_m": decision.spread_threshold_m}
+        for name in ("hand", "proposed", "chosen"):
+            pairs[f"{name}_position_in_base_m"] = getattr(decision, f"{name}_position_in_base_m")
+        for name, value in pairs.items():
+            record[name] = self._numbers(name, value, record[name][0])
+        return record
+
+
+@lru_cache
+def _entries(hand_slots: int, joints: int) -> tuple[Callable[..., Any], ...]:
+    """``see``, ``obey`` and ``report`` for such records: what numba would look up at every call, once."""
+    state, command = initial_state(hand_slots, joints), np.zeros(1, command_dtype(joints))
+    p, question = np.zeros(1, parameters_dtype(joints)), np.zeros(1, QUESTION)
+    observation = np.zeros(1, observation_dtype(hand_slots, joints))
+    seen, tracks = np.zeros(1, seen_dtype(hand_slots, joints)), no_tracks(hand_slots)
+    tick = as_compiled(np.zeros(1, tick_dtype(hand_slots, joints)))
+    f = np.zeros(1, FILTER_PARAMETERS)
+    return (
+        entry_of(see, p, f, state, tracks, observation, seen, False, False),
+        entry_of(obey, p, state, observation, np.zeros(6), False, False, command),
+        entry_of(report, state, question, command, tick),
+    )
+
+
+def entry_of(function: Any, *arguments: Any) -> Callable[..., Any]:
+    """The machine code of a compiled function for arguments of these types, which it does not check again.
+
+    To look at the types of records takes numba ten times as long as what small functions do with them.
+    """
+    key = function, tuple(map(_kind, arguments))
+    if key not in _ENTRIES:
+        _ENTRIES[key] = function.compile(tuple(map(numba.typeof, arguments)))
+    return _ENTRIES[key]
+
+
+_ENTRIES: dict[tuple[Any, tuple[Any, ...]], Callable[..., Any]] = {}
+
+
+def _kind(argument: Any) -> Any:
+    """All that its type depends on for numba, which takes milliseconds to find that out for an episode."""
+    if not isinstance(argument, np.ndarray):
+        return type(argument)
+    is_ = argument.flags
+    flags = is_.c_contiguous, is_.f_contiguous, is_.writeable, is_.aligned
+    return argument.dtype, argument.ndim, flags
+
+
+def _frozen(array: Floats) -> Floats:
+    array = array.copy()
+    array.flags.writeable = False
+    return array
+
+
+def arm_of(model: ArmModel) -> DrivenArm:
+    """An arm as controllers are told of it."""
+    return DrivenArm(
+        name=model.name,
+        joint_names=model.joint_names,
+        position_lower_rad=model.position_lower_rad,
+        position_upper_rad=model.position_upper_rad,
+        velocity_limit_radps=model.velocity_limit_radps,
+        joint_origins=model.joint_origins,
+        joint_axes=model.joint_axes,
+        flange=model.flange,
+    )

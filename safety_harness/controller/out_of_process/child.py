@@ -1,0 +1,132 @@
+"""What runs in the process of a user's controller: it makes it, and passes on what is said.
+
+It must start quickly: nothing imported here waits for a compiler.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from safety_harness.controller.contract import Image, Move, Seen, Stop, UserController, reports_of, sees_of
+from safety_harness.controller.out_of_process.messages import (
+    MOST_WORDS,
+    PROTOCOL,
+    ActOnRow,
+    Failed,
+    MakeController,
+    NoController,
+    Ready,
+    Reset,
+    Said,
+    Welcome,
+    action_said,
+    arm_from,
+    as_binary,
+    start_from,
+    to_the_process,
+)
+from safety_harness.controller.python_file import controller_in
+from safety_harness.controller.rows import SeenLayout
+from safety_harness.exceptions import ControllerError, InputError, Place, described, printable
+from safety_harness.isolation.child import Ends
+
+MOST_TOLD = 1 << 30  # bytes of a message to it
+
+
+def main(question_fd: int, answer_fd: int) -> None:
+    """Answer until the other side is gone."""
+    ends = Ends(question_fd, answer_fd)
+    made = to_the_process.decode(ends.read(MOST_TOLD))
+    assert isinstance(made, MakeController)
+    asked = json.loads(made.wanted)
+    sys.path[:] = asked["sys_path"]
+    path = Path(asked["path"])
+    try:
+        os.chdir(asked["folder"])
+        controller = _controller(path, made.source, asked.get("attribute"))
+        said = Welcome(PROTOCOL, controller.name, sees_of(controller), reports_of(controller))
+    except InputError as error:
+        ends.write(as_binary(NoController(*map(printable, (error.expected, error.got, error.hint)))))
+        return
+    except BaseException as error:  # a user's code may raise anything
+        what = f"{asked.get('attribute') or path.name} to be a controller"
+        ends.write(as_binary(NoController(what, described(error, str(path)), "")))
+        return
+    ends.write(as_binary(said))
+    answering = _Answering(controller, said.sees, str(path))
+    while True:
+        ends.write(answering.answer(to_the_process.decode(ends.read(MOST_TOLD))))
+
+
+def _controller(path: Path, source: bytes, attribute: str | None) -> UserController:
+    """What a program has under a name, or what a policy is."""
+    if attribute is not None:
+        return controller_in(path, source, attribute, Place(field="controller"))
+    from safety_harness.controller.out_of_process.onnx_policy import OnnxPolicy  # no program waits for it
+
+    return OnnxPolicy(path, source)
+
+
+class _Answering:
+    """One controller, episode after episode."""
+
+    def __init__(self, controller: UserController, sees: tuple[str, ...], file: str) -> None:
+        self._controller, self._sees, self._file = controller, sees, file
+        self._period_s, self._joints = np.nan, 0
+        self._layout = SeenLayout(1, 1, ())
+        self._image: Image | None = None
+
+    def answer(self, told: MakeController | Reset | ActOnRow) -> bytes:
+        """What to say to that, encoded."""
+        what = "act raised"
+        try:
+            if isinstance(told, Reset):
+                what = "reset raised"
+                return as_binary(self._reset(told))
+            assert isinstance(told, ActOnRow)
+            return self._act(told)
+        except ControllerError as error:
+            return _failed(what, str(error))
+        except BaseException as error:  # SystemExit, or the user's own: no reason to end
+            return _failed(what, described(error, self._file))
+
+    def _reset(self, told: Reset) -> Said:
+        arm = arm_from(told.arm)
+        self._period_s, self._joints = told.settings.clock.control_period_s, len(arm.joint_names)
+        self._layout.hand_slots = 0
+        self._image = None
+        start, seed = start_from(told.start), int(told.seed)
+        self._controller.reset(settings=told.settings, arm=arm, start=start, seed=seed)
+        return Ready()
+
+    def _act(self, told: ActOnRow) -> bytes:
+        layout = self._layout
+        if layout.hand_slots != told.hand_slots:
+            layout = self._layout = SeenLayout(told.hand_slots, self._joints, self._sees)
+        row = np.frombuffer(told.row)
+        seen = Seen.of_row(row.item(0), self._period_s, layout, row)
+        if told.image is not None:
+            seen.__dict__["image"] = self._image = _image(told.image, self._image)
+        action = self._controller.act(seen)
+        if not isinstance(action, Move | Stop):
+            return _failed("act returned no Move and no Stop", repr(action))
+        try:
+            return as_binary(action_said(action, told.tick))
+        except (TypeError, ValueError, AttributeError, RecursionError) as error:
+            return _failed(f"act returned a {type(action).__name__} that cannot be sent", described(error))
+
+
+def _image(told: tuple[float, bool, int, bytes], last: Image | None) -> Image:
+    time_s, new, width, pixels = told
+    if not new and last is not None:
+        return Image(time_s=time_s, new=False, pixels=last.pixels)
+    return Image(time_s=time_s, new=new, pixels=np.frombuffer(pixels, np.uint8).reshape(-1, max(width, 1), 3))
+
+
+def _failed(what: str, got: str) -> bytes:
+    return as_binary(Failed(printable(f"{what}: {got}")[:MOST_WORDS]))

@@ -1,0 +1,65 @@
+"""The simplest controller that ships: straight to the desired TCP, and a stop while a hand is near."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.controller.contract import (
+    HANDS,
+    JOINTS,
+    MODE,
+    Action,
+    DrivenArm,
+    Move,
+    Report,
+    Seen,
+    Start,
+    Stop,
+)
+from safety_harness.settings import Settings
+from safety_harness.trace.records import Mode
+
+_GOING, _STOPPED = Report(mode=Mode.SERVOING), Report(mode=Mode.PROTECTIVE_STOP)
+
+
+class StopWhenNear:
+    """Servoes by the encoders alone, v = g (t* - t), w = g r, with r the rotation vector to the desired pose.
+
+    g is the settings' ``gain_far``.  It stops while any hand of the sensor's last frame is within the
+    critical distance of the TCP.
+    """
+
+    name = "stop when near"
+    sees = (JOINTS, HANDS)
+    reports = (MODE,)
+
+    def reset(self, *, settings: Settings, arm: DrivenArm, start: Start, seed: int) -> None:
+        """Take over where to go, how fast, and how near is near."""
+        self._target_in_base_m = np.array(settings.cell.desired_tcp_position_in_base_m)
+        self._gain = settings.servo.gain_far
+        self._near_m = settings.avoidance.critical_distance_m
+
+    def act(self, seen: Seen) -> Action:
+        """Stop, or on towards the desired pose."""
+        tcp = seen.tcp_position_in_base_m
+        for hand in seen.hands:
+            way = hand.position_in_base_m - tcp
+            if not way @ way >= self._near_m**2:  # one whose distance is NaN is near
+                return Stop(report=_STOPPED)
+        return Move(
+            tcp_velocity_mps=self._gain * (self._target_in_base_m - tcp),
+            tcp_angular_velocity_radps=self._gain * _turn(seen.transform_tcp_to_base),
+            report=_GOING,
+        )
+
+
+def _turn(transform_tcp_to_base: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(3,) rotation vector in the base frame from the TCP's orientation to looking straight down."""
+    x, y, z, _ = transform_tcp_to_base.tolist()  # of diag(1, -1, -1) R^T, of less than half a turn
+    axis = np.array([0.5 * (z[1] - y[2]), 0.5 * (z[0] + x[2]), -0.5 * (x[1] + y[0])])
+    sine = math.sqrt(axis @ axis)
+    angle = math.atan2(sine, 0.5 * (x[0] - y[1] - z[2] - 1.0))
+    return axis if sine < 1e-9 else axis * (angle / sine)

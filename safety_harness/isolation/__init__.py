@@ -1,0 +1,1 @@
+"""A user's file in a process of its own, which may hang, end or run out of memory at no cost to ours."""

@@ -1,0 +1,1 @@
+"""Logs of real cells: read, placed on one clock, and made traces of what is certain."""

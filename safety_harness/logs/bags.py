@@ -1,0 +1,246 @@
+"""Streams from MCAP files and ROS 2 bags (sqlite3 and MCAP), message by message, without a ROS installation.
+
+Standard messages are known by their type; any other is read by the definition that its bag carries, and the
+path of the field that is meant.  Lengths and angles are metres and radians by REP 103, unless another unit is
+said.  Memory does not grow with what a bag holds beside the stream.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+from safety_harness.exceptions import LogError, Place, near_miss
+from safety_harness.extras import LOGS
+from safety_harness.logs.streams import Collector, LogSource
+from safety_harness.scenario.units import shown
+
+JOINT_STATE = "sensor_msgs/msg/JointState"
+POSE_ARRAY = "geometry_msgs/msg/PoseArray"
+TF = "tf2_msgs/msg/TFMessage"
+POSITIONS = {  # where a position is in a message of a standard type
+    "geometry_msgs/msg/PoseStamped": "pose.position",
+    "geometry_msgs/msg/PoseWithCovarianceStamped": "pose.pose.position",
+    "geometry_msgs/msg/PointStamped": "point",
+    "geometry_msgs/msg/TransformStamped": "transform.translation",
+}
+STAMP, RECEIVED = "stamp", "received"
+_STEP = re.compile(r"([A-Za-z_][A-Za-z0-9_]*)((?:\[[0-9]{1,4}\])*)")
+
+
+@dataclass(frozen=True)
+class Message:
+    """One message of a topic: its number from 1, when it was received, and what it says."""
+
+    number: int
+    received_ns: int
+    kind: str
+    content: Any
+
+
+@contextmanager
+def _opened(source: LogSource) -> Iterator[Any]:
+    """The bag of a stream; whatever its reader stumbles over becomes a LogError."""
+    with LOGS.needed("logs in MCAP files and ROS 2 bags", source.file):
+        from rosbags.highlevel import AnyReader
+        from rosbags.typesys import Stores, get_typestore
+    try:
+        with AnyReader([source.file], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+            yield reader
+    except LogError:
+        raise
+    except Exception as error:  # of the storage, its compression, a definition: whatever damage provokes
+        raise LogError(
+            place=Place(file=source.file, field=source.what),
+            expected="a bag, whole",
+            got=" ".join(f"{type(error).__name__}: {error}".split()),
+            hint="of a recording that was cut off: mcap recover FILE.mcap, or ros2 bag reindex FOLDER",
+        ) from error
+
+
+def messages(source: LogSource) -> Iterator[Message]:
+    """Every message of the stream's topic, in the order in which they were received.
+
+    LogError for a topic that the bag does not have, damage, and fewer messages than the bag says it has.
+    """
+    with _opened(source) as reader:
+        connections = [one for one in reader.connections if one.topic == source.topic]
+        if not connections:
+            topics = sorted({one.topic for one in reader.connections})
+            raise LogError(
+                place=source.place,
+                expected=f"a topic of {source.file.name}",
+                got=source.topic,
+                hint=near_miss(source.topic, topics) or f"its topics: {shown(', '.join(topics))}",
+            )
+        number = 0
+        for connection, received_ns, raw in reader.messages(connections=connections):
+            number += 1
+            yield Message(
+                number, received_ns, connection.msgtype, reader.deserialize(raw, connection.msgtype)
+            )
+        promised = sum(one.msgcount for one in connections)
+        if number != promised:
+            raise LogError(
+                place=Place(file=source.file, field=source.topic),
+                expected=f"{promised} messages, as the bag says",
+                got=str(number),
+                hint="it was cut off, or its index is not of this file",
+            )
+
+
+def topics_of(source: LogSource) -> dict[str, str]:
+    """The topics of a stream's bag with their types."""
+    with _opened(source) as reader:
+        return {one.topic: one.msgtype for one in reader.connections}
+
+
+def read_joints(
+    source: LogSource, collector: Collector, names: Sequence[str], *, time: str, angle: float
+) -> None:
+    """(position, velocity) of the joints ``names``, in this order; NaN for velocities that are not told.
+
+    ``angle`` is the unit of angles in rad.
+    """
+    wanted, found = tuple(names), {}
+    for message in messages(source):
+        content = message.content
+        if message.kind != JOINT_STATE and not source.path:
+            raise _unknown(message, source, "the joints", JOINT_STATE)
+        if source.path:
+            values = _numbers(_follow(content, source, message), source, message)
+            if len(values) != len(wanted):
+                raise error(source, message, f"{len(wanted)} joint angles", str(len(values)))
+            rates = [math.nan] * len(wanted)
+        else:
+            told = tuple(content.name)
+            if told not in found:
+                for name in wanted:
+                    if name not in told:
+                        hint = near_miss(name, told) or 'the key "names" says what the log calls each joint'
+                        expected = f'the joint "{name}"'
+                        raise error(source, message, expected, f"the joints {shown(', '.join(told))}", hint)
+                found[told] = [told.index(name) for name in wanted]
+            at = found[told]
+            if len(content.position) != len(told):
+                raise error(source, message, f"{len(told)} positions", str(len(content.position)))
+            values = [float(content.position[k]) for k in at]
+            rates = [math.nan] * len(at)
+            if len(content.velocity) == len(told):
+                rates = [float(content.velocity[k]) for k in at]
+        _refuse_infinite(values, source, message)
+        numbers = [value * angle for value in (*values, *rates)]
+        collector.add(
+            _time_ns(message, source, time, getattr(content, "header", None)), numbers, message.number
+        )
+
+
+def read_positions(
+    source: LogSource,
+    collector: Collector,
+    *,
+    time: str,
+    length: float,
+    to_base: Callable[[str, Message], Callable[[Sequence[float]], Sequence[float]]],
+) -> None:
+    """Positions in the base frame; NaN for a body that a message does not have.
+
+    ``length`` is the unit in m, ``to_base`` makes positions in a frame, by its name, positions in the base's.
+    """
+    for message in messages(source):
+        content = message.content
+        header = getattr(content, "header", None)
+        if message.kind == TF:
+            if not source.path:
+                raise error(source, message, "a frame after the topic, such as /tf:right_hand", "none")
+            for transform in content.transforms:
+                if transform.child_frame_id == source.path:
+                    where, header = transform.transform.translation, transform.header
+                    break
+            else:
+                continue  # of other frames
+        elif message.kind == POSE_ARRAY and not source.path:
+            if source.index is None:
+                raise error(source, message, "which of the poses, such as /poses[0]", "none")
+            poses = content.poses
+            where = poses[source.index].position if source.index < len(poses) else None
+        else:
+            path = source.path or POSITIONS.get(message.kind, "")
+            if not path:
+                raise _unknown(message, source, "a position", ", ".join((*POSITIONS, POSE_ARRAY, TF)))
+            where = _follow(content, source, message, path)
+        place = [math.nan] * 3 if where is None else _xyz(where, source, message)
+        _refuse_infinite(place, source, message)
+        frame = str(getattr(header, "frame_id", ""))
+        position = to_base(frame, message)([value * length for value in place])
+        collector.add(_time_ns(message, source, time, header), position, message.number)
+
+
+def error(source: LogSource, message: Message, expected: str, got: str, hint: str = "") -> LogError:
+    """LogError at one message."""
+    place = Place(file=source.file, field=f"message {message.number} of {source.topic}")
+    return LogError(place=place, expected=expected, got=got, hint=hint)
+
+
+def _unknown(message: Message, source: LogSource, what: str, types: str) -> LogError:
+    hint = f"say which field of it, such as {source.topic}:wrist.position"
+    return error(source, message, f"{what}, in a message of {types}", message.kind, hint)
+
+
+def _time_ns(message: Message, source: LogSource, said: str, header: Any) -> int:
+    if said == RECEIVED:
+        return message.received_ns
+    stamp = getattr(header, "stamp", None)
+    time_ns = 0 if stamp is None else int(stamp.sec) * 10**9 + int(stamp.nanosec)
+    if time_ns == 0:
+        hint = 'the key "time: received" takes the time at which each was received'
+        raise error(source, message, "a stamp in its header", "none", hint)
+    return time_ns
+
+
+def _follow(content: Any, source: LogSource, message: Message, path: str = "") -> Any:
+    """What the path of a field leads to, such as ``markers[2].pose.position``."""
+    for step in (path or source.path).split("."):
+        found = _STEP.fullmatch(step)
+        fields = [name for name in getattr(content, "__dataclass_fields__", ()) if not name.startswith("__")]
+        if found is None or found[1] not in fields:
+            hint = near_miss(step, fields) or f"its fields: {shown(', '.join(fields))}"
+            raise error(source, message, "a path of fields such as wrist.position", step, hint)
+        content = getattr(content, found[1])
+        for index in re.findall(r"[0-9]+", found[2]):
+            if int(index) >= len(content):
+                return None  # not there in this message
+            content = content[int(index)]
+    return content
+
+
+def _xyz(where: Any, source: LogSource, message: Message) -> list[float]:
+    """Of a point, a pose, or a list of three numbers."""
+    where = getattr(where, "position", where)
+    try:
+        if all(hasattr(where, axis) for axis in "xyz"):
+            return [float(where.x), float(where.y), float(where.z)]
+        values = [float(value) for value in where]
+    except (TypeError, ValueError):
+        values = []
+    if len(values) != 3:
+        raise error(
+            source, message, "a position: a field with x, y and z, or three numbers", type(where).__name__
+        )
+    return values
+
+
+def _numbers(values: Any, source: LogSource, message: Message) -> list[float]:
+    try:
+        return [float(value) for value in values]
+    except (TypeError, ValueError):
+        raise error(source, message, "a list of numbers", type(values).__name__) from None
+
+
+def _refuse_infinite(values: Sequence[float], source: LogSource, message: Message) -> None:
+    if any(math.isinf(value) for value in values):
+        raise error(source, message, "numbers, or NaN where nothing was measured", str(list(values)))

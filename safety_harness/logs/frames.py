@@ -1,0 +1,158 @@
+"""From the frame in which positions were logged to the base frame: given, or taken from ``/tf`` of a bag."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.exceptions import LogError, near_miss
+from safety_harness.geometry.transforms import inverse_transform, transform_from
+from safety_harness.logs.bags import Message, error, messages, topics_of
+from safety_harness.logs.streams import LogSource
+from safety_harness.scenario.units import shown
+
+ToBase = Callable[[str, Message], Callable[[Sequence[float]], Sequence[float]]]
+STILL_M, STILL_RAD = 1e-6, 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Tree:
+    """Transforms that stand still: ``parents`` has of each frame its parent and (4, 4) its pose there."""
+
+    source: LogSource
+    parents: dict[str, tuple[str, NDArray[np.float64]]]
+
+    def transform(self, frame: str, base: str) -> NDArray[np.float64]:
+        """(4, 4) from ``frame`` to ``base``; LogError if no way leads from the one to the other."""
+        (root, up), (other, down) = self._to_root(frame), self._to_root(base)
+        if root != other:
+            known = sorted({*self.parents, *(parent for parent, _ in self.parents.values())})
+            raise LogError(
+                place=self.source.place,
+                expected=f'a chain of transforms from "{frame}" to "{base}" in {self.source.name}',
+                got=f"the frames {shown(', '.join(known))}",
+                hint=near_miss(frame if frame not in known else base, known),
+            )
+        return np.asarray(inverse_transform(down) @ up)
+
+    def _to_root(self, frame: str) -> tuple[str, NDArray[np.float64]]:
+        transform, seen = np.eye(4), {frame}
+        while frame in self.parents:
+            parent, step = self.parents[frame]
+            transform = step @ transform
+            if parent in seen:
+                raise LogError(
+                    place=self.source.place,
+                    expected="frames without a circle",
+                    got=f'"{parent}" above itself',
+                )
+            seen.add(parent)
+            frame = parent
+        return frame, transform
+
+
+def read_tree(source: LogSource, frame: str, base: str) -> Tree:
+    """The transforms of a topic of ``TFMessage``, and of ``/tf_static`` beside it, that lead to ``base``.
+
+    LogError for one between ``frame`` and ``base`` that moves: where a moving frame was between two of its
+    messages is not known.
+    """
+    parents: dict[str, tuple[str, NDArray[np.float64]]] = {}
+    moved: dict[str, tuple[Message, LogSource, float]] = {}
+    for topic in _topics(source):
+        for message in messages(topic):
+            for one in getattr(message.content, "transforms", ()):
+                child, parent = one.child_frame_id.lstrip("/"), one.header.frame_id.lstrip("/")
+                pose = _pose(one.transform, topic, message)
+                if child not in parents:
+                    parents[child] = parent, pose
+                    continue
+                before, first = parents[child]
+                by_m = float(np.linalg.norm(pose[:3, 3] - first[:3, 3]))
+                by_rad = float(np.linalg.norm(pose[:3, :3] - first[:3, :3]))
+                if (before != parent or by_m > STILL_M or by_rad > STILL_RAD) and child not in moved:
+                    moved[child] = message, topic, by_m
+    tree = Tree(source, parents)
+    for name in (frame, base):
+        at = name
+        while at in parents:
+            if at in moved:
+                message, topic, by_m = moved[at]
+                expected = f'a frame "{at}" that stands still, between "{frame}" and "{base}"'
+                hint = "log positions in the base frame, or give the transform"
+                raise error(topic, message, expected, f"one that has moved by {by_m * 1e3:.1f} mm", hint)
+            at = parents[at][0]
+    return tree
+
+
+def _topics(source: LogSource) -> list[LogSource]:
+    static = LogSource(
+        file=source.file, what="/tf_static", place=source.place, topic="/tf_static", index=None, path=""
+    )
+    if source.topic == "/tf_static":
+        return [source]
+    return [one for one in (static, source) if one.topic in topics_of(source)] or [source]
+
+
+def _pose(transform: object, source: LogSource, message: Message) -> NDArray[np.float64]:
+    """(4, 4) of a transform with a quaternion."""
+    at, turn = transform.translation, transform.rotation  # type: ignore[attr-defined]
+    x, y, z, w = float(turn.x), float(turn.y), float(turn.z), float(turn.w)
+    norm = x * x + y * y + z * z + w * w
+    if not abs(norm - 1.0) < 1e-3:
+        raise error(source, message, "a unit quaternion", f"one of length {norm**0.5:.4g}")
+    s = 2.0 / norm
+    rotation = np.array(
+        [
+            [1.0 - s * (y * y + z * z), s * (x * y - z * w), s * (x * z + y * w)],
+            [s * (x * y + z * w), 1.0 - s * (x * x + z * z), s * (y * z - x * w)],
+            [s * (x * z - y * w), s * (y * z + x * w), 1.0 - s * (x * x + y * y)],
+        ]
+    )
+    return transform_from(rotation, np.array([float(at.x), float(at.y), float(at.z)]))
+
+
+def by(transform: NDArray[np.float64]) -> Callable[[Sequence[float]], Sequence[float]]:
+    """Positions moved by ``transform`` (4, 4)."""
+    (a, b, c, x), (d, e, f, y), (g, h, i, z) = transform[:3].tolist()
+
+    def moved(p: Sequence[float]) -> Sequence[float]:
+        return (
+            a * p[0] + b * p[1] + c * p[2] + x,
+            d * p[0] + e * p[1] + f * p[2] + y,
+            g * p[0] + h * p[1] + i * p[2] + z,
+        )
+
+    return moved
+
+
+def by_header(
+    base: str, source: LogSource, transform_base: NDArray[np.float64], tf: LogSource | None
+) -> ToBase:
+    """By the frame that each message's header names, which has to be ``base``, or lead there in ``tf``.
+
+    ``transform_base`` (4, 4) is from that frame to the scenario's base frame.
+    """
+    known: dict[str, Callable[[Sequence[float]], Sequence[float]]] = {base: by(transform_base)}
+
+    def to_base(frame: str, message: Message) -> Callable[[Sequence[float]], Sequence[float]]:
+        frame = frame.lstrip("/")
+        if frame not in known:
+            if tf is None:
+                hint = 'the key "frame": base, {at: ..., turned: ...}, or {tf: run.mcap#/tf}'
+                expected = f'positions in the frame "{base}", or a transform to it'
+                raise error(source, message, expected, f'the frame "{shown(frame)}"', hint)
+            tree = read_tree(tf, frame, base)
+            known[frame] = by(transform_base @ tree.transform(frame, base))
+        return known[frame]
+
+    return to_base
+
+
+def by_given(transform: NDArray[np.float64]) -> ToBase:
+    """Whatever a header says, by the ``transform`` (4, 4) that was given."""
+    moved = by(transform)
+    return lambda frame, message: moved

@@ -1,0 +1,394 @@
+"""LOG.yaml: which streams, on which clocks, in which frames and units, and how well they are known.
+
+The keys that a scenario has too (robot, settings, obstacles, claims) are read as a scenario's are, when the
+trace is made.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.exceptions import LogError, Place
+from safety_harness.geometry.rotations import rotation_from_vector
+from safety_harness.geometry.transforms import transform_from
+from safety_harness.logs.bags import RECEIVED, STAMP, read_joints, read_positions
+from safety_harness.logs.frames import ToBase, by_given, by_header
+from safety_harness.logs.model import (
+    JOINTS_KNOWN_TO_RAD,
+    JOINTS_LONGEST_GAP_S,
+    Body,
+    CellLog,
+    HandFacts,
+    JointFacts,
+)
+from safety_harness.logs.streams import NS, Collector, LogSamples, LogSource, read_source
+from safety_harness.logs.tables import (
+    ANGLE_UNITS,
+    LENGTH_UNITS,
+    RATE_UNITS,
+    Table,
+    header_of,
+    optional_column,
+    read_table,
+    required_column,
+    time_column,
+)
+from safety_harness.robot.description import ArmModel
+from safety_harness.robot.robots import arm_model
+from safety_harness.scenario.codec import POINT, ROTATION
+from safety_harness.scenario.compose import MAX_BYTES
+from safety_harness.scenario.fields import Field, Fields
+from safety_harness.scenario.files import decode, read_bytes
+from safety_harness.scenario.kinds import FileKind, refuse_other_kind
+from safety_harness.scenario.nodes import Mapping, Scalar, parse_tree
+from safety_harness.scenario.robots import Robot, read_robot
+from safety_harness.scenario.units import ANGLE, ANGULAR_ACCELERATION, ANGULAR_SPEED, LENGTH, SPEED, TIME
+
+KEYS = ("log", "title", "about", "clock", "joints", "hands", "robot", "obstacles", "settings", "claims")
+OF_LOG = ("joints", "hands", "from", "to", "period")
+OF_CLOCK = ("hands are ahead by", "known to")
+OF_JOINTS = (
+    *("names", "unit", "time", "known to", "speeds known to"),
+    *("move at most", "accelerate at most", "longest gap"),
+)
+OF_HANDS = ("forearm", "longest gap", "moves at most", "known to", "frame", "unit", "time")
+NOT_MEASURED, NO_FOREARM, BASE = "not measured", "none", "base"
+PERIOD_STEP_NS, SHORTEST_PERIOD_NS, LONGEST_PERIOD_NS = 100_000, 1_000_000, 50_000_000
+FARTHEST_M, FARTHEST_RAD = 10.0, 8.0 * np.pi
+_LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
+_ANGLES = {"rad": 1.0, "deg": np.pi / 180.0}
+AHEAD = "how much more the hands' clock shows than the joints' (safety-harness log align estimates it)"
+
+
+def read_log(path: str | Path, *, align: bool = False) -> CellLog:
+    """The log that a file describes; an InputError with its place for whatever cannot be used.
+
+    ``align``: its clocks need not be said, and all of its hands is read.
+    """
+    file = Path(path)
+    refuse_other_kind(file, FileKind.LOG, error=LogError)
+    data = read_bytes(file, most=MAX_BYTES, place=Place(file=file), error=LogError)
+    text = decode(data, most=MAX_BYTES, file=file, error=LogError)
+    return log_of(Field(parse_tree(text, file), file, path="", line=1), name=file.stem, align=align)
+
+
+def log_of(said: Field, *, name: str, align: bool = False) -> CellLog:
+    """As ``read_log``, of a file that is a tree already; ``align``: its clocks need not be said."""
+    given = said.fields(KEYS)
+    robot = read_robot(given.optional("robot") or Robot.UR10, {})
+    streams = given.required("log").fields(OF_LOG)
+    arm = arm_model(robot)
+    reading = _Reading(given, streams, arm)
+    joints = reading.joints()
+    facts = reading.joint_facts(joints)
+    period_ns = _period_ns(streams, joints)
+    bodies: tuple[Body, ...] = ()
+    hand_facts, ahead_ns, known_to_s = None, 0, 0.0
+    if "hands" in streams:
+        of_hands = given.required("hands").fields(OF_HANDS)
+        hand_facts = _hand_facts(of_hands)
+        if not align:
+            clock = given.required("clock").fields(OF_CLOCK)
+            ahead_ns = round(clock.required(OF_CLOCK[0]).quantity(TIME) * NS)
+            known_to_s = clock.required(OF_CLOCK[1]).quantity(TIME, least=0.0)
+        slack_ns = None if align else round((hand_facts.longest_gap_s + known_to_s) * NS)
+        bodies = reading.bodies(joints, of_hands, ahead_ns, slack_ns)
+    elif "hands" in given or "clock" in given:
+        key = "hands" if "hands" in given else "clock"
+        raise given.required(key).error("a stream of hands below log", got="none", hint="log: {hands: FILE}")
+    found = CellLog(
+        name=name,
+        file=said.file,
+        said=said,
+        robot=robot,
+        joints=joints,
+        joint_facts=facts,
+        hands=bodies,
+        hand_facts=hand_facts,
+        hands_ahead_ns=ahead_ns,
+        clock_known_to_s=known_to_s,
+        period_ns=period_ns,
+        files=tuple(dict.fromkeys(one for source in reading.sources for one in source.files)),
+    )
+    if found.ticks < 2:
+        raise streams.required("joints").error("two control periods of joints, at least", got="less")
+    return found
+
+
+@dataclass
+class _Reading:
+    """Reads the streams that a file names, the joints first."""
+
+    given: Fields
+    streams: Fields
+    arm: ArmModel
+
+    def __post_init__(self) -> None:
+        self.sources: list[LogSource] = []
+
+    def joints(self) -> LogSamples:
+        """(n, 2 j) positions and velocities."""
+        source = self._source(self.streams.required("joints"))
+        said = self._said_of_joints()
+        names = _names(said.optional("names"), self.arm)
+        window = [self._seconds(key) for key in ("from", "to")]
+
+        def begin(first_ns: int) -> tuple[int | None, int | None]:
+            begin_s, end_s = window
+            return (
+                None if begin_s is None else first_ns + round(begin_s * NS),
+                None if end_s is None else first_ns + round(end_s * NS),
+            )
+
+        collector = Collector(source, 2 * len(names), _counts(source), begin=begin)
+        unit = said.optional("unit")
+        if source.is_bag:
+            angle = _ANGLES[_word(unit, _ANGLES)] if unit else 1.0
+            read_joints(source, collector, names, time=_time(said), angle=angle)
+        else:
+            header = header_of(source)
+            word = _word(unit, _ANGLES) if unit else None
+            at = [required_column(source, header, f"{source.what}{n}", ANGLE_UNITS, word) for n in names]
+            rates = [optional_column(source, header, f"{source.what}{n}", RATE_UNITS, None) for n in names]
+            time = time_column(source, header, _said(said.optional("time")))
+            read_table(Table(*time, (*at, *rates)), collector)
+        return _joints_checked(collector.samples(), names)
+
+    def joint_facts(self, joints: LogSamples) -> JointFacts:
+        """What is said of the joints, and by how much a slip would show."""
+        said = self._said_of_joints()
+        most = self.arm.velocity_limit_radps.copy()
+        if (field := said.optional("move at most")) is not None:
+            most = np.full(len(most), field.quantity(ANGULAR_SPEED, above=0.0))
+        hard = said.optional("accelerate at most")
+        rates = said.optional("speeds known to")
+        facts = JointFacts(
+            known_to_rad=_quantity(said, "known to", ANGLE, JOINTS_KNOWN_TO_RAD),
+            speeds_known_to_radps=None if rates is None else rates.quantity(ANGULAR_SPEED, least=0.0),
+            move_at_most_radps=most,
+            accelerate_at_most_radps2=None
+            if hard is None
+            else hard.quantity(ANGULAR_ACCELERATION, above=0.0),
+            longest_gap_s=_quantity(said, "longest gap", TIME, JOINTS_LONGEST_GAP_S),
+        )
+        _refuse_jumping_joints(joints, facts, self.arm.joint_names)
+        return facts
+
+    def bodies(
+        self, joints: LogSamples, of_hands: Fields, ahead_ns: int, slack_ns: int | None
+    ) -> tuple[Body, ...]:
+        """The hands, whose clock is ahead by so much, ``slack_ns`` longer than the joints (None: all)."""
+        window = (None, None)
+        if slack_ns is not None:
+            begin, end = int(joints.time_ns[0]), int(joints.time_ns[-1])
+            window = begin + ahead_ns - slack_ns, end + ahead_ns + slack_ns  # type: ignore[assignment]
+        field = self.streams.required("hands")
+        forearm = of_hands.required("forearm")
+        named = isinstance(field.node, Mapping)
+        hands = field.entries("hands by their names") if named else ((_only_name(field), field),)
+        if not hands:
+            raise field.error("a hand at least")
+        found = []
+        for name, one in hands:
+            own = forearm
+            if isinstance(forearm.node, Mapping):
+                own = forearm.fields(tuple(name for name, _ in hands)).required(name)
+            hand = self._positions(one, of_hands, window)
+            elbow, there = None, True
+            if isinstance(own.node, Scalar) and own.node.text in (NOT_MEASURED, NO_FOREARM):
+                there = own.node.text == NOT_MEASURED
+            else:
+                elbow = self._positions(own, of_hands, window)
+            found.append(Body(name, hand, elbow, there))
+        return tuple(found)
+
+    def _positions(self, field: Field, said: Fields, window: tuple[int | None, int | None]) -> LogSamples:
+        source = self._source(field)
+        collector = Collector(source, 3, _counts(source), *window)
+        unit = said.optional("unit")
+        word = _word(unit, _LENGTHS) if unit else None
+        frame = said.optional("frame")
+        if source.is_bag:
+            to_base = self._to_base(source, frame)
+            length = _LENGTHS[word or "m"]
+            read_positions(source, collector, time=_time(said), length=length, to_base=to_base)
+            return _positions_checked(collector.samples())
+        if frame is None:
+            expected = 'the key "frame": base, or {at: ..., turned: ...} of the frame in which positions are'
+            raise said.whole.error(expected, got=f"none, and {source.name} is a table that cannot say it")
+        header = header_of(source)
+        track = source.what or _only_track(source, header)
+        at = [required_column(source, header, f"{track}_{axis}", LENGTH_UNITS, word) for axis in "xyz"]
+        time = time_column(source, header, _said(said.optional("time")))
+        read_table(Table(*time, tuple(at)), collector)
+        found = collector.samples()
+        transform = _given_transform(frame)
+        values = found.values @ transform[:3, :3].T + transform[:3, 3]
+        return _positions_checked(LogSamples(source, found.time_ns, values, found.at, found.counts))
+
+    def _to_base(self, source: LogSource, frame: Field | None) -> ToBase:
+        """How positions of a bag come to the base frame."""
+        base = self.arm.link_names[0]
+        seat = self.arm.transform_seat
+        if frame is None:
+            return by_header(base, source, seat, None)
+        if isinstance(frame.node, Mapping) and any(key.text == "tf" for key, _ in frame.node.entries):
+            given = frame.fields(("tf", "base"))
+            name = given.optional("base")
+            base = base if name is None else name.sentence("the name of the base frame in the bag")
+            return by_header(base, source, seat, self._source(given.required("tf")))
+        return by_given(_given_transform(frame))
+
+    def _said_of_joints(self) -> Fields:
+        field = self.given.optional("joints")
+        return Fields(self.given.whole, {}) if field is None else field.fields(OF_JOINTS)
+
+    def _source(self, field: Field) -> LogSource:
+        source = read_source(field)
+        self.sources.append(source)
+        return source
+
+    def _seconds(self, key: str) -> float | None:
+        field = self.streams.optional(key)
+        return None if field is None else field.quantity(TIME, least=0.0)
+
+
+def _given_transform(frame: Field) -> NDArray[np.float64]:
+    """(4, 4) from the frame of the positions to the base frame, as it is said."""
+    if isinstance(frame.node, Scalar):
+        frame.one_of({BASE: None})
+        return np.eye(4)
+    given = frame.fields(("at", "turned"))
+    turned = given.optional("turned")
+    vector = (0.0, 0.0, 0.0) if turned is None else ROTATION.read(turned)
+    return transform_from(rotation_from_vector(np.array(vector)), np.array(POINT.read(given.required("at"))))
+
+
+def _names(field: Field | None, arm: ArmModel) -> tuple[str, ...]:
+    """What the log calls the arm's joints, in their order."""
+    if field is None:
+        return arm.joint_names
+    said = field.fields(arm.joint_names)
+    return tuple(
+        said.required(name).sentence("what the log calls the joint") if name in said else name
+        for name in arm.joint_names
+    )
+
+
+def _hand_facts(said: Fields) -> HandFacts:
+    return HandFacts(
+        known_to_m=said.required("known to").quantity(LENGTH, least=0.0),
+        moves_at_most_mps=said.required("moves at most").quantity(SPEED, above=0.0),
+        longest_gap_s=said.required("longest gap").quantity(TIME, above=0.0),
+    )
+
+
+def _period_ns(streams: Fields, joints: LogSamples) -> int:
+    """From tick to tick: what is said, or what the joints' samples are apart, to a tenth of a millisecond."""
+    field = streams.optional("period")
+    if field is not None:
+        return round(field.quantity(TIME, least=SHORTEST_PERIOD_NS / NS, most=LONGEST_PERIOD_NS / NS) * NS)
+    apart_ns = float(np.median(np.diff(joints.time_ns)))
+    rounded = round(apart_ns / PERIOD_STEP_NS) * PERIOD_STEP_NS
+    return min(max(rounded, SHORTEST_PERIOD_NS), LONGEST_PERIOD_NS)
+
+
+def _joints_checked(joints: LogSamples, names: tuple[str, ...]) -> LogSamples:
+    """Without the samples in which a joint was not told; LogError for what no joint can be."""
+    values = joints.values[:, : len(names)]
+    far = np.abs(values) > FARTHEST_RAD
+    if far.any():
+        index = int(np.argmax(far.any(axis=1)))
+        joint = int(np.argmax(far[index]))
+        expected = f"an angle of at most {np.degrees(FARTHEST_RAD):.0f} deg either way"
+        got = f"{names[joint]} at {np.degrees(values[index, joint]):.6g} deg"
+        raise joints.error(index, expected, got, 'degrees that were taken for radians? the key "unit"')
+    return _told(joints, np.asarray(np.isfinite(values).all(axis=1)))
+
+
+def _positions_checked(positions: LogSamples) -> LogSamples:
+    far = np.abs(positions.values) > FARTHEST_M
+    if far.any():
+        index = int(np.argmax(far.any(axis=1)))
+        got = f"{', '.join(f'{value:.6g}' for value in positions.values[index])} m"
+        expected = f"a position within {FARTHEST_M:g} m of the base"
+        raise positions.error(index, expected, got, 'millimetres that were taken for metres? the key "unit"')
+    return _told(positions, np.asarray(np.isfinite(positions.values).all(axis=1)))
+
+
+def _told(samples: LogSamples, there: NDArray[np.bool_]) -> LogSamples:
+    """Those samples in which something was measured; LogError for fewer than two."""
+    if np.count_nonzero(there) < 2:
+        raise LogError(
+            place=samples.source.place,
+            expected=f"two samples at least of {samples.source.name} with all its numbers",
+            got=f"{np.count_nonzero(there)} of {len(there)}",
+        )
+    if there.all():
+        return samples
+    return LogSamples(
+        samples.source, samples.time_ns[there], samples.values[there], samples.at[there], samples.counts
+    )
+
+
+def _refuse_jumping_joints(joints: LogSamples, facts: JointFacts, names: tuple[str, ...]) -> None:
+    """LogError where a joint goes from one sample to the next faster than it can."""
+    step_s = np.diff(joints.time_ns) / NS
+    way = np.abs(np.diff(joints.values[:, : len(names)], axis=0))
+    allowed = step_s[:, None] * facts.move_at_most_radps + 2.0 * facts.known_to_rad
+    if (way > allowed).any():
+        index = int(np.argmax((way > allowed).any(axis=1)))
+        joint = int(np.argmax(way[index] - allowed[index]))
+        speed = np.degrees(way[index, joint] / step_s[index])
+        most = np.degrees(facts.move_at_most_radps[joint])
+        raise joints.error(
+            index + 1,
+            f"{names[joint]} to turn at {most:.4g} deg/s at most, as is said",
+            f"a jump of {np.degrees(way[index, joint]):.4g} deg in {step_s[index] * 1e3:.4g} ms, "
+            f"{speed:.4g} deg/s",
+            "another unit from here on? or joints: {move at most: ...} says how fast they can be",
+        )
+
+
+def _only_track(source: LogSource, header: tuple[str, ...]) -> str:
+    """The one track of a table: a name with an x and a unit."""
+    ends = tuple(f"_x_{unit}" for unit in LENGTH_UNITS) + ("_x",)
+    tracks = [name[: -len(end)] for name in header for end in ends if name.endswith(end)]
+    if len(tracks) != 1:
+        got = ", ".join(tracks) or f"the columns {', '.join(header)}"
+        expected = f"which track, such as {source.file.name}#right_hand"
+        raise LogError(place=source.place, expected=expected, got=got)
+    return tracks[0]
+
+
+def _only_name(field: Field) -> str:
+    return "hand"
+
+
+def _quantity(said: Fields, key: str, dimension: object, default: float) -> float:
+    field = said.optional(key)
+    return default if field is None else field.quantity(dimension, least=0.0)  # type: ignore[arg-type]
+
+
+def _word(field: Field, words: dict[str, float]) -> str:
+    return field.one_of({word: word for word in words})
+
+
+def _said(field: Field | None) -> str | None:
+    return None if field is None else field.sentence("the name of a column, with its unit: stamp in ns")
+
+
+def _time(said: Fields) -> str:
+    """Of a bag: by the stamp of each message, or by when it was received."""
+    field = said.optional("time")
+    return STAMP if field is None else field.one_of({one: one for one in (STAMP, RECEIVED)})
+
+
+def _counts(source: LogSource) -> str:
+    if source.is_bag:
+        return "message"
+    return "line" if source.file.suffix == ".csv" else "row"

@@ -1,0 +1,186 @@
+"""One stream of a log: which file and what of it, and the samples that stand there, with their places.
+
+A stream is written ``FILE`` or ``FILE#WHAT``: in a table (CSV, Parquet) WHAT is what its columns begin with,
+in a bag (MCAP, ROS 2) a topic, ``/poses``, with ``[2]`` for one of several and ``:path`` for a field within.
+Times are kept to the nanosecond on the stream's own clock; nothing is sorted, left out or mended.
+"""
+
+from __future__ import annotations
+
+import re
+from array import array
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.exceptions import LogError, Place
+from safety_harness.scenario.fields import Field
+from safety_harness.shipped.contents import located
+
+MOST_SAMPLES = 4_000_000  # of one stream within the window: 400 MB of joints
+SHORTEST_STEP_NS = 1_000
+NS = 1e9
+_TOPIC = re.compile(r"(?P<topic>/[^\[\]:]*)(?:\[(?P<index>[0-9]{1,4})\])?(?::(?P<path>.+))?")
+TABLES, BAGS = (".csv", ".parquet"), (".mcap", ".db3")
+
+
+@dataclass(frozen=True)
+class LogSource:
+    """What a log's file says of a stream: the file, and what of it; ``place`` is where that is said."""
+
+    file: Path
+    what: str
+    place: Place
+    topic: str = ""
+    index: int | None = None
+    path: str = ""
+
+    @property
+    def name(self) -> str:
+        """As messages call it."""
+        return f"{self.file.name}#{self.what}" if self.what else self.file.name
+
+    @property
+    def is_bag(self) -> bool:
+        """MCAP or ROS 2, and no table?"""
+        return bool(self.topic)
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """The files that it reads: of a folder all in it."""
+        if self.file.is_dir():
+            return tuple(sorted(one for one in self.file.iterdir() if one.is_file()))
+        return (self.file,)
+
+
+def read_source(field: Field) -> LogSource:
+    """The stream that a text names; LogError for a file of no kind that can be read, or that is not there."""
+    text = field.scalar("a stream: FILE.csv, FILE.parquet#right_hand or FILE.mcap#/topic").strip()
+    name, _, what = text.partition("#")
+    file = located((field.file.parent if field.file else Path()) / name, field.place)
+    folder = file.is_dir()
+    if not name or (not folder and file.suffix not in (*TABLES, *BAGS)):
+        expected = f"a file that ends in {', '.join((*TABLES, *BAGS))}, or the folder of a ROS 2 bag"
+        raise LogError(place=field.place, expected=expected, got=name or "no name")
+    if not folder and not file.is_file():
+        raise LogError(place=field.place, expected="a file that can be read", got=f"no such file: {file}")
+    if not folder and file.suffix in TABLES:
+        return LogSource(file=file, what=what, place=field.place)
+    found = _TOPIC.fullmatch(what)
+    if found is None:
+        expected = (
+            "a topic after the file, such as run.mcap#/joint_states, /poses[1] or /tracker:wrist.position"
+        )
+        raise LogError(place=field.place, expected=expected, got=what or "none")
+    index = found["index"]
+    return LogSource(
+        file=file,
+        what=what,
+        place=field.place,
+        topic=found["topic"],
+        index=None if index is None else int(index),
+        path=found["path"] or "",
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class LogSamples:
+    """The samples of a stream within a window, in the order of the file.
+
+    ``time_ns`` (n,) on its own clock; ``values`` (n, k) in SI, NaN where there is none; ``at`` (n,) the line,
+    row or message that each stands in, which is what ``counts`` says.
+    """
+
+    source: LogSource
+    time_ns: NDArray[np.int64]
+    values: NDArray[np.float64]
+    at: NDArray[np.int64]
+    counts: str
+
+    def place(self, index: int) -> Place:
+        """Of one sample, for errors."""
+        number = int(self.at[index])
+        if self.counts == "line":
+            return Place(file=self.source.file, line=number, field=self.source.what or None)
+        what = f"{self.counts} {number}" + (f" of {self.source.what}" if self.source.what else "")
+        return Place(file=self.source.file, field=what)
+
+    def error(self, index: int, expected: str, got: str, hint: str = "") -> LogError:
+        """LogError at one sample."""
+        return LogError(place=self.place(index), expected=expected, got=got, hint=hint)
+
+    def shifted(self, by_ns: int) -> LogSamples:
+        """The same on a clock that shows ``by_ns`` more."""
+        return LogSamples(self.source, self.time_ns + by_ns, self.values, self.at, self.counts)
+
+
+@dataclass
+class Collector:
+    """Takes samples one by one and keeps those from ``begin_ns`` to ``end_ns``; LogError for too many."""
+
+    source: LogSource
+    width: int
+    counts: str
+    begin_ns: int | None = None
+    end_ns: int | None = None
+    begin: Callable[[int], tuple[int | None, int | None]] | None = None  # the window, by the first time
+    _time: array[int] = field(default_factory=lambda: array("q"))
+    _values: array[float] = field(default_factory=lambda: array("d"))
+    _at: array[int] = field(default_factory=lambda: array("q"))
+    seen: int = 0
+
+    def add(self, time_ns: int, values: Iterable[float], at: int) -> None:
+        """One more."""
+        if self.seen == 0 and self.begin is not None:
+            self.begin_ns, self.end_ns = self.begin(time_ns)
+        self.seen += 1
+        if self.begin_ns is not None and time_ns < self.begin_ns:
+            return
+        if self.end_ns is not None and time_ns > self.end_ns:
+            return
+        if len(self._time) >= MOST_SAMPLES:
+            raise LogError(
+                place=self.source.place,
+                expected=f"at most {MOST_SAMPLES:,} samples of a stream",
+                got="more",
+                hint='choose a part with "from" and "to"',
+            )
+        self._time.append(time_ns)
+        self._values.extend(values)
+        self._at.append(at)
+
+    def samples(self) -> LogSamples:
+        """All that were kept; LogError for fewer than two, and for times that do not rise."""
+        n = len(self._time)
+        found = LogSamples(
+            self.source,
+            np.array(self._time, np.int64),
+            np.array(self._values, np.float64).reshape(n, self.width),
+            np.array(self._at, np.int64),
+            self.counts,
+        )
+        if n < 2:
+            got = f"{n} of {self.seen} in the file" if self.seen else "none in the file"
+            raise LogError(
+                place=self.source.place, expected=f"two samples at least of {self.source.name}", got=got
+            )
+        refuse_disorder(found)
+        return found
+
+
+def refuse_disorder(samples: LogSamples) -> None:
+    """LogError at the first sample whose time is not later than that of the one before."""
+    steps = np.diff(samples.time_ns)
+    for index in np.flatnonzero(steps < SHORTEST_STEP_NS)[:1].tolist():
+        before, now = (samples.time_ns[i] / NS for i in (index, index + 1))
+        twice = abs(int(steps[index])) < SHORTEST_STEP_NS
+        same = np.array_equal(samples.values[index], samples.values[index + 1], equal_nan=True)
+        got = f"{now:.9f} s after {before:.9f} s, in {samples.counts} {int(samples.at[index])}"
+        hint = "sort it by time, in a copy: nothing is sorted here, since it may be two recordings in one"
+        if twice:
+            hint = "the same sample twice" if same else "two samples of one time that are not the same"
+            hint += ": leave one of them out, in a copy"
+        raise samples.error(index + 1, "a time later than the one before, by 1 us at least", got, hint)

@@ -1,0 +1,246 @@
+"""Streams from tables, CSV and Parquet, row by row: columns by what they begin with and the unit they end in.
+
+``right_hand_x_mm`` is the x of the track ``right_hand`` in millimetres.  A column without a unit at its end
+needs the unit said for the whole stream.  An empty cell, or NaN, is a sample that was not measured.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from decimal import Decimal, InvalidOperation
+from pathlib import Path
+from typing import Any
+
+from safety_harness.exceptions import LogError, Place, near_miss
+from safety_harness.extras import LOGS
+from safety_harness.logs.streams import Collector, LogSource
+from safety_harness.scenario.units import shown
+
+MOST_COLUMNS = 10_000
+ROWS_AT_ONCE = 8_192
+TIME_UNITS = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}  # in nanoseconds
+LENGTH_UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
+ANGLE_UNITS = {"rad": 1.0, "deg": math.pi / 180.0}
+RATE_UNITS = {"radps": 1.0, "degps": math.pi / 180.0}
+_EXACT_BELOW = 1e6  # in a unit of time, up to which a float has enough digits for a nanosecond
+
+
+@dataclass(frozen=True)
+class TableColumn:
+    """A column of a table and what one of it is in SI."""
+
+    name: str
+    si: float
+
+
+@dataclass(frozen=True)
+class Table:
+    """Which columns a stream is made of, and its time column with how many nanoseconds one of it is."""
+
+    time: str
+    time_ns: int
+    columns: tuple[TableColumn | None, ...]
+
+
+def header_of(source: LogSource) -> tuple[str, ...]:
+    """The names of the columns of a table; LogError for a file that has none."""
+    if source.file.suffix == ".parquet":
+        with _parquet(source) as file:
+            names = tuple(file.schema_arrow.names)
+    else:
+        with _rows(source.file) as rows:
+            _, first = next(rows, (1, []))
+            names = tuple(cell.strip() for cell in first)
+    for at, name in enumerate(names):
+        if name in names[:at]:
+            raise _error(source, "each column once", f'"{shown(name)}" twice', line=1)
+    if not names or len(names) > MOST_COLUMNS:
+        raise _error(source, f"1 to {MOST_COLUMNS:,} named columns", str(len(names)), line=1)
+    return names
+
+
+def time_column(source: LogSource, names: Sequence[str], said: str | None) -> tuple[str, int]:
+    """The time column, with nanoseconds in one of it: what is ``said``, or ``time_s`` and the like."""
+    if said is not None:
+        name, _, unit = said.partition(" in ")
+        unit = unit or name.rpartition("_")[2]
+        if name not in names:
+            raise _error(
+                source,
+                f'the column "{name}", which is said to have the time',
+                "none of that name",
+                near_miss(name, names),
+                line=1,
+            )
+        if unit not in TIME_UNITS:
+            expected = f"a unit of the time, as in {name}_ms or in the words {name} in ms"
+            raise LogError(place=source.place, expected=expected, got=said, hint=", ".join(TIME_UNITS))
+        return name, TIME_UNITS[unit]
+    found = [(name, unit) for unit in TIME_UNITS if (name := f"time_{unit}") in names]
+    if len(found) != 1:
+        expected = "one column time_s, time_ms, time_us or time_ns"
+        got = " and ".join(name for name, _ in found) or f"the columns {shown(', '.join(names))}"
+        raise _error(source, expected, got, 'or another one by the key "time", such as: stamp in ns', line=1)
+    return found[0][0], TIME_UNITS[found[0][1]]
+
+
+def optional_column(
+    source: LogSource, names: Sequence[str], stem: str, units: dict[str, float], unit: str | None
+) -> TableColumn | None:
+    """The column that begins with ``stem``: with a unit at its end, or none and the ``unit`` that is said."""
+    found = [TableColumn(name, si) for one, si in units.items() if (name := f"{stem}_{one}") in names]
+    if stem in names and unit is not None:
+        found.append(TableColumn(stem, units[unit]))
+    if len(found) > 1:
+        raise _error(source, f"one column of {stem}", " and ".join(one.name for one in found), line=1)
+    if not found and stem in names:
+        ends = " or ".join(f"{stem}_{one}" for one in units)
+        raise _error(source, f'a unit: {ends} as the name of the column, or the key "unit"', stem, line=1)
+    return found[0] if found else None
+
+
+def required_column(
+    source: LogSource, names: Sequence[str], stem: str, units: dict[str, float], unit: str | None
+) -> TableColumn:
+    """As ``optional_column``; LogError if there is none."""
+    found = optional_column(source, names, stem, units, unit)
+    if found is None:
+        wanted = [f"{stem}_{one}" for one in units]
+        hint = near_miss(wanted[0], names) or f"the columns: {shown(', '.join(names))}"
+        raise _error(source, f"a column {' or '.join(wanted)}", "none of that name", hint, line=1)
+    return found
+
+
+def read_table(table: Table, collector: Collector) -> None:
+    """Hand every row to ``collector``; LogError with line or row for a cell that is no number."""
+    source = collector.source
+    if source.file.suffix == ".parquet":
+        _read_parquet(table, collector)
+        return
+    with _rows(source.file) as rows:
+        _, header = next(rows)
+        names = [cell.strip() for cell in header]
+        time_at = names.index(table.time)
+        cells_at = [None if one is None else (names.index(one.name), one) for one in table.columns]
+        for line, row in rows:
+            if not row:
+                continue
+            if len(row) != len(names):
+                expected = f"{len(names)} cells, as in the first line"
+                raise _error(source, expected, str(len(row)), line=line)
+            time_ns = _time(row[time_at], table, source, line)
+            values = [
+                math.nan if one is None else _cell(row[one[0]], one[1], source, line) for one in cells_at
+            ]
+            collector.add(time_ns, values, line)
+
+
+def _read_parquet(table: Table, collector: Collector) -> None:
+    source = collector.source
+    wanted = [table.time, *(one.name for one in table.columns if one is not None)]
+    with _parquet(source) as file:
+        row = 0
+        for batch in file.iter_batches(batch_size=ROWS_AT_ONCE, columns=list(dict.fromkeys(wanted))):
+            columns = {name: batch.column(name).to_pylist() for name in batch.schema.names}
+            for at in range(batch.num_rows):
+                row += 1
+                time_ns = _time(columns[table.time][at], table, source, row)
+                values = [
+                    math.nan if one is None else _cell(columns[one.name][at], one, source, row)
+                    for one in table.columns
+                ]
+                collector.add(time_ns, values, row)
+
+
+def _time(cell: Any, table: Table, source: LogSource, at: int) -> int:
+    """A time in nanoseconds, from decimal digits where a float has too few."""
+    try:
+        if isinstance(cell, int):
+            return cell * table.time_ns
+        value = float(cell)
+        if isinstance(cell, str) and "_" in cell:
+            raise ValueError
+        if abs(value) < _EXACT_BELOW or not isinstance(cell, str):
+            return round(value * table.time_ns)
+        return int((Decimal(cell.strip()) * table.time_ns).to_integral_value())
+    except (TypeError, ValueError, OverflowError, InvalidOperation):
+        raise _error(
+            source, "a time", shown(str(cell)) or "an empty cell", field=table.time, line=at
+        ) from None
+
+
+def _cell(cell: Any, one: TableColumn, source: LogSource, at: int) -> float:
+    """A number in SI, NaN for an empty cell."""
+    text = cell.strip() if isinstance(cell, str) else cell
+    if text is None or text == "":
+        return math.nan
+    try:
+        value = float(text)
+    except (TypeError, ValueError):
+        value = math.inf
+    if math.isinf(value) or (isinstance(text, str) and "_" in text):
+        expected = "a number, or an empty cell where nothing was measured"
+        raise _error(source, expected, shown(str(cell)), field=one.name, line=at)
+    return value * one.si
+
+
+@contextmanager
+def _rows(path: Path) -> Iterator[Iterator[tuple[int, list[str]]]]:
+    """The rows of a CSV file with their lines, as they are asked for."""
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as text:
+            reader = csv.reader(text, strict=True)
+
+            def rows() -> Iterator[tuple[int, list[str]]]:
+                while True:
+                    try:
+                        row = next(reader)
+                    except StopIteration:
+                        return
+                    except csv.Error as error:
+                        place = Place(file=path, line=reader.line_num)
+                        raise LogError(
+                            place=place, expected="a table of cells with commas", got=str(error)
+                        ) from error
+                    except UnicodeDecodeError as error:
+                        place = Place(file=path, line=reader.line_num + 1)
+                        raise LogError(place=place, expected="text in UTF-8", got=str(error)) from error
+                    yield reader.line_num, row
+
+            yield rows()
+    except OSError as error:
+        raise LogError(place=Place(file=path), expected="a file that can be read", got=str(error)) from error
+
+
+@contextmanager
+def _parquet(source: LogSource) -> Iterator[Any]:
+    with LOGS.needed("logs in Parquet files", source.file):
+        from pyarrow import ArrowException
+        from pyarrow.parquet import ParquetFile
+    try:
+        with ParquetFile(source.file) as file:
+            yield file
+    except (ArrowException, OSError) as error:
+        place = Place(file=source.file)
+        raise LogError(place=place, expected="a Parquet file, whole", got=str(error)) from error
+
+
+def _error(
+    source: LogSource,
+    expected: str,
+    got: str,
+    hint: str = "",
+    *,
+    field: str | None = None,
+    line: int | None = None,
+) -> LogError:
+    """At a line of a CSV; a Parquet file has rows."""
+    if source.file.suffix == ".parquet":
+        field = f"row {line}" + (f": {field}" if field else "") if line else field
+        line = None
+    place = Place(file=source.file, line=line, field=field)
+    return LogError(place=place, expected=expected, got=got, hint=hint)

@@ -1,0 +1,405 @@
+"""What holds for every question of a box, compiled: affine forms through the perceptron, then the claim.
+
+A unit's value is c + sum_k g_k e_k + r e', every e in [-1, 1]: the first six e are the place in the box
+(hand, then TCP), the others what ReLUs may add; r is its slack.  An affine map keeps the form.  For l <= z <=
+u with l < 0 < u and any s in [0, 1], relu(z) - s z lies in [0, 2 m], 2 m = max(-s l, (1 - s) u): with s = u /
+(u - l) this is the least such band (Singh et al. 2018, DeepZ).
+
+**Rounding.**  The bounds are of what the *program* computes (``avoidance.perceptron_kernel``, float64).  A
+sum of n products is off by gamma (|b| + sum |w| |x|) at most in any order, with or without fused operations,
+gamma = n u / (1 - n u), u = 2^-53, n <= 33 (Higham 2002, 3.1).  The same holds of the centre computed here,
+and of the symbols and slacks, whose magnitudes are part of |x| <= size.  ``GAMMA`` is four times the sum of
+these, and goes into the slack; ``UP`` is above the rounding of every sum of magnitudes.  After the network
+come some 500 operations on numbers below ``FARTHEST_M`` (or the box is not decided), with vectors of length
+1: at most 500 x 100 m x 100 m x u = 6e-10.  A bound counts as kept only if it keeps ``MARGIN`` = 2e-9 (m, or
+m2) more than the claim says.
+"""
+
+from __future__ import annotations
+
+from math import log1p, sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.avoidance.model_file import OUTPUTS, PERCEPTRON_INPUTS, WIDTH
+from safety_harness.avoidance.perceptron_kernel import Perceptron
+from safety_harness.compiled import compiled, njit_no_nrt
+
+Floats = NDArray[np.float64]
+Codes = NDArray[np.uint8]
+
+PROVEN, REFUTED, UNDECIDED, OUTSIDE = 6, 7, 8, 9  # codes of a leaf; below: the axis along which it was halved
+GAMMA = 4.0 * 4.0 * 40.0 * 2.0**-53
+UP = 1.0 + 1e-12
+FARTHEST_M = 100.0
+MARGIN = 2e-9
+NEAREST_M = 1e-6  # of a direction's length: nearer to 0 it has none
+AT_MOST, AT_LEAST, OPTIMUM, AWAY = 0, 1, 2, 3
+OF_RELUS, OF_AXES, OF_CURVES = 2.5, 0.4, 3.0  # tried: how much each counts where to halve
+MOST_SYMBOLS = PERCEPTRON_INPUTS + 2 * WIDTH
+
+
+@njit_no_nrt
+def _rectify(z: Floats, g: Floats, slack: Floats, added: Floats, radius: Floats) -> None:
+    """ReLU of forms in place; ``added`` is what it may add, 0 if nothing.
+
+    ``z`` (n,), ``g`` (k, n), ``slack`` (n,), ``added`` (n,), ``radius`` (n,): of z before it.
+    """
+    for j in range(z.shape[0]):
+        r = 0.0
+        for k in range(g.shape[0]):
+            r += abs(g[k, j])
+        r = (r + slack[j]) * UP
+        radius[j] = r
+        low, high = z[j] - r, z[j] + r
+        added[j] = 0.0
+        if low >= 0.0 or high != high:  # NaN stays NaN, and decides nothing
+            continue
+        slope = high / (high - low) if high > 0.0 else 0.0
+        half = max(-slope * low, (1.0 - slope) * high) / 2.0 if high > 0.0 else 0.0
+        z[j] = slope * z[j] + half
+        slack[j] = (slope * slack[j] + GAMMA * (abs(z[j]) + slope * r + half)) * UP if high > 0.0 else 0.0
+        added[j] = half * UP
+        for k in range(g.shape[0]):
+            g[k, j] *= slope
+
+
+@njit_no_nrt
+def _answer(
+    network: Perceptron,
+    centre: Floats,
+    half: Floats,
+    g1: Floats,
+    g2: Floats,
+    units: Floats,
+    of_unit: NDArray[np.int64],
+    p: Floats,
+    g: Floats,
+    slack: Floats,
+    weight: Floats,
+) -> int:
+    """Fill ``p`` (3,), ``g`` (MOST_SYMBOLS, 3), ``slack`` (3,) of a box's answer; returns how many symbols.
+
+    ``centre``, ``half`` (6,) are the box.  ``weight`` (6,) is filled with how much of what ReLUs add each of
+    its axes causes [m].  Scratch: ``g1`` (6, WIDTH), ``g2`` (MOST_SYMBOLS, WIDTH), ``units`` (8, WIDTH),
+    ``of_unit``.
+    """
+    z1, s1, a1, r1 = units[0], units[1], units[2], units[3]
+    z2, s2, a2, r2 = units[4], units[5], units[6], units[7]
+    w1, w2, w3 = network.weight1[0], network.weight2[0], network.weight3[0]
+    for j in range(WIDTH):
+        z, size = network.bias1[0, j], abs(network.bias1[0, j])
+        for i in range(PERCEPTRON_INPUTS):
+            z += centre[i] * w1[i, j]
+            size += (abs(centre[i]) + half[i]) * abs(w1[i, j])
+            g1[i, j] = half[i] * w1[i, j]
+        z1[j], s1[j] = z, GAMMA * size * UP
+    _rectify(z1, g1, s1, a1, r1)
+    count = PERCEPTRON_INPUTS
+    for k in range(WIDTH):
+        z2[k], s2[k] = network.bias2[0, k], GAMMA * abs(network.bias2[0, k])
+    g2[:PERCEPTRON_INPUTS] = 0.0
+    for j in range(WIDTH):
+        size = abs(z1[j]) + s1[j] + a1[j]
+        for i in range(PERCEPTRON_INPUTS):
+            size += abs(g1[i, j])
+        if size == 0.0:
+            continue
+        spread = (s1[j] + GAMMA * size) * UP
+        for k in range(WIDTH):
+            z2[k] += z1[j] * w2[j, k]
+            s2[k] += spread * abs(w2[j, k])
+        for i in range(PERCEPTRON_INPUTS):
+            for k in range(WIDTH):
+                g2[i, k] += g1[i, j] * w2[j, k]
+        if a1[j] > 0.0:
+            for k in range(WIDTH):
+                g2[count, k] = a1[j] * w2[j, k]
+            of_unit[count] = j
+            count += 1
+    first = count
+    for k in range(WIDTH):
+        s2[k] *= UP
+    _rectify(z2, g2[:first], s2, a2, r2)
+    for o in range(OUTPUTS):
+        p[o], slack[o] = network.bias3[0, o], GAMMA * abs(network.bias3[0, o])
+    g[:first] = 0.0
+    for k in range(WIDTH):
+        size = abs(z2[k]) + s2[k] + a2[k]
+        for m in range(first):
+            size += abs(g2[m, k])
+        if size == 0.0:
+            continue
+        spread = (s2[k] + GAMMA * size) * UP
+        for o in range(OUTPUTS):
+            p[o] += z2[k] * w3[k, o]
+            slack[o] += spread * abs(w3[k, o])
+            for m in range(first):
+                g[m, o] += g2[m, k] * w3[k, o]
+        if a2[k] > 0.0:
+            for o in range(OUTPUTS):
+                g[count, o] = a2[k] * w3[k, o]
+            of_unit[count] = k
+            count += 1
+    for o in range(OUTPUTS):
+        slack[o] *= UP
+    weight[:] = 0.0
+    for m in range(PERCEPTRON_INPUTS, count):
+        length = abs(g[m, 0]) + abs(g[m, 1]) + abs(g[m, 2])
+        unit = of_unit[m]
+        for i in range(PERCEPTRON_INPUTS):  # rows of g1 and g2 were scaled by their slopes: only a hint
+            share = abs(half[i] * w1[i, unit]) / r1[unit] if m < first else abs(g2[i, unit]) / r2[unit]
+            weight[i] += OF_RELUS * length * share
+    return count
+
+
+@njit_no_nrt
+def _lengths(c: Floats, g: Floats, slack: Floats, frame: Floats, out: Floats) -> None:
+    """Fill ``out`` (2,) with bounds of |c + sum e_k g_k + slack|; ``c`` (3,), ``g`` (k, 3), ``slack`` (3,).
+
+    In a frame with its first axis along c, ``frame`` (3, 3) being scratch: |q| >= q . n, and |q|^2 is the sum
+    of three squares, each bounded.
+    """
+    length = sqrt(c[0] * c[0] + c[1] * c[1] + c[2] * c[2])
+    if length < NEAREST_M:
+        frame[0, 0], frame[0, 1], frame[0, 2] = 1.0, 0.0, 0.0
+    else:
+        for o in range(3):
+            frame[0, o] = c[o] / length
+    least = 0
+    for o in range(3):
+        if abs(frame[0, o]) < abs(frame[0, least]):
+            least = o
+    dot, norm = frame[0, least], 0.0
+    for o in range(3):
+        frame[1, o] = (1.0 if o == least else 0.0) - dot * frame[0, o]
+        norm += frame[1, o] * frame[1, o]
+    for o in range(3):
+        frame[1, o] /= sqrt(norm)
+    for o in range(3):
+        a, b = (o + 1) % 3, (o + 2) % 3
+        frame[2, o] = frame[0, a] * frame[1, b] - frame[0, b] * frame[1, a]
+    out[1] = 0.0
+    for n in range(3):
+        middle, radius = 0.0, 0.0
+        for o in range(3):
+            middle += c[o] * frame[n, o]
+            radius += slack[o] * abs(frame[n, o])
+        for k in range(g.shape[0]):
+            radius += abs(g[k, 0] * frame[n, 0] + g[k, 1] * frame[n, 1] + g[k, 2] * frame[n, 2])
+        radius *= UP
+        if n == 0:
+            out[0] = max(0.0, middle - radius)
+        out[1] += (abs(middle) + radius) * (abs(middle) + radius)
+    out[1] = sqrt(out[1]) * UP
+
+
+@njit_no_nrt
+def _off_optimum(
+    optimum: Floats,
+    centre: Floats,
+    half: Floats,
+    p: Floats,
+    g: Floats,
+    count: int,
+    slack: Floats,
+    scratch: Floats,
+    found: Floats,
+    weight: Floats,
+) -> bool:
+    """Fill ``found`` (2,) with bounds of |p - o(h, t)| in a box; False where the optimum has no direction.
+
+    t_opt = t + R u, where u is the direction of d = desired - t within the cone, else cos a + sin b with b
+    that of d without its part along the axis a.  The direction f of a vector v has the derivative (1 - f f^T)
+    / |v|, and a second one of at most 2 / (sqrt(3) |v|^2): u is its tangent at the centre +- 2 / sqrt(3)
+    (-ln(1 - s) - s), the integral of (1 - x) / (1 - s x)^2 from 0 to 1 times that, s = rho / |v| and rho half
+    the diagonal of the TCP's box.  Where the box may be on either side of the cone, both have to keep the
+    claim.
+
+    ``optimum`` (10,), ``centre`` (6,), ``half`` (6,), ``p`` (3,), ``g`` (MOST_SYMBOLS, 3), ``slack`` (3,),
+    ``scratch`` (8, 3), ``weight`` (6,).
+    """
+    axis, radius, cos, sin, pull = optimum[3:6], optimum[6], optimum[7], optimum[8], optimum[9]
+    way, vector, c, bounds = scratch[0], scratch[1], scratch[2], scratch[3]
+    rho, along, length = 0.0, 0.0, 0.0
+    for o in range(3):
+        way[o] = optimum[o] - centre[3 + o]
+        rho += half[3 + o] * half[3 + o]
+        along += way[o] * axis[o]
+        length += way[o] * way[o]
+    rho, length = sqrt(rho) * UP, sqrt(length)
+    beyond = along - cos * length  # changes by at most 1 + cos a metre
+    found[0], found[1] = np.inf, 0.0
+    spread = 0.0
+    for rim in range(2):
+        if (beyond if rim == 0 else -beyond) + (1.0 + abs(cos)) * rho < -MARGIN:
+            continue
+        norm = 0.0
+        for o in range(3):
+            vector[o] = way[o] - along * axis[o] if rim else way[o]
+            norm += vector[o] * vector[o]
+        norm = sqrt(norm)
+        if norm - rho <= NEAREST_M:
+            for i in range(3):  # only a smaller box of TCPs helps
+                weight[3 + i] += 10.0 * half[3 + i]
+            return False
+        scale = radius * (sin if rim else 1.0)
+        rest = scale * 2.0 / sqrt(3.0) * (-log1p(-rho / norm) - rho / norm) * UP
+        spread = max(spread, rest)
+        for o in range(3):
+            to = centre[3 + o] + scale * vector[o] / norm + (radius * cos * axis[o] if rim else 0.0)
+            c[o] = p[o] - to - pull * (centre[3 + o] - centre[o])
+        before = g[count : count + PERCEPTRON_INPUTS]  # beyond the symbols: as they are, for the other side
+        for i in range(PERCEPTRON_INPUTS):
+            for o in range(3):
+                before[i, o] = g[i, o]
+        for o in range(3):
+            g[o, o] += pull * half[o]
+            g[3 + o, o] -= (1.0 + pull) * half[3 + o]
+        for i in range(3):
+            for o in range(3):
+                # d changes by -half e; what is along the axis does not count on the rim
+                change = 1.0 if i == o else 0.0
+                if rim:
+                    change -= axis[i] * axis[o]
+                change -= vector[i] * vector[o] / (norm * norm)
+                g[3 + i, o] += scale * change / norm * half[3 + i]
+        _lengths(c, g[:count], slack, scratch[5:8], bounds)
+        for i in range(PERCEPTRON_INPUTS):
+            for o in range(3):
+                weight[i] += OF_AXES * abs(g[i, o])
+                g[i, o] = before[i, o]
+        found[0] = min(found[0], bounds[0] - rest)  # which is a ball about the form
+        found[1] = max(found[1], (bounds[1] + rest) * UP)
+    for i in range(3):
+        weight[3 + i] += OF_CURVES * spread * half[3 + i] * half[3 + i] / max(rho * rho, 1e-30)
+    return True
+
+
+@njit_no_nrt
+def _away(
+    centre: Floats,
+    half: Floats,
+    p: Floats,
+    g: Floats,
+    count: int,
+    slack: Floats,
+    found: Floats,
+    weight: Floats,
+) -> None:
+    """Fill ``found`` (2,) with bounds of (p - t) . (t - h) [m2], and add to ``weight`` (6,) what axes do [m].
+
+    Both factors are forms of the same six symbols: q = c + sum g_i e_i + ..., w = w0 + sum h_i e_i.  A square
+    e_i^2 is in [0, 1], any other product in [-1, 1].
+
+    ``centre`` (6,), ``half`` (6,), ``p`` (3,), ``g`` (MOST_SYMBOLS, 3), ``slack`` (3,).
+    """
+    middle, radius, norm = 0.0, 0.0, 0.0
+    for o in range(3):
+        apart = centre[3 + o] - centre[o]
+        norm += apart * apart
+        middle += (p[o] - centre[3 + o]) * apart
+        radius += slack[o] * (abs(apart) + half[o] + half[3 + o])
+        g[3 + o, o] -= half[3 + o]
+    norm = max(sqrt(norm), NEAREST_M)
+    for k in range(count):
+        linear = 0.0
+        for o in range(3):
+            linear += g[k, o] * (centre[3 + o] - centre[o])
+            if k >= PERCEPTRON_INPUTS:
+                radius += abs(g[k, o]) * (half[o] + half[3 + o])
+        if k < PERCEPTRON_INPUTS:
+            o = k % 3
+            sign = -1.0 if k < 3 else 1.0
+            linear += sign * half[k] * (p[o] - centre[3 + o])
+            weight[k] += abs(linear) / norm
+            square = sign * half[k] * g[k, o]
+            middle += square / 2.0
+            radius += abs(square) / 2.0
+            for m in range(k):
+                b = m % 3
+                other = -1.0 if m < 3 else 1.0
+                both = abs(sign * half[k] * g[m, o] + other * half[m] * g[k, b])
+                radius += both
+                weight[k] += both / norm
+                weight[m] += both / norm
+        radius += abs(linear)
+    for o in range(3):
+        g[3 + o, o] += half[3 + o]
+    found[0], found[1] = middle - radius * UP, middle + radius * UP
+
+
+@compiled
+def examine(
+    network: Perceptron,
+    optimum: Floats,
+    kind: int,
+    limit_m: float,
+    near_m: float,
+    far_m: float,
+    low: Floats,
+    high: Floats,
+    codes: Codes,
+) -> None:
+    """Fill ``codes`` (n,): PROVEN, REFUTED (all of it), OUTSIDE, or the axis along which to halve a box.
+
+    ``low``, ``high`` (n, 6) are boxes of hands and TCPs in the base frame [m]; OUTSIDE are those in which
+    every hand is nearer than ``near_m`` to the TCP, or farther than ``far_m``.  ``optimum`` (10,) is of
+    ``optimum_constants``.
+    """
+    centre, half, weight = np.empty(6), np.empty(6), np.empty(6)
+    g1, g2 = np.empty((PERCEPTRON_INPUTS, WIDTH)), np.empty((MOST_SYMBOLS, WIDTH))
+    g = np.empty((MOST_SYMBOLS + PERCEPTRON_INPUTS, 3))
+    units, of_unit = np.empty((8, WIDTH)), np.empty(MOST_SYMBOLS, np.int64)
+    p, slack, scratch, found = np.empty(3), np.empty(3), np.empty((8, 3)), np.empty(2)
+    for n in range(low.shape[0]):
+        nearest, farthest = 0.0, 0.0
+        for i in range(6):
+            centre[i] = (low[n, i] + high[n, i]) / 2.0
+            half[i] = max(high[n, i] - centre[i], centre[i] - low[n, i]) * UP
+        for o in range(3):
+            gap = abs(centre[3 + o] - centre[o])
+            wide = half[o] + half[3 + o]
+            nearest += max(0.0, gap - wide) ** 2
+            farthest += (gap + wide) ** 2
+        nearest, farthest = sqrt(nearest), sqrt(farthest)
+        if farthest < near_m - MARGIN or nearest > far_m + MARGIN:
+            codes[n] = OUTSIDE
+            continue
+        whole = nearest >= near_m + MARGIN and farthest <= far_m - MARGIN
+        count = _answer(network, centre, half, g1, g2, units, of_unit, p, g, slack, weight)
+        decided = True
+        for o in range(3):
+            reach = abs(p[o]) + slack[o]
+            for k in range(count):
+                reach += abs(g[k, o])
+            decided = decided and reach < FARTHEST_M
+        if kind == OPTIMUM:
+            decided = (
+                _off_optimum(optimum, centre, half, p, g, count, slack, scratch, found, weight) and decided
+            )
+        elif kind == AWAY:
+            _away(centre, half, p, g, count, slack, found, weight)
+        else:
+            for o in range(3):
+                scratch[0, o] = p[o] - centre[3 + o]
+                g[3 + o, o] -= half[3 + o]
+            _lengths(scratch[0], g[:count], slack, scratch[5:8], found)
+            for i in range(6):
+                weight[i] += abs(g[i, 0]) + abs(g[i, 1]) + abs(g[i, 2])
+        at_least = kind in (AT_LEAST, AWAY)
+        proven = found[0] >= limit_m + MARGIN if at_least else found[1] <= limit_m - MARGIN
+        refuted = found[1] <= limit_m - MARGIN if at_least else found[0] >= limit_m + MARGIN
+        if decided and proven:
+            codes[n] = PROVEN
+        elif decided and refuted and whole:
+            codes[n] = REFUTED
+        else:
+            axis = 0
+            for i in range(6):
+                if not whole:  # smaller boxes are so, or outside
+                    weight[i] += half[i] * (1.0 if decided and refuted else 0.4)
+                if weight[i] > weight[axis]:
+                    axis = i
+            codes[n] = axis

@@ -1,0 +1,91 @@
+"""What can be proven about answers: each claim a quantity of one question, and the limit that it must keep.
+
+A question is a hand h and a TCP t, the answer p; all in the base frame [m].
+
+* steps at most / at least D: |p - t| <= D, or >= D.
+* within E of the optimum: |p - o(h, t)| <= E, where o = t_opt + pull (t - h) with the continuous optimum of
+  ``avoidance.candidates``, for the settings' defaults.
+* leads away: (p - t) . (t - h) >= 0.  Then no point of the straight way from t to p is nearer to h than t is,
+  since the squared distance along the way is convex and does not fall at its beginning.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.avoidance.candidates import CandidateCap, continuous_optimum
+from safety_harness.geometry.arrays import ArrayNx3
+from safety_harness.scenario.fields import Field
+from safety_harness.scenario.units import LENGTH, nice, parse_quantity
+from safety_harness.settings import DEFAULTS
+
+Floats = NDArray[np.float64]
+
+
+class ClaimKind(IntEnum):
+    """Numbers are part of the compiled kernel."""
+
+    AT_MOST = 0
+    AT_LEAST = 1
+    OPTIMUM = 2
+    AWAY = 3
+
+
+_PATTERNS = {
+    ClaimKind.AT_MOST: "steps at most {}",
+    ClaimKind.AT_LEAST: "steps at least {}",
+    ClaimKind.OPTIMUM: "within {} of the optimum",
+    ClaimKind.AWAY: "leads away",
+}
+
+
+@dataclass(frozen=True)
+class DecisionClaim:
+    """A kind with its limit [m]; 0 for ``AWAY``."""
+
+    kind: ClaimKind
+    limit_m: float
+
+    @property
+    def sentence(self) -> str:
+        """As a plan has it."""
+        return _PATTERNS[self.kind].format(nice(self.limit_m, LENGTH))
+
+    def margins(self, hands: ArrayNx3, tcps: ArrayNx3, answers: ArrayNx3) -> Floats:
+        """(n,) by how much answers (n, 3) to hands and TCPs (n, 3) keep it, in m (AWAY: m2); below 0: not."""
+        steps = answers - tcps
+        if self.kind is ClaimKind.AWAY:
+            away: Floats = (steps * (tcps - hands)).sum(axis=1)
+            return away
+        if self.kind is ClaimKind.OPTIMUM:
+            pull = DEFAULTS.avoidance.hand_pull
+            steps = answers - continuous_optimum(DEFAULTS, tcps) - pull * (tcps - hands)
+        below: Floats = self.limit_m - np.linalg.norm(steps, axis=1)
+        return -below if self.kind is ClaimKind.AT_LEAST else below
+
+
+def read_claim(field: Field) -> DecisionClaim:
+    """The claim that a sentence makes; ScenarioError with the four sentences for any other."""
+    expected = ", ".join(pattern.format("80 mm") for pattern in _PATTERNS.values())
+    text = " ".join(field.sentence(f"one of the claims: {expected}").split())
+    for kind, pattern in _PATTERNS.items():
+        found = re.fullmatch(re.escape(pattern).replace(r"\{\}", "(.+?)"), text)
+        if found:
+            limit_m = parse_quantity(found[1], LENGTH, field.place) if found.groups() else 0.0
+            if found.groups() and not 0.0 < limit_m <= LENGTH.most:
+                raise field.error(f"a length above 0 and at most {LENGTH.most:g} m")
+            return DecisionClaim(kind, limit_m)
+    raise field.error(f"one of the claims: {expected}")
+
+
+def optimum_constants() -> Floats:
+    """(10,) what the kernel needs of the optimum: desired position, axis, radius, cosine and sine, pull."""
+    cap = CandidateCap.of(DEFAULTS)
+    desired = DEFAULTS.cell.desired_tcp_position_in_base_m
+    rest = (cap.radius_m, np.cos(cap.cone_rad), np.sin(cap.cone_rad), DEFAULTS.avoidance.hand_pull)
+    return np.array([*desired, *cap.axis_in_base, *rest])

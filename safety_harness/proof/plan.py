@@ -1,0 +1,169 @@
+"""A plan of proofs: of which network, what is claimed, and of which questions (docs/proof.md)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.avoidance.model_file import PERCEPTRON, Model, SeenSpace, load_model
+from safety_harness.avoidance.shipped import SHIPPED, shipped_model
+from safety_harness.proof.claims import DecisionClaim, read_claim
+from safety_harness.scenario.compose import Library
+from safety_harness.scenario.fields import LARGEST_COORDINATE_M, Field
+from safety_harness.scenario.files import as_path
+from safety_harness.scenario.kinds import FileKind, refuse_other_kind
+from safety_harness.scenario.references import MODEL_SUFFIX
+from safety_harness.scenario.units import LENGTH
+from safety_harness.settings import Vector3
+from safety_harness.shipped.contents import located
+
+KEYS = ("proof", "about", "avoider", "regions", "claims")
+SEEN = "seen"
+MOST_CLAIMS, MOST_REGIONS = 64, 64
+STEPS = 150
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProofRegion:
+    """Boxes of hands and TCPs in the base frame [m], of which pairs ``apart_m`` from each other count."""
+
+    name: str
+    hand_low_m: Vector3
+    hand_high_m: Vector3
+    tcp_low_m: Vector3
+    tcp_high_m: Vector3
+    apart_m: tuple[float, float] = (0.0, 4.0 * LARGEST_COORDINATE_M)  # more than any pair
+
+    def corners(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """(1, 6) twice: the lowest hand and TCP, and the highest."""
+        low, high = (*self.hand_low_m, *self.tcp_low_m), (*self.hand_high_m, *self.tcp_high_m)
+        return np.array([low]), np.array([high])
+
+    @property
+    def counted_share(self) -> float:
+        """What part of its volume has pairs ``apart_m`` apart: a sum over ``STEPS``^3 ways, good to 1e-3."""
+        ways, chances = [], []
+        for low, high, from_, to in zip(
+            self.hand_low_m, self.hand_high_m, self.tcp_low_m, self.tcp_high_m, strict=True
+        ):
+            edges = np.linspace(low - to, high - from_, STEPS + 1)
+            way = (edges[1:] + edges[:-1]) / 2.0  # from TCP to hand; how likely: the overlap of two boxes
+            overlap = np.maximum(0.0, np.minimum(high, to + way) - np.maximum(low, from_ + way))
+            ways.append(way)
+            chances.append(overlap / overlap.sum())
+        x, y, z = np.meshgrid(*ways, indexing="ij")
+        apart_m = np.sqrt(x**2 + y**2 + z**2)
+        counts = (apart_m >= self.apart_m[0]) & (apart_m <= self.apart_m[1])
+        return min(1.0, float(np.einsum("xyz,x,y,z->", counts.astype(float), *chances)))
+
+
+@dataclass(frozen=True)
+class PlannedProof:
+    """A claim about the questions of a region."""
+
+    claim: DecisionClaim
+    region: ProofRegion
+
+    @property
+    def sentence(self) -> str:
+        """The claim, and of what."""
+        return f"{self.claim.sentence} ({self.region.name})"
+
+
+@dataclass(frozen=True, eq=False)
+class ProofPlan:
+    """Made by ``read_proof_plan``; ``model`` is what the file ``model_file`` holds."""
+
+    title: str
+    avoider: str
+    model_file: Path
+    model: Model
+    proofs: tuple[PlannedProof, ...]
+
+
+def read_proof_plan(path: str | Path) -> ProofPlan:
+    """The plan in a file; ScenarioError with its place, or ModelError, where it cannot be used."""
+    path = as_path(path, "read_proof_plan(path)")
+    refuse_other_kind(path, FileKind.PROOF)
+    given = Field(Library().tree(path), path, path="", line=1).fields(KEYS)
+    title = given.required("proof").prose("a title on one line")
+    if about := given.optional("about"):
+        about.prose("why", lines=True)
+    avoider = given.required("avoider")
+    name = avoider.sentence("a network")
+    if name not in SHIPPED and not name.endswith(MODEL_SUFFIX):
+        raise avoider.error(f"a network: one that ships, or FILE{MODEL_SUFFIX}")
+    file = shipped_model(name) if name in SHIPPED else located(path.parent / Path(name).expanduser())
+    model = load_model(file)
+    if model.kind != PERCEPTRON or model.members != 1:
+        raise avoider.error(
+            f"a {PERCEPTRON} of one member", got=f"{name}: a {model.kind}, {model.members} member(s)"
+        )
+    regions = {SEEN: seen_region(model.seen)}
+    if at := given.optional("regions"):
+        for key, item in at.entries("regions by name")[:MOST_REGIONS]:
+            if key in regions:
+                raise item.error(f"a name other than {', '.join(regions)}", got=key)
+            regions[key] = _region(key, item, regions[SEEN])
+    proofs: list[PlannedProof] = []
+    for item in given.required("claims").items("a list of claims", least=1, most=MOST_CLAIMS):
+        fields = item.fields(("claim", "in"))
+        where = fields.optional("in")
+        proof = PlannedProof(
+            read_claim(fields.required("claim")), where.one_of(regions) if where else regions[SEEN]
+        )
+        if proof in proofs:
+            raise item.error("each claim once in a region", got=proof.sentence)
+        proofs.append(proof)
+    return ProofPlan(title, name, file, model, tuple(proofs))
+
+
+def seen_region(seen: SeenSpace) -> ProofRegion:
+    """All that a network's file says that it has seen."""
+    return ProofRegion(
+        name=SEEN,
+        hand_low_m=seen.hand_low_m,
+        hand_high_m=seen.hand_high_m,
+        tcp_low_m=seen.tcp_low_m,
+        tcp_high_m=seen.tcp_high_m,
+    )
+
+
+def _region(name: str, at: Field, seen: ProofRegion) -> ProofRegion:
+    """Boxes and distance of one region; what it does not say is as in ``seen``."""
+    given = at.fields(("hand", "tcp", "apart"))
+    hand, tcp, apart = (given.optional(key) for key in ("hand", "tcp", "apart"))
+    hands = _box(hand) if hand else (seen.hand_low_m, seen.hand_high_m)
+    tcps = _box(tcp) if tcp else (seen.tcp_low_m, seen.tcp_high_m)
+    apart_m = seen.apart_m
+    if apart:
+        near, far = apart.items("two lengths such as [100 mm, 400 mm]", count=2)
+        near_m = near.quantity(LENGTH, least=0.0)
+        apart_m = near_m, far.quantity(LENGTH, above=near_m, most=seen.apart_m[1])
+    return ProofRegion(
+        name=name,
+        hand_low_m=hands[0],
+        hand_high_m=hands[1],
+        tcp_low_m=tcps[0],
+        tcp_high_m=tcps[1],
+        apart_m=apart_m,
+    )
+
+
+def _box(at: Field) -> tuple[Vector3, Vector3]:
+    given = at.fields(("from", "to"))
+    low, high = (_corner(given.required(key)) for key in ("from", "to"))
+    if not all(a < b for a, b in zip(low, high, strict=True)):
+        raise at.error("a box: from below to in every axis", got=f"from {list(low)} to {list(high)} (m)")
+    return low, high
+
+
+def _corner(at: Field) -> Vector3:
+    x, y, z = (
+        one.quantity(LENGTH, least=-LARGEST_COORDINATE_M, most=LARGEST_COORDINATE_M)
+        for one in at.items("a position: three lengths", count=3)
+    )
+    return x, y, z

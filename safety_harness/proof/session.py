@@ -1,0 +1,87 @@
+"""All claims of a plan of proofs, one after another, for as long as there is time."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+from itertools import chain
+
+import numpy as np
+
+from safety_harness.avoidance.learned import LearnedAvoider
+from safety_harness.avoidance.perceptron_kernel import fold_perceptron
+from safety_harness.proof.box_kernel import REFUTED, UNDECIDED
+from safety_harness.proof.certificate import Proof, WrongQuestion
+from safety_harness.proof.plan import PlannedProof, ProofPlan
+from safety_harness.proof.tree import BoxTree, Over, work
+
+MOST_ASKED = 200_000  # questions at the centres of leaves
+WRONG_BY = 1e-8  # m or m2, beyond all rounding
+
+Told = Callable[[str, float], None]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Effort:
+    """How long to work: at most ``seconds`` in all, no box halved more than ``halvings`` times.
+
+    ``over`` maps, in other processes say, ``at_once`` batches of boxes; ``stopped`` ends the work, and
+    ``told`` hears the claim and the share of all volume that is decided.
+    """
+
+    seconds: float
+    halvings: int
+    over: Over = map
+    at_once: int = 1
+    stopped: Callable[[], bool] = field(default=lambda: False)
+    told: Told = field(default=lambda words, share: None)
+
+
+def carry_on(plan: ProofPlan, proofs: list[Proof], effort: Effort) -> Iterator[Proof]:
+    """Each of the proofs, gone on with; what time one does not need, those after it have."""
+    network, avoider = fold_perceptron(plan.model), LearnedAvoider.of(plan.model)
+    end_s = time.monotonic() + effort.seconds
+    for number, proof in enumerate(proofs):
+        now_s = time.monotonic()
+        share_s = (end_s - now_s) / (len(proofs) - number)
+
+        def told(tree: BoxTree, number: int = number, proof: Proof = proof) -> None:
+            decided = 1.0 - tree.shares()["undecided"]
+            effort.told(f"{proof.planned.sentence}: {decided:.2%} decided", (number + decided) / len(proofs))
+
+        work(
+            proof.tree,
+            network,
+            proof.planned.claim,
+            proof.planned.region,
+            halvings=effort.halvings,
+            until_s=now_s + share_s,
+            over=effort.over,
+            at_once=effort.at_once,
+            told=told,
+            stopped=effort.stopped,
+        )
+        yield replace(proof, question=proof.question or wrong_question(avoider, proof.planned, proof.tree))
+
+
+def fresh(plan: ProofPlan) -> list[Proof]:
+    """Nothing decided yet."""
+    return [Proof(planned, BoxTree()) for planned in plan.proofs]
+
+
+def wrong_question(avoider: LearnedAvoider, planned: PlannedProof, tree: BoxTree) -> WrongQuestion | None:
+    """The worst question in the middle of a leaf that is not proven; None if all are answered well."""
+    leaves = chain(*(tree.leaves(planned.region, code) for code in (REFUTED, UNDECIDED)))
+    middles = [(low + high) / 2.0 for low, high in leaves if len(low)]
+    asked = np.concatenate([np.empty((0, 6)), *middles])[:MOST_ASKED]
+    near_m, far_m = planned.region.apart_m
+    apart_m = np.linalg.norm(asked[:, :3] - asked[:, 3:], axis=1)
+    asked = asked[(apart_m > near_m + WRONG_BY) & (apart_m < far_m - WRONG_BY)]
+    hands, tcps = asked[:, :3], asked[:, 3:]
+    answers, _ = avoider.propose_many(hands, tcps, np.zeros(len(asked), np.uint64))
+    margins = planned.claim.margins(hands, tcps, answers)
+    if not len(margins) or not margins.min() < -WRONG_BY:
+        return None
+    hand, tcp = hands[margins.argmin()].tolist(), tcps[margins.argmin()].tolist()
+    return WrongQuestion((hand[0], hand[1], hand[2]), (tcp[0], tcp[1], tcp[2]))

@@ -1,0 +1,131 @@
+"""The system under test as a value: its parts by name, each with the hash of what it is made of."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, fields, replace
+from functools import lru_cache
+from typing import Annotated, Any
+
+from msgspec import Meta
+
+from safety_harness.scenario.model import VISUAL_SERVO, Scenario
+from safety_harness.scenario.robots import OwnRobot
+from safety_harness.settings import GateKind, HandSensorKind, ImageSource, Settings
+
+Line = Annotated[str, Meta(max_length=4_096, pattern=r"\A[^\0\n\r]*\Z")]  # it is printed, and may name a file
+
+
+@dataclass(frozen=True, kw_only=True)
+class Component:
+    """A part of the system.  ``sha256`` is of its file or of its settings; empty for one with neither.
+
+    What ships is in the hash of the package's source besides.
+    """
+
+    name: Line
+    sha256: Line = ""
+
+    def __str__(self) -> str:
+        return f"{self.name} (sha256 {self.sha256[:12]}...)" if self.sha256 else self.name
+
+
+@dataclass(frozen=True, kw_only=True)
+class SystemUnderTest:
+    """What drives the arm in a run, and what it drives and sees by; traces, ledgers and pages carry it.
+
+    Only the visual servo has ``avoider`` and ``gate``.  ``robot`` has the hash of its URDF, ``gate``,
+    ``perception`` and ``settings`` of their settings.
+    """
+
+    controller: Component
+    avoider: Component | None = None
+    gate: Component | None = None
+    perception: Component
+    robot: Component
+    settings: Component
+
+    @property
+    def tested(self) -> Component:
+        """What a user brings: the avoider, or the controller where there is none."""
+        return self.controller if self.avoider is None else self.avoider
+
+    def of_file(self, sha256: str) -> SystemUnderTest:
+        """With the hash of the file that holds what a user brings."""
+        part = replace(self.tested, sha256=sha256)
+        return replace(self, controller=part) if self.avoider is None else replace(self, avoider=part)
+
+    @property
+    def words(self) -> str:
+        """For a line: ``avoider opposite pose``, or ``controller stop when near``."""
+        return f"{'controller' if self.avoider is None else 'avoider'} {self.tested.name}"
+
+    @property
+    def parts(self) -> dict[str, Component]:
+        """Those that it has, by what they are."""
+        found = ((one.name, getattr(self, one.name)) for one in fields(self))
+        return {name: part for name, part in found if part is not None}
+
+    @property
+    def as_json(self) -> str:
+        """One text for one system."""
+        return json.dumps(asdict(self), sort_keys=True)
+
+    def changes(self, now: SystemUnderTest) -> Iterator[str]:
+        """Each part that is another now, in words; a hash that was never noted is no change."""
+        then, new = self.parts, now.parts
+        for name in dict.fromkeys([*then, *new]):
+            before, after = then.get(name), new.get(name)
+            if before is None or after is None or before.name != after.name:
+                yield f"{name}: {before or 'none'} then, {after or 'none'} now"
+            elif before.sha256 and before.sha256 != after.sha256:
+                yield f"{name}: {before} then, {after} now"
+
+
+def system_of(
+    scenario: Scenario,
+    *,
+    avoider: Component | None = None,
+    controller: Component | None = None,
+    robot_sha256: str = "",
+) -> SystemUnderTest:
+    """The system of a run: of a ``controller``, or of the visual servo that asks ``avoider``."""
+    settings = scenario.settings
+    robot = scenario.robot
+    if isinstance(robot, OwnRobot):
+        robot_sha256 = str(robot.urdf_sha256)
+    return SystemUnderTest(
+        controller=controller or Component(name=VISUAL_SERVO, sha256=_of(settings, "servo", "motion")),
+        avoider=avoider if controller is None else None,
+        gate=None
+        if controller
+        else Component(name=_GATES[settings.avoidance.gate], sha256=_of(settings, "avoidance")),
+        perception=Component(
+            name=f"{_SENSORS[settings.hand_sensor.kind]}, {_IMAGES[settings.camera.source]}",
+            sha256=_of(settings, "camera", "hand_sensor", "hand_filter"),
+        ),
+        robot=Component(name=robot.label, sha256=robot_sha256),
+        settings=Component(name="settings", sha256=_of(settings, *(one.name for one in fields(settings)))),
+    )
+
+
+_UNKNOWN = Component(name="not noted")
+NOT_NOTED = SystemUnderTest(
+    controller=_UNKNOWN, avoider=_UNKNOWN, perception=_UNKNOWN, robot=_UNKNOWN, settings=_UNKNOWN
+)
+_GATES = {kind: f"{kind.value} gate" for kind in GateKind}
+_SENSORS = {kind: f"hands {kind.value}" for kind in HandSensorKind}
+_IMAGES = {source: f"object {source.value}" for source in ImageSource}
+
+
+@lru_cache
+def _of(settings: Settings, *names: str) -> str:
+    """The hash of some of the settings: of their exact values, in the order of their names."""
+    values = {name: asdict(getattr(settings, name)) for name in names}
+    return hashlib.sha256(json.dumps(values, sort_keys=True, default=_plain).encode()).hexdigest()
+
+
+def _plain(value: Any) -> Any:
+    return value.value  # of an Enum

@@ -1,0 +1,61 @@
+"""A plan of proofs: what it may say, and where it is wrong."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from avoidance.random_models import SEEN, random_perceptron
+
+from safety_harness.avoidance.model_file import save_model
+from safety_harness.exceptions import InputError
+from safety_harness.proof.claims import ClaimKind, DecisionClaim
+from safety_harness.proof.plan import read_proof_plan
+from tests.proof.regions import PLAN, plan_file
+
+
+def test_claims_and_regions_are_as_written(tmp_path: Path) -> None:
+    plan = read_proof_plan(plan_file(tmp_path))
+    steps, near = plan.proofs
+    assert steps.claim == DecisionClaim(ClaimKind.AT_MOST, 0.15)
+    assert (steps.region.hand_low_m, steps.region.tcp_high_m) == (
+        plan.model.seen.hand_low_m,
+        plan.model.seen.tcp_high_m,
+    )
+    assert near.claim == DecisionClaim(ClaimKind.OPTIMUM, 0.04)
+    assert near.region.tcp_low_m == (0.65, -0.14, 0.26)
+    assert near.sentence == "within 40 mm of the optimum (corner)"
+
+
+def test_a_network_of_ones_own_is_sought_beside_the_plan(tmp_path: Path) -> None:
+    save_model(random_perceptron(), tmp_path / "own.safetensors")
+    path = plan_file(tmp_path, PLAN.replace("avoider: student", "avoider: own.safetensors"))
+    plan = read_proof_plan(path)
+    assert plan.proofs[0].region.hand_low_m == SEEN.hand_low_m
+
+
+@pytest.mark.parametrize(
+    ("was", "now", "place", "told"),
+    [
+        ("avoider: student", "avoider: optimum", ":2: avoider", "regression resnet"),
+        ("avoider: student", "avoider: mine.onnx", ":2: avoider", "FILE.safetensors"),
+        ("avoider: student", "avoider: opposite pose", ":2: avoider", "a network"),
+        ("steps at most 150 mm", "steps at most 150", "claims[0].claim", "mm"),
+        ("steps at most 150 mm", "steps at most 0 mm", "claims[0].claim", "above 0"),
+        ("steps at most 150 mm", "is kind", "claims[0].claim", "leads away"),
+        ("in: corner", "in: corners", "claims[1].in", "corner"),
+        ("close: {apart: [100 mm, 400 mm]}", "close: {apart: [400 mm, 100 mm]}", "apart[1]", "above"),
+        ("close:", "seen:", "regions.seen", "a name other than"),
+        ("to: [700 mm, -400 mm, -100 mm]", "to: [600 mm, -400 mm, -100 mm]", "corner.hand", "below"),
+        ("within 40 mm of the optimum\n    in: corner", "steps at most 0.15 m", "claims[1]", "once"),
+        ("proof:", "scenario:", "proofs.yaml", "a plan of proofs"),
+    ],
+)
+def test_what_is_wrong_is_told_with_its_place(
+    tmp_path: Path, was: str, now: str, place: str, told: str
+) -> None:
+    assert was in PLAN
+    with pytest.raises(InputError) as caught:
+        read_proof_plan(plan_file(tmp_path, PLAN.replace(was, now, 1)))
+    assert place in str(caught.value)
+    assert told in str(caught.value)
