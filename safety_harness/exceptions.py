@@ -158,6 +158,10 @@ class LogError(InputError):
     """The log of a cell cannot be used as it stands: out of order, faster than it can be, damaged, ..."""
 
 
+class StreamError(InputError):
+    """A line of a stream that a monitor cannot use, or not all of it."""
+
+
 class InadmissibleError(InputError):
     """A well-formed scenario that cannot be tried: start out of reach, object out of view, ..."""
 

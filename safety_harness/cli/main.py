@@ -19,6 +19,7 @@ from safety_harness.cli.fuzz import commands as of_search
 from safety_harness.cli.learning import commands as of_learning
 from safety_harness.cli.log import commands as of_logs
 from safety_harness.cli.machine import commands as of_machine
+from safety_harness.cli.monitor import commands as of_monitor
 from safety_harness.cli.new import commands as of_new
 from safety_harness.cli.prove import commands as of_proofs
 from safety_harness.cli.robot import commands as of_robots
@@ -46,6 +47,7 @@ for group in (
     of_selftest,
     of_shipped,
     of_machine,
+    of_monitor,
 ):
     app.add_typer(group)
 app.add_typer(of_certify, name="certify")

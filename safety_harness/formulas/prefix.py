@@ -18,7 +18,7 @@ approximated: minima and maxima of the same numbers are the same numbers.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import reduce
 
 import numpy as np
@@ -72,9 +72,13 @@ def refuse_endless(formula: Formula, period_s: float) -> None:
             )
     if (count := sum(map(is_endless, formula.nodes()))) > MOST_RECURSIONS:
         expected = f"at most {MOST_RECURSIONS} operators without a window in one part of a claim"
-        raise formula_error(f"{expected}, as each doubles what has to be remembered", f'{count} in "{formula}"')
+        raise formula_error(
+            f"{expected}, as each doubles what has to be remembered", f'{count} in "{formula}"'
+        )
     if (reach := reach_ticks(formula, period_s)) > MOST_TICKS:
-        expected = f"windows that reach at most {MOST_TICKS * period_s:g} s ahead, as all of that is remembered"
+        expected = (
+            f"windows that reach at most {MOST_TICKS * period_s:g} s ahead, as all of that is remembered"
+        )
         raise formula_error(expected, f'{reach * period_s:g} s in "{formula}"')
 
 
@@ -82,46 +86,52 @@ class Prefix:
     """The least margin of ``formula`` at the first tick (``sign`` 1), or of its negation (-1), so far.
 
     Its largest margin is the negation's least with the other sign.  ``tree`` has the margins at the ticks that
-    are kept, as those after the latest are unknown.  FormulaError as of ``refuse_endless``.
+    are kept, as those after the latest are unknown.  The latest tick and ``revisable`` ones before it may be
+    known better later.  FormulaError as of ``refuse_endless``.
     """
 
-    def __init__(self, formula: Formula, period_s: float, sign: int) -> None:
+    def __init__(self, formula: Formula, period_s: float, sign: int, revisable: int = 1) -> None:
         refuse_endless(formula, period_s)
         self.formula = formula.body if isinstance(formula, Initially) else formula
         self.margin = -np.inf
         self.tree: Margins
         self.latest: float | None = None
         self._reach, self._period_s, self._sign = reach_ticks(self.formula, period_s), period_s, sign
+        self._kept_ticks = self._reach + revisable  # beside the latest, and one that is let go
         self._atoms = [n for n in dict.fromkeys(self.formula.nodes()) if isinstance(n, Comparison | Truth)]
         self._variables = {key: i for i, key in enumerate(dict.fromkeys(_endless(self.formula, sign)))}
-        self._kept = {atom: np.empty((2, 2 * self._reach + 4)) for atom in self._atoms}
+        self._kept = {atom: np.empty((2, 2 * self._kept_ticks + 4)) for atom in self._atoms}
         self._begin = self._end = 0
         self._earlier: Polynomial | None = None  # the formula at the first tick, by what is kept
 
-    def step(self, bounds: Bounds, revised: Bounds | None = None) -> None:
+    def step(self, bounds: Bounds, revised: Sequence[Bounds] = ()) -> None:
         """The next tick: the least and largest margin there of every comparison and truth.
 
-        ``revised`` are those of the tick before, of which more is known now.  ``margin`` is what follows, and
-        ``latest`` what that operator asks at the latest tick whose windows have passed, if an "always" or a
-        "whenever" is the outermost one.
+        ``revised`` are those of the ticks before it, the latest of them last, of which more is known now.
+        ``margin`` is what follows, and ``latest`` what that operator asks at the latest tick whose windows have
+        passed, if an "always" or a "whenever" is the outermost one.
         """
-        if self._end == self._reach * 2 + 4:
+        if self._end == self._kept_ticks * 2 + 4:
             for kept in self._kept.values():
                 kept[:, : self._end - self._begin] = kept[:, self._begin : self._end]
             self._begin, self._end = 0, self._end - self._begin
         self._end += 1
-        for atom, kept in self._kept.items():
-            kept[:, self._end - 1] = bounds(atom)
-            if revised is not None:
-                kept[:, self._end - 2] = revised(atom)
+        self.revise([*revised, bounds])
+        if self._end - self._begin - 1 > self._kept_ticks:
+            self._forget(self.tree)
+
+    def revise(self, latest: Sequence[Bounds]) -> None:
+        """More is known of the ``latest`` ticks, the last of them last; of older ones than are kept, nothing."""
+        for at, bounds in enumerate(reversed(latest), start=1):
+            if self._end - at < self._begin:
+                break
+            for atom, kept in self._kept.items():
+                kept[:, self._end - at] = bounds(atom)
         slices = {atom: kept[:, self._begin : self._end] for atom, kept in self._kept.items()}
-        tree = margins(self.formula, lambda atom: MarginBounds(*slices[atom]), self._period_s)
-        self.tree = tree
-        self.margin = self._now(tree)
+        self.tree = margins(self.formula, lambda atom: MarginBounds(*slices[atom]), self._period_s)
+        self.margin = self._now(self.tree)
         passed = self._end - self._begin - 1 - self._reach
-        self.latest = _asked(tree, self._sign, passed) if passed >= 0 else None
-        if passed == 1:
-            self._forget(tree)
+        self.latest = _asked(self.tree, self._sign, passed) if passed >= 0 else None
 
     def _now(self, tree: Margins) -> float:
         if self._earlier is None:

@@ -301,8 +301,8 @@ def _scenario(log: CellLog, paths: list[_Path], recordings: dict[str, bytes]) ->
         "duration": _scalar(format_quantity((log.ticks - 1) * log.period_s, TIME)),
         "avoider": _scalar(RECORDED),
         "tcp start": _mapping({"joints": _list([format_quantity(float(a), ANGLE) for a in joints])}),
-        "settings": _settings(log, given.get("settings")),
-        "claims": _claims(given.get("claims")),
+        "settings": settings_with(log.period_s, given.get("settings")),
+        "claims": claims_of(given.get("claims")),
     }
     entries |= {key: given[key].node for key in ("about", *_PASSED_ON) if key in given}
     if paths:
@@ -333,9 +333,9 @@ def _hand(log: CellLog, path: _Path) -> Node:
     )
 
 
-def _settings(log: CellLog, given: Field | None) -> Node:
+def settings_with(period_s: float, given: Field | None) -> Node:
     """Those that are said, and the period."""
-    period = _mapping({"control period": _scalar(format_quantity(log.period_s, TIME))})
+    period = _mapping({"control period": _scalar(format_quantity(period_s, TIME))})
     groups = {} if given is None else dict(given.entries("a mapping of groups of settings"))
     if "clock" in groups:
         raise groups["clock"].error(
@@ -345,7 +345,7 @@ def _settings(log: CellLog, given: Field | None) -> Node:
     return Mapping((*entries, (Scalar("clock", 1), period)), 1)
 
 
-def _claims(given: Field | None) -> Node:
+def claims_of(given: Field | None) -> Node:
     """A mapping as a scenario has it, or a list of sentences that are expected to hold."""
     if given is None:
         return Mapping((), 1)

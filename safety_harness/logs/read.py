@@ -90,7 +90,7 @@ def log_of(said: Field, *, name: str, align: bool = False) -> CellLog:
     hand_facts, ahead_ns, known_to_s = None, 0, 0.0
     if "hands" in streams:
         of_hands = given.required("hands").fields(OF_HANDS)
-        hand_facts = _hand_facts(of_hands)
+        hand_facts = hand_facts(of_hands)
         if not align:
             clock = given.required("clock").fields(OF_CLOCK)
             ahead_ns = round(clock.required(OF_CLOCK[0]).quantity(TIME) * NS)
@@ -160,21 +160,7 @@ class _Reading:
 
     def joint_facts(self, joints: LogSamples) -> JointFacts:
         """What is said of the joints, and by how much a slip would show."""
-        said = self._said_of_joints()
-        most = self.arm.velocity_limit_radps.copy()
-        if (field := said.optional("move at most")) is not None:
-            most = np.full(len(most), field.quantity(ANGULAR_SPEED, above=0.0))
-        hard = said.optional("accelerate at most")
-        rates = said.optional("speeds known to")
-        facts = JointFacts(
-            known_to_rad=_quantity(said, "known to", ANGLE, JOINTS_KNOWN_TO_RAD),
-            speeds_known_to_radps=None if rates is None else rates.quantity(ANGULAR_SPEED, least=0.0),
-            move_at_most_radps=most,
-            accelerate_at_most_radps2=None
-            if hard is None
-            else hard.quantity(ANGULAR_ACCELERATION, above=0.0),
-            longest_gap_s=_quantity(said, "longest gap", TIME, JOINTS_LONGEST_GAP_S),
-        )
+        facts = joint_facts(self._said_of_joints(), self.arm)
         _refuse_jumping_joints(joints, facts, self.arm.joint_names)
         return facts
 
@@ -244,8 +230,7 @@ class _Reading:
         return by_given(_given_transform(frame))
 
     def _said_of_joints(self) -> Fields:
-        field = self.given.optional("joints")
-        return Fields(self.given.whole, {}) if field is None else field.fields(OF_JOINTS)
+        return said_of_joints(self.given)
 
     def _source(self, field: Field) -> LogSource:
         source = read_source(field)
@@ -279,7 +264,30 @@ def _names(field: Field | None, arm: ArmModel) -> tuple[str, ...]:
     )
 
 
-def _hand_facts(said: Fields) -> HandFacts:
+def said_of_joints(given: Fields) -> Fields:
+    """What stands below the key "joints", nothing if it is not there."""
+    field = given.optional("joints")
+    return Fields(given.whole, {}) if field is None else field.fields(OF_JOINTS)
+
+
+def joint_facts(said: Fields, arm: ArmModel) -> JointFacts:
+    """What is said of the joints below the key of that name."""
+    most = arm.velocity_limit_radps.copy()
+    if (field := said.optional("move at most")) is not None:
+        most = np.full(len(most), field.quantity(ANGULAR_SPEED, above=0.0))
+    hard = said.optional("accelerate at most")
+    rates = said.optional("speeds known to")
+    return JointFacts(
+        known_to_rad=_quantity(said, "known to", ANGLE, JOINTS_KNOWN_TO_RAD),
+        speeds_known_to_radps=None if rates is None else rates.quantity(ANGULAR_SPEED, least=0.0),
+        move_at_most_radps=most,
+        accelerate_at_most_radps2=None if hard is None else hard.quantity(ANGULAR_ACCELERATION, above=0.0),
+        longest_gap_s=_quantity(said, "longest gap", TIME, JOINTS_LONGEST_GAP_S),
+    )
+
+
+def hand_facts(said: Fields) -> HandFacts:
+    """What is said of the hands below the key of that name."""
     return HandFacts(
         known_to_m=said.required("known to").quantity(LENGTH, least=0.0),
         moves_at_most_mps=said.required("moves at most").quantity(SPEED, above=0.0),

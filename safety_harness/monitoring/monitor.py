@@ -1,38 +1,52 @@
-"""Samples in, ticks made of them, verdicts out: what a stream does, and what was missing in it."""
+"""Samples in, ticks made of them, verdicts out: what a stream does, and what was missing in it.
+
+A tick is judged when joints of its time or later have come.  A hand's place there is what its latest sample
+leaves possible; when its next one comes, the ticks since the last one are judged again by both, as a log of
+all that came would be.
+"""
 
 from __future__ import annotations
 
 import heapq
-from collections.abc import Iterator, Sequence
+from collections import deque
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
 from fractions import Fraction
 
 import numpy as np
 
-from safety_harness.monitoring.sample import HandSample, Sample, StreamError, read_sample
-from safety_harness.monitoring.sensing import Bodies, CellAt, HandAt, Sensing, Signals
+from safety_harness.exceptions import FormulaError, StreamError
+from safety_harness.formulas.signals import hand_distance
+from safety_harness.logs.streams import NS, SHORTEST_STEP_NS
+from safety_harness.monitoring.cell import WatchedCell
+from safety_harness.monitoring.journal import Journal
+from safety_harness.monitoring.sample import Sample, line_error, read_sample
+from safety_harness.monitoring.sensing import MEASURED, HandTracks, Moment, Sensing
+from safety_harness.monitoring.tracks import BodyTrack, JointTrack, Jump
 from safety_harness.monitoring.watched import WatchedClaim
-from safety_harness.scenario.model import Scenario, Verdict
+from safety_harness.scenario.model import Verdict
 
 NO_SAFETY_FUNCTION = (
     "this monitor is no safety function: it stops nothing, and nothing may rely on it to protect a person"
 )
-MOST_MISSING_S = 60.0
-SAME_TIME = 1e-6  # of a control period: times are written in decimals
+FARTHEST_AHEAD_S = 60.0  # a time so much later than the latest one is a slip, or another clock
+LATENCY_S = 0.1  # of hands behind joints, by which ticks are still judged again
+WAITING_HANDS = 100  # before the first joints
 
 
 @dataclass
 class StreamCounts:
-    """What came of a stream, in lines, and in ticks that had none."""
+    """What came of a stream."""
 
     lines: int = 0
-    bad: int = 0  # that could not be read
-    late: int = 0  # of a tick that was over
-    extra: int = 0  # of a tick that had one already
-    out_of_order: int = 0  # that came after later ones, and were put in order
+    refused: int = 0  # that cannot be used, or not all of it
+    out_of_order: int = 0  # lines that came after later ones, and were put in order
+    late: int = 0  # joints or hands older than what was used, left out
+    repeated: int = 0  # joints or hands of the same time as what was used, left out
     ticks: int = 0
-    missing: int = 0  # ticks without joints
-    lost: int = 0  # ticks at which the arm or a hand was lost
+    missing: int = 0  # ticks in a gap of the joints, or without a sample of them within a period
+    lost: int = 0  # ticks at which, as they came, the arm or a hand was lost
+    silent: int = 0  # times that nothing came for the joints' longest gap
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,139 +69,252 @@ class Change:
 
 @dataclass(kw_only=True)
 class Monitor:
-    """Watches ``claims`` on the stream of one cell, whose arm and settings ``scenario`` has.
+    """Watches the claims of ``cell`` on its stream; FormulaError for one that it cannot tell.
 
-    What is held for ``longest_gap_s`` is lost after it; lines wait ``wait_s`` of the stream's time for earlier
-    ones.
+    Lines wait ``wait_s`` of the stream's time for earlier ones.  What is used goes to ``journal``.
     """
 
-    scenario: Scenario
-    claims: Sequence[str]
-    bodies: Bodies = field(default_factory=Bodies)
-    longest_gap_s: float = 0.2
+    cell: WatchedCell
     wait_s: float = 0.0
+    journal: Journal | None = None
     counts: StreamCounts = field(default_factory=StreamCounts)
 
     def __post_init__(self) -> None:
-        self._sensing = Sensing(self.scenario, self.bodies)
-        self.period_s = self._sensing.period_s
-        period = Fraction(repr(self.period_s))  # as it is written, in decimals: so elapsed time has it
-        self._exact = float(period.numerator), float(period.denominator)
-        self.watched = [WatchedClaim(sentence, self.period_s) for sentence in self.claims]
-        self.signals: Signals = {}
+        cell = self.cell
+        self._joints = JointTrack(cell.joint_facts, cell.period_ns)
+        self._hands: dict[str, HandTracks] = {}
+        for hand in cell.hands:
+            own, elbow = (BodyTrack(cell.hand_facts, cell.clock_known_to_s, cell.period_ns) for _ in range(2))
+            self._hands[hand.name] = HandTracks(own, elbow if hand.elbow else None if hand.forearm else own)
+        self._sensing = Sensing(cell, tuple(self._hands.values()))
+        revisable = int((cell.hand_facts.longest_gap_s + LATENCY_S) / cell.period_s) + 4
+        self.claims = [self._watched(one.sentence, revisable) for one in cell.scenario.claims]
         self.time_s = 0.0
-        self._told: list[tuple[Verdict, Verdict] | None] = [None] * len(self.watched)
+        period = Fraction(repr(cell.period_s))  # as it is written, in decimals: so elapsed time has it
+        self._exact = float(period.numerator), float(period.denominator)
+        self._told: list[tuple[Verdict, Verdict] | None] = [None] * len(self.claims)
         self._waiting: list[tuple[float, int, Sample]] = []
         self._newest_s = -np.inf
-        self._began_s: float | None = None
-        self._tick = -1
-        self._joints: Sample | None = None
-        self._given: Sample | None = None
-        self._hands: dict[str, tuple[float, HandSample | str | None]] = {}
+        self._origin_ns: int | None = None
+        self._early: deque[tuple[int, Sample]] = deque(maxlen=WAITING_HANDS)
+        self._moments: deque[Moment] = deque(maxlen=revisable + 1)
+        self._next = 0  # tick
+        self._stale = 0  # the first tick of which more is known
+        self._silent = False
+
+    def _watched(self, sentence: str, revisable: int) -> WatchedClaim:
+        measured = all(hand.elbow or not hand.forearm for hand in self.cell.hands)
+        known = [signal for signal in MEASURED if measured or signal is not hand_distance]
+        try:
+            return WatchedClaim(sentence, known, self.cell.period_s, revisable)
+        except FormulaError as error:
+            hint = error.hint
+            if not measured and hand_distance.words in error.got:
+                hint = "the forearm is not measured, and may be anywhere about the hand"
+            raise FormulaError(
+                place=error.place, expected=error.expected, got=f'{error.got}, in "{sentence}"', hint=hint
+            ) from None
 
     def take(self, line: bytes) -> Iterator[Change]:
-        """The next line; StreamError if it cannot be used, which is counted."""
+        """The next line; StreamError if it, or part of it, cannot be used, which is counted."""
         self.counts.lines += 1
+        number = self.counts.lines
         try:
-            sample = read_sample(line, self.counts.lines, self._sensing.joints)
+            names, speeds = self._hands.keys(), self.cell.joint_facts.speeds_known_to_radps is not None
+            sample = read_sample(
+                line, number, joints=len(self.cell.arm.joint_names), hands=names, speeds=speeds
+            )
+            if -np.inf < self._newest_s + FARTHEST_AHEAD_S < sample.time_s:
+                expected = f"a time within {FARTHEST_AHEAD_S:g} s of the latest one, {self._newest_s:.10g} s"
+                hint = "a clock that jumped is another run: begin again"
+                raise line_error(number, "time_s", expected, f"{sample.time_s:.10g} s", hint)
         except StreamError:
-            self.counts.bad += 1
+            self.counts.refused += 1
             raise
-        if sample.time_s < self._newest_s:
-            self.counts.out_of_order += 1
+        self.counts.out_of_order += sample.time_s < self._newest_s
         self._newest_s = max(self._newest_s, sample.time_s)
-        heapq.heappush(self._waiting, (sample.time_s, self.counts.lines, sample))
+        heapq.heappush(self._waiting, (sample.time_s, number, sample))
         while self._waiting and self._waiting[0][0] <= self._newest_s - self.wait_s:
-            yield from self._use(heapq.heappop(self._waiting)[2])
+            yield from self._use(*heapq.heappop(self._waiting)[1:])
+
+    def silent(self) -> Iterator[Change]:
+        """Nothing came for the longest gap of the joints: nothing is known now."""
+        if not self._silent and self.counts.ticks:
+            self._silent, self.counts.silent = True, self.counts.silent + 1
+            gap_s = self.cell.joint_facts.longest_gap_s
+            reason = f"nothing that can be used came for {gap_s * 1e3:g} ms"
+            yield from self._changes(reason)
 
     def end(self) -> Iterator[Change]:
         """The stream is over: what waits is used."""
         while self._waiting:
-            yield from self._use(heapq.heappop(self._waiting)[2])
+            yield from self._use(*heapq.heappop(self._waiting)[1:])
 
-    def _use(self, sample: Sample) -> Iterator[Change]:
+    def verdicts(self) -> list[Change]:
+        """Every claim's words at the latest tick."""
+        return [self._change(claim) for claim in self.claims]
+
+    def _use(self, number: int, sample: Sample) -> Iterator[Change]:
+        """StreamError after all that can be used of it was used."""
+        time_ns, problems = round(sample.time_s * NS), []
+        if sample.joint_position_rad is not None and self._origin_ns is None:
+            self._origin_ns = time_ns
+            for early in self._early:
+                problems += self._use_hands(*early)
+            self._early.clear()
+        if self._origin_ns is None:
+            self._early.append((time_ns, sample))
+            return
+        problems += self._use_hands(time_ns, sample)
+        grown = sample.joint_position_rad is not None
+        if grown:
+            try:
+                self._use_joints(time_ns - self._origin_ns, sample)
+            except Jump as error:
+                problems.append(("joint_position_rad", str(error)))
+        changes = self._judge() if grown else self._judge_again()
+        yield from changes
+        if problems:
+            self.counts.refused += 1
+            name, got = problems[0]
+            hint = "another unit, marker or clock from here on? or it is faster than is said"
+            raise line_error(number, name, "a way from the sample before that is possible", got, hint)
+
+    def _use_hands(self, time_ns: int, sample: Sample) -> list[tuple[str, str]]:
+        """The places of hands of a line that cannot be used, and why."""
+        assert self._origin_ns is not None
+        problems = []
+        at_ns = time_ns - self.cell.hands_ahead_ns - self._origin_ns
         for name, hand in sample.hands.items():
-            if sample.time_s >= self._hands.get(name, (-np.inf, None))[0]:
-                self._hands[name] = sample.time_s, hand
-        if sample.joint_position_rad is None:
-            return
-        if self._began_s is None:
-            self._began_s = sample.time_s
-        tick = round((sample.time_s - self._began_s) / self.period_s)
-        if tick <= self._tick:
-            self.counts.extra += tick == self._tick
-            self.counts.late += tick < self._tick
-            return
-        missing = tick - self._tick - 1
-        if missing * self.period_s > MOST_MISSING_S:
-            before_s = self._began_s + self._tick * self.period_s
-            raise StreamError.of_option(
-                f"line {self.counts.lines} of the stream, time_s",
-                f"a time within {MOST_MISSING_S:g} s of the latest sample, {before_s:g} s",
-                f"{sample.time_s:g} s",
-                "a clock that jumps is another run: begin again",
-            )
-        self.counts.missing += missing
-        for number in range(self._tick + 1, tick):
-            yield from self._step(number, {})
-        self._joints = sample
-        yield from self._step(tick, sample.signals)
+            tracks = self._hands[name]
+            if hand is None:
+                for track in tracks:
+                    if track is not None and track.takes(at_ns):
+                        track.lost = True
+                self._stale = min(self._stale, max(self._next - 1, 0))
+                continue
+            used: list[bool] = []
+            for body, track, place in (
+                ("hand", tracks.hand, hand.hand_position_in_base_m),
+                ("elbow", tracks.elbow, hand.elbow_position_in_base_m),
+            ):
+                used.append(False)
+                if track is None or place is None or (body == "elbow" and track is tracks.hand):
+                    continue
+                if not track.takes(at_ns):
+                    repeated = at_ns > track.samples[-1][0] - SHORTEST_STEP_NS
+                    self.counts.repeated += repeated
+                    self.counts.late += not repeated
+                    continue
+                position_m = np.array(place)
+                try:
+                    track.refuse_jump(at_ns, position_m)
+                except Jump as error:
+                    problems.append((f"hands.{name}.{body}_position_in_base_m", str(error)))
+                    track.lost = True
+                    continue
+                before_ns = track.samples[-1][0] if track.samples else at_ns
+                track.add(at_ns, position_m)
+                self._stale = max(min(self._stale, before_ns // self.cell.period_ns - 1), 0)
+                used[-1] = True
+            if self.journal is not None and any(used):
+                elbow = hand.elbow_position_in_base_m
+                place = hand.hand_position_in_base_m if used[0] else None
+                self.journal.hand(name, time_ns, place, elbow if used[1] else None)
+        return problems
 
-    def _step(self, tick: int, given: dict[str, float | bool]) -> Iterator[Change]:
-        assert self._began_s is not None
-        self._tick, self.counts.ticks = tick, self.counts.ticks + 1
-        self.time_s = self._began_s + tick * self.period_s
-        cell = self._cell(tick, given)
-        self.counts.lost += cell.joints_rad is None or None in cell.hands.values()
-        self.signals, before = self._sensing.step(cell)
-        for number, claim in enumerate(self.watched):
-            claim.step(self.signals, before)
-            now = claim.verdict, claim.latest
+    def _use_joints(self, time_ns: int, sample: Sample) -> None:
+        """The next ticks, up to a sample's time; Jump if it cannot be."""
+        track, position_rad = self._joints, sample.joint_position_rad
+        assert position_rad is not None
+        if track.last is not None and time_ns - track.last[0] < SHORTEST_STEP_NS:
+            repeated = time_ns > track.last[0] - SHORTEST_STEP_NS
+            self.counts.repeated += repeated
+            self.counts.late += not repeated
+            return
+        position = np.array(position_rad)
+        track.refuse_jump(time_ns, position)
+        before_ns = track.last[0] if track.last is not None else time_ns
+        rates = None
+        if self.cell.joint_facts.speeds_known_to_radps is not None:
+            rates = np.array(sample.joint_velocity_radps)
+        track.add(time_ns, position, rates)
+        if self.journal is not None:
+            assert self._origin_ns is not None
+            self.journal.joints(time_ns + self._origin_ns, position_rad, sample.joint_velocity_radps)
+        self._silent = False
+        period_ns = self.cell.period_ns
+        self._stale = max(min(self._stale, before_ns // period_ns - 1), 0)
+        if self._moments and before_ns % period_ns == 0 and self._moments[-1].tick == before_ns // period_ns:
+            self._moments[-1].rates_radps = track.at(before_ns)[1]
+        self.counts.missing += max((time_ns - before_ns) // period_ns - 1, 0)
+
+    def _judge(self) -> Iterator[Change]:
+        """The ticks that joints have come for."""
+        assert self._joints.last is not None
+        while self._next * self.cell.period_ns <= self._joints.last[0]:
+            tick = self._next
+            position, rates = self._joints.at(tick * self.cell.period_ns)
+            elapsed_s = float(tick) * self._exact[0] / self._exact[1]
+            self._moments.append(Moment(tick, elapsed_s, position, rates))
+            self._next, self.counts.ticks = tick + 1, self.counts.ticks + 1
+            yield from self._judge_again(grown=True)
+            newest = self._moments[-1]
+            self.counts.lost += newest.arm is None or None in newest.hands
+        yield from self._judge_again()
+
+    def _judge_again(self, *, grown: bool = False) -> Iterator[Change]:
+        """The ticks of which more is known."""
+        moments = [one for one in self._moments if one.tick >= self._stale]
+        if not moments:
+            return
+        assert self._origin_ns is not None
+        self.time_s = (self._origin_ns + moments[-1].tick * self.cell.period_ns) / NS
+        for one in moments:
+            self._sensing.see(one, self._joints.off(one.tick))
+        first = len(self._moments) - len(moments)
+        for k in range(max(first - 1, 0), len(self._moments) - 1):
+            self._sensing.between(self._moments[k], self._moments[k + 1])
+        if first > 0:
+            moments.insert(0, self._moments[first - 1])
+        for claim in self.claims:
+            claim.see(moments, grown=grown)
+        self._stale = self._next
+        self._forget(self._moments[0].tick)
+        yield from self._changes()
+
+    def _forget(self, before: int) -> None:
+        self._joints.forget(before)
+        for tracks in self._hands.values():
+            for track in tracks:
+                if track is not None:
+                    track.forget(before)
+
+    def _changes(self, silence: str = "") -> Iterator[Change]:
+        for number, claim in enumerate(self.claims):
+            change = self._change(claim, silence)
+            now = change.verdict, change.latest
             if now != self._told[number]:
                 self._told[number] = now
-                yield self.change(claim)
+                yield change
 
-    def change(self, claim: WatchedClaim, reason: str = "") -> Change:
-        """A claim's words at the latest tick."""
+    def _change(self, claim: WatchedClaim, silence: str = "") -> Change:
+        """A claim's words at the latest tick; with ``silence`` nothing is known since then."""
         part = claim.deciding
+        verdict, latest = claim.verdict, claim.latest
+        if silence:
+            verdict, latest = (_unless_violated(one) for one in (verdict, Verdict.INCONCLUSIVE))
+        signals = self._moments[-1].signals if self._moments else {}
         return Change(
             time_s=self.time_s,
             claim=claim.sentence,
-            verdict=claim.verdict,
-            latest=claim.latest,
+            verdict=verdict,
+            latest=latest,
             margin=None if part.margin is None else part.margin * part.unit.per_si,
             unit=part.unit.symbol,
-            reason=reason or part.reason(self.signals),
+            reason=silence or (part.reason(signals) if signals else "nothing came yet"),
         )
 
-    def _cell(self, tick: int, given: dict[str, float | bool]) -> CellAt:
-        """What is known at a tick, by the latest samples."""
-        sample, elapsed_s = self._joints, float(tick) * self._exact[0] / self._exact[1]
-        hands = {name: self._hand(seen_s, hand) for name, (seen_s, hand) in self._hands.items()}
-        values = {words: float(value) for words, value in given.items()}
-        age_s = self._age(sample.time_s) if sample is not None else np.inf
-        if sample is None or sample.joint_position_rad is None or age_s > self.longest_gap_s:
-            return CellAt(elapsed_s=elapsed_s, hands=hands, given=values)
-        fresh = age_s <= self.period_s / 2.0 and sample.joint_velocity_radps is not None
-        return CellAt(
-            elapsed_s=elapsed_s,
-            joints_rad=np.array(sample.joint_position_rad),
-            rates_radps=np.array(sample.joint_velocity_radps) if fresh else None,
-            age_s=age_s,
-            hands=hands,
-            given=values,
-        )
 
-    def _hand(self, seen_s: float, hand: HandSample | str | None) -> HandAt | str | None:
-        age_s = self._age(seen_s)
-        if age_s > self.longest_gap_s or hand is None:
-            return None
-        if isinstance(hand, str):
-            return hand
-        elbow = hand.elbow_position_in_base_m
-        bodies = np.array([hand.hand_position_in_base_m, elbow or hand.hand_position_in_base_m])
-        return HandAt(bodies, age_s, elbow is not None)
-
-    def _age(self, seen_s: float) -> float:
-        age_s = abs(self.time_s - seen_s)
-        return 0.0 if age_s <= SAME_TIME * self.period_s else age_s
+def _unless_violated(verdict: Verdict) -> Verdict:
+    return verdict if verdict is Verdict.VIOLATED else Verdict.INCONCLUSIVE

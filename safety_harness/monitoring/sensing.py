@@ -1,15 +1,13 @@
-"""From samples of a cell to its signals, tick by tick, with bounds of what they can have been.
+"""From joints and hands at a tick to the signals, with bounds of what they can have been, as of a log.
 
-A signal at a tick, and from there to the next tick, is what ``formulas.signals`` computes of a trace in which
-hands move straight from tick to tick.  Here each sample has its age: a hand that moves at v at most is
-within v x age of where it was seen, and within v dt/2 more of its chord between two ticks; a joint likewise, at
-its limit of speed.  So everything is an interval, [-inf, inf] where a hand or the arm is lost.
+What ``formulas.signals`` and ``formulas.measured`` compute of a whole trace, here of one tick, and of the way
+from one to the next, for each tick and hand with the uncertainty that it has then.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from math import inf, isnan, nan
 from typing import NamedTuple
 
@@ -25,19 +23,18 @@ from safety_harness.formulas.signals import (
     hand_distance,
     joint_speed,
     nearest_hand_to_tcp,
-    predicted_hand_distance,
     tcp_height,
     tcp_speed,
 )
-from safety_harness.monitoring.sample import GIVEN
+from safety_harness.monitoring.cell import WatchedCell
+from safety_harness.monitoring.tracks import BodyTrack
 from safety_harness.properties.hand_distance import RESOLUTION_M
 from safety_harness.robot.capsules import Arm, arm_with
 from safety_harness.robot.closest_approach import MAX_BISECTIONS, closest_approach_between
 from safety_harness.robot.distance import hand_distance as distance_between
 from safety_harness.robot.distance import place_capsules
 from safety_harness.robot.kinematics import forward_kinematics, tcp_velocity
-from safety_harness.robot.robots import arm_capsules, arm_model
-from safety_harness.scenario.model import REACHING_MPS, Scenario
+from safety_harness.robot.robots import arm_capsules
 from safety_harness.simulation.truth import cell_capsules
 
 MEASURED = (hand_distance, nearest_hand_to_tcp, tcp_speed, tcp_height, joint_speed, elapsed_time)
@@ -47,7 +44,7 @@ Values = NDArray[np.float64]
 class Known(NamedTuple):
     """A signal at a tick, and from it to the next one: the least and the largest that it can have been.
 
-    ``value`` is what was measured, NaN for nothing; ``tried`` says whether it certainly puts a claim to the test.
+    ``value`` is what was measured, NaN for nothing; ``tried`` says whether it certainly exercises a claim.
     """
 
     value: float
@@ -57,245 +54,247 @@ class Known(NamedTuple):
     cell_high: float
     tried: bool = True
 
-    @property
-    def certain(self) -> bool:
-        """Is it known, and exactly?"""
-        return self.low == self.high
-
 
 UNKNOWN = Known(nan, -inf, inf, -inf, inf, False)
 Signals = Mapping[Signal, Known]
 
 
-class HandAt(NamedTuple):
-    """A hand at a tick: hand and elbow (2, 3) [m] in base, how old that is, and whether there is an elbow."""
+class ArmAt(NamedTuple):
+    """The arm at a tick: joints (n,), TCP and its speed, and what they, and points of the arm, may be off."""
 
-    bodies: Values
-    age_s: float
-    with_elbow: bool = True
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class CellAt:
-    """What is known of a cell at a tick: joints (n,) with the age of their sample, hands by name.
-
-    A hand that is None is lost, or "absent".  Without ``rates_radps`` nothing is known of speeds.
-    """
-
-    elapsed_s: float
-    joints_rad: Values | None = None
-    rates_radps: Values | None = None
-    age_s: float = 0.0
-    hands: Mapping[str, HandAt | str | None]
-    given: Mapping[str, float]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Bodies:
-    """How well hands are known: to within ``known_to_m`` when they are seen; how fast they are at most.
-
-    ``straight``: they, and the joints, move straight from sample to sample, as in a simulated run.
-    """
-
-    known_to_m: float = 0.0
-    at_most_mps: float = REACHING_MPS
-    straight: bool = False
-
-
-class _HandThere(NamedTuple):
-    """A hand that is seen: its distance and its centre's from the TCP, how far it may be off, and below that."""
-
-    at: HandAt
-    distance_m: float
-    to_tcp_m: float
-    off_m: float
-    below_m: float  # of the distance alone, for want of an elbow
-
-
-class _Pose(NamedTuple):
-    """A cell at a tick, with what follows from its joints.
-
-    Of each hand _HandThere, None if it is lost, or "absent".
-    """
-
-    cell: CellAt
     joints_rad: Values
+    rates_radps: Values
     tcp_m: Values  # (3,)
     tcp_mps: float
-    off_m: float  # of any point of the arm
-    hands: dict[str, _HandThere | str | None]
+    joints_off_rad: float
+    rates_off_radps: float
+    off_m: float
+    off_mps: float
+
+
+class HandAt(NamedTuple):
+    """A hand that is seen: hand and elbow (2, 3) [m] in base, what they may be off, and its distances."""
+
+    bodies_m: Values
+    hand_off_m: float
+    off_m: float  # of hand and elbow
+    distance_m: float
+    to_tcp_m: float
+
+
+@dataclass(eq=False)
+class Moment:
+    """A tick, what is known of it now, and the signals that follow."""
+
+    tick: int
+    elapsed_s: float
+    joints_rad: Values
+    rates_radps: Values
+    arm: ArmAt | None = None
+    hands: tuple[HandAt | None, ...] = ()
+    signals: dict[Signal, Known] = field(default_factory=dict)
+
+
+class HandTracks(NamedTuple):
+    """Of a hand and its elbow: the same track where it has no forearm, None where nobody measures it."""
+
+    hand: BodyTrack
+    elbow: BodyTrack | None
 
 
 class Sensing:
-    """The signals of one cell.  ``scenario`` says arm, sizes of hands, critical distance and control period."""
+    """The signals of one cell."""
 
-    def __init__(self, scenario: Scenario, bodies: Bodies) -> None:
-        self._settings, self._bodies = scenario.settings, bodies
-        self.period_s = scenario.settings.clock.control_period_s
-        model = arm_model(scenario.robot)
-        self.joints = len(model.joint_names)
-        self._arm = arm_with(model, cell_capsules(arm_capsules(scenario.robot), scenario.settings))
-        self._fastest_mps = float(self._arm.reach_m @ model.velocity_limit_radps)  # any point of the arm
+    def __init__(self, cell: WatchedCell, hands: Sequence[HandTracks]) -> None:
+        self._settings, self._hands = cell.scenario.settings, hands
+        self._period_ns, self._period_s = cell.period_ns, cell.period_s
+        self._arm = arm_with(cell.arm, cell_capsules(arm_capsules(cell.scenario.robot), self._settings))
+        self._reach_m = np.asarray(self._arm.reach_m)
+        joints = np.arange(len(self._reach_m))
+        self._farther_m = np.array([self._reach_m[np.maximum(joints, j)].sum() for j in joints])
         self._ends = np.empty((len(self._arm.capsules), 2, 3))
         self._room = np.empty((MAX_BISECTIONS + 1, len(self._arm.capsules), 2, 3))
-        self._before: _Pose | None = None
-        self._signals: Signals = {}
 
-    def step(self, cell: CellAt) -> tuple[Signals, Signals]:
-        """The signals at the next tick, and of the tick before what is known now; empty before the first."""
-        before, pose = self._before, self._pose(cell)
-        now = self._at_tick(cell, pose)
-        cells = self._between(before, pose) if before is not None and pose is not None else {}
-        revised = {
-            signal: known._replace(cell_low=low, cell_high=high, tried=known.tried or tried)
-            for signal, known in self._signals.items()
-            for low, high, tried in (cells.get(signal, self._otherwise(signal, known, now[signal])),)
-        }
-        self._before, self._signals = pose, now
-        return now, revised
+    def see(self, moment: Moment, off: tuple[float, float] | None) -> None:
+        """What is known at a tick, by now; joints and their speeds are ``off`` by so much, None: lost."""
+        moment.arm, moment.hands = None, ()
+        if off is not None:
+            tcp_m, reach_m = np.empty(3), float(self._reach_m.sum())
+            speed = _arm_at(self._arm, moment.joints_rad, moment.rates_radps, self._ends, tcp_m)
+            off_mps = off[1] * reach_m + off[0] * float(np.abs(moment.rates_radps) @ self._farther_m)
+            position, rates = moment.joints_rad, moment.rates_radps
+            moment.arm = ArmAt(position, rates, tcp_m, speed, *off, off[0] * reach_m, off_mps)
+            moment.hands = tuple(self._hand(tracks, moment.tick, tcp_m) for tracks in self._hands)
+        self._at_tick(moment)
 
-    def _otherwise(self, signal: Signal, known: Known, later: Known) -> tuple[float, float, bool]:
-        """What is held from tick to tick, and nothing of the others."""
-        if signal is elapsed_time:
-            return known.low, later.high, False
-        held = signal in _HELD
-        return (known.low, known.high, False) if held else (-inf, inf, False)
-
-    def _pose(self, cell: CellAt) -> _Pose | None:
-        if cell.joints_rad is None:
+    def _hand(self, tracks: HandTracks, tick: int, tcp_m: Values) -> HandAt | None:
+        hand = tracks.hand.at(tick)
+        if hand is None:
             return None
-        hand, tcp_m = self._settings.hand, np.empty(3)
-        rates = cell.rates_radps if cell.rates_radps is not None else np.zeros(self.joints)
-        speed = _arm_at(self._arm, cell.joints_rad, rates, self._ends, tcp_m)
-        hands: dict[str, _HandThere | str | None] = {}
-        for name, at in cell.hands.items():
-            if not isinstance(at, HandAt):
-                hands[name] = at
-                continue
-            distance_m, _ = distance_between(
-                self._arm.capsules, self._ends, *at.bodies, hand.radius_m, hand.forearm_radius_m
-            )
-            off_m = self._bodies.known_to_m + self._bodies.at_most_mps * at.age_s
-            beyond_m = max(hand.forearm_length_m + hand.forearm_radius_m - hand.radius_m, 0.0)
-            below_m = 0.0 if at.with_elbow else beyond_m
-            to_tcp_m = float(np.linalg.norm(at.bodies[0] - tcp_m))
-            hands[name] = _HandThere(at, distance_m, to_tcp_m, off_m, below_m)
-        speed_known = speed if cell.rates_radps is not None else nan
-        return _Pose(cell, cell.joints_rad, tcp_m, speed_known, self._fastest_mps * cell.age_s, hands)
+        elbow = None if tracks.elbow is None else tracks.elbow.at(tick)
+        to_tcp_m = float(np.linalg.norm(hand[0] - tcp_m))
+        if elbow is None:
+            return HandAt(np.array([hand[0], hand[0]]), hand[1], nan, nan, to_tcp_m)
+        size = self._settings.hand
+        distance_m, _ = distance_between(
+            self._arm.capsules, self._ends, hand[0], elbow[0], size.radius_m, size.forearm_radius_m
+        )
+        off_m = max(hand[1], elbow[1])
+        return HandAt(np.array([hand[0], elbow[0]]), hand[1], off_m, distance_m, to_tcp_m)
 
-    def _at_tick(self, cell: CellAt, pose: _Pose | None) -> Signals:
-        found = dict.fromkeys(MEASURED, UNKNOWN)
-        elapsed_s = cell.elapsed_s
+    def _at_tick(self, moment: Moment) -> None:
+        """As if the run ended there: from the tick to the next is the tick."""
+        found = moment.signals
+        found.update(dict.fromkeys(MEASURED, UNKNOWN))
+        elapsed_s = moment.elapsed_s
         found[elapsed_time] = Known(elapsed_s, elapsed_s, elapsed_s, elapsed_s, elapsed_s)
-        critical_m = self._settings.avoidance.critical_distance_m
-        for words, signal in GIVEN.items():
-            value = cell.given.get(words, nan)
-            if isnan(value):
-                found[signal] = UNKNOWN
-            else:
-                tried = signal is not predicted_hand_distance or value < critical_m
-                found[signal] = Known(value, value, value, value, value, tried)
-        if pose is None:
-            return found
-        found[tcp_height] = _known(float(pose.tcp_m[2]), pose.off_m)
-        if cell.rates_radps is not None:
-            fastest = float(np.abs(cell.rates_radps).max())
-            for signal, speed in ((tcp_speed, pose.tcp_mps), (joint_speed, fastest)):
-                found[signal] = Known(speed, speed, speed, speed, speed, speed > MOVING)
-        for signal, of in ((hand_distance, _distance), (nearest_hand_to_tcp, _to_tcp)):
-            low = high = value = inf if pose.hands else nan
-            for hand in pose.hands.values():
-                if isinstance(hand, _HandThere):
-                    own, below = of(hand)
-                    off_m = hand.off_m + pose.off_m
-                    value, low, high = min(value, own), min(low, own - off_m - below), min(high, own + off_m)
-                elif hand is None:
-                    low = -inf
-            if not isnan(value):
-                lost = None in pose.hands.values()
-                value = nan if lost and value == inf else value
-                found[signal] = Known(value, low, high, low, high, high < critical_m)
-        return found
+        arm = moment.arm
+        if arm is None:
+            return
+        between_m = self._place_between_m(arm, arm)
+        found[tcp_height] = _known(float(arm.tcp_m[2]), arm.off_m, between_m, True)
+        fastest = float(np.abs(arm.rates_radps).max())
+        by_mps, by_radps = self._speeds_between(arm, arm)
+        found[tcp_speed] = _known(arm.tcp_mps, arm.off_mps, by_mps, arm.tcp_mps - MOVING > by_mps)
+        found[joint_speed] = _known(fastest, arm.rates_off_radps, by_radps, fastest - MOVING > by_radps)
+        near = [
+            (hand.to_tcp_m, arm.off_m + hand.hand_off_m, between_m + 2.0 * hand.hand_off_m)
+            for hand in moment.hands
+            if hand is not None
+        ]
+        apart = [
+            (hand.distance_m, hand.off_m + arm.off_m, self._moved_m(arm, hand))
+            for hand in moment.hands
+            if hand is not None and not isnan(hand.distance_m)
+        ]
+        for signal, seen in ((nearest_hand_to_tcp, near), (hand_distance, apart)):
+            if seen:
+                lost = len(seen) < len(moment.hands)
+                value = min(own for own, _, _ in seen)
+                low, cell_low = (
+                    -inf if lost else min(own - bounds[at] for own, *bounds in seen) for at in (0, 1)
+                )
+                high = min(own + off for own, off, _ in seen)
+                beyond = min(own + off + more for own, off, more in seen)
+                tried = self._settings.avoidance.critical_distance_m - high > 0.0
+                found[signal] = Known(value, low, high, cell_low, beyond, tried)
 
-    def _between(self, before: _Pose, now: _Pose) -> dict[Signal, tuple[float, float, bool]]:
-        """From one tick to the next, (least, largest, certainly put to the test) of what moves."""
-        period_s, found = self.period_s, {}
-        rates = before.cell.rates_radps, now.cell.rates_radps
-        moved_m = float(np.linalg.norm(now.tcp_m - before.tcp_m))
-        off_m = max(before.off_m, now.off_m)
-        bend_m, way_m = self._fastest_mps * period_s / 2.0, self._fastest_mps * period_s
-        if rates[0] is not None and rates[1] is not None:
-            bend_m = _bend(self._arm.reach_m, *rates, period_s)
-            way_m = max(max(before.tcp_mps, now.tcp_mps) * period_s, moved_m)
-            by = 2.0 * off_m / period_s
-            steps = np.abs(now.joints_rad - before.joints_rad) / period_s
-            sides = np.abs(np.array(rates))
-            least, most = np.minimum(sides.min(axis=0), steps), np.maximum(sides.max(axis=0), steps)
-            moves = float(steps.max()) - by > MOVING
-            found[joint_speed] = float(least.max()) - by, float(most.max()) + by, moves
-            speeds, mean = (before.tcp_mps, now.tcp_mps), moved_m / period_s
-            found[tcp_speed] = min(*speeds, mean) - by, max(*speeds, mean) + by, mean - by > MOVING
-        low, high = _tent(float(before.tcp_m[2]), float(now.tcp_m[2]), way_m)
-        found[tcp_height] = low - off_m, high + off_m, False
-        ways = [self._hand_between(before, now, name, bend_m, way_m) for name in {**before.hands, **now.hands}]
-        for index, signal in enumerate((hand_distance, nearest_hand_to_tcp)):
-            sides = [way[index] for way in ways] or [(-inf, inf)]
-            found[signal] = min(low for low, _ in sides), min(high for _, high in sides), False
-        return found
+    def between(self, before: Moment, now: Moment) -> None:
+        """From one tick to the next: what ``before`` has of that."""
+        found, one, other = before.signals, before.arm, now.arm
+        for signal in (*MEASURED,):
+            known = found[signal]
+            if signal is elapsed_time:
+                low, high = known.low, now.elapsed_s
+            elif one is None or other is None:
+                low, high = -inf, inf
+            else:
+                continue
+            found[signal] = known._replace(cell_low=low, cell_high=high)
+        if one is None or other is None:
+            return
+        period_s = self._period_s
+        moved_m = float(np.linalg.norm(other.tcp_m - one.tcp_m))
+        way_m = max(max(one.tcp_mps, other.tcp_mps) * period_s, moved_m)
+        between_m, (by_mps, by_radps) = self._place_between_m(one, other), self._speeds_between(one, other)
+        steps = np.abs(other.joints_rad - one.joints_rad) / period_s
+        sides = np.abs(np.array([one.rates_radps, other.rates_radps]))
+        least, most = np.minimum(sides.min(axis=0), steps), np.maximum(sides.max(axis=0), steps)
+        self._set(found, joint_speed, float(least.max()) - by_radps, float(most.max()) + by_radps)
+        found[joint_speed] = _trying(found[joint_speed], float(steps.max()) - MOVING > by_radps)
+        speeds, mean = (one.tcp_mps, other.tcp_mps), moved_m / period_s
+        self._set(found, tcp_speed, min(*speeds, mean) - by_mps, max(*speeds, mean) + by_mps)
+        found[tcp_speed] = _trying(found[tcp_speed], mean - MOVING > by_mps)
+        low, high = _tent(float(one.tcp_m[2]), float(other.tcp_m[2]), way_m)
+        self._set(found, tcp_height, low - between_m, high + between_m)
+        ways = [
+            self._hand_between(index, before, now, way_m, between_m) for index in range(len(before.hands))
+        ]
+        for at, signal in enumerate((hand_distance, nearest_hand_to_tcp)):
+            low, high = min(way[at][0] for way in ways), min(way[at][1] for way in ways)
+            self._set(found, signal, low, high)
+
+    def _set(self, found: dict[Signal, Known], signal: Signal, low: float, high: float) -> None:
+        """Bounds from a tick to the next; what is not known at the tick is not known after it either."""
+        known = found[signal]
+        if isnan(known.value):
+            low, high = -inf, inf
+        found[signal] = known._replace(cell_low=low, cell_high=high)
 
     def _hand_between(
-        self, before: _Pose, now: _Pose, name: str, bend_m: float, way_m: float
+        self, index: int, before: Moment, now: Moment, way_m: float, between_m: float
     ) -> tuple[tuple[float, float], tuple[float, float]]:
         """Of one hand: bounds of its distance from the arm, and of its centre's from the TCP."""
-        one, other = before.hands.get(name), now.hands.get(name)
-        if one is None or other is None:
-            return (-inf, inf), (-inf, inf)
-        period_s, hand = self.period_s, self._settings.hand
-        arm_m = max(before.off_m, now.off_m)
-        if isinstance(one, str) or isinstance(other, str):
-            there = one if isinstance(one, _HandThere) else other
-            if isinstance(there, str):
-                return (inf, inf), (inf, inf)
-            came_m = there.off_m + arm_m + (self._bodies.at_most_mps + self._fastest_mps) * period_s
-            return (there.distance_m - there.below_m - came_m, inf), (there.to_tcp_m - came_m, inf)
-        off_m = max(one.off_m, other.off_m) + arm_m
-        off_m += 0.0 if self._bodies.straight else self._bodies.at_most_mps * period_s / 2.0
-        moved_m = np.linalg.norm(other.at.bodies - one.at.bodies, axis=1)
-        bound, _, _ = closest_approach_between(
-            self._arm,
-            self._room,
-            before.joints_rad,
-            now.joints_rad,
-            one.at.bodies[0],
-            other.at.bodies[0],
-            one.at.bodies[1],
-            other.at.bodies[1],
-            hand.radius_m,
-            hand.forearm_radius_m,
-            RESOLUTION_M,
-            inf,
+        one, other, arm, later = before.hands[index], now.hands[index], before.arm, now.arm
+        nothing = -inf, inf
+        if one is None or other is None or arm is None or later is None:
+            return nothing, nothing
+        shares, bodies = self._corners(index, before.tick, one, other)
+        steps_m = np.linalg.norm(np.diff(bodies, axis=0), axis=2).sum(axis=0)
+        low, high = _tent(one.to_tcp_m, other.to_tcp_m, way_m + float(steps_m[0]))
+        off_m = between_m + 2.0 * max(one.hand_off_m, other.hand_off_m)
+        to_tcp = low - off_m, high + off_m
+        if isnan(one.distance_m) or isnan(other.distance_m):
+            return nothing, to_tcp
+        size, turned = self._settings.hand, later.joints_rad - arm.joints_rad
+        joints = [arm.joints_rad, *(arm.joints_rad + share * turned for share in shares), later.joints_rad]
+        bound = inf
+        for k in range(len(bodies) - 1):
+            least, _, _ = closest_approach_between(
+                self._arm,
+                self._room,
+                joints[k],
+                joints[k + 1],
+                bodies[k, 0],
+                bodies[k + 1, 0],
+                bodies[k, 1],
+                bodies[k + 1, 1],
+                size.radius_m,
+                size.forearm_radius_m,
+                RESOLUTION_M,
+                inf,
+            )
+            bound = min(bound, least)
+        bend_m = float(np.abs(later.rates_radps - arm.rates_radps) @ self._reach_m) * self._period_s / 4.0
+        _, far_m = _tent(
+            one.distance_m, other.distance_m, float(np.abs(turned) @ self._reach_m) + float(steps_m.max())
         )
-        turned_m = float(np.abs(now.joints_rad - before.joints_rad) @ self._arm.reach_m)
-        _, far_m = _tent(one.distance_m, other.distance_m, turned_m + float(moved_m.max()))
-        below_m = max(one.below_m, other.below_m)
-        distance = min(one.distance_m, bound - bend_m) - off_m - below_m, far_m + bend_m + off_m
-        low, high = _tent(one.to_tcp_m, other.to_tcp_m, way_m + float(moved_m[0]))
-        return distance, (low - off_m, high + off_m)
+        moved = [(self._moved_m(a, h), h.off_m + a.off_m) for a, h in ((arm, one), (later, other))]
+        low = min(one.distance_m, bound - bend_m) - max(below for below, _ in moved)
+        return (low, far_m + bend_m + max(below + at for below, at in moved)), to_tcp
+
+    def _corners(self, index: int, tick: int, one: HandAt, other: HandAt) -> tuple[list[float], Values]:
+        """When between two ticks samples of a hand or its elbow came, in parts of a period; (m, 2, 3) all places."""
+        hand, elbow = self._hands[index]
+        begin_ns, end_ns = tick * self._period_ns, (tick + 1) * self._period_ns
+        times = sorted({*hand.corners(begin_ns, end_ns), *(elbow or hand).corners(begin_ns, end_ns)})
+        places = [np.array([hand.between(t), (elbow or hand).between(t)]) for t in times]
+        shares = [(t - begin_ns) / self._period_ns for t in times]
+        return shares, np.array([one.bodies_m, *places, other.bodies_m])
+
+    def _moved_m(self, arm: ArmAt, hand: HandAt) -> float:
+        """As ``distance_moved_m`` between the ticks."""
+        bend_m = self._period_s / 2.0 * arm.rates_off_radps * float(self._reach_m.sum())
+        return hand.off_m + arm.off_m + bend_m
+
+    def _place_between_m(self, one: ArmAt, other: ArmAt) -> float:
+        """As ``formulas.measured.of_place``."""
+        at, speed = max(one.off_m, other.off_m), max(one.off_mps, other.off_mps)
+        return at + 0.5 * max(speed * self._period_s, 2.0 * at)
+
+    def _speeds_between(self, one: ArmAt, other: ArmAt) -> tuple[float, float]:
+        """As ``formulas.measured.of_speed``, of TCP and joints."""
+        place, turned = max(one.off_m, other.off_m), max(one.joints_off_rad, other.joints_off_rad)
+        speed, rate = max(one.off_mps, other.off_mps), max(one.rates_off_radps, other.rates_off_radps)
+        return max(speed, 2.0 * place / self._period_s), max(rate, 2.0 * turned / self._period_s)
 
 
-_HELD = frozenset(GIVEN.values())
+def _known(value: float, off: float, between: float, tried: bool) -> Known:
+    return Known(value, value - off, value + off, value - between, value + between, tried)
 
 
-def _distance(hand: _HandThere) -> tuple[float, float]:
-    return hand.distance_m, hand.below_m
-
-
-def _to_tcp(hand: _HandThere) -> tuple[float, float]:
-    return hand.to_tcp_m, 0.0
-
-
-def _known(value: float, off: float) -> Known:
-    return Known(value, value - off, value + off, value - off, value + off)
+def _trying(known: Known, tried: bool) -> Known:
+    return known._replace(tried=known.tried or tried)
 
 
 def _tent(first: float, second: float, way: float) -> tuple[float, float]:
@@ -323,26 +322,11 @@ def _arm_at(
     return float(np.sqrt(x * x + y * y + z * z))
 
 
-@compiled
-def _bend(
-    reach_m: NDArray[np.float64],  # (n,)
-    before_radps: NDArray[np.float64],  # (n,)
-    after_radps: NDArray[np.float64],  # (n,)
-    period_s: float,
-) -> float:
-    """As ``joint_bend_m`` has it [m]."""
-    found = 0.0
-    for joint in range(reach_m.shape[0]):
-        found += abs(after_radps[joint] - before_radps[joint]) * reach_m[joint]
-    return found * period_s / 4.0
-
-
 def margin_at(atom: Comparison | Truth, signals: Signals, *, cell: bool) -> tuple[float, float]:
-    """The least and largest margin of a comparison or truth, at the tick or from it to the next."""
+    """The least and largest margin of a comparison, at the tick or from it to the next."""
+    assert isinstance(atom, Comparison)
     known = signals[atom.signal]
     low, high = (known.cell_low, known.cell_high) if cell else (known.low, known.high)
-    if isinstance(atom, Truth):
-        return (inf if low > 0.5 else -inf), (inf if high > 0.5 else -inf)
     limit, relation = atom.limit.value, atom.relation
     above = relation in (Relation.ABOVE, Relation.AT_LEAST)
     at_limit = -LEAST if relation in (Relation.ABOVE, Relation.BELOW) else LEAST

@@ -88,7 +88,7 @@ def test_the_latest_tick_may_be_known_better_later(formula: Formula, run: Run, s
         return bounds
 
     for now in range(len(run["x"])):
-        prefix.step(known(now, False), known(now - 1, True) if now else None)
+        prefix.step(known(now, False), [known(now - 1, True)] if now else [])
 
         def whole(atom: Comparison | Truth, now: int = now) -> MarginBounds:
             each = [known(tick, tick < now)(atom) for tick in range(now + 1)]

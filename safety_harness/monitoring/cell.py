@@ -1,0 +1,201 @@
+"""The cell that is watched: what a LOG.yaml says of one beside its streams, which a monitor does not open."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+from safety_harness.exceptions import LogError, Place
+from safety_harness.logs.certain import RECORDED, claims_of, log_file, settings_with
+from safety_harness.logs.model import HandFacts, JointFacts
+from safety_harness.logs.read import (
+    KEYS,
+    LONGEST_PERIOD_NS,
+    NO_FOREARM,
+    NOT_MEASURED,
+    OF_CLOCK,
+    OF_HANDS,
+    OF_LOG,
+    SHORTEST_PERIOD_NS,
+    hand_facts,
+    joint_facts,
+    said_of_joints,
+)
+from safety_harness.logs.streams import NS
+from safety_harness.robot.description import ArmModel
+from safety_harness.robot.robots import arm_model
+from safety_harness.scenario.codec import Tree, scalar_text
+from safety_harness.scenario.compose import MAX_BYTES
+from safety_harness.scenario.fields import Field, Fields
+from safety_harness.scenario.files import decode, read_bytes
+from safety_harness.scenario.kinds import FileKind, refuse_other_kind
+from safety_harness.scenario.model import MAX_HANDS, Scenario
+from safety_harness.scenario.nodes import Mapping, Node, Scalar, parse_tree
+from safety_harness.scenario.nodes import Sequence as Items
+from safety_harness.scenario.read import scenario_of
+from safety_harness.scenario.robots import read_robot, robot_seen_from
+from safety_harness.scenario.units import TIME, format_quantity
+from safety_harness.scenario.write import text_of
+from safety_harness.settings import DEFAULTS
+
+TAKEN = """\
+clock: {hands are ahead by: 0 ms, known to: 5 ms}
+joints: {known to: 0.1 deg, longest gap: 100 ms}
+hands: {forearm: FOREARM, longest gap: 200 ms, moves at most: 2 m/s, known to: 20 mm}
+"""  # where no LOG.yaml says it; the speed is a reaching hand's, ISO 13855
+
+
+@dataclass(frozen=True)
+class WatchedHand:
+    """A hand's name, and whether its elbow is measured, or there is no forearm, or neither."""
+
+    name: str
+    elbow: bool
+    forearm: bool
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class WatchedCell:
+    """Arm and settings (those of ``scenario``), hands by name, and how well all that is known, as of a log."""
+
+    said: Field
+    scenario: Scenario
+    joint_facts: JointFacts
+    hands: tuple[WatchedHand, ...]
+    hand_facts: HandFacts
+    hands_ahead_ns: int
+    clock_known_to_s: float
+    period_ns: int
+
+    @cached_property
+    def arm(self) -> ArmModel:
+        """The arm without its capsules."""
+        return arm_model(self.scenario.robot)
+
+    @property
+    def period_s(self) -> float:
+        """From tick to tick."""
+        return self.period_ns / NS
+
+    def log_text(self, joints: str, hands: Sequence[str], claims: Sequence[str]) -> str:
+        """The LOG.yaml of ``joints`` and ``hands``, tables of what came, judged by ``claims``."""
+        said = _tree_of(self.said.node)
+        assert isinstance(said, dict)
+        file = log_file(self.said)
+        if file is not None and isinstance(text := said.get("robot"), str):
+            said["robot"] = scalar_text(robot_seen_from(Path("/"), text.strip('"'), file.parent.absolute()))
+        names = [scalar_text(hand.name) for hand in self.hands]
+        forearms: dict[str, Tree] = {
+            name: scalar_text(
+                f"{table}#elbow" if hand.elbow else NOT_MEASURED if hand.forearm else NO_FOREARM
+            )
+            for name, hand, table in zip(names, self.hands, hands, strict=True)
+        }
+        streams = {name: scalar_text(f"{table}#hand") for name, table in zip(names, hands, strict=True)}
+        kept = {key: said[key] for key in KEYS if key in said}
+        of_joints, of_hands = dict(kept.get("joints", {})), dict(kept.get("hands", {}))  # type: ignore[arg-type]
+        for table in (of_joints, of_hands):
+            for key in ("names", "unit", "time", "frame"):
+                table.pop(key, None)
+        kept["log"] = {"joints": joints, "hands": streams, "period": format_quantity(self.period_s, TIME)}
+        if of_joints:
+            kept["joints"] = of_joints
+        kept["hands"] = of_hands | {"forearm": forearms, "frame": "base"}
+        kept["claims"] = [scalar_text(one) for one in claims]
+        return text_of(kept)
+
+
+def read_cell(path: Path, claims: Sequence[str] = ()) -> WatchedCell:
+    """The cell of a LOG.yaml, whose streams are not opened; ``claims`` in place of its own.
+
+    InputError with its place for what cannot be used.
+    """
+    refuse_other_kind(path, FileKind.LOG, error=LogError)
+    data = read_bytes(path, most=MAX_BYTES, place=Place(file=path), error=LogError)
+    text = decode(data, most=MAX_BYTES, file=path, error=LogError)
+    return _cell_of(Field(parse_tree(text, path), path, path="", line=1), claims)
+
+
+def cell_taken(robot: str, hands: Sequence[str], period: str, claims: Sequence[str]) -> WatchedCell:
+    """One of which nobody said how well it is known: ``TAKEN`` says it."""
+    streams = ", ".join(f"{scalar_text(name)}: none" for name in hands)
+    text = f"log: {{joints: none, hands: {{{streams}}}, period: {scalar_text(period)}}}\n"
+    text += TAKEN.replace("FOREARM", "taken") + f"robot: {scalar_text(robot)}\n"
+    return _cell_of(Field(parse_tree(text, None), None, path="", line=1), claims)
+
+
+def _cell_of(said: Field, claims: Sequence[str]) -> WatchedCell:
+    given = said.fields(KEYS)
+    streams = given.required("log").fields(OF_LOG)
+    period = streams.optional("period")
+    period_s = DEFAULTS.clock.control_period_s
+    if period is not None:
+        period_s = period.quantity(TIME, least=SHORTEST_PERIOD_NS / NS, most=LONGEST_PERIOD_NS / NS)
+    of_hands = given.required("hands").fields(OF_HANDS)
+    clock = given.required("clock").fields(OF_CLOCK)
+    if claims:
+        node = Items(tuple(Scalar(one, 1) for one in claims), 1)
+        said = Field(_with(said.node, "claims", node), said.file, path="", line=1)
+        given = said.fields(KEYS)
+    scenario = _scenario(given, period_s, said)
+    return WatchedCell(
+        said=said,
+        scenario=scenario,
+        joint_facts=joint_facts(said_of_joints(given), arm_model(scenario.robot)),
+        hands=_hands(streams.required("hands"), of_hands.required("forearm")),
+        hand_facts=hand_facts(of_hands),
+        hands_ahead_ns=round(clock.required(OF_CLOCK[0]).quantity(TIME) * NS),
+        clock_known_to_s=clock.required(OF_CLOCK[1]).quantity(TIME, least=0.0),
+        period_ns=round(period_s * NS),
+    )
+
+
+def _hands(field: Field, forearm: Field) -> tuple[WatchedHand, ...]:
+    named = isinstance(field.node, Mapping)
+    names = [name for name, _ in field.entries("hands by their names")] if named else ["hand"]
+    if not 0 < len(names) <= MAX_HANDS:
+        raise field.error(f"1 to {MAX_HANDS} hands", got=str(len(names)))
+    found = []
+    for name in names:
+        own = forearm
+        if isinstance(forearm.node, Mapping):
+            own = forearm.fields(tuple(names)).required(name)
+        text = own.scalar("the elbow's stream, not measured, or none")
+        found.append(WatchedHand(name, text not in (NOT_MEASURED, NO_FOREARM), text != NO_FOREARM))
+    return tuple(found)
+
+
+def _scenario(given: Fields, period_s: float, said: Field) -> Scenario:
+    """Arm, settings and claims as a scenario has them."""
+    robot = given.optional("robot")
+    arm = arm_model(read_robot(robot, {})) if robot is not None else None
+    start: Tree = ["0 deg"] * (len(arm.joint_names) if arm else 6)
+    texts: dict[str, Node] = {
+        "scenario": Scalar("a cell that is watched", 1),
+        "duration": Scalar("1 s", 1),
+        "avoider": Scalar(RECORDED, 1),
+        "tcp start": parse_tree(text_of({"joints": start}), None),
+        "settings": settings_with(period_s, given.optional("settings")),
+        "claims": claims_of(given.optional("claims")),
+    }
+    for key in ("robot", "obstacles"):
+        if (field := given.optional(key)) is not None:
+            texts[key] = field.node
+    tree = Mapping(tuple((Scalar(key, 1), node) for key, node in texts.items()), 1)
+    return scenario_of(tree, log_file(said), name="monitor", claims_required=False)
+
+
+def _with(tree: Node, key: str, value: Node) -> Node:
+    assert isinstance(tree, Mapping)
+    kept = tuple(pair for pair in tree.entries if pair[0].text != key)
+    return Mapping((*kept, (Scalar(key, 1), value)), tree.line)
+
+
+def _tree_of(node: Node) -> Tree:
+    if isinstance(node, Mapping):
+        return {scalar_text(key.text): _tree_of(value) for key, value in node.entries}
+    if isinstance(node, Items):
+        return [_tree_of(item) for item in node.items]
+    return scalar_text(node.text)

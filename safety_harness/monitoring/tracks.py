@@ -1,0 +1,218 @@
+"""Samples of one thing as they come, straight between them, and within how much of that the true one was.
+
+The bounds are those of a log that ends now (``logs.certain``), sample by sample: between two samples by
+``logs.reach``, after the last one by the greatest speed, up to half of the longest gap.  Times are in
+nanoseconds since the first joints.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.logs.model import HandFacts, JointFacts
+from safety_harness.logs.reach import ROUNDING_M, body_off_m, joint_off_rad, rate_off
+from safety_harness.logs.streams import NS, SHORTEST_STEP_NS
+
+Values = NDArray[np.float64]
+
+
+class Jump(ValueError):
+    """A way from one sample to the next that is not possible at the speed that is said."""
+
+
+class WithinByTick:
+    """``logs.reach.over_ticks``, sample by sample: bounds at ticks, and ticks at which nothing is known."""
+
+    def __init__(self, longest_ns: int, period_ns: int) -> None:
+        self._longest_ns, self._period_ns = longest_ns, period_ns
+        self._off: dict[int, float] = {}
+        self._lost: dict[int, None] = {}
+        self.oldest = 0
+
+    def add(self, begin_ns: int, end_ns: int, off: float) -> None:
+        """From one sample to the next it was within ``off`` of the line between them."""
+        first, last = begin_ns // self._period_ns, -(-end_ns // self._period_ns)
+        if end_ns - begin_ns > self._longest_ns:
+            self._lost |= dict.fromkeys(range(max(first + 1, self.oldest), last))
+            return
+        for tick in range(max(first, self.oldest), last + 1):
+            self._off[tick] = max(self._off.get(tick, 0.0), off)
+
+    def at(self, tick: int) -> float | None:
+        """At a tick; None where nothing is known."""
+        return None if tick in self._lost else self._off.get(tick, 0.0)
+
+    def forget(self, before: int) -> None:
+        """Of ticks before this one nothing is asked again."""
+        self.oldest = before
+        for kept in (self._off, self._lost):
+            while kept and (tick := next(iter(kept))) < before:
+                del kept[tick]
+
+
+class JointTrack:
+    """The joints: their position, speed and what both may be off, at ticks that a sample has come for."""
+
+    def __init__(self, facts: JointFacts, period_ns: int) -> None:
+        self._facts, self._period_ns = facts, period_ns
+        longest_ns = round(facts.longest_gap_s * NS)
+        self._within, self._rate_within = (WithinByTick(longest_ns, period_ns) for _ in range(2))
+        self._bends: dict[int, float] = {}
+        self.last: tuple[int, Values, Values | None] | None = None
+        self._before: tuple[int, Values, Values | None] | None = None
+        self.slope: Values | None = None  # from the sample before to the last
+
+    def refuse_jump(self, time_ns: int, position_rad: Values) -> None:
+        """Jump if a joint cannot have got there since the last sample."""
+        if self.last is not None:
+            step_s = (time_ns - self.last[0]) / NS
+            way, most = np.abs(position_rad - self.last[1]), self._facts.move_at_most_radps
+            fast = way - step_s * most - 2.0 * self._facts.known_to_rad
+            if fast.max() > 0.0:
+                joint = int(fast.argmax())
+                raise Jump(
+                    f"joint {joint + 1} turn {np.degrees(way[joint]):.4g} deg in {step_s * 1e3:.4g} ms, "
+                    f"which can {np.degrees(most[joint]):.4g} deg/s"
+                )
+
+    def add(self, time_ns: int, position_rad: Values, rates_radps: Values | None) -> None:
+        """A sample that is later than the last one."""
+        sample, before = (time_ns, position_rad, rates_radps), self.last
+        self._before, self.last = before, sample
+        if before is None:
+            self._within.add(0, 0, self._facts.known_to_rad)
+            return
+        step_s, facts = (time_ns - before[0]) / NS, self._facts
+        slope, steps = (position_rad - before[1])[None] / step_s, np.array([step_s])
+        bounds = {"most": facts.move_at_most_radps, "hardest": facts.accelerate_at_most_radps2}
+        off = joint_off_rad(slope, steps, sample_rad=facts.known_to_rad, **bounds)  # type: ignore[arg-type]
+        self._within.add(before[0], time_ns, float(off[0]))
+        if facts.speeds_known_to_radps is None:
+            off = rate_off(slope, steps, sample=facts.known_to_rad, **bounds)  # type: ignore[arg-type]
+        else:
+            assert rates_radps is not None and before[2] is not None
+            fastest = np.maximum(np.abs(rates_radps), np.abs(before[2])) + facts.move_at_most_radps
+            hard = facts.accelerate_at_most_radps2
+            more = float(fastest.max()) if hard is None else hard * step_s / 2.0
+            off = np.array([facts.speeds_known_to_radps + more])
+        self._rate_within.add(before[0], time_ns, float(off[0]))
+        if self.slope is not None and before[0] % self._period_ns:
+            cell = before[0] // self._period_ns
+            bend = float(np.abs(slope[0] - self.slope).max()) * self._period_ns / NS / 4.0
+            self._bends[cell] = self._bends.get(cell, 0.0) + bend
+        self.slope = slope[0]
+
+    def at(self, tick_ns: int) -> tuple[Values, Values]:
+        """Position and speed at a time from the sample before the last one on, up to the last."""
+        assert self.last is not None
+        time_ns, position_rad, rates_radps = self.last
+        if self._before is None or self.slope is None:
+            return position_rad, rates_radps if rates_radps is not None else np.zeros_like(position_rad)
+        share = (tick_ns - self._before[0]) / (time_ns - self._before[0])
+        position = (
+            position_rad if share == 1.0 else self._before[1] + share * (position_rad - self._before[1])
+        )
+        if self._facts.speeds_known_to_radps is None:
+            return position, self.slope
+        assert rates_radps is not None and self._before[2] is not None
+        return position, self._before[2] + share * (rates_radps - self._before[2])
+
+    def off(self, tick: int) -> tuple[float, float] | None:
+        """Within how much position and speed are known at a tick; None if nothing is."""
+        within, rate = self._within.at(tick), self._rate_within.at(tick)
+        if within is None or rate is None:
+            return None
+        if self.slope is None:  # one sample alone
+            rate = float(self._facts.move_at_most_radps.max())
+        return within + max(self._bends.get(tick, 0.0), self._bends.get(tick - 1, 0.0)), rate
+
+    def forget(self, before: int) -> None:
+        """Of ticks before this one nothing is asked again."""
+        self._within.forget(before)
+        self._rate_within.forget(before)
+        while self._bends and (cell := next(iter(self._bends))) < before - 1:
+            del self._bends[cell]
+
+
+class BodyTrack:
+    """A hand or an elbow."""
+
+    def __init__(self, facts: HandFacts, clock_known_to_s: float, period_ns: int) -> None:
+        self._facts, self._clock_s, self._period_ns = facts, clock_known_to_s, period_ns
+        self._longest_ns = round(facts.longest_gap_s * NS)
+        self._sample_m = facts.known_to_m + facts.moves_at_most_mps * clock_known_to_s + ROUNDING_M
+        self._within = WithinByTick(self._longest_ns, period_ns)
+        self.samples: deque[tuple[int, Values]] = deque()
+        self._first_ns: int | None = None
+        self.lost = False  # since the last sample
+
+    def takes(self, time_ns: int) -> bool:
+        """Is it later than the last one?"""
+        return not self.samples or time_ns - self.samples[-1][0] >= SHORTEST_STEP_NS
+
+    def refuse_jump(self, time_ns: int, position_m: Values) -> None:
+        """Jump if a hand cannot have got there since the last sample."""
+        if self.samples:
+            before_ns, before_m = self.samples[-1]
+            step_s, way_m = (time_ns - before_ns) / NS, float(np.linalg.norm(position_m - before_m))
+            most = self._facts.moves_at_most_mps
+            if way_m > most * (step_s + 2.0 * self._clock_s) + 2.0 * self._facts.known_to_m + ROUNDING_M:
+                raise Jump(f"it go {way_m * 1e3:.4g} mm in {step_s * 1e3:.4g} ms, which can {most:g} m/s")
+
+    def add(self, time_ns: int, position_m: Values) -> None:
+        """A sample that is later than the last one."""
+        if self.samples:
+            before_ns, before_m = self.samples[-1]
+            way_m = np.array([np.linalg.norm(position_m - before_m)])
+            steps, most = np.array([(time_ns - before_ns) / NS]), self._facts.moves_at_most_mps
+            off = body_off_m(way_m, steps, most_mps=most, sample_m=self._sample_m)
+            self._within.add(before_ns, time_ns, float(off[0]))
+        else:
+            self._first_ns = time_ns
+        self.samples.append((time_ns, position_m))
+        self.lost = False
+
+    def at(self, tick: int) -> tuple[Values, float] | None:
+        """Where it was at a tick, and within how much; None if that is not known."""
+        if not self.samples or self._first_ns is None:
+            return None
+        time_ns, last_ns = tick * self._period_ns, self.samples[-1][0]
+        within = self._within.at(tick)
+        away_ns = max(self._first_ns - time_ns, time_ns - last_ns)
+        if within is None or away_ns > self._longest_ns // 2 or (self.lost and time_ns > last_ns):
+            return None
+        if away_ns > -self._period_ns:
+            most = self._facts.moves_at_most_mps
+            within = max(within, most * (away_ns + self._period_ns) / NS + self._sample_m)
+        return self.between(time_ns), within
+
+    def between(self, time_ns: int) -> Values:
+        """The place at a time on the line between its samples."""
+        after = self.samples[-1]
+        if time_ns >= after[0]:
+            return after[1]
+        for before in reversed(self.samples):
+            if before[0] <= time_ns:
+                share = (time_ns - before[0]) / (after[0] - before[0])
+                return before[1] + share * (after[1] - before[1])
+            after = before
+        return after[1]
+
+    def corners(self, begin_ns: int, end_ns: int) -> list[int]:
+        """The times of samples between two times."""
+        found = []
+        for time_ns, _ in reversed(self.samples):
+            if time_ns <= begin_ns:
+                break
+            if time_ns < end_ns:
+                found.append(time_ns)
+        return found
+
+    def forget(self, before: int) -> None:
+        """Of ticks before this one nothing is asked again."""
+        self._within.forget(before)
+        while len(self.samples) > 1 and self.samples[1][0] <= before * self._period_ns:
+            self.samples.popleft()
