@@ -90,7 +90,7 @@ def log_of(said: Field, *, name: str, align: bool = False) -> CellLog:
     hand_facts, ahead_ns, known_to_s = None, 0, 0.0
     if "hands" in streams:
         of_hands = given.required("hands").fields(OF_HANDS)
-        hand_facts = hand_facts(of_hands)
+        hand_facts = facts_of_hands(of_hands)
         if not align:
             clock = given.required("clock").fields(OF_CLOCK)
             ahead_ns = round(clock.required(OF_CLOCK[0]).quantity(TIME) * NS)
@@ -160,7 +160,7 @@ class _Reading:
 
     def joint_facts(self, joints: LogSamples) -> JointFacts:
         """What is said of the joints, and by how much a slip would show."""
-        facts = joint_facts(self._said_of_joints(), self.arm)
+        facts = facts_of_joints(self._said_of_joints(), self.arm)
         _refuse_jumping_joints(joints, facts, self.arm.joint_names)
         return facts
 
@@ -270,7 +270,7 @@ def said_of_joints(given: Fields) -> Fields:
     return Fields(given.whole, {}) if field is None else field.fields(OF_JOINTS)
 
 
-def joint_facts(said: Fields, arm: ArmModel) -> JointFacts:
+def facts_of_joints(said: Fields, arm: ArmModel) -> JointFacts:
     """What is said of the joints below the key of that name."""
     most = arm.velocity_limit_radps.copy()
     if (field := said.optional("move at most")) is not None:
@@ -286,7 +286,7 @@ def joint_facts(said: Fields, arm: ArmModel) -> JointFacts:
     )
 
 
-def hand_facts(said: Fields) -> HandFacts:
+def facts_of_hands(said: Fields) -> HandFacts:
     """What is said of the hands below the key of that name."""
     return HandFacts(
         known_to_m=said.required("known to").quantity(LENGTH, least=0.0),

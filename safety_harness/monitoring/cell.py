@@ -19,8 +19,8 @@ from safety_harness.logs.read import (
     OF_HANDS,
     OF_LOG,
     SHORTEST_PERIOD_NS,
-    hand_facts,
-    joint_facts,
+    facts_of_hands,
+    facts_of_joints,
     said_of_joints,
 )
 from safety_harness.logs.streams import NS
@@ -143,9 +143,9 @@ def _cell_of(said: Field, claims: Sequence[str]) -> WatchedCell:
     return WatchedCell(
         said=said,
         scenario=scenario,
-        joint_facts=joint_facts(said_of_joints(given), arm_model(scenario.robot)),
+        joint_facts=facts_of_joints(said_of_joints(given), arm_model(scenario.robot)),
         hands=_hands(streams.required("hands"), of_hands.required("forearm")),
-        hand_facts=hand_facts(of_hands),
+        hand_facts=facts_of_hands(of_hands),
         hands_ahead_ns=round(clock.required(OF_CLOCK[0]).quantity(TIME) * NS),
         clock_known_to_s=clock.required(OF_CLOCK[1]).quantity(TIME, least=0.0),
         period_ns=round(period_s * NS),

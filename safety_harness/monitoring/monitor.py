@@ -40,7 +40,7 @@ class StreamCounts:
 
     lines: int = 0
     refused: int = 0  # that cannot be used, or not all of it
-    out_of_order: int = 0  # lines that came after later ones, and were put in order
+    out_of_order: int = 0  # joints or hands that came after later ones: in time to be put in order, or late
     late: int = 0  # joints or hands older than what was used, left out
     repeated: int = 0  # joints or hands of the same time as what was used, left out
     ticks: int = 0
@@ -94,7 +94,8 @@ class Monitor:
         self._exact = float(period.numerator), float(period.denominator)
         self._told: list[tuple[Verdict, Verdict] | None] = [None] * len(self.claims)
         self._waiting: list[tuple[float, int, Sample]] = []
-        self._newest_s = -np.inf
+        self._newest_s = -np.inf  # on the joints' clock
+        self._latest_of: dict[str, float] = {}  # joints, and each hand
         self._origin_ns: int | None = None
         self._early: deque[tuple[int, Sample]] = deque(maxlen=WAITING_HANDS)
         self._moments: deque[Moment] = deque(maxlen=revisable + 1)
@@ -111,9 +112,8 @@ class Monitor:
             hint = error.hint
             if not measured and hand_distance.words in error.got:
                 hint = "the forearm is not measured, and may be anywhere about the hand"
-            raise FormulaError(
-                place=error.place, expected=error.expected, got=f'{error.got}, in "{sentence}"', hint=hint
-            ) from None
+            got = error.got if sentence in error.got else f'{error.got}, in "{sentence}"'
+            raise FormulaError(place=error.place, expected=error.expected, got=got, hint=hint) from None
 
     def take(self, line: bytes) -> Iterator[Change]:
         """The next line; StreamError if it, or part of it, cannot be used, which is counted."""
@@ -124,18 +124,26 @@ class Monitor:
             sample = read_sample(
                 line, number, joints=len(self.cell.arm.joint_names), hands=names, speeds=speeds
             )
-            if -np.inf < self._newest_s + FARTHEST_AHEAD_S < sample.time_s:
+            time_s = sample.time_s - self._ahead_s(sample)
+            if -np.inf < self._newest_s + FARTHEST_AHEAD_S < time_s:
                 expected = f"a time within {FARTHEST_AHEAD_S:g} s of the latest one, {self._newest_s:.10g} s"
                 hint = "a clock that jumped is another run: begin again"
                 raise line_error(number, "time_s", expected, f"{sample.time_s:.10g} s", hint)
         except StreamError:
             self.counts.refused += 1
             raise
-        self.counts.out_of_order += sample.time_s < self._newest_s
-        self._newest_s = max(self._newest_s, sample.time_s)
-        heapq.heappush(self._waiting, (sample.time_s, number, sample))
+        kinds = {"joints"} if sample.joint_position_rad is not None else set()
+        for kind in kinds | sample.hands.keys():
+            self.counts.out_of_order += sample.time_s < self._latest_of.get(kind, -np.inf)
+            self._latest_of[kind] = max(sample.time_s, self._latest_of.get(kind, -np.inf))
+        self._newest_s = max(self._newest_s, time_s)
+        heapq.heappush(self._waiting, (time_s, number, sample))
         while self._waiting and self._waiting[0][0] <= self._newest_s - self.wait_s:
             yield from self._use(*heapq.heappop(self._waiting)[1:])
+
+    def _ahead_s(self, sample: Sample) -> float:
+        """How much more a line shows than the joints' clock: one of hands alone is on theirs."""
+        return self.cell.hands_ahead_ns / NS if sample.joint_position_rad is None else 0.0
 
     def silent(self) -> Iterator[Change]:
         """Nothing came for the longest gap of the joints: nothing is known now."""
