@@ -64,7 +64,7 @@ def monitor(
     ] = None,
     part: Annotated[int, Option(help="Size of a part of the log, in MB.", min=1, metavar="MB")] = 100,
     keep: Annotated[int, Option(help="How many parts are kept; the oldest are deleted.", min=2)] = 10,
-    as_json: Annotated[
+    json_lines: Annotated[
         bool, Option("--json", help="A JSON object a line in place of lines for people.")
     ] = False,
 ) -> int:
@@ -100,13 +100,13 @@ def monitor(
         own.journal = Journal(cell=watched, claims=sentences, folder=out, most_bytes=part * 10**6, keep=keep)
     say(NO_SAFETY_FUNCTION)
     if cell is None:
-        say(f"taken, as no LOG.yaml says it: {'; '.join(TAKEN.splitlines())}")
+        say(f"taken, as no LOG.yaml says it: {'; '.join(TAKEN.format('measured').splitlines())}")
     told, interrupted = 0, False
     try:
         for line in lines_of(sys.stdin.buffer, watched.joint_facts.longest_gap_s):
             try:
                 for change in own.silent() if line is None else own.take(line):
-                    _say(change, as_json)
+                    _say(change, json_lines)
             except StreamError as error:
                 told += 1
                 if told <= REFUSED_TOLD:
@@ -115,7 +115,7 @@ def monitor(
                     say("further lines that cannot be used are counted, and not told")
     except KeyboardInterrupt:
         interrupted = True
-    return _ended(own, as_json=as_json, interrupted=interrupted)
+    return _ended(own, as_json=json_lines, interrupted=interrupted)
 
 
 def _cell(
@@ -154,7 +154,7 @@ def lines_of(stream: IO[bytes], patience_s: float) -> Iterator[bytes | None]:
         waiting = selectors.DefaultSelector()
         waiting.register(source, selectors.EVENT_READ)
     except (OSError, ValueError):  # of a test, or a regular file, which never lets one wait
-        yield from stream
+        yield from (line for line in stream if line.strip())
         return
     rest, cut = b"", False
     while True:

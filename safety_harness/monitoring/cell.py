@@ -41,9 +41,9 @@ from safety_harness.scenario.write import text_of
 from safety_harness.settings import DEFAULTS
 
 TAKEN = """\
-clock: {hands are ahead by: 0 ms, known to: 5 ms}
-joints: {known to: 0.1 deg, longest gap: 100 ms}
-hands: {forearm: FOREARM, longest gap: 200 ms, moves at most: 2 m/s, known to: 20 mm}
+clock: {{hands are ahead by: 0 ms, known to: 5 ms}}
+joints: {{known to: 0.1 deg, accelerate at most: 40 rad/s2, longest gap: 100 ms}}
+hands: {{forearm: {}, longest gap: 200 ms, moves at most: 2 m/s, known to: 20 mm}}
 """  # where no LOG.yaml says it; the speed is a reaching hand's, ISO 13855
 
 
@@ -122,7 +122,7 @@ def cell_taken(robot: str, hands: Sequence[str], period: str, claims: Sequence[s
     """One of which nobody said how well it is known: ``TAKEN`` says it."""
     streams = ", ".join(f"{scalar_text(name)}: none" for name in hands)
     text = f"log: {{joints: none, hands: {{{streams}}}, period: {scalar_text(period)}}}\n"
-    text += TAKEN.replace("FOREARM", "taken") + f"robot: {scalar_text(robot)}\n"
+    text += TAKEN.format("measured") + f"robot: {scalar_text(robot)}\n"
     return _cell_of(Field(parse_tree(text, None), None, path="", line=1), claims)
 
 

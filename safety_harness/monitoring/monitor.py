@@ -12,10 +12,12 @@ from collections import deque
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
 from fractions import Fraction
+from math import inf
 
 import numpy as np
 
 from safety_harness.exceptions import FormulaError, StreamError
+from safety_harness.formulas.claim import GRAVEST
 from safety_harness.formulas.signals import hand_distance
 from safety_harness.logs.streams import NS, SHORTEST_STEP_NS
 from safety_harness.monitoring.cell import WatchedCell
@@ -93,8 +95,9 @@ class Monitor:
         period = Fraction(repr(cell.period_s))  # as it is written, in decimals: so elapsed time has it
         self._exact = float(period.numerator), float(period.denominator)
         self._told: list[tuple[Verdict, Verdict] | None] = [None] * len(self.claims)
+        self._better_since_s = [inf] * len(self.claims)
         self._waiting: list[tuple[float, int, Sample]] = []
-        self._newest_s = -np.inf  # on the joints' clock
+        self._newest_s = -inf  # on the joints' clock
         self._latest_of: dict[str, float] = {}  # joints, and each hand
         self._origin_ns: int | None = None
         self._early: deque[tuple[int, Sample]] = deque(maxlen=WAITING_HANDS)
@@ -125,7 +128,7 @@ class Monitor:
                 line, number, joints=len(self.cell.arm.joint_names), hands=names, speeds=speeds
             )
             time_s = sample.time_s - self._ahead_s(sample)
-            if -np.inf < self._newest_s + FARTHEST_AHEAD_S < time_s:
+            if -inf < self._newest_s + FARTHEST_AHEAD_S < time_s:
                 expected = f"a time within {FARTHEST_AHEAD_S:g} s of the latest one, {self._newest_s:.10g} s"
                 hint = "a clock that jumped is another run: begin again"
                 raise line_error(number, "time_s", expected, f"{sample.time_s:.10g} s", hint)
@@ -134,8 +137,8 @@ class Monitor:
             raise
         kinds = {"joints"} if sample.joint_position_rad is not None else set()
         for kind in kinds | sample.hands.keys():
-            self.counts.out_of_order += sample.time_s < self._latest_of.get(kind, -np.inf)
-            self._latest_of[kind] = max(sample.time_s, self._latest_of.get(kind, -np.inf))
+            self.counts.out_of_order += sample.time_s < self._latest_of.get(kind, -inf)
+            self._latest_of[kind] = max(sample.time_s, self._latest_of.get(kind, -inf))
         self._newest_s = max(self._newest_s, time_s)
         heapq.heappush(self._waiting, (time_s, number, sample))
         while self._waiting and self._waiting[0][0] <= self._newest_s - self.wait_s:
@@ -299,11 +302,20 @@ class Monitor:
                     track.forget(before)
 
     def _changes(self, silence: str = "") -> Iterator[Change]:
+        """What is worse is told at once, what is better when it lasted for the hands' longest gap.
+
+        A verdict that is close comes and goes with every sample of a hand.
+        """
         for number, claim in enumerate(self.claims):
             change = self._change(claim, silence)
-            now = change.verdict, change.latest
-            if now != self._told[number]:
-                self._told[number] = now
+            now, told = (change.verdict, change.latest), self._told[number]
+            if now == told:
+                self._better_since_s[number] = inf
+                continue
+            since_s = self._better_since_s[number] = min(self._better_since_s[number], self.time_s)
+            worse = told is None or any(map(_worse, now, told))
+            if worse or self.time_s - since_s >= self.cell.hand_facts.longest_gap_s:
+                self._told[number], self._better_since_s[number] = now, inf
                 yield change
 
     def _change(self, claim: WatchedClaim, silence: str = "") -> Change:
@@ -322,6 +334,10 @@ class Monitor:
             unit=part.unit.symbol,
             reason=silence or (part.reason(signals) if signals else "nothing came yet"),
         )
+
+
+def _worse(now: Verdict, told: Verdict) -> bool:
+    return GRAVEST.index(now) < GRAVEST.index(told)
 
 
 def _unless_violated(verdict: Verdict) -> Verdict:
