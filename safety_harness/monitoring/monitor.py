@@ -213,9 +213,8 @@ class Monitor:
                 if track is None or place is None or (body == "elbow" and track is tracks.hand):
                     continue
                 if not track.takes(at_ns):
-                    repeated = at_ns > track.samples[-1][0] - SHORTEST_STEP_NS
-                    self.counts.repeated += repeated
-                    self.counts.late += not repeated
+                    if body == "hand":
+                        self._count_late(at_ns - track.samples[-1][0])
                     continue
                 position_m = np.array(place)
                 try:
@@ -234,14 +233,16 @@ class Monitor:
                 self.journal.hand(name, time_ns, place, elbow if used[1] else None)
         return problems
 
+    def _count_late(self, later_ns: int) -> None:
+        self.counts.repeated += later_ns > -SHORTEST_STEP_NS
+        self.counts.late += later_ns <= -SHORTEST_STEP_NS
+
     def _use_joints(self, time_ns: int, sample: Sample) -> None:
         """The next ticks, up to a sample's time; Jump if it cannot be."""
         track, position_rad = self._joints, sample.joint_position_rad
         assert position_rad is not None
         if track.last is not None and time_ns - track.last[0] < SHORTEST_STEP_NS:
-            repeated = time_ns > track.last[0] - SHORTEST_STEP_NS
-            self.counts.repeated += repeated
-            self.counts.late += not repeated
+            self._count_late(time_ns - track.last[0])
             return
         position = np.array(position_rad)
         track.refuse_jump(time_ns, position)
