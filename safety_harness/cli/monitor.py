@@ -30,7 +30,7 @@ def monitor(
     cell: Annotated[
         Path | None,
         Argument(
-            help="A LOG.yaml that says how well the cell is known, and its claims. Its streams are not opened.",
+            help="A LOG.yaml: how well the cell is known, and its claims. Its streams are not opened.",
             metavar="[LOG.yaml]",
             show_default=False,
         ),

@@ -7,8 +7,8 @@ older is final.  Each operator without a window is a recursion from the end,
 
     v[k] = max(b[k], min(a[k], v[k + 1]))        always: min(a[k], v[k + 1]), eventually: max(b[k], v[k + 1])
 
-a monotone function, of minima and maxima, of the values v of all such operators one tick later.  So the margin
-at the first tick is one of those at the oldest tick that is kept, in the normal form
+a monotone function, of minima and maxima, of the values v of all such operators one tick later.  So the
+margin at the first tick is one of those at the oldest tick that is kept, in the normal form
 
     p(v) = max over subsets S of min(c[S], min of v[i] for i in S)
 
@@ -85,8 +85,8 @@ def refuse_endless(formula: Formula, period_s: float) -> None:
 class Prefix:
     """The least margin of ``formula`` at the first tick (``sign`` 1), or of its negation (-1), so far.
 
-    Its largest margin is the negation's least with the other sign.  ``tree`` has the margins at the ticks that
-    are kept, as those after the latest are unknown.  The latest tick and ``revisable`` ones before it may be
+    Its largest margin is the negation's least with the other sign.  ``tree`` has the margins at the ticks
+    that are kept, as those after the latest are unknown.  The latest tick and ``revisable`` ones before it may be
     known better later.  FormulaError as of ``refuse_endless``.
     """
 
@@ -108,8 +108,8 @@ class Prefix:
         """The next tick: the least and largest margin there of every comparison and truth.
 
         ``revised`` are those of the ticks before it, the latest of them last, of which more is known now.
-        ``margin`` is what follows, and ``latest`` what that operator asks at the latest tick whose windows have
-        passed, if an "always" or a "whenever" is the outermost one.
+        ``margin`` is what follows, and ``latest`` what that operator asks at the latest tick whose windows
+        have passed, if an "always" or a "whenever" is the outermost one.
         """
         if self._end == self._kept_ticks * 2 + 4:
             for kept in self._kept.values():
@@ -121,7 +121,7 @@ class Prefix:
             self._forget(self.tree)
 
     def revise(self, latest: Sequence[Bounds]) -> None:
-        """More is known of the ``latest`` ticks, the last of them last; of older ones than are kept, nothing."""
+        """More is known of the ``latest`` ticks, the last of them last; older ones than are kept stay."""
         for at, bounds in enumerate(reversed(latest), start=1):
             if self._end - at < self._begin:
                 break
@@ -153,7 +153,7 @@ class Prefix:
         self._begin += 1
 
     def _by_the_next(self, tree: Margins, sign: int) -> Polynomial:
-        """The least margin of ``tree`` (or of its negation) at the oldest tick, by the recursions' at the next."""
+        """The least margin of ``tree`` (or its negation) at the oldest tick, by the recursions' at the next."""
         formula, parts = tree.formula, tree.parts
         if not any(True for _ in _endless_in(tree, sign)):
             return self._constant(_of(tree, sign, 0))

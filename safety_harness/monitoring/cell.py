@@ -58,7 +58,7 @@ class WatchedHand:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class WatchedCell:
-    """Arm and settings (those of ``scenario``), hands by name, and how well all that is known, as of a log."""
+    """Arm and settings (of ``scenario``), hands by name, and how well all that is known, as of a log."""
 
     said: Field
     scenario: Scenario
@@ -95,7 +95,7 @@ class WatchedCell:
         }
         streams = {name: scalar_text(f"{table}#hand") for name, table in zip(names, hands, strict=True)}
         kept = {key: said[key] for key in KEYS if key in said}
-        of_joints, of_hands = dict(kept.get("joints", {})), dict(kept.get("hands", {}))  # type: ignore[arg-type]
+        of_joints, of_hands = dict(kept.get("joints", {})), dict(kept.get("hands", {}))
         for table in (of_joints, of_hands):
             for key in ("names", "unit", "time", "frame"):
                 table.pop(key, None)

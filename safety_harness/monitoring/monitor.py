@@ -53,7 +53,7 @@ class StreamCounts:
 
 @dataclass(frozen=True, kw_only=True)
 class Change:
-    """A claim's verdict on the run so far, or what it says of the latest tick, is another one from here on."""
+    """A claim's verdict on the run so far, or what it says of the latest tick, is another from here on."""
 
     time_s: float
     claim: str

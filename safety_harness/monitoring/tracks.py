@@ -93,7 +93,8 @@ class JointTrack:
         if facts.speeds_known_to_radps is None:
             off = rate_off(slope, steps, sample=facts.known_to_rad, **bounds)  # type: ignore[arg-type]
         else:
-            assert rates_radps is not None and before[2] is not None
+            assert rates_radps is not None
+            assert before[2] is not None
             fastest = np.maximum(np.abs(rates_radps), np.abs(before[2])) + facts.move_at_most_radps
             hard = facts.accelerate_at_most_radps2
             more = float(fastest.max()) if hard is None else hard * step_s / 2.0
@@ -117,7 +118,8 @@ class JointTrack:
         )
         if self._facts.speeds_known_to_radps is None:
             return position, self.slope
-        assert rates_radps is not None and self._before[2] is not None
+        assert rates_radps is not None
+        assert self._before[2] is not None
         return position, self._before[2] + share * (rates_radps - self._before[2])
 
     def off(self, tick: int) -> tuple[float, float] | None:

@@ -53,7 +53,7 @@ class WatchedClaim:
 
     @property
     def latest(self) -> Verdict:
-        """Of the latest tick of which it can be told, where a claim asks every tick; else of the run so far."""
+        """Of the latest tick that can be told, where a claim asks every tick; else of the run so far."""
         return _gravest([part.latest for part in self.parts])
 
     @property

@@ -61,7 +61,7 @@ def watched_and_judged(
 
 
 def disagreements(seed: int, seconds: float = 0.9) -> tuple[list[str], int, int]:
-    """What contradicts ``judge`` or the truth; how many claims ``judge`` decides, and how many the monitor."""
+    """What contradicts ``judge`` or the truth; how many claims ``judge`` and the monitor decide."""
     with TemporaryDirectory() as folder:
         online, offline, trace, one = watched_and_judged(seed, Path(folder), seconds)
     found = []
