@@ -83,33 +83,33 @@ def refuse_endless(formula: Formula, period_s: float) -> None:
 
 
 class Prefix:
-    """The least margin of ``formula`` at the first tick (``sign`` 1), or of its negation (-1), so far.
+    """The ``least`` and largest (``most``) margin of ``formula`` at the first tick, so far.
 
-    Its largest margin is the negation's least with the other sign.  ``tree`` has the margins at the ticks
-    that are kept, as those after the latest are unknown.  The latest tick and ``revisable`` ones before it may be
-    known better later.  FormulaError as of ``refuse_endless``.
+    ``tree`` has the margins at the ticks that are kept, as those after the latest are unknown.  The latest tick
+    and ``revisable`` ones before it may be known better later.  FormulaError as of ``refuse_endless``.
     """
 
-    def __init__(self, formula: Formula, period_s: float, sign: int, revisable: int = 1) -> None:
+    def __init__(self, formula: Formula, period_s: float, revisable: int = 1) -> None:
         refuse_endless(formula, period_s)
         self.formula = formula.body if isinstance(formula, Initially) else formula
-        self.margin = -np.inf
+        self.least, self.most = -np.inf, np.inf
         self.tree: Margins
-        self.latest: float | None = None
-        self._reach, self._period_s, self._sign = reach_ticks(self.formula, period_s), period_s, sign
+        self.latest: tuple[float, float] | None = None
+        self._reach, self._period_s = reach_ticks(self.formula, period_s), period_s
         self._kept_ticks = self._reach + revisable  # beside the latest, and one that is let go
         self._atoms = [n for n in dict.fromkeys(self.formula.nodes()) if isinstance(n, Comparison | Truth)]
-        self._variables = {key: i for i, key in enumerate(dict.fromkeys(_endless(self.formula, sign)))}
         self._kept = {atom: np.empty((2, 2 * self._kept_ticks + 4)) for atom in self._atoms}
         self._begin = self._end = 0
-        self._earlier: Polynomial | None = None  # the formula at the first tick, by what is kept
+        alone = _asks_every_tick(self.formula) and sum(map(is_endless, self.formula.nodes())) == 1
+        side = _Running if alone else _Side
+        self._low, self._high = side(self.formula, 1), side(self.formula, -1)
 
     def step(self, bounds: Bounds, revised: Sequence[Bounds] = ()) -> None:
         """The next tick: the least and largest margin there of every comparison and truth.
 
         ``revised`` are those of the ticks before it, the latest of them last, of which more is known now.
-        ``margin`` is what follows, and ``latest`` what that operator asks at the latest tick whose windows
-        have passed, if an "always" or a "whenever" is the outermost one.
+        ``least`` and ``most`` are what follows, and ``latest`` both of what an "always" or a "whenever" asks, if
+        it is the outermost one, at the latest tick whose windows have passed.
         """
         if self._end == self._kept_ticks * 2 + 4:
             for kept in self._kept.values():
@@ -118,7 +118,9 @@ class Prefix:
         self._end += 1
         self.revise([*revised, bounds])
         if self._end - self._begin - 1 > self._kept_ticks:
-            self._forget(self.tree)
+            self._low.forget(self.tree)
+            self._high.forget(self.tree)
+            self._begin += 1
 
     def revise(self, latest: Sequence[Bounds]) -> None:
         """More is known of the ``latest`` ticks, the last of them last; older ones than are kept stay."""
@@ -127,13 +129,50 @@ class Prefix:
                 break
             for atom, kept in self._kept.items():
                 kept[:, self._end - at] = bounds(atom)
-        slices = {atom: kept[:, self._begin : self._end] for atom, kept in self._kept.items()}
-        self.tree = margins(self.formula, lambda atom: MarginBounds(*slices[atom]), self._period_s)
-        self.margin = self._now(self.tree)
+        slices = {
+            atom: MarginBounds(kept[0, self._begin : self._end], kept[1, self._begin : self._end])
+            for atom, kept in self._kept.items()
+        }
+        self.tree = margins(self.formula, slices.__getitem__, self._period_s)
+        self.least, self.most = self._low.now(self.tree), -self._high.now(self.tree)
         passed = self._end - self._begin - 1 - self._reach
-        self.latest = _asked(self.tree, self._sign, passed) if passed >= 0 else None
+        if passed >= 0 and _asks_every_tick(self.formula):
+            self.latest = _asked(self.tree, 1, passed), -_asked(self.tree, -1, passed)
 
-    def _now(self, tree: Margins) -> float:
+
+def _asks_every_tick(formula: Formula) -> bool:
+    return isinstance(formula, Globally) or (isinstance(formula, Always) and formula.span is None)
+
+
+class _Running:
+    """The least margin of a formula at the first tick, or of its negation (``sign`` -1).
+
+    Of an "always" or a "whenever" that is the only operator without a window: that of all ticks so far.
+    """
+
+    def __init__(self, formula: Formula, sign: int) -> None:
+        self._sign, self._gravest = sign, min if sign > 0 else max
+        self._earlier = sign * np.inf
+
+    def now(self, tree: Margins) -> float:
+        """By the ticks that are kept, and those before them."""
+        return self._gravest(self._earlier, _of(tree, self._sign, 0))
+
+    def forget(self, tree: Margins) -> None:
+        """Let the oldest tick that is kept go, whose windows have passed."""
+        self._earlier = self._gravest(self._earlier, _asked(tree, self._sign, 0))
+
+
+class _Side:
+    """The same of any formula: by the polynomial of the operators without a window."""
+
+    def __init__(self, formula: Formula, sign: int) -> None:
+        self._sign = sign
+        self._variables = {key: i for i, key in enumerate(dict.fromkeys(_endless(formula, sign)))}
+        self._earlier: Polynomial | None = None  # the formula at the first tick, by what is kept
+
+    def now(self, tree: Margins) -> float:
+        """By the ticks that are kept, and those before them."""
         if self._earlier is None:
             return _of(tree, self._sign, 0)
         values = np.empty(len(self._variables))
@@ -141,8 +180,8 @@ class Prefix:
             values[self._variables[id(node.formula), sign]] = _of(node, sign, 0)
         return float(_value(self._earlier, values))
 
-    def _forget(self, tree: Margins) -> None:
-        """Let the oldest tick go, whose windows have passed."""
+    def forget(self, tree: Margins) -> None:
+        """Let the oldest tick that is kept go, whose windows have passed."""
         if self._earlier is None:
             self._earlier = self._by_the_next(tree, self._sign)
         else:
@@ -150,7 +189,6 @@ class Prefix:
             for node, sign in _endless_in(tree, self._sign):
                 steps[self._variables[id(node.formula), sign]] = self._by_the_next(node, sign)
             self._earlier = _substituted(self._earlier, steps)
-        self._begin += 1
 
     def _by_the_next(self, tree: Margins, sign: int) -> Polynomial:
         """The least margin of ``tree`` (or its negation) at the oldest tick, by the recursions' at the next."""
@@ -200,15 +238,12 @@ def _of(tree: Margins, sign: int, tick: int) -> float:
     return float(tree.bounds.low[tick] if sign > 0 else -tree.bounds.high[tick])
 
 
-def _asked(tree: Margins, sign: int, tick: int) -> float | None:
+def _asked(tree: Margins, sign: int, tick: int) -> float:
     """What an "always" or a "whenever" that stands outermost asks at a tick."""
-    match tree.formula:
-        case Always(span=None):
-            return _of(tree.parts[0], sign, tick)
-        case Globally():
-            bounds = where_triggered(tree.parts[0].bounds, tree.parts[1].bounds)
-            return float(bounds.low[tick] if sign > 0 else -bounds.high[tick])
-    return None
+    if isinstance(tree.formula, Globally):
+        bounds = where_triggered(tree.parts[0].bounds, tree.parts[1].bounds)
+        return float(bounds.low[tick] if sign > 0 else -bounds.high[tick])
+    return _of(tree.parts[0], sign, tick)
 
 
 @compiled

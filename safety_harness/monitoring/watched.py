@@ -8,9 +8,12 @@ from math import inf, isnan
 
 from safety_harness.formulas.claim import GRAVEST
 from safety_harness.formulas.formula import (
+    Comparison,
     Formula,
     Globally,
     Initially,
+    Not,
+    Truth,
     Until,
     parts_of,
     shown_in,
@@ -73,8 +76,11 @@ class WatchedPart:
         self.part, self.unit = part, unit_of(part)
         self.verdict = self.latest = Verdict.INCONCLUSIVE
         self.margin: float | None = None
-        self._between, self._at_ticks = (Prefix(part, period_s, sign, revisable) for sign in (1, -1))
-        self._end = Prefix(part.second, period_s, -1, revisable) if isinstance(part, Until) else None
+        self._ways = _ways(part)
+        single = all(len(ways) == 1 for ways in self._ways.values())
+        self._least = Prefix(part, period_s, revisable)
+        self._most = self._least if single else Prefix(part, period_s, revisable)
+        self._end = Prefix(part.second, period_s, revisable) if isinstance(part, Until) else None
         self._signals = signals_of(part)
         self._untried = set(self._signals)  # yet
         if isinstance(part, Globally):
@@ -83,26 +89,46 @@ class WatchedPart:
 
     def see(self, moments: Sequence[Moment], *, grown: bool) -> None:
         """As ``WatchedClaim.see``."""
-        at_ticks = [partial(margin_at, signals=one.signals, cell=False) for one in moments]
-        between = [partial(margin_at, signals=one.signals, cell=True) for one in moments]
-        for prefix, bounds in ((self._between, between), (self._at_ticks, at_ticks), (self._end, at_ticks)):
-            if prefix is not None and grown:
+        signals = [moment.signals for moment in moments]
+        at_ticks = [partial(self._margin, one, (False, False)) for one in signals]
+        asked = [(self._least, [partial(self._margin, one, (True, True)) for one in signals])]
+        if self._most is self._least:
+            asked = [(self._least, [partial(self._margin, one, (True, False)) for one in signals])]
+        else:
+            asked.append((self._most, at_ticks))
+        if self._end is not None:
+            asked.append((self._end, at_ticks))
+        for prefix, bounds in asked:
+            if grown:
                 prefix.step(bounds[-1], bounds[:-1])
-            elif prefix is not None:
+            else:
                 prefix.revise(bounds)
         for moment in moments:
             self._exercise(moment)
         if isinstance(self.part, Globally):
-            self._asked |= bool((self._at_ticks.tree.parts[0].bounds.low >= 0.0).any())
-        least, most = self._between.margin, -self._at_ticks.margin
+            self._asked |= bool((self._most.tree.parts[0].bounds.low >= 0.0).any())
+        least, most = self._least.least, self._most.most
         self.verdict = _verdict(least, most)
         if self.verdict is Verdict.HOLDS and not self.exercised:
             self.verdict = Verdict.INCONCLUSIVE
         margin = most if most < 0.0 else least
         self.margin = margin if abs(margin) < inf else None
         self.latest = self.verdict
-        if self._between.latest is not None and self._at_ticks.latest is not None:
-            self.latest = _verdict(self._between.latest, -self._at_ticks.latest)
+        if self._least.latest is not None and self._most.latest is not None:
+            self.latest = _verdict(self._least.latest[0], self._most.latest[1])
+
+    def _margin(
+        self, signals: Signals, cells: tuple[bool, bool], atom: Comparison | Truth
+    ) -> tuple[float, float]:
+        """The least and largest margin of a comparison, that of the formula's least and largest from ``cells``.
+
+        The least margin of a formula is of what may be from tick to tick, the largest of the ticks alone: the
+        low of a comparison decides the one, or the other if it stands below a "not" or in a trigger.
+        """
+        low, high = cells if 1 in self._ways.get(atom, ()) else cells[::-1]
+        if low is high:
+            return margin_at(atom, signals, cell=low)
+        return margin_at(atom, signals, cell=low)[0], margin_at(atom, signals, cell=high)[1]
 
     def _exercise(self, moment: Moment) -> None:
         """As ``formulas.claim`` counts it."""
@@ -115,16 +141,31 @@ class WatchedPart:
     @property
     def exercised(self) -> bool:
         """An "until" that may end at the first tick asks nothing."""
-        if self._end is not None and -self._end.margin >= 0.0:
+        if self._end is not None and self._end.most >= 0.0:
             return False
         return self._asked and not self._untried
 
     def reason(self, now: Signals) -> str:
         """What is measured of its signals at the latest tick, and what keeps a verdict from being one."""
         words = ", ".join(_told(signal, now[signal]) for signal in self._signals)
-        if self.verdict is Verdict.INCONCLUSIVE and self._between.margin >= 0.0:
+        if self.verdict is Verdict.INCONCLUSIVE and self._least.least >= 0.0:
             return f"never exercised yet: {words}"
         return words
+
+
+def _ways(formula: Formula, sign: int = 1) -> dict[Comparison | Truth, set[int]]:
+    """Of each comparison whether the formula's margin rises with its own (1), falls (-1), or both.
+
+    Of a trigger the other bound counts, which is as if it fell.
+    """
+    if isinstance(formula, Comparison | Truth):
+        return {formula: {sign}}
+    found: dict[Comparison | Truth, set[int]] = {}
+    for part in formula.parts:
+        turned = isinstance(formula, Not) or (isinstance(formula, Globally) and part is formula.trigger)
+        for atom, ways in _ways(part, -sign if turned else sign).items():
+            found.setdefault(atom, set()).update(ways)
+    return found
 
 
 def _gravest(verdicts: Sequence[Verdict]) -> Verdict:

@@ -59,14 +59,13 @@ def until_tick(run: Run, tick: int) -> Run:
 @given(claims, runs(1, 24))
 def test_every_prefix_has_the_margin_of_a_whole_run(formula: Formula, run: Run) -> None:
     try:
-        least, most = Prefix(formula, PERIOD_S, 1), Prefix(formula, PERIOD_S, -1)
+        prefix = Prefix(formula, PERIOD_S)
     except FormulaError:
         assume(False)
     for tick in range(len(run["x"])):
-        least.step(at(run, tick))
-        most.step(at(run, tick))
+        prefix.step(at(run, tick))
         whole = margins_of(formula, until_tick(run, tick)).bounds
-        assert (least.margin, -most.margin) == (whole.low[0], whole.high[0])
+        assert (prefix.least, prefix.most) == (whole.low[0], whole.high[0])
 
 
 @settings(max_examples=200, deadline=None)
@@ -74,7 +73,7 @@ def test_every_prefix_has_the_margin_of_a_whole_run(formula: Formula, run: Run) 
 def test_the_latest_tick_may_be_known_better_later(formula: Formula, run: Run, seed: int) -> None:
     """As bounds from a tick to the next, which are known one tick later than its value."""
     try:
-        prefix = Prefix(formula, PERIOD_S, 1)
+        prefix = Prefix(formula, PERIOD_S)
     except FormulaError:
         assume(False)
     wider = np.random.default_rng(seed).uniform(0.0, 0.004, len(run["x"]))
@@ -94,17 +93,17 @@ def test_the_latest_tick_may_be_known_better_later(formula: Formula, run: Run, s
             each = [known(tick, tick < now)(atom) for tick in range(now + 1)]
             return MarginBounds(*np.array(each).T)
 
-        assert prefix.margin == margins(formula, whole, PERIOD_S).bounds.low[0]
+        assert prefix.least == margins(formula, whole, PERIOD_S).bounds.low[0]
 
 
 def test_what_is_remembered_does_not_grow() -> None:
-    prefix = Prefix(Always(Eventually(HIGH, Span(ms(0), ms(80)))), PERIOD_S, 1)
+    prefix = Prefix(Always(Eventually(HIGH, Span(ms(0), ms(80)))), PERIOD_S)
     sizes = set()
     for tick in range(2_000):
         prefix.step(lambda _, tick=tick: (float(tick % 10) - 1.0,) * 2)
         sizes.add(sum(kept.size for kept in prefix._kept.values()))
     assert len(sizes) == 1
-    assert prefix.latest == 8.0
+    assert prefix.latest == (8.0, 8.0)
 
 
 @pytest.mark.parametrize(
@@ -131,4 +130,4 @@ def test_only_so_many_operators_without_a_window() -> None:
 
 
 def test_a_prefix_of_nothing_has_no_margin_above_all() -> None:
-    assert Prefix(Always(HIGH), PERIOD_S, 1).margin == -inf
+    assert Prefix(Always(HIGH), PERIOD_S).least == -inf
