@@ -94,13 +94,15 @@ def monitor(
     if not 0.0 <= wait_s <= MOST_WAIT_S:
         raise SettingsError.of_option("--wait", f"a time from 0 to {MOST_WAIT_S:g} s", wait)
     watched = _cell(cell, claim or [], robot, hand, period)
-    own = Monitor(cell=watched, wait_s=wait_s)
+    own = Monitor(cell=watched, wait_s=wait_s, some=not claim)
     if out is not None:
-        sentences = [one.sentence for one in own.claims]
+        sentences = [one.sentence for one in watched.scenario.claims]
         own.journal = Journal(cell=watched, claims=sentences, folder=out, most_bytes=part * 10**6, keep=keep)
     say(NO_SAFETY_FUNCTION)
     if cell is None:
         say(f"taken, as no LOG.yaml says it: {'; '.join(TAKEN.format('measured').splitlines())}")
+    for sentence, reason in own.unwatched.items():
+        say(f"not watched, which judge may tell of the log: {sentence} (expected {reason.expected})")
     told, interrupted = 0, False
     try:
         for line in lines_of(sys.stdin.buffer, watched.joint_facts.longest_gap_s):

@@ -85,8 +85,8 @@ def refuse_endless(formula: Formula, period_s: float) -> None:
 class Prefix:
     """The ``least`` and largest (``most``) margin of ``formula`` at the first tick, so far.
 
-    ``tree`` has the margins at the ticks that are kept, as those after the latest are unknown.  The latest tick
-    and ``revisable`` ones before it may be known better later.  FormulaError as of ``refuse_endless``.
+    ``tree`` has the margins at the ticks that are kept, as those after the latest are unknown.  The latest
+    tick and ``revisable`` ones before it may be known better later.  FormulaError as of ``refuse_endless``.
     """
 
     def __init__(self, formula: Formula, period_s: float, revisable: int = 1) -> None:
@@ -108,8 +108,8 @@ class Prefix:
         """The next tick: the least and largest margin there of every comparison and truth.
 
         ``revised`` are those of the ticks before it, the latest of them last, of which more is known now.
-        ``least`` and ``most`` are what follows, and ``latest`` both of what an "always" or a "whenever" asks, if
-        it is the outermost one, at the latest tick whose windows have passed.
+        ``least`` and ``most`` are what follows, and ``latest`` both of what an "always" or a "whenever" asks,
+        if it is the outermost one, at the latest tick whose windows have passed.
         """
         if self._end == self._kept_ticks * 2 + 4:
             for kept in self._kept.values():
@@ -191,7 +191,7 @@ class _Side:
             self._earlier = _substituted(self._earlier, steps)
 
     def _by_the_next(self, tree: Margins, sign: int) -> Polynomial:
-        """The least margin of ``tree`` (or its negation) at the oldest tick, by the recursions' at the next."""
+        """The least margin of ``tree`` (or its negation) at the oldest tick, by those at the next."""
         formula, parts = tree.formula, tree.parts
         if not any(True for _ in _endless_in(tree, sign)):
             return self._constant(_of(tree, sign, 0))

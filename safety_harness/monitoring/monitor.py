@@ -71,13 +71,17 @@ class Change:
 
 @dataclass(kw_only=True)
 class Monitor:
-    """Watches the claims of ``cell`` on its stream; FormulaError for one that it cannot tell.
+    """Watches the claims of ``cell`` on its stream.
 
-    Lines wait ``wait_s`` of the stream's time for earlier ones.  What is used goes to ``journal``.
+    FormulaError for one that it cannot tell; with ``some`` that is kept in ``unwatched``, and the others are
+    watched, if there are any.  Lines wait ``wait_s`` of the stream's time for earlier ones.  What is used goes
+    to ``journal``.
     """
 
     cell: WatchedCell
     wait_s: float = 0.0
+    some: bool = False
+    unwatched: dict[str, FormulaError] = field(default_factory=dict)
     journal: Journal | None = None
     counts: StreamCounts = field(default_factory=StreamCounts)
 
@@ -90,7 +94,14 @@ class Monitor:
             self._hands[hand.name] = HandTracks(own, elbow if hand.elbow else None if hand.forearm else own)
         self._sensing = Sensing(cell, tuple(self._hands.values()))
         revisable = int((cell.hand_facts.longest_gap_s + LATENCY_S) / cell.period_s) + 4
-        self.claims = [self._watched(one.sentence, revisable) for one in cell.scenario.claims]
+        self.claims: list[WatchedClaim] = []
+        for one in cell.scenario.claims:
+            try:
+                self.claims.append(self._watched(one.sentence, revisable))
+            except FormulaError as error:
+                self.unwatched[one.sentence] = error
+        if self.unwatched and not (self.some and self.claims):
+            raise next(iter(self.unwatched.values()))
         self.time_s = 0.0
         period = Fraction(repr(cell.period_s))  # as it is written, in decimals: so elapsed time has it
         self._exact = float(period.numerator), float(period.denominator)

@@ -43,7 +43,7 @@ _DECODER = msgspec.json.Decoder(Sample)
 
 
 def read_sample(line: bytes, number: int, *, joints: int, hands: Collection[str], speeds: bool) -> Sample:
-    """The sample of a line, the ``number``-th, of an arm of so many ``joints``; StreamError says what is wrong.
+    """The sample of the ``number``-th line, of an arm of so many ``joints``; StreamError says what is wrong.
 
     ``hands`` are those that there may be; with ``speeds`` positions of joints come with their speeds.
     """

@@ -264,7 +264,7 @@ class Sensing:
         return (low, far_m + bend_m + max(below + at for below, at in moved)), to_tcp
 
     def _corners(self, index: int, tick: int, one: HandAt, other: HandAt) -> tuple[list[float], Values]:
-        """When samples of a hand came between two ticks, in parts of a period; and (m, 2, 3) all its places."""
+        """When samples of a hand came between two ticks, in parts of a period; (m, 2, 3) all its places."""
         hand, elbow = self._hands[index]
         begin_ns, end_ns = tick * self._period_ns, (tick + 1) * self._period_ns
         times = sorted({*hand.corners(begin_ns, end_ns), *(elbow or hand).corners(begin_ns, end_ns)})

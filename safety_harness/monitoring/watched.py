@@ -120,10 +120,10 @@ class WatchedPart:
     def _margin(
         self, signals: Signals, cells: tuple[bool, bool], atom: Comparison | Truth
     ) -> tuple[float, float]:
-        """The least and largest margin of a comparison, that of the formula's least and largest from ``cells``.
+        """A comparison's least and largest margin, as the formula's least and largest are asked of ``cells``.
 
-        The least margin of a formula is of what may be from tick to tick, the largest of the ticks alone: the
-        low of a comparison decides the one, or the other if it stands below a "not" or in a trigger.
+        A formula's least margin is of what may be from tick to tick, its largest of the ticks alone; the low
+        of a comparison decides the one, or the other if it stands below a "not" or in a trigger.
         """
         low, high = cells if 1 in self._ways.get(atom, ()) else cells[::-1]
         if low is high:
