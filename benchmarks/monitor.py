@@ -1,10 +1,10 @@
 """How long does a tick of the monitor take, for 1, 5 and 20 claims, beside rtamt's online mode?
 
-Run: python benchmarks/monitor.py [SECONDS] prints the table of MONITOR.md.  A synthetic cell's stream, joints
-at 125 Hz and a hand with its elbow at 30 Hz, goes through the monitor as fast as it takes it: for each tick
-the lines that came since the one before, from JSON to verdicts.  rtamt is handed the distance as a number, in the
-form that it has online for "always": historically.  Between both a loop of a fixed length is timed, which
-shows what the machine adds: ``busy`` is its slowest part of a hundred over its median.
+Run: python benchmarks/monitor.py [SECONDS] prints the table of MONITOR.md. A synthetic cell's stream,
+joints at 125 Hz and a hand with its elbow at 30 Hz, goes through the monitor as fast as it takes it: for
+each tick the lines that came since the one before, from JSON to verdicts. rtamt is handed the distance as a
+number, in the form that it has online for "always": historically. Between both a loop of a fixed length is
+timed, which shows what the machine adds: ``busy`` is its slowest part of a hundred over its median.
 """
 
 from __future__ import annotations

@@ -4,10 +4,11 @@
     source /opt/ros/humble/setup.bash
     python3 ros2_node.py | safety-harness monitor --robot ur10 --claim "always hand distance > 50 mm"
 
-Reads ``sensor_msgs/JointState`` from /joint_states and ``geometry_msgs/PoseStamped`` of a hand and its elbow
-from /hand and /elbow; other topics by remapping: ``--ros-args -r /hand:=/tracker/right``.  Poses have to be in the robot's base frame: one in another frame is left out, with a warning, so that the hand counts as lost.
-Times are those of the headers, not of the arrival.  It needs rclpy of a ROS installation, and nothing of the
-harness.
+Reads ``sensor_msgs/JointState`` from /joint_states and ``geometry_msgs/PoseStamped`` of a hand and its
+elbow from /hand and /elbow; other topics by remapping: ``--ros-args -r /hand:=/tracker/right``. Poses have
+to be in the robot's base frame: one in another frame is left out, with a warning, so that the hand counts
+as lost. Times are those of the headers, not of the arrival. It needs rclpy of a ROS installation, and
+nothing of the harness.
 """
 
 from __future__ import annotations

@@ -59,11 +59,11 @@ def warm_up() -> int:
 
 
 def _watch() -> None:
-    """What a monitor needs beside: an arm at a tick, and operators without a window over ticks that are gone."""
+    """What a monitor needs beside: an arm at a tick, operators without a window over ticks that are gone."""
     own = Monitor(cell=cell_taken("UR10", ["hand"], "8 ms", [WATCHED]))
     places = HandSample((0.9, 0.2, 0.4), (1.2, 0.2, 0.5))
     for tick in range(60):
-        hands = {"hand": places} if tick % 4 == 0 else {}
+        hands: dict[str, HandSample | None] = {"hand": places} if tick % 4 == 0 else {}
         list(own.take(line_of(Sample(tick * 0.008, (0.0, -1.3, 2.0, -2.3, -1.6, 0.0), hands=hands))))
 
 

@@ -74,8 +74,8 @@ class Monitor:
     """Watches the claims of ``cell`` on its stream.
 
     FormulaError for one that it cannot tell; with ``some`` that is kept in ``unwatched``, and the others are
-    watched, if there are any.  Lines wait ``wait_s`` of the stream's time for earlier ones.  What is used goes
-    to ``journal``.
+    watched, if there are any.  Lines wait ``wait_s`` of the stream's time for earlier ones.  What is used
+    goes to ``journal``.
     """
 
     cell: WatchedCell
