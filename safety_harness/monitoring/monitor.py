@@ -1,8 +1,8 @@
 """Samples in, ticks made of them, verdicts out: what a stream does, and what was missing in it.
 
 A tick is judged when joints of its time or later have come.  A hand's place there is what its latest sample
-leaves possible; when its next one comes, the ticks since the last one are judged again by both, as a log of
-all that came would be.
+leaves possible; when its next one has come, the ticks since the last one are judged again by both, beside the
+next tick, as a log of all that came would be.
 """
 
 from __future__ import annotations
@@ -171,6 +171,7 @@ class Monitor:
         """The stream is over: what waits is used."""
         while self._waiting:
             yield from self._use(*heapq.heappop(self._waiting)[1:])
+        yield from self._judge_again()
 
     def verdicts(self) -> list[Change]:
         """Every claim's words at the latest tick."""
@@ -194,8 +195,8 @@ class Monitor:
                 self._use_joints(time_ns - self._origin_ns, sample)
             except Jump as error:
                 problems.append(("joint_position_rad", str(error)))
-        changes = self._judge() if grown else self._judge_again()
-        yield from changes
+        if grown:  # hands alone count when the next joints come
+            yield from self._judge()
         if problems:
             self.counts.refused += 1
             name, got = problems[0]
@@ -236,7 +237,7 @@ class Monitor:
                     continue
                 before_ns = track.samples[-1][0] if track.samples else at_ns
                 track.add(at_ns, position_m)
-                self._stale = max(min(self._stale, before_ns // self.cell.period_ns - 1), 0)
+                self._stale = max(min(self._stale, before_ns // self.cell.period_ns), 0)
                 used[-1] = True
             if self.journal is not None and any(used):
                 elbow = hand.elbow_position_in_base_m
@@ -267,7 +268,7 @@ class Monitor:
             self.journal.joints(time_ns + self._origin_ns, position_rad, sample.joint_velocity_radps)
         self._silent = False
         period_ns = self.cell.period_ns
-        self._stale = max(min(self._stale, before_ns // period_ns - 1), 0)
+        self._stale = max(min(self._stale, before_ns // period_ns), 0)
         if self._moments and before_ns % period_ns == 0 and self._moments[-1].tick == before_ns // period_ns:
             self._moments[-1].rates_radps = track.at(before_ns)[1]
         self.counts.missing += max((time_ns - before_ns) // period_ns - 1, 0)
@@ -284,7 +285,6 @@ class Monitor:
             yield from self._judge_again(grown=True)
             newest = self._moments[-1]
             self.counts.lost += newest.arm is None or None in newest.hands
-        yield from self._judge_again()
 
     def _judge_again(self, *, grown: bool = False) -> Iterator[Change]:
         """The ticks of which more is known."""
