@@ -46,8 +46,8 @@ def monitor(
     hand: Annotated[
         list[str] | None,
         Option(
-            help="A name that a hand has in the stream, 'hand' if none is given; without a LOG.yaml. "
-            "May be repeated.",
+            help="A name that a hand has in the stream, 'hand' if a claim is of hands and none is given; "
+            "without a LOG.yaml. May be repeated.",
             metavar="NAME",
         ),
     ] = None,
@@ -85,7 +85,7 @@ def monitor(
     nothing in the stream could be used; 130: interrupted. The log is kept however it ends.
     """
     from safety_harness.exceptions import Place, SettingsError, StreamError
-    from safety_harness.monitoring.cell import TAKEN
+    from safety_harness.monitoring.cell import taken
     from safety_harness.monitoring.journal import Journal
     from safety_harness.monitoring.monitor import NO_SAFETY_FUNCTION, Monitor
     from safety_harness.scenario.units import TIME, parse_quantity
@@ -100,7 +100,7 @@ def monitor(
         own.journal = Journal(cell=watched, claims=sentences, folder=out, most_bytes=part * 10**6, keep=keep)
     say(NO_SAFETY_FUNCTION)
     if cell is None:
-        say(f"taken, as no LOG.yaml says it: {'; '.join(TAKEN.format('measured').splitlines())}")
+        say(f"taken, as no LOG.yaml says it: {words}")
     for sentence, reason in own.unwatched.items():
         say(f"not watched, which judge may tell of the log: {sentence} (expected {reason.expected})")
     told, interrupted = 0, False
@@ -137,7 +137,8 @@ def _cell(
             hint = "safety-harness monitor --robot ur10 --claim 'always hand distance > 50 mm'"
             raise SettingsError.of_option("monitor", "a LOG.yaml, or --robot", "neither", hint)
         name = robot.upper() if robot.upper() in ("UR10", "UR5", "UR3") else robot
-        found = cell_taken(name, hands or ["hand"], period or "8 ms", claims)
+        named = hands or (["hand"] if any("hand" in claim for claim in claims) else [])
+        found = cell_taken(name, named, period or "8 ms", claims)
     if not found.scenario.claims:
         hint = "--claim 'always hand distance > 50 mm'"
         raise SettingsError.of_option("--claim", "a claim at least, there or in LOG.yaml", "none", hint)

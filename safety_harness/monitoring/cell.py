@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -35,16 +35,17 @@ from safety_harness.scenario.model import MAX_HANDS, Scenario
 from safety_harness.scenario.nodes import Mapping, Node, Scalar, parse_tree
 from safety_harness.scenario.nodes import Sequence as Items
 from safety_harness.scenario.read import scenario_of
-from safety_harness.scenario.robots import read_robot, robot_seen_from
+from safety_harness.scenario.robots import is_arm_file, read_robot
 from safety_harness.scenario.units import TIME, format_quantity
 from safety_harness.scenario.write import text_of
 from safety_harness.settings import DEFAULTS
 
-TAKEN = """\
-clock: {{hands are ahead by: 0 ms, known to: 5 ms}}
-joints: {{known to: 0.1 deg, accelerate at most: 40 rad/s2, longest gap: 100 ms}}
-hands: {{forearm: {}, longest gap: 200 ms, moves at most: 2 m/s, known to: 20 mm}}
+TAKEN_OF_JOINTS = "joints: {known to: 0.1 deg, accelerate at most: 40 rad/s2, longest gap: 100 ms}\n"
+TAKEN_OF_HANDS = """\
+clock: {hands are ahead by: 0 ms, known to: 5 ms}
+hands: {forearm: measured, longest gap: 200 ms, moves at most: 2 m/s, known to: 20 mm}
 """  # where no LOG.yaml says it; the speed is a reaching hand's, ISO 13855
+NO_HANDS = HandFacts(known_to_m=0.0, moves_at_most_mps=0.0, longest_gap_s=0.2)
 
 
 @dataclass(frozen=True)
@@ -84,8 +85,8 @@ class WatchedCell:
         said = _tree_of(self.said.node)
         assert isinstance(said, dict)
         file = log_file(self.said)
-        if file is not None and isinstance(text := said.get("robot"), str):
-            said["robot"] = scalar_text(robot_seen_from(Path("/"), text.strip('"'), file.parent.absolute()))
+        if file is not None and "robot" in said:
+            said["robot"] = _seen_from_anywhere(said["robot"], file.parent.absolute())
         names = [scalar_text(hand.name) for hand in self.hands]
         forearms: dict[str, Tree] = {
             name: scalar_text(
@@ -94,15 +95,18 @@ class WatchedCell:
             for name, hand, table in zip(names, self.hands, hands, strict=True)
         }
         streams = {name: scalar_text(f"{table}#hand") for name, table in zip(names, hands, strict=True)}
-        kept = {key: said[key] for key in KEYS if key in said}
-        of_joints, of_hands = dict(kept.get("joints", {})), dict(kept.get("hands", {}))
+        kept: dict[str, Tree] = {key: said[key] for key in KEYS if key in said}
+        of_joints, of_hands = _table(kept, "joints"), _table(kept, "hands")
         for table in (of_joints, of_hands):
             for key in ("names", "unit", "time", "frame"):
                 table.pop(key, None)
-        kept["log"] = {"joints": joints, "hands": streams, "period": format_quantity(self.period_s, TIME)}
+        log: dict[str, Tree] = {"joints": joints, "period": format_quantity(self.period_s, TIME)}
+        kept["log"] = log
         if of_joints:
             kept["joints"] = of_joints
-        kept["hands"] = of_hands | {"forearm": forearms, "frame": "base"}
+        if self.hands:
+            log["hands"] = streams
+            kept["hands"] = of_hands | {"forearm": forearms, "frame": "base"}
         kept["claims"] = [scalar_text(one) for one in claims]
         return text_of(kept)
 
@@ -119,11 +123,17 @@ def read_cell(path: Path, claims: Sequence[str] = ()) -> WatchedCell:
 
 
 def cell_taken(robot: str, hands: Sequence[str], period: str, claims: Sequence[str]) -> WatchedCell:
-    """One of which nobody said how well it is known: ``TAKEN`` says it."""
+    """One of which nobody said how well it is known: ``taken`` says it."""
     streams = ", ".join(f"{scalar_text(name)}: none" for name in hands)
-    text = f"log: {{joints: none, hands: {{{streams}}}, period: {scalar_text(period)}}}\n"
-    text += TAKEN.format("measured") + f"robot: {scalar_text(robot)}\n"
+    streams = f"hands: {{{streams}}}, " if hands else ""
+    text = f"log: {{joints: none, {streams}period: {scalar_text(period)}}}\n"
+    text += taken(hands) + f"robot: {scalar_text(robot)}\n"
     return _cell_of(Field(parse_tree(text, None), None, path="", line=1), claims)
+
+
+def taken(hands: Sequence[str]) -> str:
+    """What is taken of joints and hands, where nobody says it."""
+    return TAKEN_OF_JOINTS + TAKEN_OF_HANDS * bool(hands)
 
 
 def _cell_of(said: Field, claims: Sequence[str]) -> WatchedCell:
@@ -133,22 +143,31 @@ def _cell_of(said: Field, claims: Sequence[str]) -> WatchedCell:
     period_s = DEFAULTS.clock.control_period_s
     if period is not None:
         period_s = period.quantity(TIME, least=SHORTEST_PERIOD_NS / NS, most=LONGEST_PERIOD_NS / NS)
-    of_hands = given.required("hands").fields(OF_HANDS)
-    clock = given.required("clock").fields(OF_CLOCK)
     if claims:
         node = Items(tuple(Scalar(one, 1) for one in claims), 1)
         said = Field(_with(said.node, "claims", node), said.file, path="", line=1)
         given = said.fields(KEYS)
     scenario = _scenario(given, period_s, said)
-    return WatchedCell(
+    cell = WatchedCell(
         said=said,
         scenario=scenario,
         joint_facts=facts_of_joints(said_of_joints(given), arm_model(scenario.robot)),
-        hands=_hands(streams.required("hands"), of_hands.required("forearm")),
+        hands=(),
+        hand_facts=NO_HANDS,
+        hands_ahead_ns=0,
+        clock_known_to_s=0.0,
+        period_ns=round(period_s * NS),
+    )
+    if (named := streams.optional("hands")) is None:
+        return cell
+    of_hands = given.required("hands").fields(OF_HANDS)
+    clock = given.required("clock").fields(OF_CLOCK)
+    return replace(
+        cell,
+        hands=_hands(named, of_hands.required("forearm")),
         hand_facts=facts_of_hands(of_hands),
         hands_ahead_ns=round(clock.required(OF_CLOCK[0]).quantity(TIME) * NS),
         clock_known_to_s=clock.required(OF_CLOCK[1]).quantity(TIME, least=0.0),
-        period_ns=round(period_s * NS),
     )
 
 
@@ -185,6 +204,24 @@ def _scenario(given: Fields, period_s: float, said: Field) -> Scenario:
             texts[key] = field.node
     tree = Mapping(tuple((Scalar(key, 1), node) for key, node in texts.items()), 1)
     return scenario_of(tree, log_file(said), name="monitor", claims_required=False)
+
+
+def _seen_from_anywhere(robot: Tree, folder: Path) -> Tree:
+    """A robot as a file in another folder has to say it."""
+    if isinstance(robot, str):
+        text = robot.strip('"')
+        return (
+            robot if text.startswith("shipped:") or not is_arm_file(text) else scalar_text(str(folder / text))
+        )
+    assert isinstance(robot, dict)
+    texts = {key: str(robot[key]).strip('"') for key in ("arm", "urdf", "capsules") if key in robot}
+    return robot | {key: scalar_text(str(folder / one)) for key, one in texts.items() if ":" not in one}
+
+
+def _table(tree: dict[str, Tree], key: str) -> dict[str, Tree]:
+    found = tree.get(key, {})
+    assert isinstance(found, dict)
+    return dict(found)
 
 
 def _with(tree: Node, key: str, value: Node) -> Node:

@@ -208,7 +208,7 @@ class Monitor:
         assert self._origin_ns is not None
         problems = []
         at_ns = time_ns - self.cell.hands_ahead_ns - self._origin_ns
-        for name, hand in sample.hands.items():
+        for name, hand in sample.hands.items() if self._hands else ():
             tracks = self._hands[name]
             if hand is None:
                 for track in tracks:

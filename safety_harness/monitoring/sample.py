@@ -45,7 +45,8 @@ _DECODER = msgspec.json.Decoder(Sample)
 def read_sample(line: bytes, number: int, *, joints: int, hands: Collection[str], speeds: bool) -> Sample:
     """The sample of the ``number``-th line, of an arm of so many ``joints``; StreamError says what is wrong.
 
-    ``hands`` are those that there may be; with ``speeds`` positions of joints come with their speeds.
+    ``hands`` are those that there may be; if there are none, nobody asks of hands, and any are left out.
+    With ``speeds`` positions of joints come with their speeds.
     """
     if len(line) > MOST_CHARACTERS:
         raise line_error(number, "line", f"at most {MOST_CHARACTERS:,} characters", f"{len(line):,} or more")
@@ -69,9 +70,9 @@ def read_sample(line: bytes, number: int, *, joints: int, hands: Collection[str]
     if speeds and position is not None and velocity is None:
         expected = "joint_velocity_radps beside it, as the cell's joints have speeds known to"
         raise line_error(number, "joint_position_rad", expected, "none")
-    for name, hand in sample.hands.items():
+    for name, hand in sample.hands.items() if hands else ():
         if name not in hands:
-            expected = f"hands that the monitor was told of: {', '.join(hands) or 'none'}"
+            expected = f"hands that the monitor was told of: {', '.join(hands)}"
             hint = near_miss(name, hands) or "--hand NAME tells it of one"
             raise line_error(number, "hands", expected, name, hint)
         if hand is not None:

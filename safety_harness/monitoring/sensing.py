@@ -210,7 +210,7 @@ class Sensing:
         ways = [
             self._hand_between(index, before, now, way_m, between_m) for index in range(len(before.hands))
         ]
-        for at, signal in enumerate((hand_distance, nearest_hand_to_tcp)):
+        for at, signal in enumerate((hand_distance, nearest_hand_to_tcp) if ways else ()):
             low, high = min(way[at][0] for way in ways), min(way[at][1] for way in ways)
             self._set(found, signal, low, high)
 

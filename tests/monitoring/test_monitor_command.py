@@ -42,13 +42,14 @@ def test_it_says_that_it_is_no_safety_function_and_what_it_takes_for_granted(a_s
     done = monitor(a_stream, "--robot", "ur10", "--claim", LOW)
     assert done.exit_code == 0, done.output
     assert "no safety function" in done.stderr
-    assert "moves at most: 2 m/s" in done.stderr
+    assert "accelerate at most: 40 rad/s2" in done.stderr
     (told,) = done.stdout.splitlines()
     assert told.startswith("1700000000.000 s  holds  always TCP height > 0 mm")
 
 
 def test_lines_for_programs(a_stream: list[bytes]) -> None:
     done = monitor(a_stream, "--robot", "ur10", "--claim", LOW, "--claim", NEAR, "--json")
+    assert "moves at most: 2 m/s" in done.stderr
     told = [json.loads(line) for line in done.stdout.splitlines()]
     assert {one["claim"] for one in told} == {LOW, NEAR}
     assert told[0].keys() == {"time_s", "claim", "verdict", "latest", "margin", "unit", "reason"}
@@ -97,6 +98,26 @@ def test_its_log_is_judged_part_by_part_and_the_oldest_parts_go(tmp_path: Path) 
         assert before[-1] == after[1]  # nothing between two parts is lost
     size = sum(one.stat().st_size for one in parts[0].iterdir() if one.suffix == ".csv")
     assert size < 9_000
+
+
+def test_a_cell_without_hands_has_a_log_without_hands(tmp_path: Path, a_stream: list[bytes]) -> None:
+    joints = [line for line in a_stream if b"joint" in line]
+    done = monitor(joints, "--robot", "ur10", "--claim", LOW, "--out", str(tmp_path / "log"))
+    assert done.exit_code == 0, done.output
+    assert "hands:" not in done.stderr
+    trace = recorded_log(tmp_path / "log" / "0001" / "LOG.yaml").trace
+    assert not trace.scenario.hands
+    assert len(trace.ticks) > 50
+
+
+def test_the_log_names_the_files_of_an_arm_from_where_it_lies(tmp_path: Path) -> None:
+    arm = (Path(__file__).parents[2] / "robots" / "ur10e.yaml").resolve()
+    text = said("joints.csv", "hand.csv", "elbow").replace("UR10", os.path.relpath(arm, tmp_path))
+    (tmp_path / "CELL.yaml").write_text(text)
+    of_file = read_cell(tmp_path / "CELL.yaml", [LOW])
+    (tmp_path / "below").mkdir()
+    (tmp_path / "below" / "LOG.yaml").write_text(of_file.log_text("joints.csv", ["hand.csv"], [LOW]))
+    assert read_cell(tmp_path / "below" / "LOG.yaml").scenario.robot == of_file.scenario.robot
 
 
 def test_a_folder_with_files_in_it_is_left_alone(tmp_path: Path) -> None:
