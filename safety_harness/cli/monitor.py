@@ -100,6 +100,7 @@ def monitor(
         own.journal = Journal(cell=watched, claims=sentences, folder=out, most_bytes=part * 10**6, keep=keep)
     say(NO_SAFETY_FUNCTION)
     if cell is None:
+        words = "; ".join(taken([one.name for one in watched.hands]).splitlines())
         say(f"taken, as no LOG.yaml says it: {words}")
     for sentence, reason in own.unwatched.items():
         say(f"not watched, which judge may tell of the log: {sentence} (expected {reason.expected})")
