@@ -24,6 +24,7 @@ from safety_harness.logs.judging import recorded as recorded_log
 from safety_harness.monitoring.cell import cell_taken, read_cell
 from safety_harness.monitoring.journal import Journal
 from safety_harness.monitoring.monitor import Monitor
+from safety_harness.scenario.robots import OwnRobot
 
 LOW, NEAR = "always TCP height > 0 mm", "always hand distance > 10 mm"
 
@@ -117,7 +118,10 @@ def test_the_log_names_the_files_of_an_arm_from_where_it_lies(tmp_path: Path) ->
     of_file = read_cell(tmp_path / "CELL.yaml", [LOW])
     (tmp_path / "below").mkdir()
     (tmp_path / "below" / "LOG.yaml").write_text(of_file.log_text("joints.csv", ["hand.csv"], [LOW]))
-    assert read_cell(tmp_path / "below" / "LOG.yaml").scenario.robot == of_file.scenario.robot
+    again = read_cell(tmp_path / "below" / "LOG.yaml").scenario.robot
+    assert isinstance(again, OwnRobot)
+    assert isinstance(of_file.scenario.robot, OwnRobot)
+    assert again.texts == of_file.scenario.robot.texts
 
 
 def test_a_folder_with_files_in_it_is_left_alone(tmp_path: Path) -> None:
