@@ -1,10 +1,11 @@
 """How long does a tick of the monitor take, for 1, 5 and 20 claims, beside rtamt's online mode?
 
-Run: python benchmarks/monitor.py [SECONDS] prints the table of MONITOR.md. A synthetic cell's stream,
-joints at 125 Hz and a hand with its elbow at 30 Hz, goes through the monitor as fast as it takes it: for
-each tick the lines that came since the one before, from JSON to verdicts. rtamt is handed the distance as a
-number, in the form that it has online for "always": historically. Between both a loop of a fixed length is
-timed, which shows what the machine adds: ``busy`` is its slowest part of a hundred over its median.
+Run: python benchmarks/monitor.py [SECONDS] prints the table of MONITOR.md.  A synthetic cell's stream, joints
+at 125 Hz and a hand with its elbow at 30 Hz, goes through the monitor as fast as it takes it: for each tick
+the lines that came since the one before, from JSON to verdicts.  *Formulas*: the claims alone, of a distance
+with both its ends.  rtamt is handed the distance as one number, in the form that it has online for "always":
+historically.  After each tick a loop of a fixed length is timed, which shows what the machine adds: *busy* is
+its slowest part of a hundred over its median.
 """
 
 from __future__ import annotations
@@ -28,14 +29,19 @@ sys.path[:0] = [str(ROOT / "tests" / "logs"), str(ROOT / "tests" / "monitoring")
 from cells import cell, recorded, said  # noqa: E402
 from streams import lines  # noqa: E402
 
+from safety_harness.formulas.signals import hand_distance  # noqa: E402
 from safety_harness.monitoring.cell import read_cell  # noqa: E402
 from safety_harness.monitoring.monitor import Monitor  # noqa: E402
+from safety_harness.monitoring.sensing import MEASURED, Known, Moment  # noqa: E402
+from safety_harness.monitoring.watched import WatchedClaim  # noqa: E402
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore", DeprecationWarning)
     import rtamt
 
 SECONDS = 40.0
+PERIOD_S = 0.008
+NOTHING = np.zeros(6)
 FIRST = 200  # ticks that are not counted
 LOOP = 3_000  # steps of the loop of a fixed length
 KINDS = (
@@ -96,6 +102,22 @@ def ours(count: int, stream: list[list[bytes]], folder: Path) -> Iterator[Callab
     assert own.counts.refused == 0
 
 
+def formulas(count: int, stream: list[list[bytes]]) -> Iterator[Callable[[], object]]:
+    """The claims of a tick, of a distance alone."""
+    watched = [
+        WatchedClaim(f"always hand distance > {40 + 10 * k} mm", MEASURED, PERIOD_S, 1) for k in range(count)
+    ]
+    distances = np.random.default_rng(2).uniform(0.1, 1.0, len(stream))
+
+    def work(tick: int) -> Callable[[], object]:
+        low, high = float(distances[tick]) - 0.05, float(distances[tick]) + 0.05
+        moment = Moment(tick, tick * PERIOD_S, NOTHING, NOTHING)
+        moment.signals[hand_distance] = Known(distances[tick], low, high, low, high)
+        return lambda: [claim.see([moment], grown=True) for claim in watched]
+
+    yield from map(work, range(len(stream)))
+
+
 def theirs(count: int, stream: list[list[bytes]]) -> Iterator[Callable[[], object]]:
     """An update of each specification, of a distance."""
     specs = []
@@ -116,8 +138,8 @@ def theirs(count: int, stream: list[list[bytes]]) -> Iterator[Callable[[], objec
 def row(name: str, count: int, times: tuple[np.ndarray, np.ndarray, np.ndarray]) -> str:
     """Of the table."""
     wall, thread, fixed = times
-    parts = [f"{np.quantile(side, q):.2f}" for side, q in ((wall, 0.5), (wall, 0.99), (wall, 1.0))]
-    parts += [f"{np.quantile(thread, q):.2f}" for q in (0.5, 0.99)]
+    parts = [f"{np.quantile(side, q):.3f}" for side, q in ((wall, 0.5), (wall, 0.99), (wall, 1.0))]
+    parts += [f"{np.quantile(thread, q):.3f}" for q in (0.5, 0.99)]
     busy = f"{np.quantile(fixed, 0.99) / np.median(fixed):.1f}"
     return f"| {name} | {count} | " + " | ".join([*parts, busy]) + " |"
 
@@ -130,6 +152,7 @@ def main() -> None:
     with TemporaryDirectory() as folder:
         for count in (1, 5, 20):
             print(row("monitor", count, timed(ours(count, stream, Path(folder)))), flush=True)
+            print(row("formulas", count, timed(formulas(count, stream))), flush=True)
             print(row("rtamt", count, timed(theirs(count, stream))), flush=True)
 
 
