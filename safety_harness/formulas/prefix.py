@@ -97,8 +97,10 @@ class Prefix:
         self.latest: tuple[float, float] | None = None
         self._reach, self._period_s = reach_ticks(self.formula, period_s), period_s
         self._kept_ticks = self._reach + revisable  # beside the latest, and one that is let go
-        self._atoms = [n for n in dict.fromkeys(self.formula.nodes()) if isinstance(n, Comparison | Truth)]
-        self._kept = {atom: np.empty((2, 2 * self._kept_ticks + 4)) for atom in self._atoms}
+        atoms = [node for node in self.formula.nodes() if isinstance(node, Comparison | Truth)]
+        self._kept = {atom: np.empty((2, 2 * self._kept_ticks + 4)) for atom in atoms}
+        self._kept_by_id = {id(atom): self._kept[atom] for atom in atoms}  # hashes of formulas are slow
+        self._each = list(self._kept.items())
         self._begin = self._end = 0
         alone = _asks_every_tick(self.formula) and sum(map(is_endless, self.formula.nodes())) == 1
         side = _Running if alone else _Side
@@ -127,17 +129,17 @@ class Prefix:
         for at, bounds in enumerate(reversed(latest), start=1):
             if self._end - at < self._begin:
                 break
-            for atom, kept in self._kept.items():
-                kept[:, self._end - at] = bounds(atom)
-        slices = {
-            atom: MarginBounds(kept[0, self._begin : self._end], kept[1, self._begin : self._end])
-            for atom, kept in self._kept.items()
-        }
-        self.tree = margins(self.formula, slices.__getitem__, self._period_s)
+            for atom, kept in self._each:
+                kept[0, self._end - at], kept[1, self._end - at] = bounds(atom)
+        self.tree = margins(self.formula, self._bounds, self._period_s)
         self.least, self.most = self._low.now(self.tree), -self._high.now(self.tree)
         passed = self._end - self._begin - 1 - self._reach
         if passed >= 0 and _asks_every_tick(self.formula):
             self.latest = _asked(self.tree, 1, passed), -_asked(self.tree, -1, passed)
+
+    def _bounds(self, atom: Comparison | Truth) -> MarginBounds:
+        low, high = self._kept_by_id[id(atom)]
+        return MarginBounds(low[self._begin : self._end], high[self._begin : self._end])
 
 
 def _asks_every_tick(formula: Formula) -> bool:

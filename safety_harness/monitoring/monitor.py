@@ -319,8 +319,7 @@ class Monitor:
         A verdict that is close comes and goes with every sample of a hand.
         """
         for number, claim in enumerate(self.claims):
-            change = self._change(claim, silence)
-            now, told = (change.verdict, change.latest), self._told[number]
+            now, told = _said(claim, silence), self._told[number]
             if now == told:
                 self._better_since_s[number] = inf
                 continue
@@ -328,14 +327,12 @@ class Monitor:
             worse = told is None or any(map(_worse, now, told))
             if worse or self.time_s - since_s >= self.cell.hand_facts.longest_gap_s:
                 self._told[number], self._better_since_s[number] = now, inf
-                yield change
+                yield self._change(claim, silence)
 
     def _change(self, claim: WatchedClaim, silence: str = "") -> Change:
         """A claim's words at the latest tick; with ``silence`` nothing is known since then."""
         part = claim.deciding
-        verdict, latest = claim.verdict, claim.latest
-        if silence:
-            verdict, latest = (_unless_violated(one) for one in (verdict, Verdict.INCONCLUSIVE))
+        verdict, latest = _said(claim, silence)
         signals = self._moments[-1].signals if self._moments else {}
         return Change(
             time_s=self.time_s,
@@ -352,5 +349,9 @@ def _worse(now: Verdict, told: Verdict) -> bool:
     return GRAVEST.index(now) < GRAVEST.index(told)
 
 
-def _unless_violated(verdict: Verdict) -> Verdict:
-    return verdict if verdict is Verdict.VIOLATED else Verdict.INCONCLUSIVE
+def _said(claim: WatchedClaim, silence: str) -> tuple[Verdict, Verdict]:
+    """On the run so far and of the latest tick; with ``silence`` no more is known than what was violated."""
+    verdict = claim.verdict
+    if silence:
+        return Verdict.VIOLATED if verdict is Verdict.VIOLATED else Verdict.INCONCLUSIVE, Verdict.INCONCLUSIVE
+    return verdict, claim.latest

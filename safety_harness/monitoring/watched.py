@@ -76,8 +76,10 @@ class WatchedPart:
         self.part, self.unit = part, unit_of(part)
         self.verdict = self.latest = Verdict.INCONCLUSIVE
         self.margin: float | None = None
-        self._ways = _ways(part)
-        single = all(len(ways) == 1 for ways in self._ways.values())
+        ways = _ways(part)
+        single = all(len(one) == 1 for one in ways.values())
+        atoms = [node for node in part.nodes() if isinstance(node, Comparison | Truth)]
+        self._rising = {id(atom) for atom in atoms if 1 in ways[atom]}
         self._least = Prefix(part, period_s, revisable)
         self._most = self._least if single else Prefix(part, period_s, revisable)
         self._end = Prefix(part.second, period_s, revisable) if isinstance(part, Until) else None
@@ -125,7 +127,7 @@ class WatchedPart:
         A formula's least margin is of what may be from tick to tick, its largest of the ticks alone; the low
         of a comparison decides the one, or the other if it stands below a "not" or in a trigger.
         """
-        low, high = cells if 1 in self._ways.get(atom, ()) else cells[::-1]
+        low, high = cells if id(atom) in self._rising else cells[::-1]
         if low is high:
             return margin_at(atom, signals, cell=low)
         return margin_at(atom, signals, cell=low)[0], margin_at(atom, signals, cell=high)[1]
