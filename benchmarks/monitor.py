@@ -27,12 +27,12 @@ ROOT = Path(__file__).parents[1]
 sys.path[:0] = [str(ROOT / "tests" / "logs"), str(ROOT / "tests" / "monitoring")]
 
 from cells import cell, recorded, said  # noqa: E402
-from streams import lines  # noqa: E402
+from stream_lines import lines  # noqa: E402
 
 from safety_harness.formulas.signals import hand_distance  # noqa: E402
 from safety_harness.monitoring.cell import read_cell  # noqa: E402
 from safety_harness.monitoring.monitor import Monitor  # noqa: E402
-from safety_harness.monitoring.sensing import MEASURED, Known, Moment  # noqa: E402
+from safety_harness.monitoring.sensing import MEASURED, Known, TickSeen  # noqa: E402
 from safety_harness.monitoring.watched import WatchedClaim  # noqa: E402
 
 with warnings.catch_warnings():
@@ -111,7 +111,7 @@ def formulas(count: int, stream: list[list[bytes]]) -> Iterator[Callable[[], obj
 
     def work(tick: int) -> Callable[[], object]:
         low, high = float(distances[tick]) - 0.05, float(distances[tick]) + 0.05
-        moment = Moment(tick, tick * PERIOD_S, NOTHING, NOTHING)
+        moment = TickSeen(tick, tick * PERIOD_S, NOTHING, NOTHING)
         moment.signals[hand_distance] = Known(distances[tick], low, high, low, high)
         return lambda: [claim.see([moment], grown=True) for claim in watched]
 

@@ -264,7 +264,7 @@ def _least(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[n
 
 @compiled
 def _substituted(whole: NDArray[np.float64], steps: NDArray[np.float64]) -> NDArray[np.float64]:
-    """``whole`` (2^m,) with ``steps[i]`` (m, 2^m) in place of its i-th value."""
+    """``whole`` (2^m,) with ``steps`` (m, 2^m) in place of its values: ``steps[i]`` of the i-th."""
     found = np.full(whole.shape[0], -np.inf)
     for chosen in range(whole.shape[0]):
         if whole[chosen] == -np.inf:

@@ -23,7 +23,7 @@ from safety_harness.logs.streams import NS, SHORTEST_STEP_NS
 from safety_harness.monitoring.cell import WatchedCell
 from safety_harness.monitoring.journal import Journal
 from safety_harness.monitoring.sample import Sample, line_error, read_sample
-from safety_harness.monitoring.sensing import MEASURED, HandTracks, Moment, Sensing
+from safety_harness.monitoring.sensing import MEASURED, HandTracks, TickSeen, Sensing
 from safety_harness.monitoring.tracks import BodyTrack, JointTrack, Jump
 from safety_harness.monitoring.watched import WatchedClaim
 from safety_harness.scenario.model import Verdict
@@ -52,7 +52,7 @@ class StreamCounts:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Change:
+class VerdictChange:
     """A claim's verdict on the run so far, or what it says of the latest tick, is another from here on."""
 
     time_s: float
@@ -112,7 +112,7 @@ class Monitor:
         self._latest_of: dict[str, float] = {}  # joints, and each hand
         self._origin_ns: int | None = None
         self._early: deque[tuple[int, Sample]] = deque(maxlen=WAITING_HANDS)
-        self._moments: deque[Moment] = deque(maxlen=revisable + 1)
+        self._moments: deque[TickSeen] = deque(maxlen=revisable + 1)
         self._next = 0  # tick
         self._stale = 0  # the first tick of which more is known
         self._silent = False
@@ -129,7 +129,7 @@ class Monitor:
             got = error.got if sentence in error.got else f'{error.got}, in "{sentence}"'
             raise FormulaError(place=error.place, expected=error.expected, got=got, hint=hint) from None
 
-    def take(self, line: bytes) -> Iterator[Change]:
+    def take(self, line: bytes) -> Iterator[VerdictChange]:
         """The next line; StreamError if it, or part of it, cannot be used, which is counted."""
         self.counts.lines += 1
         number = self.counts.lines
@@ -159,7 +159,7 @@ class Monitor:
         """How much more a line shows than the joints' clock: one of hands alone is on theirs."""
         return self.cell.hands_ahead_ns / NS if sample.joint_position_rad is None else 0.0
 
-    def silent(self) -> Iterator[Change]:
+    def silent(self) -> Iterator[VerdictChange]:
         """Nothing came for the longest gap of the joints: nothing is known now."""
         if not self._silent and self.counts.ticks:
             self._silent, self.counts.silent = True, self.counts.silent + 1
@@ -167,17 +167,17 @@ class Monitor:
             reason = f"nothing that can be used came for {gap_s * 1e3:g} ms"
             yield from self._changes(reason)
 
-    def end(self) -> Iterator[Change]:
+    def end(self) -> Iterator[VerdictChange]:
         """The stream is over: what waits is used."""
         while self._waiting:
             yield from self._use(*heapq.heappop(self._waiting)[1:])
         yield from self._judge_again()
 
-    def verdicts(self) -> list[Change]:
+    def verdicts(self) -> list[VerdictChange]:
         """Every claim's words at the latest tick."""
         return [self._change(claim) for claim in self.claims]
 
-    def _use(self, number: int, sample: Sample) -> Iterator[Change]:
+    def _use(self, number: int, sample: Sample) -> Iterator[VerdictChange]:
         """StreamError after all that can be used of it was used."""
         time_ns, problems = round(sample.time_s * NS), []
         if sample.joint_position_rad is not None and self._origin_ns is None:
@@ -273,20 +273,20 @@ class Monitor:
             self._moments[-1].rates_radps = track.at(before_ns)[1]
         self.counts.missing += max((time_ns - before_ns) // period_ns - 1, 0)
 
-    def _judge(self) -> Iterator[Change]:
+    def _judge(self) -> Iterator[VerdictChange]:
         """The ticks that joints have come for."""
         assert self._joints.last is not None
         while self._next * self.cell.period_ns <= self._joints.last[0]:
             tick = self._next
             position, rates = self._joints.at(tick * self.cell.period_ns)
             elapsed_s = float(tick) * self._exact[0] / self._exact[1]
-            self._moments.append(Moment(tick, elapsed_s, position, rates))
+            self._moments.append(TickSeen(tick, elapsed_s, position, rates))
             self._next, self.counts.ticks = tick + 1, self.counts.ticks + 1
             yield from self._judge_again(grown=True)
             newest = self._moments[-1]
             self.counts.lost += newest.arm is None or None in newest.hands
 
-    def _judge_again(self, *, grown: bool = False) -> Iterator[Change]:
+    def _judge_again(self, *, grown: bool = False) -> Iterator[VerdictChange]:
         """The ticks of which more is known."""
         moments = [one for one in self._moments if one.tick >= self._stale]
         if not moments:
@@ -313,7 +313,7 @@ class Monitor:
                 if track is not None:
                     track.forget(before)
 
-    def _changes(self, silence: str = "") -> Iterator[Change]:
+    def _changes(self, silence: str = "") -> Iterator[VerdictChange]:
         """What is worse is told at once, what is better when it lasted for the hands' longest gap.
 
         A verdict that is close comes and goes with every sample of a hand.
@@ -329,12 +329,12 @@ class Monitor:
                 self._told[number], self._better_since_s[number] = now, inf
                 yield self._change(claim, silence)
 
-    def _change(self, claim: WatchedClaim, silence: str = "") -> Change:
+    def _change(self, claim: WatchedClaim, silence: str = "") -> VerdictChange:
         """A claim's words at the latest tick; with ``silence`` nothing is known since then."""
         part = claim.deciding
         verdict, latest = _said(claim, silence)
         signals = self._moments[-1].signals if self._moments else {}
-        return Change(
+        return VerdictChange(
             time_s=self.time_s,
             claim=claim.sentence,
             verdict=verdict,

@@ -83,7 +83,7 @@ class HandAt(NamedTuple):
 
 
 @dataclass(eq=False)
-class Moment:
+class TickSeen:
     """A tick, what is known of it now, and the signals that follow."""
 
     tick: int
@@ -115,7 +115,7 @@ class Sensing:
         self._ends = np.empty((len(self._arm.capsules), 2, 3))
         self._room = np.empty((MAX_BISECTIONS + 1, len(self._arm.capsules), 2, 3))
 
-    def see(self, moment: Moment, off: tuple[float, float] | None) -> None:
+    def see(self, moment: TickSeen, off: tuple[float, float] | None) -> None:
         """What is known at a tick, by now; joints and their speeds are ``off`` by so much, None: lost."""
         moment.arm, moment.hands = None, ()
         if off is not None:
@@ -142,7 +142,7 @@ class Sensing:
         off_m = max(hand[1], elbow[1])
         return HandAt(np.array([hand[0], elbow[0]]), hand[1], off_m, distance_m, to_tcp_m)
 
-    def _at_tick(self, moment: Moment) -> None:
+    def _at_tick(self, moment: TickSeen) -> None:
         """As if the run ended there: from the tick to the next is the tick."""
         found = moment.signals
         found.update(dict.fromkeys(MEASURED, UNKNOWN))
@@ -179,7 +179,7 @@ class Sensing:
                 tried = self._settings.avoidance.critical_distance_m - high > 0.0
                 found[signal] = Known(value, low, high, cell_low, beyond, tried)
 
-    def between(self, before: Moment, now: Moment) -> None:
+    def between(self, before: TickSeen, now: TickSeen) -> None:
         """From one tick to the next: what ``before`` has of that."""
         found, one, other = before.signals, before.arm, now.arm
         for signal in (*MEASURED,):
@@ -222,7 +222,7 @@ class Sensing:
         found[signal] = known._replace(cell_low=low, cell_high=high)
 
     def _hand_between(
-        self, index: int, before: Moment, now: Moment, way_m: float, between_m: float
+        self, index: int, before: TickSeen, now: TickSeen, way_m: float, between_m: float
     ) -> tuple[tuple[float, float], tuple[float, float]]:
         """Of one hand: bounds of its distance from the arm, and of its centre's from the TCP."""
         one, other, arm, later = before.hands[index], now.hands[index], before.arm, now.arm

@@ -66,7 +66,7 @@ class JointTrack:
         self.slope: Values | None = None  # from the sample before to the last
 
     def refuse_jump(self, time_ns: int, position_rad: Values) -> None:
-        """Jump if a joint cannot have got there since the last sample."""
+        """Jump if a joint cannot have got there since the last sample; ``position_rad`` (n,)."""
         if self.last is not None:
             step_s = (time_ns - self.last[0]) / NS
             way, most = np.abs(position_rad - self.last[1]), self._facts.move_at_most_radps
@@ -79,7 +79,7 @@ class JointTrack:
                 )
 
     def add(self, time_ns: int, position_rad: Values, rates_radps: Values | None) -> None:
-        """A sample that is later than the last one."""
+        """A sample that is later than the last one: ``position_rad`` (n,), ``rates_radps`` (n,)."""
         sample, before = (time_ns, position_rad, rates_radps), self.last
         self._before, self.last = before, sample
         if before is None:
@@ -156,7 +156,7 @@ class BodyTrack:
         return not self.samples or time_ns - self.samples[-1][0] >= SHORTEST_STEP_NS
 
     def refuse_jump(self, time_ns: int, position_m: Values) -> None:
-        """Jump if a hand cannot have got there since the last sample."""
+        """Jump if it cannot have got to ``position_m`` (3,) since the last sample."""
         if self.samples:
             before_ns, before_m = self.samples[-1]
             step_s, way_m = (time_ns - before_ns) / NS, float(np.linalg.norm(position_m - before_m))
@@ -165,7 +165,7 @@ class BodyTrack:
                 raise Jump(f"it go {way_m * 1e3:.4g} mm in {step_s * 1e3:.4g} ms, which can {most:g} m/s")
 
     def add(self, time_ns: int, position_m: Values) -> None:
-        """A sample that is later than the last one."""
+        """A sample that is later than the last one, at ``position_m`` (3,)."""
         if self.samples:
             before_ns, before_m = self.samples[-1]
             way_m = np.array([np.linalg.norm(position_m - before_m)])

@@ -24,7 +24,7 @@ from safety_harness.formulas.parse import parse_formula
 from safety_harness.formulas.prefix import Prefix
 from safety_harness.formulas.quantities import formula_error
 from safety_harness.formulas.signal import Signal
-from safety_harness.monitoring.sensing import Known, Moment, Signals, margin_at
+from safety_harness.monitoring.sensing import Known, TickSeen, Signals, margin_at
 from safety_harness.properties.base import Unit
 from safety_harness.scenario.model import Verdict
 
@@ -44,7 +44,7 @@ class WatchedClaim:
         self.sentence = str(formula)
         self.parts = [WatchedPart(part, period_s, revisable) for part in parts_of(formula)]
 
-    def see(self, moments: Sequence[Moment], *, grown: bool) -> None:
+    def see(self, moments: Sequence[TickSeen], *, grown: bool) -> None:
         """Of the latest ticks, the last of them last, more is known now; with ``grown`` that one is new."""
         for part in self.parts:
             part.see(moments, grown=grown)
@@ -89,7 +89,7 @@ class WatchedPart:
             self._untried -= set(signals_of(part.trigger))
         self._asked = False
 
-    def see(self, moments: Sequence[Moment], *, grown: bool) -> None:
+    def see(self, moments: Sequence[TickSeen], *, grown: bool) -> None:
         """As ``WatchedClaim.see``."""
         signals = [moment.signals for moment in moments]
         at_ticks = [partial(self._margin, one, (False, False)) for one in signals]
@@ -132,7 +132,7 @@ class WatchedPart:
             return margin_at(atom, signals, cell=low)
         return margin_at(atom, signals, cell=low)[0], margin_at(atom, signals, cell=high)[1]
 
-    def _exercise(self, moment: Moment) -> None:
+    def _exercise(self, moment: TickSeen) -> None:
         """As ``formulas.claim`` counts it."""
         if not isinstance(self.part, Globally | Initially) or (
             isinstance(self.part, Initially) and moment.tick == 0

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cells import cell, recorded, said
-from streams import lines
+from stream_lines import lines
 from typer.testing import CliRunner, Result
 
 from safety_harness.cli.main import app

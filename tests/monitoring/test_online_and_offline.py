@@ -10,7 +10,7 @@ import pytest
 from cells import Cell, cell, recorded, said
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from streams import lines
+from stream_lines import lines
 from truths import FINE_M, FINE_S, truth_at
 
 from safety_harness.formulas.claim import FormulaClaim
@@ -18,7 +18,7 @@ from safety_harness.formulas.parse import parse_formula
 from safety_harness.logs.judging import recorded as recorded_log
 from safety_harness.monitoring.cell import read_cell
 from safety_harness.monitoring.journal import Journal
-from safety_harness.monitoring.monitor import Change, Monitor
+from safety_harness.monitoring.monitor import VerdictChange, Monitor
 from safety_harness.properties.base import Evaluation
 from safety_harness.scenario.model import Verdict
 from safety_harness.trace.trace import Trace
@@ -39,7 +39,7 @@ CLAIMS = [
 
 def watched_and_judged(
     seed: int, folder: Path, seconds: float
-) -> tuple[list[Change], list[Evaluation], Trace, Cell]:
+) -> tuple[list[VerdictChange], list[Evaluation], Trace, Cell]:
     """A cell's stream through the monitor, and the monitor's log through ``judge``."""
     rng = np.random.default_rng(seed)
     one = cell(rng)
