@@ -17,7 +17,7 @@ from safety_harness.cli.options import command
 
 if TYPE_CHECKING:
     from safety_harness.monitoring.cell import WatchedCell
-    from safety_harness.monitoring.monitor import VerdictChange, Monitor
+    from safety_harness.monitoring.monitor import Monitor, VerdictLine
 
 commands = Typer()
 REFUSED_TOLD = 5  # lines that cannot be used; the others are counted
@@ -181,7 +181,7 @@ def lines_of(stream: IO[bytes], patience_s: float) -> Iterator[bytes | None]:
         yield rest
 
 
-def _say(change: VerdictChange, as_json: bool) -> None:
+def _say(change: VerdictLine, as_json: bool) -> None:
     """A line of results."""
     if as_json:
         result(json.dumps(change.told))

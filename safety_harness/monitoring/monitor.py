@@ -23,7 +23,7 @@ from safety_harness.logs.streams import NS, SHORTEST_STEP_NS
 from safety_harness.monitoring.cell import WatchedCell
 from safety_harness.monitoring.journal import Journal
 from safety_harness.monitoring.sample import Sample, line_error, read_sample
-from safety_harness.monitoring.sensing import MEASURED, HandTracks, TickSeen, Sensing
+from safety_harness.monitoring.sensing import MEASURED, HandTracks, Sensing, TickSeen
 from safety_harness.monitoring.tracks import BodyTrack, JointTrack, Jump
 from safety_harness.monitoring.watched import WatchedClaim
 from safety_harness.scenario.model import Verdict
@@ -52,7 +52,7 @@ class StreamCounts:
 
 
 @dataclass(frozen=True, kw_only=True)
-class VerdictChange:
+class VerdictLine:
     """A claim's verdict on the run so far, or what it says of the latest tick, is another from here on."""
 
     time_s: float
@@ -129,7 +129,7 @@ class Monitor:
             got = error.got if sentence in error.got else f'{error.got}, in "{sentence}"'
             raise FormulaError(place=error.place, expected=error.expected, got=got, hint=hint) from None
 
-    def take(self, line: bytes) -> Iterator[VerdictChange]:
+    def take(self, line: bytes) -> Iterator[VerdictLine]:
         """The next line; StreamError if it, or part of it, cannot be used, which is counted."""
         self.counts.lines += 1
         number = self.counts.lines
@@ -159,7 +159,7 @@ class Monitor:
         """How much more a line shows than the joints' clock: one of hands alone is on theirs."""
         return self.cell.hands_ahead_ns / NS if sample.joint_position_rad is None else 0.0
 
-    def silent(self) -> Iterator[VerdictChange]:
+    def silent(self) -> Iterator[VerdictLine]:
         """Nothing came for the longest gap of the joints: nothing is known now."""
         if not self._silent and self.counts.ticks:
             self._silent, self.counts.silent = True, self.counts.silent + 1
@@ -167,17 +167,17 @@ class Monitor:
             reason = f"nothing that can be used came for {gap_s * 1e3:g} ms"
             yield from self._changes(reason)
 
-    def end(self) -> Iterator[VerdictChange]:
+    def end(self) -> Iterator[VerdictLine]:
         """The stream is over: what waits is used."""
         while self._waiting:
             yield from self._use(*heapq.heappop(self._waiting)[1:])
         yield from self._judge_again()
 
-    def verdicts(self) -> list[VerdictChange]:
+    def verdicts(self) -> list[VerdictLine]:
         """Every claim's words at the latest tick."""
         return [self._change(claim) for claim in self.claims]
 
-    def _use(self, number: int, sample: Sample) -> Iterator[VerdictChange]:
+    def _use(self, number: int, sample: Sample) -> Iterator[VerdictLine]:
         """StreamError after all that can be used of it was used."""
         time_ns, problems = round(sample.time_s * NS), []
         if sample.joint_position_rad is not None and self._origin_ns is None:
@@ -273,7 +273,7 @@ class Monitor:
             self._moments[-1].rates_radps = track.at(before_ns)[1]
         self.counts.missing += max((time_ns - before_ns) // period_ns - 1, 0)
 
-    def _judge(self) -> Iterator[VerdictChange]:
+    def _judge(self) -> Iterator[VerdictLine]:
         """The ticks that joints have come for."""
         assert self._joints.last is not None
         while self._next * self.cell.period_ns <= self._joints.last[0]:
@@ -286,7 +286,7 @@ class Monitor:
             newest = self._moments[-1]
             self.counts.lost += newest.arm is None or None in newest.hands
 
-    def _judge_again(self, *, grown: bool = False) -> Iterator[VerdictChange]:
+    def _judge_again(self, *, grown: bool = False) -> Iterator[VerdictLine]:
         """The ticks of which more is known."""
         moments = [one for one in self._moments if one.tick >= self._stale]
         if not moments:
@@ -313,7 +313,7 @@ class Monitor:
                 if track is not None:
                     track.forget(before)
 
-    def _changes(self, silence: str = "") -> Iterator[VerdictChange]:
+    def _changes(self, silence: str = "") -> Iterator[VerdictLine]:
         """What is worse is told at once, what is better when it lasted for the hands' longest gap.
 
         A verdict that is close comes and goes with every sample of a hand.
@@ -329,12 +329,12 @@ class Monitor:
                 self._told[number], self._better_since_s[number] = now, inf
                 yield self._change(claim, silence)
 
-    def _change(self, claim: WatchedClaim, silence: str = "") -> VerdictChange:
+    def _change(self, claim: WatchedClaim, silence: str = "") -> VerdictLine:
         """A claim's words at the latest tick; with ``silence`` nothing is known since then."""
         part = claim.deciding
         verdict, latest = _said(claim, silence)
         signals = self._moments[-1].signals if self._moments else {}
-        return VerdictChange(
+        return VerdictLine(
             time_s=self.time_s,
             claim=claim.sentence,
             verdict=verdict,

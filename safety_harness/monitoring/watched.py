@@ -24,7 +24,7 @@ from safety_harness.formulas.parse import parse_formula
 from safety_harness.formulas.prefix import Prefix
 from safety_harness.formulas.quantities import formula_error
 from safety_harness.formulas.signal import Signal
-from safety_harness.monitoring.sensing import Known, TickSeen, Signals, margin_at
+from safety_harness.monitoring.sensing import Known, Signals, TickSeen, margin_at
 from safety_harness.properties.base import Unit
 from safety_harness.scenario.model import Verdict
 

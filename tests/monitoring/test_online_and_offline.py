@@ -18,7 +18,7 @@ from safety_harness.formulas.parse import parse_formula
 from safety_harness.logs.judging import recorded as recorded_log
 from safety_harness.monitoring.cell import read_cell
 from safety_harness.monitoring.journal import Journal
-from safety_harness.monitoring.monitor import VerdictChange, Monitor
+from safety_harness.monitoring.monitor import Monitor, VerdictLine
 from safety_harness.properties.base import Evaluation
 from safety_harness.scenario.model import Verdict
 from safety_harness.trace.trace import Trace
@@ -39,7 +39,7 @@ CLAIMS = [
 
 def watched_and_judged(
     seed: int, folder: Path, seconds: float
-) -> tuple[list[VerdictChange], list[Evaluation], Trace, Cell]:
+) -> tuple[list[VerdictLine], list[Evaluation], Trace, Cell]:
     """A cell's stream through the monitor, and the monitor's log through ``judge``."""
     rng = np.random.default_rng(seed)
     one = cell(rng)

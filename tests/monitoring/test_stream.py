@@ -11,7 +11,7 @@ import pytest
 
 from safety_harness.exceptions import FormulaError, StreamError
 from safety_harness.monitoring.cell import cell_taken
-from safety_harness.monitoring.monitor import VerdictChange, Monitor
+from safety_harness.monitoring.monitor import Monitor, VerdictLine
 from safety_harness.scenario.model import Verdict
 
 PLACE = {"hand_position_in_base_m": [1.1, 0.2, 0.4], "elbow_position_in_base_m": [1.4, 0.2, 0.5]}
@@ -34,7 +34,7 @@ def line(tick: float, **more: object) -> bytes:
     return json.dumps({"time_s": 100.0 + tick * 0.008, "joint_position_rad": JOINTS} | more).encode()
 
 
-def take(own: Monitor, *lines: bytes) -> list[VerdictChange]:
+def take(own: Monitor, *lines: bytes) -> list[VerdictLine]:
     return [change for one in lines for change in own.take(one)]
 
 
