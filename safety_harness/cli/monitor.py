@@ -31,7 +31,7 @@ def monitor(
         Path | None,
         Argument(
             help="A LOG.yaml: how well the cell is known, and its claims. Its streams are not opened.",
-            metavar="[LOG.yaml]",
+            metavar="LOG.yaml",
             show_default=False,
         ),
     ] = None,

@@ -65,6 +65,7 @@ LOOKS: dict[str, tuple[str, int]] = {
     "show": ("scenario.yaml space.yaml --draws 3", AS_EXPECTED),
     "sample": ("space.yaml --count 2", AS_EXPECTED),
     "log align": ("scenario.yaml --body hand", BAD_INPUT),
+    "monitor": ("scenario.yaml", BAD_INPUT),
     "robot show": ("scenario.yaml", BAD_INPUT),
     "robot fit": ("scenario.yaml --out capsules.json", BAD_INPUT),
     "robot enclose": ("scenario.yaml", BAD_INPUT),

@@ -85,7 +85,7 @@ def disagreements(seed: int, seconds: float = 0.9) -> tuple[list[str], int, int]
     return found, *decided
 
 
-@settings(max_examples=8, deadline=None, derandomize=True)
+@settings(max_examples=4, deadline=None, derandomize=True)
 @given(st.integers(0, 2**32 - 1))
 def test_what_judge_decides_the_monitor_says_too(seed: int) -> None:
     found, judged, watched = disagreements(seed)
