@@ -4,8 +4,8 @@
     .ci/installed.py [PYTHON...|--newest]              ("make installed" makes the wheel before)
 
 PYTHON is an interpreter; without one, those of VERSIONS, on the path or below ~/.pyenv, or the newest of
-them.  One that this machine lacks is said.  Where there is no PyBullet the kinematic world runs.  Ends with 1 if any step does not
-end as it should; what steps printed is shown of those only.
+them.  One that this machine lacks is said.  Where there is no PyBullet the kinematic world runs.  Ends with 1
+if any step does not end as it should; what steps printed is shown of those only.
 """
 
 import os
