@@ -30,7 +30,8 @@ for (const table of document.querySelectorAll("table.sortable")) {
 }
 // A filter before each table that asks for one: a text, and a value of each column whose heading asks for it.  It stands
 // in the address after "#", where a page that is a file may write.  More than MOST_ROWS are laid out only when asked for.
-const MOST_ROWS = 400;
+const narrow = matchMedia("(max-width: 56rem)");
+const MOST_ROWS = narrow.matches ? 40 : 400;
 for (const table of document.querySelectorAll("table[data-filter]")) {
   const headings = [...table.tHead.rows[0].cells];
   let rows = [...table.tBodies[0].rows];
@@ -106,7 +107,6 @@ for (const table of document.querySelectorAll("table[data-filter]")) {
   read();
 }
 // On a narrow screen rows become cards: then each cell says its heading, and what a table's parts are is said too.
-const narrow = matchMedia("(max-width: 56rem)");
 const label = () => {
   if (!narrow.matches) return;
   narrow.removeEventListener("change", label);
