@@ -33,7 +33,7 @@ from safety_harness.report.decisions import (
     overruling_of_each,
     tested_words,
 )
-from safety_harness.report.evidence import JudgedRun, notes_of, tallies
+from safety_harness.report.evidence import JudgedRun, answer, notes_of, tallies
 from safety_harness.report.knowledge import measured_rows
 from safety_harness.report.machine import refused_data
 from safety_harness.report.page_parts import in_words, render_page
@@ -170,31 +170,7 @@ def _summary(runs: Sequence[JudgedRun], *, whole: bool) -> Row:
     fine = whole and not (summary["violated"] or summary["inconclusive"])
     decided = summary["holds"] or summary["violated"]
     tone = "fine" if fine else "plain" if whole and decided else "doubt"
-    return summary | {"answer": _answer(summary), "doubt": _doubt(summary), "tone": tone}
-
-
-def _answer(summary: Row) -> str:
-    """The verdicts in one sentence."""
-    claims, differing = summary["claims"], summary["differing"]
-    parts = [
-        "1 holds" if summary["holds"] == 1 else f"{summary['holds']} hold",
-        _violated_words(summary["violated"], differing),
-        f"{summary['inconclusive']} {'decides' if summary['inconclusive'] == 1 else 'decide'} nothing",
-    ]
-    counts = (summary["holds"], summary["violated"], summary["inconclusive"])
-    there = [words for words, count in zip(parts, counts, strict=True) if count]
-    return f"{claims - differing} of {claims} as expected: {', '.join(there)}."
-
-
-def _violated_words(violated: int, differing: int) -> str:
-    """A violation is foreseen only if nothing came out otherwise."""
-    if differing:
-        return f"{violated} {'is' if violated == 1 else 'are'} violated"
-    return (
-        "1 is a violation that its file expects"
-        if violated == 1
-        else (f"{violated} are violations that the files expect")
-    )
+    return summary | {"answer": answer(runs), "doubt": _doubt(summary), "tone": tone}
 
 
 def _doubt(summary: Row) -> str:
