@@ -7,7 +7,7 @@ BIN := $(VENV)/bin
 INSTALL := -m pip install --quiet --disable-pip-version-check
 HERE := $(BIN)/python $(INSTALL) --constraint requirements.lock
 
-.PHONY: demo test suite long warm check paper bench bench-all others docs wheel oracles mutation mutants bounds release setup clean
+.PHONY: demo test suite long warm check sample paper bench bench-all others docs wheel oracles mutation mutants bounds release setup clean
 
 demo: $(VENV)/installed
 	$(BIN)/safety-harness run scenarios --out reports/demo
@@ -80,6 +80,10 @@ oracles: $(VENV)/tested
 	$(BIN)/python -m pytest -q tests/robot tests/perception tests/servoing tests/formulas tests/learning \
 		tests/avoidance/test_resnet_kernel.py tests/test_proportions.py --oracles plans/oracles.json
 	$(BIN)/python docs/tables.py
+
+# One small page of each kind, into reports/sample/.
+sample: $(VENV)/installed
+	$(BIN)/python docs/sample_reports.py
 
 # Mutants of properties/ and statistics/ that no test notices: hours, resumes; "mutmut results" lists them.
 mutation: $(VENV)/tested
