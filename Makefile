@@ -7,7 +7,7 @@ BIN := $(VENV)/bin
 INSTALL := -m pip install --quiet --disable-pip-version-check
 HERE := $(BIN)/python $(INSTALL) --constraint requirements.lock
 
-.PHONY: demo test suite long warm check paper bench bench-all others docs wheel oracles mutation mutants bounds release setup clean
+.PHONY: demo test suite long warm check sample paper bench bench-all others docs wheel oracles mutation mutants bounds release setup clean
 
 demo: $(VENV)/installed
 	$(BIN)/safety-harness run scenarios --out reports/demo
@@ -81,6 +81,10 @@ oracles: $(VENV)/tested
 		tests/avoidance/test_resnet_kernel.py tests/test_proportions.py --oracles plans/oracles.json
 	$(BIN)/python docs/tables.py
 
+# One small page of each kind, into reports/sample/.
+sample: $(VENV)/installed
+	$(BIN)/python docs/sample_reports.py
+
 # Mutants of properties/ and statistics/ that no test notices: hours, resumes; "mutmut results" lists them.
 mutation: $(VENV)/tested
 	$(HERE) --editable '.[mutation]'
@@ -127,10 +131,12 @@ crowded:
 	.venv-$@/bin/python -c "import safety_harness, torch, stable_baselines3, gymnasium, mujoco, pinocchio, rosbags"
 	.venv-$@/bin/safety-harness run scenarios/hand-visits-and-leaves.yaml --out reports/crowded
 
-# The wheel in an empty folder, with each Python that is here.  "make installed WHEEL=" takes the newest of dist/.
+# The wheel in an empty folder, with each Python that is here.  "make installed WHEEL=" takes the newest of dist/,
+# PYTHONS=--newest the newest Python alone, as CI does.
 WHEEL := wheel
+PYTHONS :=
 installed: $(WHEEL)
-	.ci/installed.py
+	.ci/installed.py $(PYTHONS)
 
 # An annotated tag for the version of pyproject.toml; CONTRIBUTING.md says what comes before.
 release:

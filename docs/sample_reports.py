@@ -1,0 +1,47 @@
+"""One small page of each kind into reports/sample/, by the commands that users run.  Run: python docs/sample_reports.py"""
+
+from __future__ import annotations
+
+import shlex
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+OUT = ROOT / "reports" / "sample"
+COMMANDS = {
+    "run": "run scenarios/hand-visits-and-leaves.yaml scenarios/fast-reach.yaml",
+    "fuzz": "fuzz scenarios/spaces/reaching-hands.yaml --budget 40",
+    "evaluate": "evaluate optimum 'opposite pose' --questions 200 --search 0",
+    "evidence": "certify plans/certify-in-a-minute.yaml",
+    "selftest": "selftest --scenarios shipped:scenarios --fault overspeed --jobs 2",
+}
+KEPT = (".html", ".json", ".md", ".sarif")
+LARGEST_MB = 4.0
+
+
+def main() -> int:
+    """Make all of them; 1 if a command failed or they weigh too much."""
+    megabytes = 0.0
+    for kind, words in COMMANDS.items():
+        with tempfile.TemporaryDirectory() as folder:
+            made = Path(folder) / kind
+            command = [sys.executable, "-m", "safety_harness", *shlex.split(words), "--out", str(made)]
+            print(f"{kind}: safety-harness {words}", flush=True)
+            code = subprocess.run(command, cwd=ROOT, capture_output=True).returncode
+            if code not in (0, 1):
+                print(f"{kind}: ended with {code}")
+                return 1
+            shutil.rmtree(OUT / kind, ignore_errors=True)
+            (OUT / kind).mkdir(parents=True)
+            for file in sorted(path for path in made.iterdir() if path.suffix in KEPT):
+                shutil.copy(file, OUT / kind / file.name)
+                megabytes += file.stat().st_size / 1e6
+    print(f"{megabytes:.1f} MB in {OUT}")
+    return 0 if megabytes <= LARGEST_MB else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
