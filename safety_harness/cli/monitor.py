@@ -6,7 +6,8 @@ import json
 import os
 import selectors
 import sys
-from collections.abc import Iterator
+import time
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Annotated
 
@@ -84,7 +85,7 @@ def monitor(
     Exit code when the stream ends 0: every claim holds; 1: one is violated or inconclusive; 2: bad input, or
     nothing in the stream could be used; 130: interrupted. The log is kept however it ends.
     """
-    from safety_harness.exceptions import Place, SettingsError, StreamError
+    from safety_harness.exceptions import Place, SettingsError
     from safety_harness.monitoring.cell import taken
     from safety_harness.monitoring.journal import Journal
     from safety_harness.monitoring.monitor import NO_SAFETY_FUNCTION, Monitor
@@ -104,21 +105,34 @@ def monitor(
         say(f"taken, as no LOG.yaml says it: {words}")
     for sentence, reason in own.unwatched.items():
         say(f"not watched, which judge may tell of the log: {sentence} (expected {reason.expected})")
-    told, interrupted = 0, False
+    interrupted, patience_s = False, watched.joint_facts.longest_gap_s
     try:
-        for line in lines_of(sys.stdin.buffer, watched.joint_facts.longest_gap_s):
-            try:
-                for change in own.silent() if line is None else own.take(line):
-                    _say(change, json_lines)
-            except StreamError as error:
-                told += 1
-                if told <= REFUSED_TOLD:
-                    explain(error)
-                if told == REFUSED_TOLD:
-                    say("further lines that cannot be used are counted, and not told")
+        follow(own, lines_of(sys.stdin.buffer, patience_s), patience_s, as_json=json_lines)
     except KeyboardInterrupt:
         interrupted = True
     return _ended(own, as_json=json_lines, interrupted=interrupted)
+
+
+def follow(own: Monitor, stream: Iterable[bytes | None], patience_s: float, *, as_json: bool) -> None:
+    """Every line of a stream; what keeps coming without joints, for ``patience_s``, is silence too."""
+    from safety_harness.exceptions import StreamError
+
+    told, ticks, since_s = 0, 0, time.monotonic()
+    for line in stream:
+        try:
+            for change in own.take(line) if line is not None else ():
+                _say(change, as_json)
+        except StreamError as error:
+            told += 1
+            if told <= REFUSED_TOLD:
+                explain(error)
+            if told == REFUSED_TOLD:
+                say("further lines that cannot be used are counted, and not told")
+        if own.counts.ticks != ticks:
+            ticks, since_s = own.counts.ticks, time.monotonic()
+        elif line is None or time.monotonic() - since_s > patience_s:
+            for change in own.silent():
+                _say(change, as_json)
 
 
 def _cell(

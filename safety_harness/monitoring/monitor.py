@@ -164,7 +164,7 @@ class Monitor:
         if not self._silent and self.counts.ticks:
             self._silent, self.counts.silent = True, self.counts.silent + 1
             gap_s = self.cell.joint_facts.longest_gap_s
-            reason = f"nothing that can be used came for {gap_s * 1e3:g} ms"
+            reason = f"no joints that can be used came for {gap_s * 1e3:g} ms"
             yield from self._changes(reason)
 
     def end(self) -> Iterator[VerdictLine]:

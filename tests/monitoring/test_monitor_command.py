@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,7 @@ from stream_lines import lines
 from typer.testing import CliRunner, Result
 
 from safety_harness.cli.main import app
-from safety_harness.cli.monitor import lines_of
+from safety_harness.cli.monitor import follow, lines_of
 from safety_harness.exceptions import OutputError
 from safety_harness.logs.judging import recorded as recorded_log
 from safety_harness.monitoring.cell import cell_taken, read_cell
@@ -150,6 +151,22 @@ def test_lines_of_a_pipe_come_one_by_one_with_silence_and_without_end_between() 
         assert [line for line in found if line is not None] == [b"last"]
 
 
+def test_lines_without_joints_are_silence(a_stream: list[bytes], capsys: pytest.CaptureFixture[str]) -> None:
+    own = Monitor(cell=cell_taken("UR10", ["hand"], "8 ms", [LOW]))
+
+    def stream() -> Iterator[bytes]:
+        yield from a_stream
+        for line in (b"garbage", a_stream[0]) * 4:
+            time.sleep(0.02)
+            yield line
+
+    follow(own, stream(), 0.1, as_json=False)
+    told = capsys.readouterr().out.splitlines()
+    assert "holds" in told[0]
+    assert "inconclusive" in told[-1]
+    assert own.counts.silent == 1
+
+
 def test_ctrl_c_keeps_the_log(tmp_path: Path, a_stream: list[bytes]) -> None:
     out = tmp_path / "log"
     words = [sys.executable, "-m", "safety_harness", "monitor", "--robot", "ur10", "--claim", LOW]
@@ -163,7 +180,7 @@ def test_ctrl_c_keeps_the_log(tmp_path: Path, a_stream: list[bytes]) -> None:
         process.stdin.flush()
         first, second = process.stdout.readline(), process.stdout.readline()
         assert b"holds" in first
-        assert b"nothing that can be used came for 100 ms" in second
+        assert b"no joints that can be used came for 100 ms" in second
         time.sleep(0.1)
         process.send_signal(signal.SIGINT)
         assert process.wait(30) == 130

@@ -118,7 +118,7 @@ def test_nothing_at_all_is_inconclusive_until_something_comes() -> None:
     take(own, *seen(range(10)))
     (change,) = own.silent()
     assert change.verdict is Verdict.INCONCLUSIVE
-    assert "nothing that can be used came for 100 ms" in change.reason
+    assert "no joints that can be used came for 100 ms" in change.reason
     assert not list(own.silent())
     changes = take(own, *seen(range(10, 50)))
     assert changes[-1].verdict is Verdict.HOLDS
