@@ -216,6 +216,10 @@ class Monitor:
                         track.lost = True
                 self._stale = min(self._stale, max(self._next - 1, 0))
                 continue
+            last_ns = [track.samples[-1][0] for track in tracks if track is not None and track.samples]
+            if last_ns and at_ns - max(last_ns) < SHORTEST_STEP_NS:
+                self._count_late(at_ns - max(last_ns))
+                continue
             used: list[bool] = []
             for body, track, place in (
                 ("hand", tracks.hand, hand.hand_position_in_base_m),
@@ -223,10 +227,6 @@ class Monitor:
             ):
                 used.append(False)
                 if track is None or place is None or (body == "elbow" and track is tracks.hand):
-                    continue
-                if not track.takes(at_ns):
-                    if body == "hand":
-                        self._count_late(at_ns - track.samples[-1][0])
                     continue
                 position_m = np.array(place)
                 try:

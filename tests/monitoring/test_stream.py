@@ -99,6 +99,19 @@ def test_late_and_repeated_lines_are_counted_and_left_out() -> None:
     assert own.counts.ticks == 4
 
 
+def test_an_elbow_of_a_late_hand_is_late_too() -> None:
+    """A row of the log has both, and its times rise."""
+    own = monitor(NEAR)
+    without = {"hand_position_in_base_m": PLACE["hand_position_in_base_m"]}
+    take(
+        own, line(0, hands={"hand": PLACE}), line(2, hands={"hand": without}), line(1, hands={"hand": PLACE})
+    )
+    hand, elbow = own._hands["hand"]
+    assert elbow is not None
+    assert (len(hand.samples), len(elbow.samples)) == (2, 1)
+    assert own.counts.late == 2  # joints and hand
+
+
 def test_lines_that_wait_are_put_in_order() -> None:
     lines = seen(range(30))
     for k in range(0, 28, 3):
