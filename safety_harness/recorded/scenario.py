@@ -10,6 +10,7 @@ import math
 import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from importlib import metadata
 from pathlib import Path
 
 import numpy as np
@@ -107,7 +108,7 @@ def scenario_from(log: CellLog, cell: Scenario, *, elbow_towards_in_base_m: Vect
         title=f"what happened in {log.name}: {own.title}",
         about=own.about,
         duration_s=(log.ticks - 1) * log.period_s,
-        start=JointStart(tuple(joints)),
+        start=JointStart(joint_position_rad=tuple(joints)),
         hands=tuple(one.hand for one in hands),
         claims=tuple(replace(claim, expected=Verdict.HOLDS) for claim in claims),
         places={},
@@ -149,12 +150,12 @@ def _told(value: object) -> str:
     return text if len(text) <= 120 else f"{text[:120]}..."
 
 
-def scenario_text(made: FromLog, *, named: str, version: str) -> str:
+def scenario_text(made: FromLog, *, named: str) -> str:
     """The scenario file, with what is whose in comments; ``named`` is how to name the cell's scenario."""
-    return _comments([*_origin(made, named, version)]) + text_of(tree_of(made.scenario))
+    return _comments([*_origin(made, named)]) + text_of(tree_of(made.scenario))
 
 
-def space_text(made: FromLog, around: Around, *, named: str, version: str) -> str:
+def space_text(made: FromLog, around: Around, *, named: str) -> str:
     """The space file around it: all hands are shifted, and sped up, together."""
     slowest, fastest = around.speeds or (1.0, 1.0)
     scenario = replace(made.scenario, duration_s=made.scenario.duration_s / slowest)
@@ -177,7 +178,7 @@ def space_text(made: FromLog, around: Around, *, named: str, version: str) -> st
     words += [f"up to {nice(around.shift_m, LENGTH)} elsewhere along each axis"] * (around.shift_m is not None)
     words += ["and"] * (around.shift_m is not None and around.speeds is not None)
     words += [f"{slowest:g} to {fastest:g} times as fast"] * (around.speeds is not None)
-    text = _comments([*_origin(made, named, version), f"{' '.join(words)}."])
+    text = _comments([*_origin(made, named), f"{' '.join(words)}."])
     return text + text_of({"scenario space": title, **tree, "choices": choices})
 
 
@@ -192,11 +193,11 @@ def _varied(hand: Tree, fastest_mps: float, around: Around) -> dict[str, Tree]:
     return found
 
 
-def _origin(made: FromLog, named: str, version: str) -> list[str]:
+def _origin(made: FromLog, named: str) -> list[str]:
     """What is whose, in paragraphs."""
     log, cell, facts = made.log, made.cell, made.log.hand_facts
     stream = log.file.name if log.file else log.name
-    lines = [f"Made of {stream} by safety-harness scenario from, {version}."]
+    lines = [f"Made of {stream} by safety-harness scenario from, version {metadata.version('safety-harness')}."]
     begin_s = log.origin_ns / 1e9
     seen = f"the hands as they were measured ({', '.join(one.name for one in made.hands)}), " * bool(made.hands)
     claims = "the claims" if made.trace.scenario.claims else "but no claims: these are the scenario's"
