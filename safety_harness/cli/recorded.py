@@ -41,14 +41,16 @@ OfCell = Annotated[
     str | None,
     Option(
         "--scenario",
-        help="A scenario of the cell, or shipped:NAME, for what no log says: desired TCP, object, camera, hand "
-        "sensor, avoider. Its hands and its start are not used.",
+        help="A scenario of the cell, or shipped:NAME, for what no log says: desired TCP, object, camera, "
+        "hand sensor, avoider. Its hands and its start are not used.",
         metavar="FILE",
     ),
 ]
 From = Annotated[
     str | None,
-    Option("--from", help="Where the part that is used begins, since the first sample: 1.5 s.", metavar="TIME"),
+    Option(
+        "--from", help="Where the part that is used begins, since the first sample: 1.5 s.", metavar="TIME"
+    ),
 ]
 To = Annotated[str | None, Option("--to", help="Where it ends.", metavar="TIME")]
 ElbowTowards = Annotated[
@@ -74,7 +76,8 @@ def scenario_from(
         Option(help="How far hands are elsewhere in the space, along each axis: 100 mm.", metavar="LENGTH"),
     ] = None,
     speed: Annotated[
-        str | None, Option(help="How many times as fast they are in the space: 0.8..1.25.", metavar="LOW..HIGH")
+        str | None,
+        Option(help="How many times as fast they are in the space: 0.8..1.25.", metavar="LOW..HIGH"),
     ] = None,
     from_: From = None,
     to: To = None,
@@ -179,3 +182,44 @@ def _point(text: str | None) -> Vector3 | None:
         return None
     items = Sequence(tuple(Scalar(one.strip(), 1) for one in text.split(",")), 1)
     return POINT.read(Field(items, None, path="--elbow-towards", line=1))
+
+
+@command(
+    commands,
+    "compare-worlds",
+    interrupted="interrupted: nothing was written",
+)
+def compare_worlds(
+    log: Log,
+    scenario: OfCell = None,
+    from_: From = None,
+    to: To = None,
+    elbow_towards: ElbowTowards = None,
+    out: Annotated[Path, Option(help="Folder for compare-worlds.json.")] = Path("reports/compare-worlds"),
+) -> int:
+    """Run a controller in both worlds under recorded hands: how far is the simulated arm from the recorded?
+
+    The runs are those of "scenario from LOG.yaml" with the same options. Joints, TCP and hand distances are
+    held against the log, with intervals; a delay and offsets of the joints are estimated; claims are judged
+    of log and runs. certify PLAN --cell compare-worlds.json takes what it writes into a report.
+    A program that the scenario names is executed.
+    Exit code 0: no verdict contradicts the log's; 1: one does; 2: bad input, or a world that is not
+    installed; 130: interrupted.
+    """
+    from safety_harness.recorded.compare import FILE, as_json
+    from safety_harness.recorded.compare import compare_worlds as compare
+    from safety_harness.recorded.scenario import scenario_from as make
+    from safety_harness.recorded.words import comparison_lines
+    from safety_harness.scenario.files import told
+    from safety_harness.scenario.typed_json import plain
+    from safety_harness.whole_file import write_text
+
+    cell = _cell(scenario)
+    made = make(_part(log, from_, to), cell, elbow_towards_in_base_m=_point(elbow_towards))
+    found = compare(made)
+    result(*comparison_lines(found))
+    say(*(f"note: {note}" for note in found.notes))
+    write_text(out / FILE, as_json(found))
+    document(**plain(found))
+    say(f"{told(out / FILE)}: for safety-harness certify PLAN --cell")
+    return DIFFERS if any(one.differs for one in found.claims) else AS_EXPECTED

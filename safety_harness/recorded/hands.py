@@ -1,7 +1,7 @@
-"""The hands of a log as recordings of a scenario: their samples as they were, from the log's first instant on.
+"""The hands of a log as recordings of a scenario: their samples as they were, from the first instant on.
 
-Nothing is resampled, smoothed or mended.  Only where a hand was at the first instant is taken from the straight
-way between the two samples beside it.
+Nothing is resampled, smoothed or mended.  Only where a hand was at the first instant is taken from the
+straight way between the two samples beside it.
 """
 
 from __future__ import annotations

@@ -37,14 +37,14 @@ _JUDGED_BY = ("hand", "braking")  # settings by which a log is judged as a run i
 
 
 def read_part(file: Path, begin: str | None = None, end: str | None = None) -> CellLog:
-    """The log in a LOG.yaml, or a part of it: texts such as ``1.5 s`` in place of its own ``from`` and ``to``."""
+    """The log in a LOG.yaml, or a part: texts such as ``1.5 s`` in place of its own ``from`` and ``to``."""
     said, part = said_in(file), {}
     for key, text in (("from", begin), ("to", end)):
         if text is not None:
             parse_quantity(text, TIME, Place(field=f"--{key}"))
             part[key] = text
     if part:
-        said = replace(said, node=merged(said.node, _mapping({"log": _mapping(part)})))
+        said = said._replace(node=merged(said.node, _mapping({"log": _mapping(part)})))
     return log_of(said, name=file.stem)
 
 
@@ -72,7 +72,7 @@ class FromLog:
 
 @dataclass(frozen=True, kw_only=True)
 class Around:
-    """A space about what happened: hands up to ``shift_m`` elsewhere along each axis, by ``speeds`` as fast."""
+    """A space: hands up to ``shift_m`` elsewhere along each axis, and ``speeds`` (low, high) as fast."""
 
     shift_m: float | None = None
     speeds: tuple[float, float] | None = None
@@ -174,11 +174,13 @@ def space_text(made: FromLog, around: Around, *, named: str) -> str:
         _varied(hand, one.hand.motion.max_speed_mps * fastest, around)
         for hand, one in zip(hands, made.hands, strict=True)
     ]
-    words = ["Every draw is what happened, with all hands"]
-    words += [f"up to {nice(around.shift_m, LENGTH)} elsewhere along each axis"] * (around.shift_m is not None)
-    words += ["and"] * (around.shift_m is not None and around.speeds is not None)
-    words += [f"{slowest:g} to {fastest:g} times as fast"] * (around.speeds is not None)
-    text = _comments([*_origin(made, named), f"{' '.join(words)}."])
+    varied = []
+    if around.shift_m is not None:
+        varied.append(f"up to {nice(around.shift_m, LENGTH)} elsewhere along each axis")
+    if around.speeds is not None:
+        varied.append(f"{slowest:g} to {fastest:g} times as fast")
+    words = f"Every draw is what happened, with all hands {' and '.join(varied)}."
+    text = _comments([*_origin(made, named), words])
     return text + text_of({"scenario space": title, **tree, "choices": choices})
 
 
@@ -197,13 +199,17 @@ def _origin(made: FromLog, named: str) -> list[str]:
     """What is whose, in paragraphs."""
     log, cell, facts = made.log, made.cell, made.log.hand_facts
     stream = log.file.name if log.file else log.name
-    lines = [f"Made of {stream} by safety-harness scenario from, version {metadata.version('safety-harness')}."]
+    lines = [
+        f"Made of {stream} by safety-harness scenario from, version {metadata.version('safety-harness')}."
+    ]
     begin_s = log.origin_ns / 1e9
-    seen = f"the hands as they were measured ({', '.join(one.name for one in made.hands)}), " * bool(made.hands)
+    seen = f"the hands as they were measured ({', '.join(one.name for one in made.hands)}), " * bool(
+        made.hands
+    )
     claims = "the claims" if made.trace.scenario.claims else "but no claims: these are the scenario's"
     lines.append(
-        f"From the log: {seen}the joints at the start, {begin_s:.3f} s of their clock, the duration, {claims}. "
-        "The arm starts at rest."
+        f"From the log: {seen}the joints at the start, {begin_s:.3f} s of their clock, the duration, "
+        f"{claims}. The arm starts at rest."
     )
     if facts is not None:
         lines.append(
@@ -213,8 +219,8 @@ def _origin(made: FromLog, named: str) -> list[str]:
         )
     what = f"the controller, {cell.controller}" if cell.driven else f"the avoider, {cell.avoider}"
     lines.append(
-        f"Not said by the log, and taken from {named}: the desired TCP, the object, the camera, the hand sensor, "
-        f"{what}, faults, seed and all settings."
+        f"Not said by the log, and taken from {named}: the desired TCP, the object, the camera, the hand "
+        f"sensor, {what}, faults, seed and all settings."
     )
     unseen = [body.name for body in log.hands if body.elbow is None and body.forearm]
     if unseen:

@@ -53,7 +53,9 @@ def write_log(
     joints = joints + (0.0 if offset_rad is None else offset_rad)
     _table(folder / "joints.csv", time_s, [f"{name}_rad" for name in names], joints)
     number = len(trace.scenario.hands)
-    points = [trace.ticks[f"{one}_position_in_base_m"][:, k] for k in range(number) for one in ("hand", "elbow")]
+    points = [
+        trace.ticks[f"{one}_position_in_base_m"][:, k] for k in range(number) for one in ("hand", "elbow")
+    ]
     tracks = [f"{one}{k}" for k in range(number) for one in ("hand", "elbow")]
     kept = np.arange(0, len(time_s), every)
     if lost_s is not None:
