@@ -352,8 +352,8 @@ def cell_lines(known: RecordedCell) -> CellTable:
         f"{found.log}, {found.title}, {found.duration_s:g} s: {found.tested} under the recorded hands, "
         f"simulated minus recorded, run with {source}. "
         f"{count_words(known.differing, 'verdict', 'verdicts')} of {known.decided} differ, "
-        f"{known.optimistic} of them optimistic (a claim holds in simulation that was violated in the cell). Intervals: "
-        f"{found.confidence:.0%} of the mean, by {found.blocks} stretches of this recording, approximate. "
+        f"{known.optimistic} of them optimistic (a claim holds in simulation that was violated in the cell). "
+        f"Intervals: {found.confidence:.0%} of the mean, by {found.blocks} stretches of it, approximate. "
         f"compare-worlds.json: sha256 {known.sha256}.",
         rows,
         {"World": lambda one: words(one[0]), "What": lambda one: words(one[1])},

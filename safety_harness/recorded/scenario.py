@@ -156,7 +156,11 @@ def scenario_text(made: FromLog, *, named: str) -> str:
 
 
 def space_text(made: FromLog, around: Around, *, named: str) -> str:
-    """The space file around it: all hands are shifted, and sped up, together."""
+    """The space file around it: all hands are shifted, and sped up, together.  LogError without any."""
+    if not made.hands:
+        raise LogError.of_option(
+            "--around, --speed", "a log with hands, which are what varies", "one without"
+        )
     slowest, fastest = around.speeds or (1.0, 1.0)
     scenario = replace(made.scenario, duration_s=made.scenario.duration_s / slowest)
     tree = dict(tree_of(scenario))

@@ -36,8 +36,8 @@ def difference_words(one: Difference, usually: float) -> str:
     """Mean with its interval, what it usually is at most, the largest and when, how closely the log knows."""
     return (
         f"mean {estimate(one.mean, one.unit)}; {usually:.0%} of the time within "
-        f"{shown(one.usually, one.unit)}, at most {shown(one.largest, one.unit)} at {one.at_s:.3f} s; recorded to within "
-        f"{shown(one.recorded_within, one.unit)}"
+        f"{shown(one.usually, one.unit)}, at most {shown(one.largest, one.unit)} at {one.at_s:.3f} s; "
+        f"recorded to within {shown(one.recorded_within, one.unit)}"
     )
 
 

@@ -7,10 +7,31 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from safety_harness.admission.admit import admit
+from safety_harness.admission.trial import run_kinematic
 from safety_harness.robot.robots import arm_model
+from safety_harness.scenario.read import parse_scenario
 from safety_harness.trace.trace import Trace
 
 Floats = NDArray[np.float64]
+CELL = """\
+scenario: a hand reaches for the tool
+duration: 2 s
+avoider: opposite pose
+tcp start:
+  offset: [0 mm, 10 mm, 20 mm]
+hands:
+  - hand: right hand
+    starts at: [800 mm, -600 mm, 400 mm]
+    elbow towards: [1000 mm, -1200 mm, 500 mm]
+    moves:
+      - wait: 300 ms
+      - reach for tcp: 1 m/s
+        until: 100 mm
+        at most: 1.2 s
+claims:
+  joint speeds within limits: holds
+"""
 LOG = """\
 title: {title}
 log: {{joints: joints.csv, hands: {{{hands}}}{part}}}
@@ -26,6 +47,11 @@ robot: {robot}
 claims:
 {claims}
 """
+
+
+def run_of_cell() -> Trace:
+    """What arm and hand of CELL do, in the kinematic world."""
+    return run_kinematic(admit(parse_scenario(CELL)))
 
 
 def write_log(
