@@ -69,7 +69,10 @@ class Fit:
 def difference_of(
     what: str, unit: str, time_s: Floats, apart: Floats, recorded_within: Floats
 ) -> Difference | None:
-    """Of ``apart`` (n,), simulated minus recorded at ``time_s`` (n,); None for too few to say anything of."""
+    """Of ``apart`` (n,), simulated minus recorded at ``time_s`` (n,); None for too few to say anything of.
+
+    ``recorded_within`` (n,) is how closely the recorded is known.
+    """
     if len(apart) < FEWEST:
         return None
     sums = np.column_stack([np.ones(len(apart)), apart])
