@@ -146,9 +146,7 @@ def folder(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_every_command_takes_a_stand() -> None:
-    stands = {
-        name for name in LOOKS if " " not in name or name.startswith(GROUPS)
-    } | EXECUTES.keys()
+    stands = {name for name in LOOKS if " " not in name or name.startswith(GROUPS)} | EXECUTES.keys()
     assert stands == set(commands(typer.main.get_command(app)))
 
 

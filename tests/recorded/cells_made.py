@@ -36,13 +36,13 @@ LOG = """\
 title: {title}
 log: {{joints: joints.csv, hands: {{{hands}}}{part}}}
 clock: {{hands are ahead by: {ahead_ms} ms, known to: 2 ms}}
-joints: {{known to: 0.01 mrad, accelerate at most: 20 rad/s2}}
+joints: {{known to: {joints_mrad} mrad, accelerate at most: 20 rad/s2}}
 hands:
   forearm: {{{elbows}}}
   frame: base
   longest gap: {gap_ms} ms
   moves at most: 3 m/s
-  known to: 1 mm
+  known to: {hands_mm} mm
 robot: {robot}
 claims:
 {claims}
@@ -66,17 +66,22 @@ def write_log(
     gap_ms: int = 200,
     part: str = "",
     forearms: bool = True,
+    noise: np.random.Generator | None = None,
+    joints_mrad: float = 0.01,
+    hands_mm: float = 1.0,
 ) -> Path:
     """LOG.yaml, joints.csv at every tick, hands.csv at one in ``every``, of a simulated run.
 
     The joints are ``late_s`` behind what the arm did, and off by ``offset_rad`` (j,); no hand is seen in
-    ``lost_s``.
+    ``lost_s``.  With ``noise`` each is off by up to ``joints_mrad`` and ``hands_mm``.
     """
     folder.mkdir(parents=True, exist_ok=True)
     names, time_s = arm_model(trace.scenario.robot).joint_names, trace.time_s
     joints = trace.ticks["joint_position_rad"]
     joints = np.column_stack([np.interp(time_s - late_s, time_s, column) for column in joints.T])
     joints = joints + (0.0 if offset_rad is None else offset_rad)
+    if noise is not None:
+        joints = joints + noise.uniform(-joints_mrad, joints_mrad, joints.shape) * 1e-3
     _table(folder / "joints.csv", time_s, [f"{name}_rad" for name in names], joints)
     number = len(trace.scenario.hands)
     points = [
@@ -86,8 +91,11 @@ def write_log(
     kept = np.arange(0, len(time_s), every)
     if lost_s is not None:
         kept = kept[(time_s[kept] <= lost_s[0]) | (time_s[kept] >= lost_s[1])]
+    places = np.hstack(points)[kept]
+    if noise is not None:  # in a cube within the sphere of what is said
+        places = places + noise.uniform(-hands_mm, hands_mm, places.shape) * 1e-3 / np.sqrt(3.0)
     columns = [f"{track}_{axis}_m" for track in tracks for axis in "xyz"]
-    _table(folder / "hands.csv", time_s[kept] + ahead_ms / 1e3, columns, np.hstack(points)[kept])
+    _table(folder / "hands.csv", time_s[kept] + ahead_ms / 1e3, columns, places)
     hands = [one.name for one in trace.scenario.hands]
     text = LOG.format(
         title=f"a simulated run of {trace.scenario.name}",
@@ -99,6 +107,8 @@ def write_log(
         part=part,
         ahead_ms=ahead_ms,
         gap_ms=gap_ms,
+        joints_mrad=joints_mrad,
+        hands_mm=hands_mm,
         robot=trace.scenario.robot.label,
         claims="\n".join(f"  {claim}" for claim in claims),
     )
