@@ -89,9 +89,8 @@ def hand_file(
     )
     recording = parse_recording(data, hand.recording)
     motion = load_recording(recording, hand, forearm_length_m=forearm_length_m)
-    return HandFile(
-        replace(hand, motion=motion), data, (*notes, *(f"{body.name}: {note}" for note in motion.notes))
-    )
+    notes += [f"{body.name}: {note}" for note in motion.notes]
+    return HandFile(replace(hand, motion=motion), data, tuple(notes))
 
 
 def _above(speed_mps: float) -> float:
