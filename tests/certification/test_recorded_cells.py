@@ -10,7 +10,7 @@ import pytest
 from made_up_evidence import HOSTILE, evidence
 from typer.testing import CliRunner
 
-from safety_harness.certification.argument import argument_of
+from safety_harness.certification.argument import DONE, DOUBT, argument_of
 from safety_harness.certification.credibility import NO_CELL, credibility_of
 from safety_harness.certification.evidence import Evidence
 from safety_harness.certification.findings import of_worlds
