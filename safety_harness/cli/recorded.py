@@ -206,7 +206,7 @@ def compare_worlds(
     Exit code 0: no verdict contradicts the log's; 1: one does; 2: bad input, or a world that is not
     installed; 130: interrupted.
     """
-    from safety_harness.recorded.compare import FILE, as_json
+    from safety_harness.recorded.compare import FILE, FORMAT, as_json
     from safety_harness.recorded.compare import compare_worlds as compare
     from safety_harness.recorded.scenario import scenario_from as make
     from safety_harness.recorded.words import comparison_lines
@@ -220,6 +220,6 @@ def compare_worlds(
     result(*comparison_lines(found))
     say(*(f"note: {note}" for note in found.notes))
     write_text(out / FILE, as_json(found))
-    document(**plain(found))
+    document(format=FORMAT, **plain(found))
     say(f"{told(out / FILE)}: for safety-harness certify PLAN --cell")
     return DIFFERS if any(one.differs for one in found.claims) else AS_EXPECTED
