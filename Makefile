@@ -127,10 +127,12 @@ crowded:
 	.venv-$@/bin/python -c "import safety_harness, torch, stable_baselines3, gymnasium, mujoco, pinocchio, rosbags"
 	.venv-$@/bin/safety-harness run scenarios/hand-visits-and-leaves.yaml --out reports/crowded
 
-# The wheel in an empty folder, with each Python that is here.  "make installed WHEEL=" takes the newest of dist/.
+# The wheel in an empty folder, with each Python that is here.  "make installed WHEEL=" takes the newest of dist/,
+# PYTHONS=--newest the newest Python alone, as CI does.
 WHEEL := wheel
+PYTHONS :=
 installed: $(WHEEL)
-	.ci/installed.py
+	.ci/installed.py $(PYTHONS)
 
 # An annotated tag for the version of pyproject.toml; CONTRIBUTING.md says what comes before.
 release:

@@ -1,11 +1,11 @@
 #!/usr/bin/env python3
 """Install the newest wheel of dist/ in an empty folder, as a user does, and take every first step.
 
-    .ci/installed.py [PYTHON...]                       ("make installed" makes the wheel before)
+    .ci/installed.py [PYTHON...|--newest]              ("make installed" makes the wheel before)
 
-PYTHON is an interpreter; without one, those of VERSIONS, on the path or below ~/.pyenv.  One that this
-machine lacks is said.  Where there is no PyBullet the kinematic world runs.  Ends with 1 if any step does not
-end as it should; what steps printed is shown of those only.
+PYTHON is an interpreter; without one, those of VERSIONS, on the path or below ~/.pyenv, or the newest of
+them.  One that this machine lacks is said.  Where there is no PyBullet the kinematic world runs.  Ends with 1
+if any step does not end as it should; what steps printed is shown of those only.
 """
 
 import os
@@ -96,12 +96,11 @@ def installed(python: str, wheel: Path) -> bool:
 def main(pythons: list[str]) -> int:
     """Two interpreters at a time."""
     wheel = max(Path("dist").glob("safety_harness-*.whl"), key=lambda file: file.stat().st_mtime).resolve()
-    for version in () if pythons else VERSIONS:
-        found = interpreter(version)
-        if found is None:
+    if not pythons or pythons == ["--newest"]:
+        found = {version: interpreter(version) for version in VERSIONS}
+        for version in (version for version, python in found.items() if python is None):
             print(f"Python {version} is not on this machine: the wheel was not installed with it")
-        else:
-            pythons.append(found)
+        pythons = [python for python in found.values() if python is not None][-len(pythons) :]
     with ThreadPoolExecutor(2) as pool:
         good = list(pool.map(lambda python: installed(python, wheel), pythons))
     return 0 if good and all(good) else 1

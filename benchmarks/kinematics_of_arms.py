@@ -3,7 +3,8 @@
 Run: python benchmarks/kinematics_of_arms.py, with Pinocchio (`pip install pin`) and, for the last three arms,
 `pip install example-robot-data` (431 MB; without it their rows are left out).  Prints Markdown for
 docs/kinematics.md.  Nothing of ours computes what ours is compared with: Pinocchio reads the URDF and gives
-frames and Jacobians, coal reads the meshes.  Poses to be reached come from joints anywhere within the limits.
+frames and Jacobians, coal reads the meshes, and ssik (`pip install ssik`; without it its table is left out)
+solves for all branches by algebra.  Poses to be reached come from joints anywhere within the limits.
 """
 
 from __future__ import annotations
@@ -215,6 +216,40 @@ def numeric_on(arm: ArmModel, count: int) -> str:
     return f"{branches} | {found / branches:.2%} | {strange} | {nearest / count:.1%}"
 
 
+def beside_ssik(ssik: ModuleType, arm: ArmModel, count: int) -> str:
+    """How the numeric search does beside ssik's branches, of poses of joints within the limits.
+
+    Six joints: all branches, limits aside.  Seven: the nearest solution within limits, beside the nearest of
+    those that ssik gives, which samples the self-motion.
+    """
+    rng, starts = np.random.default_rng(SEED), starts_of(arm)
+    limits = arm.position_lower_rad, arm.position_upper_rad
+    with tempfile.NamedTemporaryFile("w", suffix=".urdf") as file:
+        file.write(resolved_urdf(arm, visuals=False))
+        file.flush()
+        theirs = ssik.Manipulator.from_urdf(file.name, base=arm.link_names[0], ee=arm.tcp_link)
+    redundant = len(arm.joint_names) > 6
+    solved = known = found = more = missed = farther = 0
+    for joints, reference in zip(drawn(arm, count, rng), drawn(arm, count, rng), strict=True):
+        pose = np.array(links_in_base(arm, joints)[-1])
+        exact = np.array([one.q for one in theirs.solve(pose, respect_limits=redundant)])
+        exact = exact.reshape(-1, len(joints))
+        solved, known = solved + bool(len(exact)), known + len(exact)
+        if redundant:
+            (ours,) = nearest_found(arm.chain, *limits, starts, pose[None], reference)
+            away = np.linalg.norm(exact - reference, axis=1).min(initial=np.inf)
+            missed += bool(np.isnan(ours).any())
+            farther += bool(np.linalg.norm(ours - reference) > away + 1e-6)
+            continue
+        numeric = all_found(arm.chain, starts, pose)
+        apart = np.abs((numeric[:, None] - exact[None] + np.pi) % (2.0 * np.pi) - np.pi).max(axis=2)
+        found += int((apart.min(axis=0, initial=9.0) < 1e-6).sum())
+        more += int((apart.min(axis=1, initial=9.0) >= 1e-6).sum())
+    if redundant:
+        return f"{count} | {count - solved} | {missed} | {known} | - | - | {farther}"
+    return f"{count} | {count - solved} | - | {known} | {known - found} | {more} | -"
+
+
 def mesh_points(pin: ModuleType, arm: ArmModel) -> Iterator[tuple[int, np.ndarray]]:
     """(link, points (k, 3) in its frame) of each mesh as coal reads it: corners, and others of triangles."""
     rng, text = np.random.default_rng(SEED), resolved_urdf(arm, visuals=True)
@@ -340,6 +375,20 @@ def main() -> int:
         "| arm | branches in closed form | found by numbers | others found | nearest found |",
         (f"{one.name} | {numeric_on(one.arm, given.poses)}" for one in tried if has_closed_form(one.arm)),
     )
+    try:
+        ssik = import_module("ssik")
+    except ImportError:
+        print("kinematics_of_arms: beside ssik left out (pip install ssik)", file=sys.stderr)
+    else:
+        section(
+            f"| arm, beside ssik {ssik.__version__} | poses | unsolved by ssik | by ours | branches of ssik "
+            "| not found by ours | found by ours alone | ssik's are nearer |",
+            (
+                f"{one.name} | {beside_ssik(ssik, one.arm, given.poses)}"
+                for one in tried
+                if one.name in OF_BULLET
+            ),
+        )
     with tempfile.TemporaryDirectory() as temporary:
         folder = given.capsules or Path(temporary)
         section(

@@ -101,7 +101,7 @@ def verify(
     runs: int | None = None,
     miss: float = MISS,
     seed: int = 0,
-    execute_avoider: bool = False,
+    execute_programs: bool = False,
     seal: str | None = None,
     declared: str | None = None,
     on_progress: Callable[[str], None] = lambda words: None,
@@ -133,14 +133,14 @@ def verify(
         yield rows if plan else replace(rows, unchecked=(_REST,))
         if plan is None:
             return
-        _refuse_to_execute(plan, runs, execute_avoider)
+        _refuse_to_execute(plan, runs, execute_programs)
         own = check_plan(folder, plan, ledger)
         yield own
         if not own.stands:
             yield Examination("rest", "nothing that follows from the plan", unchecked=(_REST,))
             return
         report = ReportFolder(folder, hashes, recorded, plan, ledger)
-        drawing = Drawing(runs=runs, miss=miss, seed=seed, programs=execute_avoider, on_progress=on_progress)
+        drawing = Drawing(runs=runs, miss=miss, seed=seed, programs=execute_programs, on_progress=on_progress)
         try:
             yield from _of_the_plan(report, drawing)
             yield check_lodged(report, seal=sealed, declared=before)
@@ -175,13 +175,13 @@ def _of_the_plan(report: ReportFolder, drawing: Drawing) -> Iterator[Examination
 _REST = "the rest, which cannot be checked without it"
 
 
-def _refuse_to_execute(plan: Plan, runs: int | None, execute_avoider: bool) -> None:
+def _refuse_to_execute(plan: Plan, runs: int | None, execute_programs: bool) -> None:
     """A report may come from anybody: a program in it is executed only when the user says so."""
     programs = programs_in(plan)
-    if programs and runs != 0 and not execute_avoider:
+    if programs and runs != 0 and not execute_programs:
         raise InputError(
             place=Place(file=plan.file, field="avoider"),
-            expected="--execute-avoider, since making runs again executes the program in the report",
+            expected="--execute-programs, since making runs again executes the program in the report",
             got=programs[0],
             hint="or --runs 0, which makes none again",
         )

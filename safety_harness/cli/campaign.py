@@ -304,7 +304,7 @@ def attribute(
     most: Annotated[int, Option(help="Violations of each claim: the first so many.", min=1)] = 100,
     out: AttributionOut = None,
     confirm: Confirm = False,
-    execute_avoider: Executes = False,
+    execute_programs: Executes = False,
 ) -> int:
     """Say whose fault the violations of a campaign are: its episodes run again, as attribute does.
 
@@ -315,7 +315,7 @@ def attribute(
     """
     from safety_harness.cli.campaign_attribute import attribute_ledger
 
-    return attribute_ledger(ledger, most, execute_avoider, out, confirm)
+    return attribute_ledger(ledger, most, execute_programs, out, confirm)
 
 
 @_command()

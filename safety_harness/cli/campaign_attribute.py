@@ -20,7 +20,7 @@ def attribute_ledger(path: Path, most: int, execute: bool, out: Path | None, con
     with Ledger.open(path) as ledger, plan_of(ledger) as plan:
         programs = programs_in(plan)
         if programs and not execute:
-            expected = "--execute-avoider, since repeating an episode executes it"
+            expected = "--execute-programs, since repeating an episode executes it"
             raise LedgerError.of_file(path, expected, f"a campaign with {', '.join(programs)}")
         violated = ViolatedEpisodes.first(ledger, most)
         say(violated.words)

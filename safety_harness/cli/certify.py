@@ -222,7 +222,7 @@ def verify(
             help="To repeat an earlier draw of runs; without it others each time, and it says which.", min=0
         ),
     ] = None,
-    execute_avoider: Executes = False,
+    execute_programs: Executes = False,
 ) -> int:
     """Check a report: files, plan, ledger, traces; compute numbers and page anew, make some runs again.
 
@@ -245,7 +245,7 @@ def verify(
             runs=runs,
             miss=_chance(miss),  # the default is as it is shown
             seed=secrets.randbelow(2**31) if seed is None else seed,
-            execute_avoider=execute_avoider,
+            execute_programs=execute_programs,
             seal=seal,
             declared=declared,
             on_progress=tell,

@@ -59,7 +59,7 @@ AttributionOut = Annotated[
     Path | None, Option(help="Folder for attribution.json and attribution.svg; none for neither.")
 ]
 Executes = Annotated[
-    bool, Option("--execute-avoider", help="Allow the programs of what is given to be executed.")
+    bool, Option("--execute-programs", help="Allow the programs of what is given to be executed.")
 ]
 Workers = Annotated[int | None, Option(help="Processes; without it, one for each core.", min=1)]
 Seed = Annotated[int, Option(help="Root of every random number.", min=0)]

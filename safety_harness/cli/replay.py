@@ -209,6 +209,7 @@ def _of_log(path: Path, claims: Sequence[Claim], out: Path | None) -> JudgedRun:
 def _report(
     runs: Sequence[JudgedRun], refused: Sequence[InputError], out: Path, paths: Sequence[Path]
 ) -> None:
+    from safety_harness.report.ci_formats import write_for_ci
     from safety_harness.report.html import write_report
     from safety_harness.report.machine import report_data, write_json
 
@@ -226,4 +227,5 @@ def _report(
             **of_all,
         )
         write_json(out / DATA, report_data(runs, **of_all))
+        write_for_ci(out, runs)
     say(f"report: {out / REPORT} (for programs: {DATA})")

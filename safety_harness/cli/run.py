@@ -268,6 +268,7 @@ class RunSession:
 
     def _report(self) -> bool:
         """Write the report; False if it cannot be written, or is given up by a second Ctrl-C."""
+        from safety_harness.report.ci_formats import write_for_ci
         from safety_harness.report.html import write_report
         from safety_harness.report.machine import report_data, write_json
 
@@ -293,6 +294,7 @@ class RunSession:
                 found = report_data(self.runs, **of_all)
                 document(**found, failed=self.failed)
                 write_json(self.out / DATA, found)
+                write_for_ci(self.out, self.runs)
         except OutputError as error:
             explain(error)
             return False

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import inf, isfinite
@@ -109,3 +109,22 @@ def tallies(runs: Iterable[JudgedRun]) -> tuple[ClaimTally, ...]:
         for run in runs
         for claim, evaluation in run.judged_claims()
     )
+
+
+def answer(runs: Sequence[JudgedRun]) -> str:
+    """All verdicts in one sentence: how many are as expected, and what they are."""
+    expected = [one for run in runs for one in run.as_expected]
+    holds, violated, nothing = (sum(run.count(verdict) for run in runs) for verdict in Verdict)
+    if not all(expected):
+        of_violated = f"{violated} {'is' if violated == 1 else 'are'} violated"
+    elif violated == 1:
+        of_violated = "1 is a violation that its file expects"
+    else:
+        of_violated = f"{violated} are violations that the files expect"
+    parts = (
+        (holds, f"{holds} {'holds' if holds == 1 else 'hold'}"),
+        (violated, of_violated),
+        (nothing, f"{nothing} {'decides' if nothing == 1 else 'decide'} nothing"),
+    )
+    words = ", ".join(one for count, one in parts if count) or "no claim was judged"
+    return f"{sum(expected)} of {len(expected)} as expected: {words}."

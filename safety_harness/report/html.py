@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Sequence
 from dataclasses import replace
 from datetime import datetime
@@ -32,7 +33,7 @@ from safety_harness.report.decisions import (
     overruling_of_each,
     tested_words,
 )
-from safety_harness.report.evidence import JudgedRun, notes_of, tallies
+from safety_harness.report.evidence import JudgedRun, answer, notes_of, tallies
 from safety_harness.report.knowledge import measured_rows
 from safety_harness.report.machine import refused_data
 from safety_harness.report.page_parts import in_words, render_page
@@ -58,6 +59,8 @@ from safety_harness.trace.unmeasured import as_measured, decided, measured
 from safety_harness.whole_file import write_whole
 
 Row = dict[str, Any]
+MOST_IN_FULL = 20  # runs that are drawn; a page of a thousand has to open at once
+MOST_OPEN = 5  # runs that need not be unfolded
 
 
 def write_report(
@@ -114,7 +117,8 @@ def render(
     repeated: RepeatabilityResult | None = None,
 ) -> str:
     """The page as text; the same arguments give the same bytes."""
-    summary = _summary(runs, interrupted=interrupted)
+    summary = _summary(runs, whole=not (interrupted or skipped or refused))
+    summary["interrupted"] = interrupted
     fallback = summary["decisions"].fallback
     return render_page(
         "report.html.j2",
@@ -123,7 +127,12 @@ def render(
         generated=in_words(generated_at),
         generated_iso=generated_at.isoformat(),
         summary=summary,
-        sections=[_section(run, number) for number, run in enumerate(runs, start=1)],
+        sections=[
+            _section(run, number, full=full)
+            for number, (run, full) in enumerate(zip(runs, _in_full(runs), strict=True), start=1)
+        ],
+        most_full=MOST_IN_FULL,
+        most_open=MOST_OPEN,
         coverage=tallies(runs) if coverage is None else coverage,
         skipped=skipped,
         refused=refused_data(refused),
@@ -138,17 +147,16 @@ def render(
     )
 
 
-def _summary(runs: Sequence[JudgedRun], *, interrupted: bool) -> Row:
-    """The first thing that the reader sees: counts over all runs."""
+def _summary(runs: Sequence[JudgedRun], *, whole: bool) -> Row:
+    """What the reader sees first, counts over all runs; ``whole``: all that was asked for is here."""
     traces = [run.trace for run in runs]
-    return {
+    summary: Row = {
         "runs": len(runs),
         "claims": sum(len(run.as_expected) for run in runs),
         **{verdict.value: sum(run.count(verdict) for run in runs) for verdict in Verdict},
         "differing": sum(run.as_expected.count(False) for run in runs),
         "cut_short": sum(not run.trace.complete for run in runs),
         "without_claims": sum(not run.trace.scenario.claims for run in runs),
-        "interrupted": interrupted,
         "tested": tested_words(traces),
         "avoiders": avoiders(traces),  # name, runs
         "recorded": any(trace.known.recorded for trace in traces),
@@ -158,27 +166,80 @@ def _summary(runs: Sequence[JudgedRun], *, interrupted: bool) -> Row:
         "unmeasured": sum(bool(found.unmeasured) for run in runs for _, found in run.judged_claims()),
         "decisions": DecisionTally.of(traces),
     }
+    whole = whole and not (summary["cut_short"] or summary["without_claims"])
+    fine = whole and not (summary["violated"] or summary["inconclusive"])
+    decided = summary["holds"] or summary["violated"]
+    tone = "fine" if fine else "plain" if whole and decided else "doubt"
+    return summary | {"answer": answer(runs), "doubt": _doubt(summary), "tone": tone}
 
 
-def _section(run: JudgedRun, number: int) -> Row:
-    """Everything that the page shows about one run."""
+def _doubt(summary: Row) -> str:
+    """What an inconclusive claim is worth."""
+    if not summary["inconclusive"]:
+        return ""
+    unmeasured = summary["unmeasured"]
+    lacking = f" Of {unmeasured} not all was measured that {'it reads' if unmeasured == 1 else 'they read'}."
+    return " What decides nothing is no evidence of safety, even where it was expected." + (
+        lacking if unmeasured else ""
+    )
+
+
+def _in_full(runs: Sequence[JudgedRun]) -> list[bool]:
+    """Which runs are drawn: few are all, of many those not as expected, each claim's worst, violations."""
+    margins: dict[str, tuple[float, int]] = {}
+    for k, run in enumerate(runs):
+        for claim, found in run.judged_claims():
+            if found.margin is not None:
+                margins[claim.sentence] = min(
+                    (float(found.margin), k), margins.get(claim.sentence, (np.inf, k))
+                )
+    worst = {k for _, k in margins.values()}
+
+    def matters(k: int) -> tuple[bool, ...]:
+        run = runs[k]
+        return (
+            run.trace.complete and all(run.as_expected),
+            k not in worst,
+            not run.count(Verdict.VIOLATED),
+        )
+
+    drawn = set(sorted(range(len(runs)), key=matters)[:MOST_IN_FULL])
+    return [k in drawn for k in range(len(runs))]
+
+
+def _section(run: JudgedRun, number: int, *, full: bool) -> Row:
+    """What the page shows about one run; everything, if it is shown in ``full``."""
     run = replace(run, trace=as_measured(run.trace))
-    section, trace = f"run-{number}", run.trace
+    counts = [f"{run.count(verdict)} {verdict.value}" for verdict in Verdict if run.count(verdict)]
+    section = {
+        "id": f"run-{number}",
+        "run": run,
+        "full": full,
+        "outcome": ", ".join(counts),
+        "claims": claim_rows(run),
+        "file": file_name(run),
+        "trace": "" if run.trace_file is None else shlex.quote(str(run.trace_file)),
+        "trace_name": "" if run.trace_file is None else shlex.quote(run.trace_file.stem),
+        "tally": DecisionTally.of([run.trace]),
+        "measured": measured_rows(run.trace),
+        "notes": notes(run),
+    }
+    return section | _drawn(run, f"run-{number}") if full else section
+
+
+def _drawn(run: JudgedRun, section: str) -> Row:
+    """What the page shows of one run in full."""
+    trace = run.trace
     drawn = len(trace.ticks) > 0
     moment = shown_moment(run)
     modes = {words: trace.ticks["mode"] == mode for mode, words in MODE_WORDS.items()}
     limits = {flag_words(flag): (trace.ticks["limits"] & flag.value) != 0 for flag in Limit if flag}
     return {
-        "id": section,
-        "run": run,
-        "claims": claim_rows(run),
         "views": path_views(run, prefix=f"{section}-") if drawn else (),
         "timeline": Markup(timeline(run, prefix=f"{section}-time-") if drawn else ""),
         "moment_time": f"{moment.time_s:.3f} s" if moment else "",
         "moment_claim": moment.claim + 1 if moment and moment.claim is not None else None,  # counted from 1
         "thinned": thinning(trace),
-        "file": file_name(run),
-        "tally": DecisionTally.of([trace]),
         "decisions": decision_rows(trace),
         "failed_checks": failed_checks(trace),  # name, meaning
         "faults": fault_notes(trace),
@@ -188,9 +249,7 @@ def _section(run: JudgedRun, number: int) -> Row:
         "kind": tested_words([trace]),
         "limits": _ticks_rows(trace, "limits", limits),
         "modes": _ticks_rows(trace, "mode", modes),
-        "measured": measured_rows(trace),
         "measured_ticks": {name: int(measured(trace, name).sum()) for name in ("mode", "limits")},
-        "notes": notes(run),
         "changes": changes(run),
         "text": write_scenario(trace.scenario),
     }

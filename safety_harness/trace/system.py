@@ -92,22 +92,17 @@ def system_of(
     robot_sha256: str = "",
 ) -> SystemUnderTest:
     """The system of a run: of a ``controller``, or of the visual servo that asks ``avoider``."""
-    settings = scenario.settings
-    robot = scenario.robot
+    settings, robot = scenario.settings, scenario.robot
     if isinstance(robot, OwnRobot):
         robot_sha256 = str(robot.urdf_sha256)
+    servo, gate, perception, whole = _parts(settings)
     return SystemUnderTest(
-        controller=controller or Component(name=VISUAL_SERVO, sha256=_of(settings, "servo", "motion")),
+        controller=controller or servo,
         avoider=avoider if controller is None else None,
-        gate=None
-        if controller
-        else Component(name=_GATES[settings.avoidance.gate], sha256=_of(settings, "avoidance")),
-        perception=Component(
-            name=f"{_SENSORS[settings.hand_sensor.kind]}, {_IMAGES[settings.camera.source]}",
-            sha256=_of(settings, "camera", "hand_sensor", "hand_filter"),
-        ),
+        gate=gate if controller is None else None,
+        perception=perception,
         robot=Component(name=robot.label, sha256=robot_sha256),
-        settings=Component(name="settings", sha256=_of(settings, *(one.name for one in fields(settings)))),
+        settings=whole,
     )
 
 
@@ -121,6 +116,17 @@ _IMAGES = {source: f"object {source.value}" for source in ImageSource}
 
 
 @lru_cache
+def _parts(settings: Settings) -> tuple[Component, Component, Component, Component]:
+    """What the settings alone decide: servo, gate, perception, and all of them."""
+    sees = f"{_SENSORS[settings.hand_sensor.kind]}, {_IMAGES[settings.camera.source]}"
+    return (
+        Component(name=VISUAL_SERVO, sha256=_of(settings, "servo", "motion")),
+        Component(name=_GATES[settings.avoidance.gate], sha256=_of(settings, "avoidance")),
+        Component(name=sees, sha256=_of(settings, "camera", "hand_sensor", "hand_filter")),
+        Component(name="settings", sha256=_of(settings, *(one.name for one in fields(settings)))),
+    )
+
+
 def _of(settings: Settings, *names: str) -> str:
     """The hash of some of the settings: of their exact values, in the order of their names."""
     values = {name: asdict(getattr(settings, name)) for name in names}

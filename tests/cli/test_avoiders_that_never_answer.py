@@ -177,4 +177,4 @@ def test_a_certificate_is_never_green_for_an_avoider_that_did_not_answer(
     assert 'class="banner fine"' not in page
     assert "Shown with doubt" in page
     assert "<failure" in (junit := Path("report/junit.xml").read_text()) or "<error" in junit
-    assert verify(Path("report"), runs=2, seed=1, execute_avoider=True) == AS_EXPECTED
+    assert verify(Path("report"), runs=2, seed=1, execute_programs=True) == AS_EXPECTED

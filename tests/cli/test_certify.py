@@ -113,7 +113,7 @@ def test_the_same_command_again_makes_nothing_anew(made: Path, capsys: pytest.Ca
 
 
 def test_a_report_stands(report: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert verify(report, runs=4, seed=1, execute_avoider=False) == AS_EXPECTED
+    assert verify(report, runs=4, seed=1, execute_programs=False) == AS_EXPECTED
     said = words(capsys)
     assert "the report stands" in said
     assert "4 of 50 runs made again" in said
@@ -123,7 +123,7 @@ def test_a_report_stands(report: Path, capsys: pytest.CaptureFixture[str]) -> No
 def test_a_changed_file_is_noticed(report: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = report / "evidence.html"
     file.write_text(file.read_text().replace("refuted", "shown"))
-    assert verify(report, runs=0, seed=1, execute_avoider=False) == DIFFERS
+    assert verify(report, runs=0, seed=1, execute_programs=False) == DIFFERS
     assert "evidence.html is not the file that was written" in words(capsys)
 
 
@@ -137,7 +137,7 @@ def test_numbers_that_the_ledger_does_not_give_are_noticed_whatever_the_hashes_s
     found["claims"][0]["outcomes"][0]["violated"] = 0
     file.write_text(json.dumps(found))
     write_manifest(report, stored_files(report))
-    assert verify(report, runs=0, seed=1, execute_avoider=False) == DIFFERS
+    assert verify(report, runs=0, seed=1, execute_programs=False) == DIFFERS
     said = words(capsys)
     assert "claims[0].outcomes[0].violated: 0 in the report" in said
     assert "is not the file" not in said
@@ -155,7 +155,7 @@ def test_outcomes_that_neither_trace_nor_run_gives_are_noticed(
         connection.execute("UPDATE judgement SET outcome = 0, margin = 0.1 WHERE claim = 0 AND outcome = 1")
     connection.close()
     write_manifest(report, stored_files(report))
-    assert verify(report, runs=50, seed=1, execute_avoider=False) == DIFFERS
+    assert verify(report, runs=50, seed=1, execute_programs=False) == DIFFERS
     said = words(capsys)
     assert "holds then, violated now" in said
     lines = said.splitlines()
@@ -164,12 +164,12 @@ def test_outcomes_that_neither_trace_nor_run_gives_are_noticed(
 
 
 def test_a_folder_that_is_no_report_is_bad_input(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert verify(tmp_path, runs=1, seed=1, execute_avoider=False) == BAD_INPUT
+    assert verify(tmp_path, runs=1, seed=1, execute_programs=False) == BAD_INPUT
     assert "manifest.json" in words(capsys)
     (tmp_path / "manifest.json").write_text(
         '{"format": "safety-harness manifest 1", "sha256": {"../x": "0"}}'
     )
-    assert verify(tmp_path, runs=1, seed=1, execute_avoider=False) == BAD_INPUT
+    assert verify(tmp_path, runs=1, seed=1, execute_programs=False) == BAD_INPUT
     assert "below the report's folder" in words(capsys)
 
 
@@ -199,13 +199,13 @@ def test_what_is_declared_and_sealed_is_found_again_and_nothing_else(
     capsys.readouterr()
     assert seal_report(out) == AS_EXPECTED
     sealed = capsys.readouterr().out.strip()
-    assert verify(out, runs=1, seed=1, execute_avoider=False, seal=sealed, declared=declared) == AS_EXPECTED
+    assert verify(out, runs=1, seed=1, execute_programs=False, seal=sealed, declared=declared) == AS_EXPECTED
     said = words(capsys)
     assert "nothing in the report was altered since it was sealed" in said
     assert "plan, seed, avoider, targets and software are the declared ones" in said
-    assert verify(out, runs=0, seed=1, execute_avoider=False, seal=declared) == DIFFERS
-    assert verify(out, runs=0, seed=1, execute_avoider=False, declared=sealed) == DIFFERS
-    assert verify(out, runs=0, seed=1, execute_avoider=False, seal="what?") == BAD_INPUT
+    assert verify(out, runs=0, seed=1, execute_programs=False, seal=declared) == DIFFERS
+    assert verify(out, runs=0, seed=1, execute_programs=False, declared=sealed) == DIFFERS
+    assert verify(out, runs=0, seed=1, execute_programs=False, seal="what?") == BAD_INPUT
     plan.write_text(plan.read_text().replace("50 %", "49 %").replace("seed: 7", "seed: 8"))
     words(capsys)
     assert certify(plan, out=tmp_path / "other", workers=1) == BAD_INPUT
@@ -277,10 +277,10 @@ def test_a_program_in_a_report_is_not_executed_unasked(
     plan_in(tmp_path, text.replace("runs: 30", "runs: 12").replace("runs: 20", "runs: 12"))
     out = tmp_path / "report"
     assert certify(tmp_path / "plan.yaml", out=out, workers=1) == DIFFERS
-    assert verify(out, runs=2, seed=1, execute_avoider=False) == BAD_INPUT
-    assert "--execute-avoider" in words(capsys)
-    assert verify(out, runs=0, seed=1, execute_avoider=False) == AS_EXPECTED
-    assert verify(out, runs=2, seed=1, execute_avoider=True) == AS_EXPECTED
+    assert verify(out, runs=2, seed=1, execute_programs=False) == BAD_INPUT
+    assert "--execute-programs" in words(capsys)
+    assert verify(out, runs=0, seed=1, execute_programs=False) == AS_EXPECTED
+    assert verify(out, runs=2, seed=1, execute_programs=True) == AS_EXPECTED
 
 
 @pytest.mark.parametrize(

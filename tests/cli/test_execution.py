@@ -72,14 +72,14 @@ LOOKS: dict[str, tuple[str, int]] = {
     "robot fit": ("scenario.yaml --out capsules.json", BAD_INPUT),
     "robot enclose": ("scenario.yaml", BAD_INPUT),
     "verify": ("report --runs 0", AS_EXPECTED),
-    "verify as it is": ("report", BAD_INPUT),  # without --execute-avoider
+    "verify as it is": ("report", BAD_INPUT),  # without --execute-programs
     "certify declare": ("plan.yaml", AS_EXPECTED),
     "certify seal": ("report", AS_EXPECTED),
     "campaign status": ("report/ledger.sqlite", AS_EXPECTED),
     "campaign query": ("report/ledger.sqlite", AS_EXPECTED),
     "campaign export": ("report/ledger.sqlite table.csv --traces kept", AS_EXPECTED),
     "campaign compare": ("report/ledger.sqlite report/ledger.sqlite", AS_EXPECTED),
-    "campaign attribute": ("report/ledger.sqlite", BAD_INPUT),  # without --execute-avoider
+    "campaign attribute": ("report/ledger.sqlite", BAD_INPUT),  # without --execute-programs
     "attribute a trace": (TRACE, BAD_INPUT),
     "campaign merge": ("merged.sqlite report/ledger.sqlite", AS_EXPECTED),
     "metrics": (OWN, BAD_INPUT),
@@ -105,7 +105,7 @@ EXECUTES: dict[str, str | None] = {
     "selftest": None,
     "attribute": "scenario.yaml",
     "compare-worlds": "log/LOG.yaml --scenario scenario.yaml --to 0.9s",
-    "campaign attribute": "report/ledger.sqlite --execute-avoider --most 1",
+    "campaign attribute": "report/ledger.sqlite --execute-programs --most 1",
     "campaign run": "plan.yaml --workers 1",
     "campaign resume": "begun.sqlite --workers 1",
 }

@@ -344,7 +344,7 @@ def test_certify_and_verify(folder: Path) -> None:
     refused = command("verify", "report", "--runs", "1")
     assert refused.exit_code == 2
     assert "mine.py:StopAndGo" in refused.output
-    stands = command("verify", "report", "--runs", "1", "--execute-avoider")
+    stands = command("verify", "report", "--runs", "1", "--execute-programs")
     assert stands.exit_code == 0, stands.output
 
 

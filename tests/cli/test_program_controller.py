@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -79,6 +81,18 @@ def test_through_run_replay_fuzz_attribute_and_selftest() -> None:
     assert command("selftest", *options).exit_code == 0
 
 
+def test_through_pytest_beside_the_class(folder: Path) -> None:
+    (folder / "class.yaml").write_text(VISIT)
+    (folder / "wrong.yaml").write_text((folder / "visit.yaml").read_text().replace(": violated", ": holds"))
+    words = ["-q", "-p", "no:cacheprovider", "--safety-world", "kinematic"]
+    files = ("visit.yaml", "class.yaml", "wrong.yaml")
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", *words, *files], capture_output=True, text=True, check=False
+    )
+    assert "1 failed, 14 passed" in done.stdout, done.stdout + done.stderr
+    assert re.search(r"FAILED wrong.yaml::.*hand distance never below 600 mm", done.stdout)
+
+
 def test_through_campaign_compare_certify_and_verify() -> None:
     for name in ("plan", "other"):
         found = command("campaign", "run", f"{name}.yaml", "--ledger", f"{name}.sqlite", "--workers", "1")
@@ -87,5 +101,5 @@ def test_through_campaign_compare_certify_and_verify() -> None:
     assert compared.exit_code == 0, compared.output
     made = command("certify", "plan.yaml", "--out", "report", "--workers", "1")
     assert made.exit_code in (0, 1), made.output
-    stands = command("verify", "report", "--runs", "1", "--execute-avoider")
+    stands = command("verify", "report", "--runs", "1", "--execute-programs")
     assert stands.exit_code == 0, stands.output

@@ -96,7 +96,7 @@ WAYS: dict[str, Callable[[Path, Path], int]] = {
     "a trace": linked("a.trace", lambda file: judge_again([file])),
     "evidence": linked("evidence.json", read_evidence),
     "a manifest": linked(
-        "manifest.json", lambda file: verify(file.parent, runs=0, seed=0, execute_avoider=False)
+        "manifest.json", lambda file: verify(file.parent, runs=0, seed=0, execute_programs=False)
     ),
     "a ledger": linked("a.sqlite", lambda file: _status(file)),
     "selftest": linked("a.json", read_selftest),

@@ -196,3 +196,55 @@ def test_in_print_everything_is_unfolded_and_on_light_paper(browser: Any, report
     printed = browser.execute_cdp_cmd("Page.printToPDF", {"preferCSSPageSize": True})
     assert base64.b64decode(printed["data"]).startswith(b"%PDF")
     assert browser.execute_script("return [...document.querySelectorAll('details')].every(d => d.open)")
+
+
+def shown_rows(browser: Any) -> list[str]:
+    script = """return [...document.querySelectorAll(".verdicts tbody tr")].filter((row) => row.offsetHeight)
+      .map((row) => [...row.cells].map((cell) => cell.textContent.trim()).join(" | "))"""
+    return list(browser.execute_script(script))
+
+
+def write_in(browser: Any, name: str, value: str) -> None:
+    script = """const control = document.querySelector(".filter").elements[arguments[0]];
+      control.value = arguments[1]; control.dispatchEvent(new Event("input", { bubbles: true }))"""
+    browser.execute_script(script, name, value)
+
+
+def test_the_verdicts_are_filtered_and_the_filter_stands_in_the_address(browser: Any, report: str) -> None:
+    show(browser, report, width=1280)
+    every = shown_rows(browser)
+    assert len(every) == 8
+    write_in(browser, "verdict", "violated")
+    violated = shown_rows(browser)
+    assert 0 < len(violated) < len(every)
+    assert all("violated" in row for row in violated)
+    assert all(row.split(" | ")[0] for row in violated)  # each names its scenario, also without the row above
+    write_in(browser, "find", "no such words")
+    assert shown_rows(browser) == []
+    write_in(browser, "find", "150 two hands")
+    (row,) = shown_rows(browser)
+    address = browser.current_url
+    browser.get("about:blank")
+    browser.get(address)
+    assert shown_rows(browser) == [row]
+    show(browser, address, width=400)
+    assert shown_rows(browser) == [row]
+    browser.execute_script("document.querySelector('.filter [type=reset]').click()")
+    browser.implicitly_wait(0)
+    assert browser.execute_async_script("setTimeout(arguments[0], 50)") is None
+    assert len(shown_rows(browser)) == len(every)
+    assert "=" not in browser.current_url
+
+
+def test_the_slash_leads_to_the_filter_and_a_link_unfolds_its_run(browser: Any, report: str) -> None:
+    from selenium.webdriver.common.keys import Keys
+
+    show(browser, report, width=1280)
+    browser.find_element("tag name", "body").send_keys("/")
+    assert browser.switch_to.active_element.get_attribute("type") == "search"
+    browser.switch_to.active_element.send_keys("a/b", Keys.TAB)
+    browser.execute_script(
+        "document.querySelector('#run-2 > details').open = false; location.hash = '#run-2'"
+    )
+    assert browser.execute_async_script("setTimeout(arguments[0], 50)") is None
+    assert browser.execute_script("return document.querySelector('#run-2 > details').open")

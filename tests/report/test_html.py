@@ -14,7 +14,7 @@ from page import Node, parse
 
 from safety_harness.report.decisions import MOST_DECISION_ROWS
 from safety_harness.report.evidence import JudgedRun, notes_of
-from safety_harness.report.html import notes, render
+from safety_harness.report.html import MOST_IN_FULL, notes, render
 from safety_harness.report.page_parts import asset
 from safety_harness.report.svg import Ink
 from safety_harness.scenario.faults import CameraBlind, Joint, JointStuck
@@ -83,7 +83,7 @@ def test_a_scenario_is_named_with_its_file(tmp_path: Path) -> None:
     page = parse(text_for([replace(run, trace=replace(run.trace, scenario=scenario))]))
     assert [node.text for node in page.all("code", "file")] == [
         "reach-in.yaml"
-    ] * 3  # two claims, one section
+    ] * 2  # in the table, where the second claim leaves it out, and in its section
 
 
 def test_the_number_of_a_claim_stands_apart_from_its_sentence(full: Node) -> None:
@@ -114,7 +114,8 @@ def test_beside_the_verdicts_stands_what_the_capsules_add(full: Node) -> None:
 
 def test_every_row_leads_to_the_section_of_its_scenario(full: Node) -> None:
     sections = {article.attributes["id"]: article for article in full.all("article")}
-    for row in full.all("table", "verdicts")[0].all("tbody")[0].all("tr"):
+    rows = full.all("table", "verdicts")[0].all("tbody")[0].all("tr")
+    for row in (row for row in rows if "again" not in row.attributes.get("class", "")):
         (link,) = row.all("a")
         heading = sections[link.attributes["href"].removeprefix("#")].all("h2")[0]
         assert heading.text == link.text
@@ -130,18 +131,21 @@ def test_a_verdict_is_a_word_and_a_symbol_never_a_colour_alone(full: Node) -> No
 
 
 def test_interruption_differences_doubt_and_truncation_are_said_first(full: Node) -> None:
-    assert banners(full) == ["Interrupted.", "Not as expected.", "Inconclusive.", "Cut short."]
+    answer = "5 of 7 as expected: 3 hold, 2 are violated, 2 decide nothing."
+    assert banners(full) == ["Interrupted.", answer, "Cut short."]
+    assert "no evidence of safety" in full.all("div", "grave")[0].text
 
 
 def test_a_report_in_which_all_came_out_as_expected_says_just_that() -> None:
     page = parse(text_for([factory.holds_run()]))
-    assert banners(page) == ["As expected."]
+    assert banners(page) == ["2 of 2 as expected: 2 hold."]
     assert page.all("p", "fine")
 
 
 def test_a_report_with_an_expected_inconclusive_claim_is_not_all_green() -> None:
     page = parse(text_for([factory.holds_run(), factory.no_hands_run()]))
-    assert banners(page) == ["Inconclusive."]
+    assert banners(page) == ["3 of 3 as expected: 2 hold, 1 decides nothing."]
+    assert "no evidence of safety" in page.all("p", "banner")[0].text
     assert not page.all("p", "fine")
 
 
@@ -151,8 +155,7 @@ def test_a_foreseen_violation_is_not_shown_as_green() -> None:
     scenario = replace(run.trace.scenario, claims=claims)
     run = JudgedRun(replace(run.trace, scenario=scenario), run.evaluations[:2], "again")
     page = parse(text_for([run]))
-    assert banners(page) == ["As expected."]
-    assert "2 of them are violations that the file foresees" in page.all("p", "banner")[0].text
+    assert banners(page) == ["2 of 2 as expected: 2 are violations that the files expect."]
     assert not page.all("p", "fine")
 
 
@@ -162,7 +165,7 @@ def test_no_run_or_no_claim_is_no_evidence() -> None:
     assert "No evidence." in banners(parse(text_for([unclaimed])))
     mixed = banners(parse(text_for([factory.holds_run(), unclaimed])))
     assert "Nothing claimed." in mixed
-    assert "As expected." not in mixed
+    assert not parse(text_for([factory.holds_run(), unclaimed])).all("p", "fine")
 
 
 def test_the_decisions_are_listed_with_triggers_outcomes_and_failed_checks(full: Node) -> None:
@@ -366,3 +369,17 @@ def test_each_of_eight_hands_has_an_ink_of_its_own_in_the_key_and_in_the_drawing
         assert f">hand {number}<" in page
         assert f"var(--fig-hand-{number})" in drawings
     assert "var(--fig-hand-3)" not in text_for([run])
+
+
+def test_of_many_runs_those_that_matter_most_are_drawn() -> None:
+    expected = factory.holds_run()
+    runs = [replace(expected, trace_file=Path(f"traces/run {k}.trace")) for k in range(MOST_IN_FULL + 5)]
+    runs[-2] = factory.violated_run()
+    page = parse(text_for(runs))
+    drawn = [bool(article.all("div", "drawing")) for article in page.all("article")]
+    assert sum(drawn) == MOST_IN_FULL
+    assert drawn[-2]
+    (dropped, *_) = (k for k, is_drawn in enumerate(drawn) if not is_drawn)
+    words = page.one(f"run-{dropped + 1}").text
+    assert f"safety-harness judge 'traces/run {dropped}.trace' --out 'run {dropped}'" in words
+    assert f"{MOST_IN_FULL} of {len(runs)} runs are drawn here" in page.text

@@ -18,9 +18,3 @@ for (const table of document.querySelectorAll("table[data-copy]")) {
     setTimeout(() => { button.textContent = "Copy table"; }, 2000);
   });
 }
-const unfold = () => {
-  const target = location.hash.length > 1 && document.getElementById(decodeURIComponent(location.hash.slice(1)));
-  for (let part = target; part; part = part.parentElement) if (part.tagName === "DETAILS") part.open = true;
-};
-addEventListener("hashchange", unfold);
-unfold();

@@ -1,0 +1,101 @@
+"""What came out, for those who read a change: SARIF for the lines of its files, Markdown for its summary."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from safety_harness.properties.base import Evaluation
+from safety_harness.report.evidence import JudgedRun, answer
+from safety_harness.report.words import margin_words
+from safety_harness.scenario.files import told
+from safety_harness.scenario.model import Claim, Verdict
+from safety_harness.whole_file import write_whole
+
+SCHEMA = "https://json.schemastore.org/sarif-2.1.0.json"
+SUMMARY, SARIF = "summary.md", "report.sarif"
+MOST_LINES = 50  # of a summary; a job's has a limit of its own
+
+
+def write_for_ci(folder: Path, runs: Sequence[JudgedRun]) -> None:
+    """Write ``summary.md`` and ``report.sarif`` into the folder.  Raises OSError."""
+    write_whole(folder / SUMMARY, markdown(runs))
+    write_whole(folder / SARIF, json.dumps(sarif(runs), indent=1) + "\n")
+
+
+def _told(runs: Sequence[JudgedRun]) -> Iterator[tuple[JudgedRun, Claim, Evaluation, bool]]:
+    """What is not as expected, and then the violations that are; with whether it is as expected."""
+    for wanted in (False, True):
+        for run in runs:
+            for (claim, found), expected in zip(run.judged_claims(), run.as_expected, strict=True):
+                if expected is wanted and (not expected or found.verdict is Verdict.VIOLATED):
+                    yield run, claim, found, expected
+
+
+def markdown(runs: Sequence[JudgedRun]) -> str:
+    """The summary of a job: the answer, and a table of what is not as expected or violated."""
+    told_of = list(_told(runs))
+    lines = [f"### {answer(runs)}", ""]
+    if told_of:
+        lines += ["| scenario | claim | verdict | expected | margin | at |", "|---|---|---|---|---|---|"]
+    for run, claim, found, expected in told_of[:MOST_LINES]:
+        verdict = found.verdict.value if expected else f"**{found.verdict.value}**"
+        at = "" if found.worst_time_s is None else f"{found.worst_time_s:.3f} s"
+        cells = (
+            run.trace.scenario.name,
+            claim.sentence,
+            verdict,
+            claim.expected.value,
+            margin_words(found),
+            at,
+        )
+        lines.append(f"| {' | '.join(map(_cell, cells))} |")
+    if len(told_of) > MOST_LINES:
+        lines += ["", f"{len(told_of) - MOST_LINES} more are in report.html."]
+    return "\n".join(lines) + "\n"
+
+
+def _cell(text: str) -> str:
+    """Text that stays in its cell and is no markup of its own."""
+    words = text.replace("\\", "\\\\").replace("|", "\\|").replace("<", "&lt;").replace("`", "\\`")
+    return " ".join(words.split())
+
+
+def sarif(runs: Sequence[JudgedRun]) -> dict[str, Any]:
+    """SARIF 2.1.0: a result at the line of each claim that is not as expected (error) or violated (note)."""
+    told_of = list(_told(runs))
+    rules = dict.fromkeys(claim.sentence for _, claim, _, _ in told_of)
+    tool = {
+        "name": "safety-harness",
+        "version": version("safety-harness"),
+        "rules": [{"id": sentence, "shortDescription": {"text": sentence}} for sentence in rules],
+    }
+    results = [_result(run, claim, found, expected) for run, claim, found, expected in told_of]
+    return {
+        "$schema": SCHEMA,
+        "version": "2.1.0",
+        "runs": [{"tool": {"driver": tool}, "columnKind": "unicodeCodePoints", "results": results}],
+    }
+
+
+def _result(run: JudgedRun, claim: Claim, found: Evaluation, expected: bool) -> dict[str, Any]:
+    at = "" if found.worst_time_s is None else f" at {found.worst_time_s:.3f} s"
+    text = (
+        f"{run.trace.scenario.name}: {claim.sentence}: {found.verdict.value}, "
+        f"expected {claim.expected.value}; margin {margin_words(found)}{at}; {found.reason}"
+    )
+    result: dict[str, Any] = {
+        "ruleId": claim.sentence,
+        "level": "note" if expected else "error",
+        "message": {"text": text},
+    }
+    file = claim.place.file or run.trace.scenario.file
+    if file is not None:
+        physical: dict[str, Any] = {"artifactLocation": {"uri": told(file).as_posix()}}
+        if claim.place.line is not None:
+            physical["region"] = {"startLine": claim.place.line}
+        result["locations"] = [{"physicalLocation": physical}]
+    return result
