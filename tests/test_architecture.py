@@ -46,6 +46,7 @@ ORDER = [
     {"scoring"},
     {"proof"},
     {"attribution"},
+    {"recorded"},
     {"campaign"},
     {"report"},
     {"certification"},
