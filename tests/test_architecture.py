@@ -47,6 +47,7 @@ ORDER = [
     {"scoring"},
     {"proof"},
     {"attribution"},
+    {"recorded"},
     {"campaign"},
     {"report"},
     {"certification"},

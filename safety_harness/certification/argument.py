@@ -149,6 +149,10 @@ def _credibility(evidence: Evidence) -> Iterator[Element]:
     for rerun in known.reruns:
         words = f"{rerun.title}: {rerun.changed} of {rerun.verdicts} verdicts change"
         yield Element(ElementKind.SOLUTION, words, rerun.place, DOUBT if rerun.changed else DONE)
+    for cell in known.cells:
+        words = f"A recorded cell: {cell.differing} of {cell.decided} verdicts differ"
+        fine = cell.decided and not cell.differing and cell.present
+        yield Element(ElementKind.SOLUTION, words, "recorded-cells", DONE if fine else DOUBT)
     if known.oracles:
         yield Element(ElementKind.SOLUTION, f"{len(known.oracles)} parts against other software", "oracles")
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from functools import partial
@@ -19,7 +19,7 @@ from safety_harness.certification.folder import PAGE, PDF, browser, write_folder
 from safety_harness.certification.gather import gather
 from safety_harness.certification.lodged import declared_sha256
 from safety_harness.certification.results import refuse_hopeless
-from safety_harness.certification.tools import HarnessTrials, read_oracles, read_selftest
+from safety_harness.certification.tools import HarnessTrials, read_cell, read_oracles, read_selftest
 from safety_harness.exceptions import SafetyHarnessError, explanation
 from safety_harness.interrupts import one_more_ctrl_c
 from safety_harness.report.search_attribution import SearchAttribution
@@ -53,6 +53,7 @@ class Certification:
         *,
         selftest: Path | None,
         oracles: Path | None,
+        cells: Sequence[Path],
         declared: Path | None,
         pdf: bool,
     ) -> Certification:
@@ -71,6 +72,7 @@ class Certification:
             selftest=None if selftest is None else read_selftest(selftest),
             oracles=() if oracles is None else read_oracles(oracles),
             oracles_with="" if oracles is None else f"as {oracles.name} has it",
+            cells=tuple(map(read_cell, cells)),
         )
         return cls(plan, folder or Path("reports") / plan.name, trials, command, declaration_sha256, pdf)
 

@@ -48,7 +48,8 @@ def credibility_of(
         reruns=reruns,
         oracles=trials.oracles,
         oracles_measured_with=trials.oracles_with,
-        absent=(*absent, NO_CELL),
+        absent=(*absent, *[NO_CELL] * (not trials.cells)),
+        cells=trials.cells,
     )
 
 

@@ -117,6 +117,15 @@ def of_worlds(credibility: Credibility) -> Iterator[OpenFinding]:
     if agreement is not None and agreement.optimistic:
         text = f"{agreement.optimistic} optimistic disagreements of the kinematic world with PyBullet"
         yield OpenFinding(text, "agreement")
+    for cell in credibility.cells:
+        if cell.differing:
+            text = (
+                f"{cell.differing} of {cell.decided} verdicts of {cell.comparison.log} differ in simulation"
+            )
+            yield OpenFinding(text, "recorded-cells")
+        if not cell.present:
+            text = f"the worlds were held against {cell.comparison.log} with another source"
+            yield OpenFinding(text, "recorded-cells")
     for rerun in credibility.reruns:
         if rerun.changed:
             text = f"{rerun.title}: {rerun.changed} of {rerun.verdicts} verdicts change"

@@ -16,9 +16,16 @@ from safety_harness.certification.evidence import (
     OverrulingResult,
 )
 from safety_harness.certification.stored import cells_of
-from safety_harness.certification.tools import Credibility, Rerun, SelfTest, WorldAgreement
+from safety_harness.certification.tools import (
+    Credibility,
+    RecordedCell,
+    Rerun,
+    SelfTest,
+    WorldAgreement,
+)
 from safety_harness.certification.verdicts import at_least, at_most, confidence_words, percent
 from safety_harness.properties.base import shown_margin
+from safety_harness.recorded.words import world_lines
 from safety_harness.report.words import count_words, with_minus
 from safety_harness.search.coverage import AXES
 
@@ -336,6 +343,23 @@ def agreement(known: WorldAgreement) -> CellTable:
     )
 
 
+def cell_lines(known: RecordedCell) -> CellTable:
+    """How far both worlds lie from what was recorded in a cell."""
+    found = known.comparison
+    source = "this very source" if known.present else f"another source, {found.source_hash}"
+    rows = [(world.world, line) for world in found.worlds for line in world_lines(world, found.usually)]
+    return _table(
+        f"{found.log}, {found.title}, {found.duration_s:g} s: {found.tested} under the recorded hands, "
+        f"simulated minus recorded, run with {source}. "
+        f"{count_words(known.differing, 'verdict', 'verdicts')} of {known.decided} differ, "
+        f"{known.optimistic} of them optimistic (a claim holds in simulation that was violated in the cell). "
+        f"Intervals: {found.confidence:.0%} of the mean, by {found.blocks} stretches of it, approximate. "
+        f"compare-worlds.json: sha256 {known.sha256}.",
+        rows,
+        {"World": lambda one: words(one[0]), "What": lambda one: words(one[1])},
+    )
+
+
 def rerun(known: Rerun) -> CellTable:
     """What changes when declared random runs are made again with something else."""
     return _table(
@@ -392,6 +416,6 @@ _EVERY: tuple[Callable[..., object], ...] = (
         whose_fault,
         calibration,
     ),
-    *(agreement, rerun, oracles, kills, files),
+    *(agreement, cell_lines, rerun, oracles, kills, files),
 )
 TABLES = {make.__name__: make for make in _EVERY}  # as the page calls them

@@ -5,6 +5,7 @@ The trial of the harness on seeded faults, and its independent oracles, are read
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
@@ -14,6 +15,7 @@ from msgspec import Meta
 
 from safety_harness.compiled import source_hash
 from safety_harness.exceptions import InputError, Place
+from safety_harness.recorded.compare import CellComparison, read_comparison
 from safety_harness.scenario.typed_json import of_format, read_json, typed
 from safety_harness.search.coverage import CoverageCell
 from safety_harness.shipped.contents import located
@@ -64,6 +66,33 @@ class Oracle:
 
 
 @dataclass(frozen=True, kw_only=True)
+class RecordedCell:
+    """Both worlds beside the log of a real cell; ``present``: run with the very source of this report.
+
+    ``sha256`` is of the file that ``compare-worlds`` wrote.
+    """
+
+    comparison: CellComparison
+    sha256: str
+    present: bool
+
+    @property
+    def decided(self) -> int:
+        """Verdicts that log and run both decide."""
+        return sum(one.decided for one in self.comparison.claims)
+
+    @property
+    def differing(self) -> int:
+        """Those of them that contradict each other."""
+        return sum(one.differs for one in self.comparison.claims)
+
+    @property
+    def optimistic(self) -> int:
+        """Those in which a claim holds in simulation that was violated in the cell."""
+        return sum(one.optimistic for one in self.comparison.claims)
+
+
+@dataclass(frozen=True, kw_only=True)
 class Credibility:
     """Why a number from the simulator may be believed; ``absent`` says what was not measured, and why."""
 
@@ -72,6 +101,7 @@ class Credibility:
     oracles: tuple[Oracle, ...]
     oracles_measured_with: str
     absent: tuple[str, ...]
+    cells: tuple[RecordedCell, ...] = ()
 
 
 class FaultState(Enum):
@@ -128,6 +158,7 @@ class HarnessTrials:
     selftest: SelfTest | None = None
     oracles: tuple[Oracle, ...] = ()
     oracles_with: str = ""
+    cells: tuple[RecordedCell, ...] = ()
 
 
 NO_TRIALS = HarnessTrials()
@@ -208,6 +239,13 @@ def read_selftest(path: Path) -> SelfTest:
         and len(tried) >= about.planned
         and "--fault" not in about.command.split(),
     )
+
+
+def read_cell(path: Path) -> RecordedCell:
+    """What ``compare-worlds`` wrote; InputError for what is none."""
+    found = read_comparison(path)
+    data = hashlib.sha256(path.read_bytes()).hexdigest()
+    return RecordedCell(comparison=found, sha256=data, present=found.source_hash == source_hash())
 
 
 def read_oracles(path: Path) -> tuple[Oracle, ...]:

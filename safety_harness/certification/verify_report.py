@@ -154,7 +154,9 @@ def check_numbers(report: ReportFolder, *, again: bool) -> tuple[Examination, Ga
         report.plan,
         ledger,
         report.folder,
-        HarnessTrials(selftest=recorded.selftest, oracles=then.oracles, oracles_with=oracles_with),
+        HarnessTrials(
+            selftest=recorded.selftest, oracles=then.oracles, oracles_with=oracles_with, cells=then.cells
+        ),
         declaration=declared and declaration_of(report.plan, ledger.declared.identity).sha256,
         origin=_origin(recorded.provenance, ledger, same=same),
         believe=believe,
@@ -179,8 +181,10 @@ def check_numbers(report: ReportFolder, *, again: bool) -> tuple[Examination, Ga
         if again
         else ["the runs by which the simulator is doubted, or a fault is attributed, were not made again"]
     )
-    if recorded.selftest or recorded.credibility.oracles:
-        unchecked.append("the trial of the harness and the table of oracles are what their files said")
+    if recorded.selftest or then.oracles or then.cells:
+        unchecked.append(
+            "the trial of the harness, the table of oracles and recorded cells are as their files said"
+        )
     unchecked += [f"{name}: a file that no report has" for name in _foreign(gathered.evidence, report.hashes)]
     return Examination("numbers", text, few(faults), few(notes), few(unchecked)), gathered
 

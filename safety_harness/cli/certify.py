@@ -57,6 +57,10 @@ def certify(
         Path | None,
         Option(help="Independent oracles, likewise; of this version: shipped:plans/oracles.json."),
     ] = None,
+    cell: Annotated[
+        list[Path],
+        Option(help="compare-worlds.json of safety-harness compare-worlds, likewise; may be given again."),
+    ] = [],  # noqa: B006
     declared: Annotated[
         Path | None, Option(help="What certify declare wrote; without it PLAN.declared.json, if it is there.")
     ] = None,
@@ -96,8 +100,11 @@ def certify(
     files = {"--out": out, "--selftest": selftest, "--oracles": oracles, "--declared": declared}
     for name, value in files.items():
         words += [name, str(told(value))] if value else []
+    words += [word for one in cell for word in ("--cell", str(told(one)))]
     again = shlex.join(words + ["--pdf"] * pdf)
-    job = Certification.of(plan, out, again, selftest=selftest, oracles=oracles, declared=declared, pdf=pdf)
+    job = Certification.of(
+        plan, out, again, selftest=selftest, oracles=oracles, cells=cell, declared=declared, pdf=pdf
+    )
     # Standard output is kept for the verdicts.
     evidence, complete = job.run(
         workers, watching_campaign, SearchOutput(say, say, watching_search, watching_words)

@@ -22,6 +22,8 @@ from safety_harness.cli.machine import commands as of_machine
 from safety_harness.cli.monitor import commands as of_monitor
 from safety_harness.cli.new import commands as of_new
 from safety_harness.cli.prove import commands as of_proofs
+from safety_harness.cli.recorded import commands as of_recorded
+from safety_harness.cli.recorded import of_scenarios as of_scenario
 from safety_harness.cli.robot import commands as of_robots
 from safety_harness.cli.scenario_commands import commands as of_scenarios
 from safety_harness.cli.selftest import commands as of_selftest
@@ -45,6 +47,7 @@ for group in (
     of_proofs,
     of_reports,
     of_selftest,
+    of_recorded,
     of_shipped,
     of_machine,
     of_monitor,
@@ -54,6 +57,7 @@ app.add_typer(of_certify, name="certify")
 app.add_typer(of_campaigns, name="campaign")
 app.add_typer(of_robots, name="robot")
 app.add_typer(of_logs, name="log")
+app.add_typer(of_scenario, name="scenario")
 app.add_typer(of_learning)
 
 

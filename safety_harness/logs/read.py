@@ -70,10 +70,15 @@ def read_log(path: str | Path, *, align: bool = False) -> CellLog:
     ``align``: its clocks need not be said, and all of its hands is read.
     """
     file = Path(path)
+    return log_of(said_in(file), name=file.stem, align=align)
+
+
+def said_in(file: Path) -> Field:
+    """What a LOG.yaml says, before any of it is read; LogError for what is none."""
     refuse_other_kind(file, FileKind.LOG, error=LogError)
     data = read_bytes(file, most=MAX_BYTES, place=Place(file=file), error=LogError)
     text = decode(data, most=MAX_BYTES, file=file, error=LogError)
-    return log_of(Field(parse_tree(text, file), file, path="", line=1), name=file.stem, align=align)
+    return Field(parse_tree(text, file), file, path="", line=1)
 
 
 def log_of(said: Field, *, name: str, align: bool = False) -> CellLog:

@@ -200,7 +200,8 @@ def instants(trace: Trace, paths: HandPaths, hand: int) -> tuple[NDArray[np.floa
     if not own.any():
         return ticks, joints_rad, hand_m, elbow_m, distance_m, slack_m
     corner_at = paths.corner_at[own]
-    after = np.searchsorted(ticks, corner_at, side="right")
+    # a sample that is a rounding before the last tick is at it
+    after = np.minimum(np.searchsorted(ticks, corner_at, side="right"), len(ticks) - 1)
     at = np.insert(ticks, after, corner_at)
     corners = paths.corners_in_base_m[own]
     return (

@@ -50,6 +50,7 @@ class FileKind(Enum):
     DECLARATION = "the declaration of a plan", "safety-harness verify REPORT --declared {file}"
     SEAL = "the seal of a report", "safety-harness verify REPORT --seal {file}"
     CERTIFICATE = "the certificate of a proof", "safety-harness prove --check {file}"
+    CELL = "a recorded cell beside the worlds", "safety-harness certify PLAN --cell {file}"
     TIMES = "measured decision times", "a scenario draws from them: safety-harness explain decision time"
     TABLE = "a table", "a recorded motion is named by a scenario: safety-harness explain recording"
     REPORT = "the folder of an evidence report", "safety-harness verify {file}"
@@ -74,6 +75,7 @@ _BY_FORMAT = {
     "declaration": FileKind.DECLARATION,
     "seal": FileKind.SEAL,
     "certificate": FileKind.CERTIFICATE,
+    "recorded cell": FileKind.CELL,
     "decision times": FileKind.TIMES,
 }
 _BY_TITLE = {

@@ -50,6 +50,8 @@ SMALL_PLAN = (
     .replace("runs: 20", "runs: 8")
 )
 TRACE = "out/traces/scenario.trace"
+LOG = Path(__file__).parents[2] / "examples" / "logs"
+GROUPS = ("campaign", "certify", "log", "robot", "scenario ")
 
 # Every command: a new one has to take a stand.  Those that look, with their words and exit code ...
 LOOKS: dict[str, tuple[str, int]] = {
@@ -64,6 +66,7 @@ LOOKS: dict[str, tuple[str, int]] = {
     "judge": (TRACE, 1),
     "show": ("scenario.yaml space.yaml --draws 3", AS_EXPECTED),
     "sample": ("space.yaml --count 2", AS_EXPECTED),
+    "scenario from": ("log/LOG.yaml --scenario scenario.yaml --around 50 mm --out from", AS_EXPECTED),
     "log align": ("scenario.yaml --body hand", BAD_INPUT),
     "monitor": ("scenario.yaml", BAD_INPUT),
     "robot show": ("scenario.yaml", BAD_INPUT),
@@ -102,6 +105,7 @@ EXECUTES: dict[str, str | None] = {
     "verify": None,
     "selftest": None,
     "attribute": "scenario.yaml",
+    "compare-worlds": "log/LOG.yaml --scenario scenario.yaml --to 0.9s",
     "campaign attribute": "report/ledger.sqlite --execute-programs --most 1",
     "campaign run": "plan.yaml --workers 1",
     "campaign resume": "begun.sqlite --workers 1",
@@ -121,6 +125,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "scenario.yaml").write_text(SCENARIO)
     (folder / "space.yaml").write_text(SPACE)
     (folder / "plan.yaml").write_text(SMALL_PLAN)
+    shutil.copytree(LOG, folder / "log")
     with pytest.MonkeyPatch.context() as monkeypatch:
         monkeypatch.chdir(folder)
         for words in ("run scenario.yaml --out out", "certify plan.yaml --out report --workers 1"):
@@ -142,16 +147,14 @@ def folder(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_every_command_takes_a_stand() -> None:
-    stands = {
-        name for name in LOOKS if " " not in name or name.startswith(("campaign", "certify", "log", "robot"))
-    } | EXECUTES.keys()
+    stands = {name for name in LOOKS if " " not in name or name.startswith(GROUPS)} | EXECUTES.keys()
     assert stands == set(commands(typer.main.get_command(app)))
 
 
 def test_the_document_has_the_same_table() -> None:
     text = (Path(__file__).parents[2] / "docs" / "avoiders.md").read_text()
     row = next(line for line in text.splitlines() if line.startswith("| `run`"))
-    executing = set(re.findall(r"`([a-z ]+)`", row.split("|")[1])) - {"pytest"}
+    executing = set(re.findall(r"`([a-z]+(?:[ -][a-z]+)*)`", row.split("|")[1])) - {"pytest"}
     assert executing == {name.removesuffix(" plan") for name in EXECUTES} - {
         "replay",
         "verify",
@@ -168,7 +171,7 @@ def test_a_command_that_looks_executes_nothing(
 
     monkeypatch.setattr(host, "Process", begun)
     words, code = LOOKS[name]
-    command = name if name.startswith(("campaign", "certify", "log", "robot")) else name.split()[0]
+    command = name if name.startswith(GROUPS) else name.split()[0]
     found = CliRunner().invoke(app, [*command.split(), *words.split()])
     assert found.exit_code == code, found.output
     assert not (folder / "executed").exists()

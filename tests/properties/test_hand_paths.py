@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from examples import ConstantSpeed, hand, run, scenario
 
-from safety_harness import admit, read_scenario, run_trial
+from safety_harness import admit, read_scenario, run_kinematic, run_trial
 from safety_harness.properties.hand_distance import HandDistance, closest_approach, joint_bend_m
 from safety_harness.properties.true_motion import first_stray, hand_bend_m, hand_paths
 from safety_harness.scenario.model import HandTrajectory, JoinedHand, MovingHand, Verdict
@@ -117,6 +117,22 @@ def test_the_samples_of_a_recording_between_two_ticks_are_corners() -> None:
     between = (samples_s < 0.4) & ~np.isclose(samples_s / 0.008, np.round(samples_s / 0.008))
     assert between.any()
     assert np.all(np.isin(np.round(samples_s[between], 9), np.round(paths.corner_at * 0.008, 9)))
+
+
+def test_a_sample_that_is_a_rounding_before_the_last_tick_is_at_it() -> None:
+    last, period_s = 26, 0.008
+    before_s = np.nextafter(last * period_s, 0.0)
+    assert before_s / period_s == last
+    recorded = read_scenario(SHIPPED / "recorded-giving.yaml")
+    motion = recorded.hands[0].motion  # type: ignore[union-attr]
+    time_s = motion.time_s.copy()
+    time_s[np.searchsorted(time_s, before_s)] = before_s
+    hands = (replace(recorded.hands[0], motion=replace(motion, time_s=time_s)),)  # type: ignore[type-var]
+    trace = run_kinematic(admit(replace(recorded, hands=hands, duration_s=last * period_s)))
+    paths = hand_paths(trace)
+    assert paths.corner_at[-1] == last == len(trace.ticks) - 1
+    least_m, _, _ = closest_approach(trace, paths)
+    assert least_m == pytest.approx(trace.ticks["hand_distance_m"][:, 0].min(), abs=1e-3)
 
 
 def test_a_hand_that_is_joined_to_a_recording_has_its_corners_too() -> None:

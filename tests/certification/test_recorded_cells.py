@@ -1,0 +1,137 @@
+"""A recorded cell beside the worlds, as a report's credibility has it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import page
+import pytest
+from made_up_evidence import HOSTILE, evidence
+from typer.testing import CliRunner
+
+from safety_harness.certification.argument import DONE, DOUBT, argument_of
+from safety_harness.certification.credibility import NO_CELL, credibility_of
+from safety_harness.certification.evidence import Evidence
+from safety_harness.certification.findings import of_worlds
+from safety_harness.certification.page import render
+from safety_harness.certification.tools import HarnessTrials, RecordedCell, read_cell
+from safety_harness.cli.main import app
+from safety_harness.compiled import source_hash
+from safety_harness.recorded.apart import Difference, Estimate, Fit
+from safety_harness.recorded.compare import CellComparison, ClaimOfBoth, ClosestHand, WorldBeside, as_json
+from safety_harness.scenario.model import Verdict
+
+AN_ESTIMATE = Estimate(value=0.002, low=0.001, high=0.003)
+A_DIFFERENCE = Difference(
+    what="elbow_joint", unit="rad", samples=900, mean=AN_ESTIMATE, usually=0.004, largest=0.005, at_s=2.0,
+    recorded_within=1e-4,
+)  # fmt: skip
+
+
+def cell(simulated: Verdict = Verdict.HOLDS, *, present: bool = True) -> RecordedCell:
+    claim = ClaimOfBoth(
+        sentence="hand distance never below 50 mm",
+        recorded=Verdict.HOLDS,
+        recorded_margin="+10.0 mm",
+        simulated=simulated,
+        simulated_margin="+12.0 mm",
+    )
+    world = WorldBeside(
+        world="kinematic",
+        joints=(A_DIFFERENCE,),
+        tcp=None,
+        distances=(),
+        closest=(ClosestHand(hand=HOSTILE, simulated_m=0.07, recorded_least_m=None, recorded_most_m=0.08),),
+        fit=Fit(late=None, why="the joints stand", offsets=(AN_ESTIMATE,), before=0.003, left=0.001),
+        claims=(claim,),
+        absent=(),
+    )
+    found = CellComparison(
+        log="LOG.yaml",
+        title=HOSTILE,
+        scenario="cell",
+        tested="mc-dropout",
+        duration_s=7.2,
+        joint_samples=901,
+        confidence=0.95,
+        blocks=10,
+        usually=0.95,
+        worlds=(world,),
+        notes=(),
+        package_version="0",
+        source_hash=source_hash() if present else "0123456789abcdef",
+        python="3",
+        platform="any",
+        libraries=(),
+        files=(("joints.csv", "0" * 64),),
+    )
+    return RecordedCell(comparison=found, sha256="f" * 64, present=present)
+
+
+def with_cells(*cells: RecordedCell) -> Evidence:
+    whole = evidence(counterexamples=0)
+    return replace(whole, credibility=replace(whole.credibility, cells=cells))
+
+
+def test_the_page_has_what_was_compared_and_no_longer_says_that_nothing_was() -> None:
+    text = render(with_cells(cell()), {})
+    words = page.parse(text).text
+    assert "Validation against a recorded cell" in words
+    assert "0 verdicts of 1 differ" in words
+    assert "elbow_joint: mean 0.115 deg (0.057 deg to 0.172 deg)" in words
+    assert "not estimated: the joints stand" in words
+    assert "Nothing here compares the simulator with a real cell" not in words
+    assert "What a recorded cell shows is of that recording." in words
+
+
+@pytest.mark.parametrize(
+    ("one", "found", "state"),
+    [
+        (cell(), "", DONE),
+        (cell(Verdict.VIOLATED), "1 of 1 verdicts of LOG.yaml differ in simulation", DOUBT),
+        (cell(present=False), "held against LOG.yaml with another source", DOUBT),
+        (cell(Verdict.INCONCLUSIVE), "", DOUBT),
+    ],
+    ids=["same", "contradicted", "other source", "undecided"],
+)
+def test_a_contradicted_verdict_and_another_source_are_open_findings(
+    one: RecordedCell, found: str, state: str
+) -> None:
+    whole = with_cells(one)
+    texts = [finding.text for finding in of_worlds(whole.credibility) if finding.place == "recorded-cells"]
+    assert len(texts) == bool(found)
+    assert found in "".join(texts)
+    leaves = [element for element in _every(argument_of(whole)) if element.text.startswith("A recorded cell")]
+    assert [element.state for element in leaves] == [state]
+
+
+def _every(element: object) -> list[object]:
+    below = (*element.beside, *element.below)  # type: ignore[attr-defined]
+    return [element, *(one for child in below for one in _every(child))]
+
+
+def test_what_was_written_is_read_again(tmp_path: Path) -> None:
+    file = tmp_path / "compare-worlds.json"
+    for one in (cell(), cell(present=False)):
+        file.write_text(as_json(one.comparison))
+        read = read_cell(file)
+        assert read.comparison == one.comparison
+        assert read.present == one.present
+
+
+def test_only_a_report_without_one_says_that_no_real_cell_was_measured() -> None:
+    assert NO_CELL in credibility_of([], HarnessTrials()).absent
+    known = credibility_of([], HarnessTrials(cells=(cell(),)))
+    assert NO_CELL not in known.absent
+    assert known.cells == (cell(),)
+
+
+def test_what_is_no_comparison_is_refused_before_anything_is_run(tmp_path: Path) -> None:
+    file = tmp_path / "compare-worlds.json"
+    file.write_text("{}")
+    words = ["certify", "shipped:plans/certify-in-a-minute.yaml", "--cell", str(file)]
+    found = CliRunner().invoke(app, [*words, "--out", str(tmp_path / "report")])
+    assert found.exit_code == 2
+    assert "safety-harness recorded cell 1" in found.output
+    assert not (tmp_path / "report").exists()
