@@ -83,7 +83,7 @@ oracles: $(VENV)/tested
 
 # One small page of each kind, into reports/sample/.
 sample: $(VENV)/installed
-	$(BIN)/python docs/sample_reports.py
+	$(BIN)/python benchmarks/sample_reports.py
 
 # Mutants of properties/ and statistics/ that no test notices: hours, resumes; "mutmut results" lists them.
 mutation: $(VENV)/tested

@@ -14,7 +14,7 @@ SAMPLE = ROOT / "reports" / "sample"
 
 
 def made_by() -> dict[str, str]:
-    spec = importlib.util.spec_from_file_location("sample_reports", ROOT / "docs" / "sample_reports.py")
+    spec = importlib.util.spec_from_file_location("sample_reports", ROOT / "benchmarks" / "sample_reports.py")
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)

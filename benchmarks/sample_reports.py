@@ -1,4 +1,7 @@
-"""One small page of each kind into reports/sample/, by the commands that users run.  Run: python docs/sample_reports.py"""
+"""One small page of each kind into reports/sample/, by the commands that users run.
+
+Run: python benchmarks/sample_reports.py
+"""
 
 from __future__ import annotations
 
