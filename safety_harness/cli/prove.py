@@ -35,7 +35,7 @@ def prove(
         "reports/prove"
     ),
     minutes: Annotated[float, Option(help="For all claims together.", min=0.0)] = 5.0,
-    halvings: Annotated[int, Option(help="How often a box is halved at most.", min=1, max=60)] = 26,
+    halvings: Annotated[int, Option(help="How often a box is halved at most.", min=1, max=60)] = 40,
     jobs: Annotated[int, Option(help="Processes.", min=1)] = 1,
     resume: Annotated[bool, Option("--resume", help="Go on with the certificate in the folder.")] = False,
 ) -> int:
