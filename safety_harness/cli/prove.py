@@ -15,6 +15,7 @@ from safety_harness.cli.options import command
 if TYPE_CHECKING:
     from safety_harness.proof.certificate import Proof
     from safety_harness.proof.plan import ProofPlan
+    from safety_harness.proof.together import JointBound
 
 CERTIFICATE = "certificate.json"
 commands = Typer()
@@ -48,12 +49,15 @@ def prove(
     """
     if check:
         return _check(file, model)
+    from dataclasses import asdict
+
     from safety_harness.campaign.pool import pool
     from safety_harness.cli.progress import watching_steps
     from safety_harness.interrupts import one_more_ctrl_c
     from safety_harness.proof.certificate import taken_up, write_certificate
     from safety_harness.proof.plan import read_proof_plan
     from safety_harness.proof.session import Effort, carry_on, fresh
+    from safety_harness.proof.together import joint_bounds
 
     plan, path = read_proof_plan(file), out / CERTIFICATE
     before = taken_up(path, plan) if resume else fresh(plan)
@@ -70,9 +74,13 @@ def prove(
             proofs[number] = proof
         interrupted = stopped()
     written = write_certificate(path, plan, proofs)
+    bounds = joint_bounds(plan, proofs)
     _tell(plan, proofs, out)
+    _tell_bounds(plan, proofs, bounds)
     document(
-        certificate=path, claims=[{k: v for k, v in one.items() if k != "tree"} for one in written["claims"]]
+        certificate=path,
+        claims=[{k: v for k, v in one.items() if k != "tree"} for one in written["claims"]],
+        together=[asdict(one) for one in bounds],
     )
     say(f"certificate: {path} (safety-harness prove --check {path})")
     if interrupted:
@@ -95,6 +103,23 @@ def _tell(plan: ProofPlan, proofs: list[Proof], out: Path) -> None:
     for number, proof in enumerate(proofs, 1):
         if proof.question is not None:
             _write_question(plan, proof, out / f"refuted-{number}.yaml")
+
+
+def _tell_bounds(plan: ProofPlan, proofs: list[Proof], bounds: list[JointBound]) -> None:
+    """How often the network is wrong at most, where the plan says how questions are distributed."""
+    from safety_harness.properties.tally import table
+
+    if plan.questions is None:
+        return
+    confidence = f"{plan.questions.confidence:.7g}"
+    rows = [
+        (proof.planned.claim.sentence, proof.planned.region.name, *bound.cells)
+        for proof, bound in zip(proofs, bounds, strict=True)
+    ]
+    columns = ("claim", "region", "wrong at most", "at least", "undecided", "of it asked", "wrong")
+    heading = f"chance that a question as the plan draws them is answered wrongly; all hold with {confidence}"
+    result("", heading, "")
+    result(*table(columns, rows, columns_of(sys.stdout), named_by=2, right=range(2, 7)))
 
 
 def _write_question(plan: ProofPlan, proof: Proof, path: Path) -> None:

@@ -16,6 +16,7 @@ from safety_harness.proof.tree import BoxTree
 from tests.proof.regions import PLAN, plan_file
 
 FALSE = "proof: wrong\navoider: student\nclaims: [{claim: steps at most 60 mm}]\n"
+QUESTIONS = "distribution: {samples: 100, confidence: 95 %}\n"
 
 
 @pytest.fixture(autouse=True)
@@ -51,7 +52,10 @@ def test_a_false_claim_is_refuted_with_a_question_that_is_a_scenario(
         "safety_harness.cli.prove._write_question",
         lambda plan, proof, path: written.append((path.name, proof.planned.sentence)),
     )
-    assert prove(plan_file(folder, FALSE), out=folder / "out", halvings=4) == DIFFERS
+    assert prove(plan_file(folder, FALSE + QUESTIONS), out=folder / "out", halvings=4) == DIFFERS
+    *_, columns, row = capsys.readouterr().out.splitlines()
+    assert columns.split()[2:6] == ["wrong", "at", "most", "at"]
+    assert float(row.split()[6]) > 0.9
     assert written == [("refuted-1.yaml", "steps at most 60 mm (seen)")]
     (claim,) = json.loads((folder / "out" / "certificate.json").read_text())["claims"]
     assert claim["verdict"] == "refuted"
