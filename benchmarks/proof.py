@@ -1,6 +1,6 @@
 """What ``prove`` proves of the student, and whether questions of the real network contradict it.
 
-Run: python benchmarks/proof.py [MINUTES] (half an hour, with 1 a claim); it writes PROOF.md.
+Run: python benchmarks/proof.py [MINUTES] (half an hour, with 1 a claim, of processor time); it writes PROOF.md.
 
 Each claim is worked on alone, in one process.  Then the network is asked random questions of proven boxes,
 and those in the corners to which its own gradient points: is any box proven wrongly?  Where ``leads away`` is
@@ -13,6 +13,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 
@@ -33,7 +34,7 @@ from safety_harness.settings import DEFAULTS
 
 ROOT = Path(__file__).parents[1]
 PLAN, PAGE = ROOT / "plans" / "student-proofs.yaml", Path(__file__).with_name("PROOF.md")
-RANDOM, GUIDED, STEPS, AT_ONCE = 25_000_000, 250_000, 4, 500_000  # questions a claim; 4 steps each
+RANDOM, GUIDED, STEPS, AT_ONCE = 13_000_000, 60_000, 4, 500_000  # questions a claim; 4 steps each
 PAIRS, ANGLES = 1_000_000, (0.0, 60.0, 75.0, 90.0, 120.0, 180.0)
 COLUMNS = (
     *("claim", "region", "proven", "refuted", "undecided"),
@@ -84,7 +85,7 @@ def tried(proof: Proof, avoider: LearnedAvoider, rng: np.random.Generator) -> tu
         least = min(least, float(margins[proven].min(initial=np.inf)))
         if guided >= GUIDED * STEPS:
             continue
-        x, lows, highs = x[codes == PROVEN], lows[codes == PROVEN], highs[codes == PROVEN]
+        x, lows, highs = (part[codes == PROVEN][:GUIDED] for part in (x, lows, highs))
         for _ in range(STEPS):  # to the corner that the gradient points to, then from there
             slope = np.empty_like(x)
             margins, _ = wrong(proof, avoider, x)
@@ -100,6 +101,11 @@ def tried(proof: Proof, avoider: LearnedAvoider, rng: np.random.Generator) -> tu
     return asked, guided, least, against
 
 
+def time_is_up(end_s: float) -> bool:
+    """Of the processor's time, since others use the machine too."""
+    return time.process_time() > end_s
+
+
 def rows(plan: ProofPlan, seconds: float) -> Iterator[str]:
     """A line of the table for each claim."""
     network, avoider = fold_perceptron(plan.model), LearnedAvoider.of(plan.model)
@@ -107,15 +113,16 @@ def rows(plan: ProofPlan, seconds: float) -> Iterator[str]:
     work(first.tree, network, first.planned.claim, first.planned.region, halvings=1, until_s=np.inf)
     for proof in fresh(plan):
         claim, region = proof.planned.claim, proof.planned.region
-        start_s = time.monotonic()
-        work(proof.tree, network, claim, region, halvings=40, until_s=start_s + seconds)
-        took_s = time.monotonic() - start_s
+        start_s = time.process_time()
+        out_of_time = partial(time_is_up, start_s + seconds)
+        work(proof.tree, network, claim, region, halvings=40, until_s=np.inf, stopped=out_of_time)
+        took_s = time.process_time() - start_s
         proven, refuted, undecided = proof.least_shares
         path = Path("/tmp") / "benchmark-certificate.json"
         write_certificate(path, plan, [proof])
-        start_s = time.monotonic()
+        start_s = time.process_time()
         check(path.read_bytes(), plan.model_file.read_bytes())
-        check_s = time.monotonic() - start_s
+        check_s = time.process_time() - start_s
         asked, guided, least, against = tried(proof, avoider, rng)
         unit = "m2" if claim.sentence == "leads away" else "m"
         cells = (
@@ -183,7 +190,7 @@ def main() -> None:
     lines = [
         "# What is proven of the student\n",
         f"Written by `python benchmarks/proof.py` at {revision}: `plans/student-proofs.yaml`, one process,",
-        f"at most {seconds:.0f} s a claim, on a machine with two cores that others used too. Proven is",
+        f"at most {seconds:.0f} s of processor time a claim, on a machine with two cores. Proven is",
         "at least, undecided at most, of the pairs that the claim is about. Asked are random questions",
         "within proven boxes, and those in the corners to which its gradient points; none may contradict.\n",
         f"| {' | '.join(COLUMNS)} |",

@@ -16,6 +16,7 @@ from typing import Any
 
 import msgspec
 
+from safety_harness.certification.proofs import ProofEvidence
 from safety_harness.certification.tools import CoverageOfRuns, Credibility, SelfTest
 from safety_harness.properties.answered import fallback_words
 from safety_harness.scenario.typed_json import of_format, plain, read_json, typed
@@ -364,6 +365,7 @@ class Evidence:
     record: Record
     provenance: EvidenceProvenance
     files: tuple[StoredFile, ...]
+    proven: ProofEvidence | None = None  # about the avoider's network, where a certificate was given
 
     @property
     def fallback(self) -> str:
@@ -375,7 +377,10 @@ class Evidence:
 
 def as_text(evidence: Evidence) -> str:
     """The whole report as JSON; ValueError for a number that is not finite."""
-    return json.dumps(plain(evidence), indent=1, allow_nan=False, ensure_ascii=False) + "\n"
+    found = plain(evidence)
+    if evidence.proven is None:
+        del found["proven"]
+    return json.dumps(found, indent=1, allow_nan=False, ensure_ascii=False) + "\n"
 
 
 def read_evidence(path: Path) -> Evidence:
