@@ -1,6 +1,6 @@
 """What ``prove`` proves of the student, and whether questions of the real network contradict it.
 
-Run: python benchmarks/proof.py [MINUTES] (half an hour, with 1 a claim, of processor time); it writes PROOF.md.
+Run: python benchmarks/proof.py [MINUTES] (half an hour, with 1 of processor time a claim); it writes PROOF.md.
 
 Each claim is worked on alone, in one process.  Then the network is asked random questions of proven boxes,
 and those in the corners to which its own gradient points: is any box proven wrongly?  Where ``leads away`` is

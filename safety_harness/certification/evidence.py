@@ -16,8 +16,8 @@ from typing import Any
 
 import msgspec
 
-from safety_harness.certification.proofs import ProofEvidence
 from safety_harness.certification.tools import CoverageOfRuns, Credibility, SelfTest
+from safety_harness.proof.maps import BoxMap
 from safety_harness.properties.answered import fallback_words
 from safety_harness.scenario.typed_json import of_format, plain, read_json, typed
 from safety_harness.trace.system import SystemUnderTest
@@ -339,6 +339,25 @@ class Record:
 
 
 @dataclass(frozen=True, kw_only=True)
+class CertifiedClaim:
+    """``claim`` and ``region`` as the certificate calls them, ``confirmed`` in the checker's words."""
+
+    claim: str
+    region: str
+    verdict: str
+    confirmed: str
+    maps: tuple[BoxMap, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class CertifiedProofs:
+    """What was confirmed of the network with this hash."""
+
+    network_sha256: str
+    claims: tuple[CertifiedClaim, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
 class Evidence:
     """The whole report."""
 
@@ -365,7 +384,7 @@ class Evidence:
     record: Record
     provenance: EvidenceProvenance
     files: tuple[StoredFile, ...]
-    proven: ProofEvidence | None = None  # about the avoider's network, where a certificate was given
+    proven: CertifiedProofs | None = None  # about the avoider's network, where a certificate was given
 
     @property
     def fallback(self) -> str:

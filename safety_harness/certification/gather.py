@@ -23,11 +23,18 @@ from safety_harness.certification.counterexamples import (
     searches_of,
 )
 from safety_harness.certification.credibility import credibility_of
-from safety_harness.certification.evidence import FORMAT, ClaimStatus, Evidence, Record, WhoseFault
+from safety_harness.certification.evidence import (
+    FORMAT,
+    CertifiedProofs,
+    ClaimStatus,
+    Evidence,
+    Record,
+    WhoseFault,
+)
 from safety_harness.certification.evidence import DeclaredPlan as PlanEvidence
 from safety_harness.certification.evidence import EvidenceProvenance as Origin
 from safety_harness.certification.findings import findings_of
-from safety_harness.certification.proofs import ProofEvidence, stored_proof
+from safety_harness.certification.proofs import stored_proof
 from safety_harness.certification.results import bounds, claims_of, overruling_of, strata_of
 from safety_harness.certification.standards import ASSUMPTIONS, EXCLUSIONS
 from safety_harness.certification.stored import (
@@ -93,7 +100,7 @@ def put_together(
     origin: Origin,
     believe: Callable[[Sequence[Stored], HarnessTrials], Credibility] = credibility_of,
     blame: Callable[[Plan, Ledger], WhoseFault] = whose_fault,
-    proven: ProofEvidence | None = None,
+    proven: CertifiedProofs | None = None,
 ) -> GatheredEvidence:
     """All that follows from the ledger and the searches, around what does not: the last six."""
     stored, damaged = random_traces(plan, ledger)

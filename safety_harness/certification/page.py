@@ -8,9 +8,13 @@ from pathlib import Path
 from markupsafe import Markup
 
 from safety_harness.certification.argument import STATE, argument_of, argument_svg
-from safety_harness.certification.evidence import ClaimStatus, CounterexampleEvidence, Evidence
+from safety_harness.certification.evidence import (
+    CertifiedClaim,
+    ClaimStatus,
+    CounterexampleEvidence,
+    Evidence,
+)
 from safety_harness.certification.figures import bounds_figure, margins_figure, separation_figure
-from safety_harness.certification.proofs import CertifiedClaim
 from safety_harness.certification.replay3d import replay_json, start_s
 from safety_harness.certification.stored import cells_of
 from safety_harness.certification.tables import TABLES

@@ -14,36 +14,18 @@ from functools import lru_cache
 from pathlib import Path
 
 from safety_harness.campaign.plan import Plan
+from safety_harness.certification.evidence import CertifiedClaim, CertifiedProofs
 from safety_harness.certification.system import network_file_of
 from safety_harness.exceptions import InputError, OutputError, Place
 from safety_harness.proof.certificate import FORMAT, read_proofs
 from safety_harness.proof.check import check
-from safety_harness.proof.maps import BoxMap, maps_of
+from safety_harness.proof.maps import maps_of
 from safety_harness.scenario.files import read_bytes
 from safety_harness.scenario.typed_json import LARGEST_BYTES, of_format, parsed
 from safety_harness.whole_file import replacing
 
 FOLDER = "proof"
 CERTIFICATE, NETWORK = f"{FOLDER}/certificate.json", f"{FOLDER}/network.safetensors"
-
-
-@dataclass(frozen=True, kw_only=True)
-class CertifiedClaim:
-    """``claim`` and ``region`` as the certificate calls them, ``confirmed`` in the checker's words."""
-
-    claim: str
-    region: str
-    verdict: str
-    confirmed: str
-    maps: tuple[BoxMap, ...]
-
-
-@dataclass(frozen=True, kw_only=True)
-class ProofEvidence:
-    """What was confirmed of the network with this hash."""
-
-    network_sha256: str
-    claims: tuple[CertifiedClaim, ...]
 
 
 @dataclass(frozen=True)
@@ -89,7 +71,7 @@ def networks_of(plan: Plan) -> list[bytes]:
     return [_bytes(file) for file in files if file is not None]
 
 
-def stored_proof(folder: Path) -> ProofEvidence | None:
+def stored_proof(folder: Path) -> CertifiedProofs | None:
     """That of a report's folder, confirmed again; None for none, InputError if it does not hold."""
     if not (folder / FOLDER).exists():
         return None
@@ -103,7 +85,7 @@ def without_proof(folder: Path) -> None:
 
 
 @lru_cache(maxsize=2)
-def evidence_of(certified: CertifiedNetwork, file: Path) -> ProofEvidence:
+def evidence_of(certified: CertifiedNetwork, file: Path) -> CertifiedProofs:
     """InputError for whatever the checker does not confirm; ``file`` is where it came from."""
     try:
         lines = check(certified.certificate, certified.network)
@@ -122,7 +104,7 @@ def evidence_of(certified: CertifiedNetwork, file: Path) -> ProofEvidence:
         )
         for proof, line in zip(proofs, lines, strict=True)
     )
-    return ProofEvidence(network_sha256=hashlib.sha256(certified.network).hexdigest(), claims=tuple(claims))
+    return CertifiedProofs(network_sha256=hashlib.sha256(certified.network).hexdigest(), claims=tuple(claims))
 
 
 def _bytes(file: Path) -> bytes:
