@@ -23,9 +23,15 @@ from safety_harness.proof.certificate import write_certificate
 from safety_harness.proof.plan import read_proof_plan
 from safety_harness.proof.session import Effort, fresh
 from safety_harness.proof.session import carry_on as prove
+from tests.campaign.plans import PLAN as PLAN_OF_RUNS
 from tests.campaign.plans import plan_in
-from tests.certification.forging import FEWER
 from tests.proof.regions import PLAN, plan_file
+
+
+FEW = PLAN_OF_RUNS.replace("runs: 30", "runs: 2").replace("runs: 20", "runs: 1")
+QUIET = FEW.replace("opposite pose", "student").replace(
+    "hand distance never below 150 mm", "trace finite and monotone"
+)
 
 
 def certificate_in(folder: Path, text: str = PLAN) -> Path:
@@ -39,7 +45,7 @@ def certificate_in(folder: Path, text: str = PLAN) -> Path:
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A report of a few runs of the student, with a proof."""
     folder = tmp_path_factory.mktemp("with-proof")
-    plan, report = plan_in(folder, FEWER.replace("opposite pose", "student")), folder / "report"
+    plan, report = plan_in(folder, QUIET), folder / "report"
     assert carry_on(plan, report / LEDGER, processes(1))
     read_certified(certificate_in(folder), plan).write(report)
     with Ledger.open(report / LEDGER) as ledger, plan_of(ledger) as plan:
@@ -97,7 +103,7 @@ def test_nor_is_it_gone(report: Path) -> None:
 
 
 def test_one_of_another_network_or_not_confirmed_is_refused(tmp_path: Path) -> None:
-    plan = plan_in(tmp_path, FEWER.replace("opposite pose", "student"))
+    plan = plan_in(tmp_path, QUIET)
     save_model(random_perceptron(), tmp_path / "own.safetensors")
     other = certificate_in(tmp_path, PLAN.replace("avoider: student", "avoider: own.safetensors"))
     with pytest.raises(InputError, match="network of the plan's avoider"):
