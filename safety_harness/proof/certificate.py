@@ -34,6 +34,7 @@ KINDS = {
     ClaimKind.AT_LEAST: "at least",
     ClaimKind.OPTIMUM: "optimum",
     ClaimKind.AWAY: "away",
+    ClaimKind.UNSURE: "unsure",
 }
 
 

@@ -11,7 +11,7 @@ from scipy.special import ndtr
 
 from safety_harness.avoidance.model_file import PERCEPTRON, Model, SeenSpace, load_model
 from safety_harness.avoidance.shipped import SHIPPED, shipped_model
-from safety_harness.proof.claims import DecisionClaim, read_claim
+from safety_harness.proof.claims import ClaimKind, DecisionClaim, read_claim, threshold_m
 from safety_harness.scenario.compose import Library
 from safety_harness.scenario.fields import LARGEST_COORDINATE_M, Field
 from safety_harness.scenario.files import as_path
@@ -121,10 +121,8 @@ def read_proof_plan(path: str | Path) -> ProofPlan:
         raise avoider.error(f"a network: one that ships, or FILE{MODEL_SUFFIX}")
     file = shipped_model(name) if name in SHIPPED else located(path.parent / Path(name).expanduser())
     model = load_model(file)
-    if model.kind != PERCEPTRON or model.members != 1:
-        raise avoider.error(
-            f"a {PERCEPTRON} of one member", got=f"{name}: a {model.kind}, {model.members} member(s)"
-        )
+    if model.kind != PERCEPTRON:
+        raise avoider.error(f"a {PERCEPTRON}", got=f"{name}: a {model.kind}, {model.members} member(s)")
     regions = {SEEN: seen_region(model.seen)}
     if at := given.optional("regions"):
         for key, item in at.entries("regions by name")[:MOST_REGIONS]:
@@ -138,6 +136,8 @@ def read_proof_plan(path: str | Path) -> ProofPlan:
         proof = PlannedProof(
             read_claim(fields.required("claim")), where.one_of(regions) if where else regions[SEEN]
         )
+        if proof.claim.kind is ClaimKind.UNSURE and not threshold_m(model) >= 0.0:
+            raise item.error("a network with a spread and its threshold for such a claim", got=name)
         if proof in proofs:
             raise item.error("each claim once in a region", got=proof.sentence)
         proofs.append(proof)

@@ -24,6 +24,7 @@ from scipy.special import ndtr, ndtri
 from safety_harness.avoidance.learned import LearnedAvoider
 from safety_harness.proof.box_kernel import REFUTED, UNDECIDED
 from safety_harness.proof.certificate import Proof
+from safety_harness.proof.claims import margins_of
 from safety_harness.proof.plan import Normal, PlannedProof, ProofPlan, ProofRegion, Questions
 from safety_harness.proof.tree import BoxTree
 from safety_harness.proportions import upper_bound
@@ -139,8 +140,6 @@ def joint_bounds(plan: ProofPlan, proofs: list[Proof]) -> list[JointBound]:
 
 def answered_wrongly(avoider: LearnedAvoider, planned: PlannedProof, asked: Floats) -> NDArray[np.bool_]:
     """(n,) which questions (n, 6) the claim is about and the network answers otherwise, or nearly so."""
-    hands, tcps = asked[:, :3], asked[:, 3:]
-    answers, _ = avoider.propose_many(hands, tcps, np.zeros(len(asked), np.uint64))
-    apart_m, (near_m, far_m) = np.linalg.norm(hands - tcps, axis=1), planned.region.apart_m
+    apart_m, (near_m, far_m) = np.linalg.norm(asked[:, :3] - asked[:, 3:], axis=1), planned.region.apart_m
     found: NDArray[np.bool_] = (apart_m >= near_m) & (apart_m <= far_m)
-    return found & ~(planned.claim.margins(hands, tcps, answers) >= DOUBTFUL)
+    return found & ~(margins_of(avoider, planned.claim, asked) >= DOUBTFUL)
