@@ -83,7 +83,7 @@ class PlannedProof:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Questions:
+class QuestionLaw:
     """How questions are distributed: ``normals_m`` (6,) by axis of hand and TCP, None where it is uniform.
 
     ``samples`` of them are drawn for each claim, and all bounds hold together with ``confidence``.
@@ -104,7 +104,7 @@ class ProofPlan:
     model_file: Path
     model: Model
     proofs: tuple[PlannedProof, ...]
-    questions: Questions | None = None
+    questions: QuestionLaw | None = None
 
 
 def read_proof_plan(path: str | Path) -> ProofPlan:
@@ -178,7 +178,7 @@ def _region(name: str, at: Field, seen: ProofRegion) -> ProofRegion:
     )
 
 
-def _questions(at: Field, regions: list[ProofRegion]) -> Questions:
+def _questions(at: Field, regions: list[ProofRegion]) -> QuestionLaw:
     """A distribution that is known; ScenarioError for one that a loop makes, or that misses a region."""
     given = at.fields(("hand", "tcp", "samples", "confidence", "seed"), hints=dict.fromkeys(OF_LOOPS, LOOP))
     normals: list[Normal | None] = []
@@ -195,7 +195,7 @@ def _questions(at: Field, regions: list[ProofRegion]) -> Questions:
                 expected = f"at least {LEAST_INSIDE:g} of each axis within the region {region.name}"
                 raise at.error(expected, got=f"mean {normal[0]:g} m, std {normal[1]:g} m, axis {axis % 3}")
     samples, confidence, seed = (given.optional(key) for key in ("samples", "confidence", "seed"))
-    return Questions(
+    return QuestionLaw(
         normals_m=tuple(normals),
         samples=20_000 if samples is None else samples.integer(least=1, most=MOST_SAMPLES),
         confidence=0.99 if confidence is None else confidence.quantity(FRACTION, least=0.5, most=0.999999),

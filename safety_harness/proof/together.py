@@ -25,7 +25,7 @@ from safety_harness.avoidance.learned import LearnedAvoider
 from safety_harness.proof.box_kernel import REFUTED, UNDECIDED
 from safety_harness.proof.certificate import Proof
 from safety_harness.proof.claims import margins_of
-from safety_harness.proof.plan import Normal, PlannedProof, ProofPlan, ProofRegion, Questions
+from safety_harness.proof.plan import Normal, PlannedProof, ProofPlan, ProofRegion, QuestionLaw
 from safety_harness.proof.tree import BoxTree
 from safety_harness.proportions import upper_bound
 from safety_harness.seeds import Branch, generator
@@ -55,7 +55,7 @@ class JointBound:
         return high, low, undecided, f"{self.samples:,}", f"{self.wrong:,}"
 
 
-def chances(questions: Questions, region: ProofRegion, low: Floats, high: Floats) -> Floats:
+def chances(questions: QuestionLaw, region: ProofRegion, low: Floats, high: Floats) -> Floats:
     """(n,) the probabilities of boxes from ``low`` to ``high`` (n, 6) within the region."""
     whole, found = region.corners(), np.ones(len(low))
     for axis, normal in enumerate(questions.normals_m):
@@ -64,7 +64,7 @@ def chances(questions: Questions, region: ProofRegion, low: Floats, high: Floats
     return found
 
 
-def drawn(questions: Questions, low: Floats, high: Floats, rng: np.random.Generator) -> Floats:
+def drawn(questions: QuestionLaw, low: Floats, high: Floats, rng: np.random.Generator) -> Floats:
     """(n, 6) one question of each box from ``low`` to ``high`` (n, 6)."""
     asked = low + rng.random(low.shape) * (high - low)
     for axis, normal in enumerate(questions.normals_m):
@@ -93,7 +93,7 @@ def _ends(normal: Normal, low: Floats, high: Floats) -> tuple[Floats, Floats, ND
 def joint_bound(
     tree: BoxTree,
     region: ProofRegion,
-    questions: Questions,
+    questions: QuestionLaw,
     wrong: Wrong,
     *,
     confidence: float,

@@ -11,15 +11,15 @@ from scipy.stats import binom, norm
 
 from safety_harness.exceptions import InputError
 from safety_harness.proof.box_kernel import PROVEN, REFUTED, UNDECIDED
-from safety_harness.proof.plan import Questions, read_proof_plan
+from safety_harness.proof.plan import QuestionLaw, read_proof_plan
 from safety_harness.proof.session import Effort, carry_on, fresh
 from safety_harness.proof.together import chances, drawn, joint_bound, joint_bounds
 from safety_harness.proof.tree import BoxTree
 from tests.proof.regions import PLAN, SEEN_REGION, plan_file
 
-UNIFORM = Questions(normals_m=(None,) * 6, samples=60, confidence=0.9, seed=0)
+UNIFORM = QuestionLaw(normals_m=(None,) * 6, samples=60, confidence=0.9, seed=0)
 NORMALS = ((0.8, 0.2), (-0.3, 0.1), (0.0, 0.3), None, (0.0, 0.05), (0.3, 1.0))
-NORMAL = Questions(normals_m=NORMALS, samples=60, confidence=0.9, seed=0)
+NORMAL = QuestionLaw(normals_m=NORMALS, samples=60, confidence=0.9, seed=0)
 LOW, HIGH = (side[0] for side in SEEN_REGION.corners())
 
 
@@ -34,7 +34,7 @@ def a_tree(x: float, depth: int) -> BoxTree:
     return BoxTree(levels)
 
 
-def share_below(questions: Questions, share: float) -> float:
+def share_below(questions: QuestionLaw, share: float) -> float:
     """The chance that the hand's x is below this share of the region."""
     x, (low, high) = LOW[0] + share * (HIGH[0] - LOW[0]), (LOW[0], HIGH[0])
     normal = questions.normals_m[0]
@@ -44,7 +44,7 @@ def share_below(questions: Questions, share: float) -> float:
     return float((norm.cdf(x, *normal) - first) / (last - first))
 
 
-def covered(questions: Questions, count: int) -> int:
+def covered(questions: QuestionLaw, count: int) -> int:
     """In how many of ``count`` simulations with known truth the bound holds."""
     found = 0
     for number in range(count):
@@ -68,7 +68,7 @@ def covered(questions: Questions, count: int) -> int:
 
 @pytest.mark.parametrize(("questions", "count"), [(UNIFORM, 1_000), (NORMAL, 200)], ids=["uniform", "normal"])
 def test_of_a_thousand_bounds_with_known_truth_as_many_hold_as_they_say(
-    questions: Questions, count: int
+    questions: QuestionLaw, count: int
 ) -> None:
     held = covered(questions, count)
     assert held >= binom.ppf(1e-4, count, questions.confidence)
@@ -92,7 +92,7 @@ def test_what_is_proven_adds_nothing_and_what_is_refuted_counts_whole() -> None:
 
 
 @pytest.mark.parametrize("questions", [UNIFORM, NORMAL], ids=["uniform", "normal"])
-def test_questions_are_drawn_as_their_boxes_chances_say(questions: Questions) -> None:
+def test_questions_are_drawn_as_their_boxes_chances_say(questions: QuestionLaw) -> None:
     count, rng = 40_000, np.random.default_rng(2)
     asked = drawn(questions, np.tile(LOW, (count, 1)), np.tile(HIGH, (count, 1)), rng)
     assert ((asked >= LOW) & (asked <= HIGH)).all()
@@ -108,7 +108,7 @@ def test_questions_are_drawn_as_their_boxes_chances_say(questions: Questions) ->
 
 
 def test_the_chance_far_from_the_mean_keeps_its_digits() -> None:
-    questions = Questions(normals_m=((0.0, 0.05), *(None,) * 5), samples=1, confidence=0.9, seed=0)
+    questions = QuestionLaw(normals_m=((0.0, 0.05), *(None,) * 5), samples=1, confidence=0.9, seed=0)
     low, high = LOW.copy(), HIGH.copy()
     low[0] = 1.1
     (chance,) = chances(questions, SEEN_REGION, low[None], high[None])
