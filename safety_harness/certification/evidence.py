@@ -404,7 +404,8 @@ def as_text(evidence: Evidence) -> str:
 
 def read_evidence(path: Path) -> Evidence:
     """What ``as_text`` wrote; InputError with the place of what is not as it should be."""
-    return typed(of_format(read_json(path, "an evidence report"), FORMAT, path), Evidence, path)
+    found = of_format(read_json(path, "an evidence report"), FORMAT, path)
+    return typed({"proven": None, **found}, Evidence, path)
 
 
 def schema() -> dict[str, Any]:
@@ -415,5 +416,7 @@ def schema() -> dict[str, Any]:
             kind |= {"required": list(kind["properties"]), "additionalProperties": False}
             for part in kind["properties"].values():
                 part.pop("default", None)
-    found["$defs"]["Evidence"]["properties"]["format"] = {"const": FORMAT}
+    whole = found["$defs"]["Evidence"]
+    whole["properties"]["format"] = {"const": FORMAT}
+    whole["required"].remove("proven")  # only where a certificate was given
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": FORMAT, **found}
