@@ -27,7 +27,6 @@ from tests.campaign.plans import PLAN as PLAN_OF_RUNS
 from tests.campaign.plans import plan_in
 from tests.proof.regions import PLAN, plan_file
 
-
 FEW = PLAN_OF_RUNS.replace("runs: 30", "runs: 2").replace("runs: 20", "runs: 1")
 QUIET = FEW.replace("opposite pose", "student").replace(
     "hand distance never below 150 mm", "trace finite and monotone"

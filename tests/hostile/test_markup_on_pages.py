@@ -62,6 +62,7 @@ IN_PLACE = {  # what is looked up, never shown as it came
     "unit",
     "arm_name",
     "avoider_sha256",
+    "rows",
 }
 WHEN = datetime(2026, 11, 21, tzinfo=UTC)
 
