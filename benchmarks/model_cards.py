@@ -33,13 +33,14 @@ ABOUT = {
     "ensemble": "Five deterministic networks from five seeds; the spread is over the members.",
     "optimum": "Trained on the continuous optimum in place of eq. 13's selected candidate: no noise.",
     "student": "Two layers of 32 with ReLU, trained as `optimum`: small enough for [proofs](proof.md).",
+    "student-ensemble": "Five of `student` from five seeds; the spread is over them, and needs no seed.",
 }
 HEAD = """\
 # The shipped networks
 
 Written by `python benchmarks/model_cards.py` from the model files and a fresh evaluation; figures in
 millimetres. The regression ResNet of Chen et al. (2020) as in figures 3 and 4 of the paper: three stages of
-one dense and two identity blocks, 32 units wide; `student` alone is a perceptron. Each was
+one dense and two identity blocks, 32 units wide; `student` and its ensemble are perceptrons. Each was
 trained on the CPU of two ordinary cores in one to
 four minutes, with a recipe of ours ([learning.md](learning.md)); the paper's own recipes and scale are one
 command away (`safety-harness train paper-mc-dropout`).

@@ -26,6 +26,7 @@ class Branch(IntEnum):
     SCORING = 10
     CONTROLLER = 11
     ENVIRONMENT = 12
+    PROOF = 13
 
 
 def generator(root: int, branch: Branch, *path: int) -> np.random.Generator:

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-SHIPPED = ("mc-dropout", "mc-dropout-full", "deterministic", "ensemble", "optimum", "student")
+SHIPPED = (
+    *("mc-dropout", "mc-dropout-full", "deterministic", "ensemble", "optimum"),
+    *("student", "student-ensemble"),
+)
 FOLDER = Path(__file__).resolve().parents[1] / "models"
 
 

@@ -18,6 +18,7 @@ from safety_harness.certification.evidence import Evidence
 from safety_harness.certification.folder import PAGE, PDF, browser, write_folder, write_manifest, write_pdf
 from safety_harness.certification.gather import gather
 from safety_harness.certification.lodged import declared_sha256
+from safety_harness.certification.proofs import CertifiedNetwork, read_certified, without_proof
 from safety_harness.certification.results import refuse_hopeless
 from safety_harness.certification.tools import HarnessTrials, read_cell, read_oracles, read_selftest
 from safety_harness.exceptions import SafetyHarnessError, explanation
@@ -43,6 +44,7 @@ class Certification:
     command: str
     declaration_sha256: str = ""
     pdf: bool = False
+    certified: CertifiedNetwork | None = None
 
     @classmethod
     def of(
@@ -56,11 +58,13 @@ class Certification:
         cells: Sequence[Path],
         declared: Path | None,
         pdf: bool,
+        proof: Path | None = None,
     ) -> Certification:
         """Everything that can be refused before anything is run; the folder is reports/NAME without one.
 
         InputError for a plan that is not as declared or whose targets its runs cannot meet, for files that
-        cannot be read, for two packages that own one module, and for a PDF that no browser can print.
+        cannot be read, for a proof that is not confirmed or not of its network, for two packages that own one
+        module, and for a PDF that no browser can print.
         """
         plan = read_plan(file)
         declaration_sha256 = declared_sha256(plan, declared)
@@ -68,13 +72,16 @@ class Certification:
         refuse_shared_modules()
         if pdf:
             browser()
+        certified = None if proof is None else read_certified(proof, plan)
         trials = HarnessTrials(
             selftest=None if selftest is None else read_selftest(selftest),
             oracles=() if oracles is None else read_oracles(oracles),
             oracles_with="" if oracles is None else f"as {oracles.name} has it",
             cells=tuple(map(read_cell, cells)),
         )
-        return cls(plan, folder or Path("reports") / plan.name, trials, command, declaration_sha256, pdf)
+        return cls(
+            plan, folder or Path("reports") / plan.name, trials, command, declaration_sha256, pdf, certified
+        )
 
     def run(self, workers: int | None, watch: WatchCampaign, output: SearchOutput) -> tuple[Evidence, bool]:
         """All of it; what is there already is not made again.  The evidence, and whether it is complete."""
@@ -83,6 +90,9 @@ class Certification:
             path, crew = self.folder / LEDGER, processes(workers)
             complete = carry_on(self.plan, path, crew, on_progress=show, enough=interrupted)
         complete = complete and self.search(output)
+        without_proof(self.folder)
+        if self.certified is not None:
+            self.certified.write(self.folder)
         with Ledger.open(self.folder / LEDGER) as ledger:
             gathered = gather(
                 self.plan,

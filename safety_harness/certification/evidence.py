@@ -17,6 +17,7 @@ from typing import Any
 import msgspec
 
 from safety_harness.certification.tools import CoverageOfRuns, Credibility, SelfTest
+from safety_harness.proof.maps import BoxMap
 from safety_harness.properties.answered import fallback_words
 from safety_harness.scenario.typed_json import of_format, plain, read_json, typed
 from safety_harness.trace.system import SystemUnderTest
@@ -338,6 +339,25 @@ class Record:
 
 
 @dataclass(frozen=True, kw_only=True)
+class CertifiedClaim:
+    """``claim`` and ``region`` as the certificate calls them, ``confirmed`` in the checker's words."""
+
+    claim: str
+    region: str
+    verdict: str
+    confirmed: str
+    maps: tuple[BoxMap, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class CertifiedProofs:
+    """What was confirmed of the network with this hash."""
+
+    network_sha256: str
+    claims: tuple[CertifiedClaim, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
 class Evidence:
     """The whole report."""
 
@@ -364,6 +384,7 @@ class Evidence:
     record: Record
     provenance: EvidenceProvenance
     files: tuple[StoredFile, ...]
+    proven: CertifiedProofs | None = None  # about the avoider's network, where a certificate was given
 
     @property
     def fallback(self) -> str:
@@ -375,12 +396,16 @@ class Evidence:
 
 def as_text(evidence: Evidence) -> str:
     """The whole report as JSON; ValueError for a number that is not finite."""
-    return json.dumps(plain(evidence), indent=1, allow_nan=False, ensure_ascii=False) + "\n"
+    found = plain(evidence)
+    if evidence.proven is None:
+        del found["proven"]
+    return json.dumps(found, indent=1, allow_nan=False, ensure_ascii=False) + "\n"
 
 
 def read_evidence(path: Path) -> Evidence:
     """What ``as_text`` wrote; InputError with the place of what is not as it should be."""
-    return typed(of_format(read_json(path, "an evidence report"), FORMAT, path), Evidence, path)
+    found = of_format(read_json(path, "an evidence report"), FORMAT, path)
+    return typed({"proven": None, **found}, Evidence, path)
 
 
 def schema() -> dict[str, Any]:
@@ -391,5 +416,7 @@ def schema() -> dict[str, Any]:
             kind |= {"required": list(kind["properties"]), "additionalProperties": False}
             for part in kind["properties"].values():
                 part.pop("default", None)
-    found["$defs"]["Evidence"]["properties"]["format"] = {"const": FORMAT}
+    whole = found["$defs"]["Evidence"]
+    whole["properties"]["format"] = {"const": FORMAT}
+    whole["required"].remove("proven")  # only where a certificate was given
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": FORMAT, **found}

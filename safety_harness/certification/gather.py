@@ -23,10 +23,18 @@ from safety_harness.certification.counterexamples import (
     searches_of,
 )
 from safety_harness.certification.credibility import credibility_of
-from safety_harness.certification.evidence import FORMAT, ClaimStatus, Evidence, Record, WhoseFault
+from safety_harness.certification.evidence import (
+    FORMAT,
+    CertifiedProofs,
+    ClaimStatus,
+    Evidence,
+    Record,
+    WhoseFault,
+)
 from safety_harness.certification.evidence import DeclaredPlan as PlanEvidence
 from safety_harness.certification.evidence import EvidenceProvenance as Origin
 from safety_harness.certification.findings import findings_of
+from safety_harness.certification.proofs import stored_proof
 from safety_harness.certification.results import bounds, claims_of, overruling_of, strata_of
 from safety_harness.certification.standards import ASSUMPTIONS, EXCLUSIONS
 from safety_harness.certification.stored import (
@@ -77,7 +85,9 @@ def gather(
     ``declaration`` is the hash of what was declared of this very plan.
     """
     origin = _origin(plan, ledger, folder, command)
-    return put_together(plan, ledger, folder, trials, declaration=declaration, origin=origin)
+    return put_together(
+        plan, ledger, folder, trials, declaration=declaration, origin=origin, proven=stored_proof(folder)
+    )
 
 
 def put_together(
@@ -90,8 +100,9 @@ def put_together(
     origin: Origin,
     believe: Callable[[Sequence[Stored], HarnessTrials], Credibility] = credibility_of,
     blame: Callable[[Plan, Ledger], WhoseFault] = whose_fault,
+    proven: CertifiedProofs | None = None,
 ) -> GatheredEvidence:
-    """All that follows from the ledger and the searches, around what does not: the last five."""
+    """All that follows from the ledger and the searches, around what does not: the last six."""
     stored, damaged = random_traces(plan, ledger)
     claims, strata = claims_of(plan, ledger, stored), strata_of(plan, ledger)
     searches = searches_of(plan, folder)
@@ -122,6 +133,7 @@ def put_together(
         findings=(),
         provenance=replace(origin, libraries=origin.libraries + _files(stored)),
         files=(),
+        proven=proven,
     )
     findings = tuple(findings_of(evidence, ledger, met, searches, damaged))
     return GatheredEvidence(evidence=replace(evidence, findings=findings), examples=examples)

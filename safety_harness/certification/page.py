@@ -8,7 +8,12 @@ from pathlib import Path
 from markupsafe import Markup
 
 from safety_harness.certification.argument import STATE, argument_of, argument_svg
-from safety_harness.certification.evidence import ClaimStatus, CounterexampleEvidence, Evidence
+from safety_harness.certification.evidence import (
+    CertifiedClaim,
+    ClaimStatus,
+    CounterexampleEvidence,
+    Evidence,
+)
 from safety_harness.certification.figures import bounds_figure, margins_figure, separation_figure
 from safety_harness.certification.replay3d import replay_json, start_s
 from safety_harness.certification.stored import cells_of
@@ -19,6 +24,8 @@ from safety_harness.report.coverage_map import coverage_map
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.page_parts import render_page
 from safety_harness.report.path_views import path_views, shown_moment
+from safety_harness.report.proof_page import SCALE, STATES, drawn_maps
+from safety_harness.report.question_maps import key_of
 from safety_harness.report.timeline import timeline
 from safety_harness.whole_file import write_whole
 
@@ -77,6 +84,8 @@ def render(evidence: Evidence, runs: Mapping[int, JudgedRun]) -> str:
             )
         ),
         percent=percent,
+        proven=_proven(evidence),
+        proven_key=Markup(key_of(SCALE)),
         confidence=confidence_words,
     )
 
@@ -90,6 +99,15 @@ def _counts(evidence: Evidence) -> list[tuple[str, str, int]]:
         ("refuted", "violated", standings.count(ClaimStatus.REFUTED)),
         ("open", "inconclusive", sum(standings.count(one) for one in open_ones)),
         ("never tested", "violated", standings.count(ClaimStatus.UNTESTED)),
+    ]
+
+
+def _proven(evidence: Evidence) -> list[tuple[CertifiedClaim, str, list[tuple[str, Markup]]]]:
+    """Each claim of the certificate with its state and its maps."""
+    claims = () if evidence.proven is None else evidence.proven.claims
+    return [
+        (one, STATES.get(one.verdict, "inconclusive"), list(drawn_maps(one.maps, f"proven-{number}-")))
+        for number, one in enumerate(claims)
     ]
 
 

@@ -57,11 +57,17 @@ def _changed(scenario: Scenario) -> list[tuple[str, str, str]]:
 
 def model_of(scenario: Scenario) -> Model | None:
     """The network of a scenario's avoider; None for one that is no file of this package's format."""
+    file = network_file_of(scenario)
+    return None if file is None else load_model(file)
+
+
+def network_file_of(scenario: Scenario) -> Path | None:
+    """Its file."""
     if scenario.avoider in SHIPPED:
-        return load_model(shipped_model(scenario.avoider))
+        return shipped_model(scenario.avoider)
     if scenario.avoider.endswith(MODEL_SUFFIX):
         folder = scenario.file.parent if scenario.file else Path()
-        return load_model(resolved(located(folder / os.path.expanduser(scenario.avoider))))
+        return resolved(located(folder / os.path.expanduser(scenario.avoider)))
     return None
 
 

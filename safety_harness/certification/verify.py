@@ -29,7 +29,7 @@ from safety_harness.certification.verify_files import (
     check_rows,
     few,
 )
-from safety_harness.certification.verify_report import check_numbers, check_pages
+from safety_harness.certification.verify_report import check_numbers, check_pages, check_proof
 from safety_harness.certification.verify_runs import (
     Drawing,
     check_runs,
@@ -159,6 +159,8 @@ def _of_the_plan(report: ReportFolder, drawing: Drawing) -> Iterator[Examination
     yield stored
     drawing.on_progress("the report from the ledger")
     again = drawing.runs != 0 and stored.stands
+    if (proof := check_proof(report)) is not None:
+        yield proof
     numbers, gathered = check_numbers(report, again=again)
     yield numbers
     if numbers.stands:

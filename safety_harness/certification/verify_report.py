@@ -16,6 +16,7 @@ import shlex
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from datetime import datetime
+from hashlib import sha256
 from itertools import zip_longest
 from pathlib import Path
 from typing import Any
@@ -34,6 +35,7 @@ from safety_harness.certification.gather import (
 )
 from safety_harness.certification.lodged import declaration_of
 from safety_harness.certification.page import render
+from safety_harness.certification.proofs import CERTIFICATE, NETWORK, networks_of, stored_proof
 from safety_harness.certification.stored import Stored
 from safety_harness.certification.tools import Credibility, HarnessTrials
 from safety_harness.certification.verify_files import Examination, ReportFolder, few
@@ -45,6 +47,7 @@ from safety_harness.trace.provenance import provenance
 
 LARGEST_PAGE_BYTES = 2**28
 TOLERANCE_PX = 0.1
+PROOF = (CERTIFICATE, NETWORK)
 _PLOT = re.compile(rb'<svg (?=[^<>]*role="img")(?![^<>]*"coverage-map-).*?</svg>', re.DOTALL)
 _TAG = re.compile(rb"<\w[^<>]*>")
 _WHERE = re.compile(rb'( (?:d|x|y)=")([^"]*)"')
@@ -161,6 +164,7 @@ def check_numbers(report: ReportFolder, *, again: bool) -> tuple[Examination, Ga
         origin=_origin(recorded.provenance, ledger, same=same),
         believe=believe,
         blame=whose_fault if again else lambda plan, ledger: recorded.whose_fault,
+        proven=recorded.proven,  # of which check_proof has told
     )
     now = replace(gathered.evidence, files=recorded.files)
     faults: list[str] = []
@@ -187,6 +191,28 @@ def check_numbers(report: ReportFolder, *, again: bool) -> tuple[Examination, Ga
         )
     unchecked += [f"{name}: a file that no report has" for name in _foreign(gathered.evidence, report.hashes)]
     return Examination("numbers", text, few(faults), few(notes), few(unchecked)), gathered
+
+
+def check_proof(report: ReportFolder) -> Examination | None:
+    """The certificate, confirmed anew by the independent checker; None for a report without one."""
+    recorded = report.recorded.proven
+    faults: list[str] = []
+    unchecked: list[str] = []
+    try:
+        now = stored_proof(report.folder)
+    except InputError as error:
+        faults, now = [str(error)], None
+    if recorded is None and now is None and not faults:
+        return None
+    if not faults and plain(recorded) != plain(now):
+        faults.append(f"{JSON} says otherwise of what is proven than the certificate")
+    if now is not None:
+        own = {sha256(data).hexdigest() for data in networks_of(report.plan)}
+        if now.network_sha256 not in own:
+            words = "the network of the certificate is not that of the plan's avoider"
+            (faults if report.same else unchecked).append(words)
+    text = "the certificate about the network, bounded anew with code that shares none with the prover"
+    return Examination("proof", text, few(faults), unchecked=tuple(unchecked))
 
 
 def _origin(recorded: EvidenceProvenance, ledger: Ledger, *, same: bool) -> EvidenceProvenance:
@@ -274,7 +300,7 @@ def _foreign(evidence: Evidence, hashes: dict[str, str]) -> Iterator[str]:
     """Files that nothing here has looked into."""
     shown = {one.trace_file for one in evidence.counterexamples}
     for name in hashes:
-        if name not in (*MADE, LEDGER, *shown) and Path(name).parts[0] not in (PLAN, SEARCH):
+        if name not in (*MADE, LEDGER, *PROOF, *shown) and Path(name).parts[0] not in (PLAN, SEARCH):
             yield name
 
 

@@ -64,6 +64,9 @@ def certify(
     declared: Annotated[
         Path | None, Option(help="What certify declare wrote; without it PLAN.declared.json, if it is there.")
     ] = None,
+    proof: Annotated[
+        Path | None, Option(help="certificate.json of safety-harness prove, of the avoider's network.")
+    ] = None,
     controller: OfController = None,
 ) -> int:
     """Run a declared plan and write its evidence: one page, JSON, JUnit XML, and all to re-run it.
@@ -97,13 +100,27 @@ def certify(
         read, tested = read_plan(plan), Driver(controller)
         plan = plan_with(read.files, tested, Path("reports") / read.name).file
         words += ["--controller", told_avoider(tested)]
-    files = {"--out": out, "--selftest": selftest, "--oracles": oracles, "--declared": declared}
+    files = {
+        "--out": out,
+        "--selftest": selftest,
+        "--oracles": oracles,
+        "--declared": declared,
+        "--proof": proof,
+    }
     for name, value in files.items():
         words += [name, str(told(value))] if value else []
     words += [word for one in cell for word in ("--cell", str(told(one)))]
     again = shlex.join(words + ["--pdf"] * pdf)
     job = Certification.of(
-        plan, out, again, selftest=selftest, oracles=oracles, cells=cell, declared=declared, pdf=pdf
+        plan,
+        out,
+        again,
+        selftest=selftest,
+        oracles=oracles,
+        cells=cell,
+        declared=declared,
+        pdf=pdf,
+        proof=proof,
     )
     # Standard output is kept for the verdicts.
     evidence, complete = job.run(

@@ -25,7 +25,8 @@ OfAvoider = Annotated[
     str | None,
     Option(
         help="In place of what the files name: mc-dropout, mc-dropout-full, deterministic, ensemble, "
-        "optimum, student, 'opposite pose', 'nearest candidate', FILE.py:NAME, FILE.safetensors, FILE.onnx.",
+        "optimum, student, student-ensemble, 'opposite pose', 'nearest candidate', FILE.py:NAME, "
+        "FILE.safetensors, FILE.onnx.",
         metavar="AVOIDER",
     ),
 ]

@@ -15,8 +15,9 @@ from safety_harness.cli.options import command
 if TYPE_CHECKING:
     from safety_harness.proof.certificate import Proof
     from safety_harness.proof.plan import ProofPlan
+    from safety_harness.proof.together import JointBound
 
-CERTIFICATE = "certificate.json"
+CERTIFICATE, PAGE = "certificate.json", "proof.html"
 commands = Typer()
 
 
@@ -35,7 +36,7 @@ def prove(
         "reports/prove"
     ),
     minutes: Annotated[float, Option(help="For all claims together.", min=0.0)] = 5.0,
-    halvings: Annotated[int, Option(help="How often a box is halved at most.", min=1, max=60)] = 26,
+    halvings: Annotated[int, Option(help="How often a box is halved at most.", min=1, max=60)] = 40,
     jobs: Annotated[int, Option(help="Processes.", min=1)] = 1,
     resume: Annotated[bool, Option("--resume", help="Go on with the certificate in the folder.")] = False,
 ) -> int:
@@ -48,12 +49,20 @@ def prove(
     """
     if check:
         return _check(file, model)
+    import shlex
+    from dataclasses import asdict
+    from datetime import UTC, datetime
+
     from safety_harness.campaign.pool import pool
     from safety_harness.cli.progress import watching_steps
     from safety_harness.interrupts import one_more_ctrl_c
     from safety_harness.proof.certificate import taken_up, write_certificate
     from safety_harness.proof.plan import read_proof_plan
     from safety_harness.proof.session import Effort, carry_on, fresh
+    from safety_harness.proof.together import joint_bounds
+    from safety_harness.report.proof_page import ProofEvidence, render
+    from safety_harness.scenario.files import told
+    from safety_harness.whole_file import write_text
 
     plan, path = read_proof_plan(file), out / CERTIFICATE
     before = taken_up(path, plan) if resume else fresh(plan)
@@ -61,19 +70,37 @@ def prove(
     remark = "interrupted: finishing the batch"
     with ExitStack() as closing:
         stopped = closing.enter_context(one_more_ctrl_c(say, remark))
-        told = closing.enter_context(watching_steps())
+        on_step = closing.enter_context(watching_steps())
         over = map if jobs == 1 else closing.enter_context(pool(jobs)).map
         effort = Effort(
-            seconds=60.0 * minutes, halvings=halvings, over=over, at_once=jobs, stopped=stopped, told=told
+            seconds=60.0 * minutes, halvings=halvings, over=over, at_once=jobs, stopped=stopped, told=on_step
         )
         for number, proof in enumerate(carry_on(plan, before, effort)):
             proofs[number] = proof
         interrupted = stopped()
     written = write_certificate(path, plan, proofs)
-    _tell(plan, proofs, out)
-    document(
-        certificate=path, claims=[{k: v for k, v in one.items() if k != "tree"} for one in written["claims"]]
+    bounds = joint_bounds(plan, proofs)
+    files = _tell(plan, proofs, out)
+    _tell_bounds(plan, proofs, bounds)
+    page = out / PAGE
+    words = ["safety-harness", "prove", str(told(file)), "--out", str(told(out)), "--minutes", f"{minutes:g}"]
+    evidence = ProofEvidence(
+        plan=plan,
+        proofs=tuple(proofs),
+        bounds=tuple(bounds),
+        files=tuple(files),
+        command=shlex.join([*words, "--halvings", str(halvings)]),
+        generated_at=datetime.now(UTC),
+        interrupted=interrupted,
     )
+    write_text(page, render(evidence))
+    document(
+        page=page,
+        certificate=path,
+        claims=[{k: v for k, v in one.items() if k != "tree"} for one in written["claims"]],
+        together=[asdict(one) for one in bounds],
+    )
+    result("", str(page))
     say(f"certificate: {path} (safety-harness prove --check {path})")
     if interrupted:
         say("interrupted: --resume goes on")
@@ -81,8 +108,8 @@ def prove(
     return AS_EXPECTED if all(proof.verdict == "proven" for proof in proofs) else DIFFERS
 
 
-def _tell(plan: ProofPlan, proofs: list[Proof], out: Path) -> None:
-    """The table, and the files of questions that were answered wrongly."""
+def _tell(plan: ProofPlan, proofs: list[Proof], out: Path) -> list[str | None]:
+    """The table, and the files of questions that were answered wrongly, by claim."""
     from safety_harness.properties.tally import table
 
     rows = []
@@ -92,12 +119,31 @@ def _tell(plan: ProofPlan, proofs: list[Proof], out: Path) -> None:
     columns = ("claim", "region", "verdict", "proven", "refuted", "undecided")
     result(f"{plan.avoider}: shares of each region, proven at least and undecided at most", "")
     result(*table(columns, rows, columns_of(sys.stdout), named_by=2, right=range(3, 6)))
-    for number, proof in enumerate(proofs, 1):
-        if proof.question is not None:
-            _write_question(plan, proof, out / f"refuted-{number}.yaml")
+    return [
+        None if proof.question is None else _write_question(plan, proof, out / f"refuted-{number}.yaml")
+        for number, proof in enumerate(proofs, 1)
+    ]
 
 
-def _write_question(plan: ProofPlan, proof: Proof, path: Path) -> None:
+def _tell_bounds(plan: ProofPlan, proofs: list[Proof], bounds: list[JointBound]) -> None:
+    """How often the network is wrong at most, where the plan says how questions are distributed."""
+    from safety_harness.properties.tally import table
+
+    if plan.questions is None:
+        return
+    confidence = f"{plan.questions.confidence:.7g}"
+    rows = [
+        (proof.planned.claim.sentence, proof.planned.region.name, *bound.cells)
+        for proof, bound in zip(proofs, bounds, strict=True)
+    ]
+    columns = ("claim", "region", "wrong at most", "at least", "undecided", "of it asked", "wrong")
+    heading = f"chance that a question as the plan draws them is answered wrongly; all hold with {confidence}"
+    result("", heading, "")
+    result(*table(columns, rows, columns_of(sys.stdout), named_by=2, right=range(2, 7)))
+
+
+def _write_question(plan: ProofPlan, proof: Proof, path: Path) -> str | None:
+    """Its name, if a run can begin with the question."""
     import numpy as np
 
     from safety_harness.avoidance.learned import LearnedAvoider
@@ -123,9 +169,10 @@ def _write_question(plan: ProofPlan, proof: Proof, path: Path) -> None:
     )
     if made.path is None:
         say(f"{proof.planned.sentence}: its question is in the certificate alone, {made.remark}")
-        return
+        return None
     write_text(made.path, made.text)
     say(f"{proof.planned.sentence}: refuted by {made.path}")
+    return made.path.name
 
 
 def _check(file: Path, model: Path | None) -> int:

@@ -101,6 +101,7 @@ STUDENT = replace(
     learning_rate=5e-3,
     loss="l2",
 )
+STUDENT_ENSEMBLE = replace(STUDENT, name="student-ensemble", members=5)
 
 _TRIAL = replace(
     _BASE, name="trial-", training_samples=40_000, validation_samples=10_000, epochs=8, batch_size=1000
@@ -108,7 +109,7 @@ _TRIAL = replace(
 TRIAL = _family(_TRIAL, full_epochs=8)
 TRIAL_MC_DROPOUT = TRIAL[1]
 
-RECIPES = (*PAPER, *OURS, OURS_OPTIMUM, STUDENT, *TRIAL)
+RECIPES = (*PAPER, *OURS, OURS_OPTIMUM, STUDENT, STUDENT_ENSEMBLE, *TRIAL)
 
 
 def recipe_named(name: str) -> Recipe:

@@ -35,7 +35,7 @@ UP = 1.0 + 1e-12
 FARTHEST_M = 100.0
 MARGIN = 2e-9
 NEAREST_M = 1e-6  # of a direction's length: nearer to 0 it has none
-AT_MOST, AT_LEAST, OPTIMUM, AWAY = 0, 1, 2, 3
+AT_MOST, AT_LEAST, OPTIMUM, AWAY, UNSURE = 0, 1, 2, 3, 4
 OF_RELUS, OF_AXES, OF_CURVES = 2.5, 0.4, 3.0  # tried: how much each counts where to halve
 MOST_SYMBOLS = PERCEPTRON_INPUTS + 2 * WIDTH
 
@@ -68,6 +68,7 @@ def _rectify(z: Floats, g: Floats, slack: Floats, added: Floats, radius: Floats)
 @njit_no_nrt
 def _answer(
     network: Perceptron,
+    member: int,
     centre: Floats,
     half: Floats,
     g1: Floats,
@@ -79,7 +80,7 @@ def _answer(
     slack: Floats,
     weight: Floats,
 ) -> int:
-    """Fill ``p`` (3,), ``g`` (MOST_SYMBOLS, 3), ``slack`` (3,) of a box's answer; returns how many symbols.
+    """Fill ``p`` (3,), ``g`` (MOST_SYMBOLS, 3), ``slack`` (3,) of a member's answer; returns their count.
 
     ``centre``, ``half`` (6,) are the box.  ``weight`` (6,) is filled with how much of what ReLUs add each of
     its axes causes [m].  Scratch: ``g1`` (6, WIDTH), ``g2`` (MOST_SYMBOLS, WIDTH), ``units`` (8, WIDTH),
@@ -87,9 +88,9 @@ def _answer(
     """
     z1, s1, a1, r1 = units[0], units[1], units[2], units[3]
     z2, s2, a2, r2 = units[4], units[5], units[6], units[7]
-    w1, w2, w3 = network.weight1[0], network.weight2[0], network.weight3[0]
+    w1, w2, w3 = network.weight1[member], network.weight2[member], network.weight3[member]
     for j in range(WIDTH):
-        z, size = network.bias1[0, j], abs(network.bias1[0, j])
+        z, size = network.bias1[member, j], abs(network.bias1[member, j])
         for i in range(PERCEPTRON_INPUTS):
             z += centre[i] * w1[i, j]
             size += (abs(centre[i]) + half[i]) * abs(w1[i, j])
@@ -98,7 +99,7 @@ def _answer(
     _rectify(z1, g1, s1, a1, r1)
     count = PERCEPTRON_INPUTS
     for k in range(WIDTH):
-        z2[k], s2[k] = network.bias2[0, k], GAMMA * abs(network.bias2[0, k])
+        z2[k], s2[k] = network.bias2[member, k], GAMMA * abs(network.bias2[member, k])
     g2[:PERCEPTRON_INPUTS] = 0.0
     for j in range(WIDTH):
         size = abs(z1[j]) + s1[j] + a1[j]
@@ -123,7 +124,7 @@ def _answer(
         s2[k] *= UP
     _rectify(z2, g2[:first], s2, a2, r2)
     for o in range(OUTPUTS):
-        p[o], slack[o] = network.bias3[0, o], GAMMA * abs(network.bias3[0, o])
+        p[o], slack[o] = network.bias3[member, o], GAMMA * abs(network.bias3[member, o])
     g[:first] = 0.0
     for k in range(WIDTH):
         size = abs(z2[k]) + s2[k] + a2[k]
@@ -152,6 +153,86 @@ def _answer(
             share = abs(half[i] * w1[i, unit]) / r1[unit] if m < first else abs(g2[i, unit]) / r2[unit]
             weight[i] += OF_RELUS * length * share
     return count
+
+
+@njit_no_nrt
+def _mean_answer(
+    network: Perceptron,
+    centre: Floats,
+    half: Floats,
+    g1: Floats,
+    g2: Floats,
+    units: Floats,
+    of_unit: NDArray[np.int64],
+    own: Floats,
+    own_slack: Floats,
+    own_weight: Floats,
+    each_p: Floats,
+    each_g: Floats,
+    each_r: Floats,
+    p: Floats,
+    g: Floats,
+    slack: Floats,
+    weight: Floats,
+) -> int:
+    """As ``_answer``, of the mean over m members: the six axes' symbols are theirs in common.
+
+    ``each_p`` (m, 3), ``each_g`` (m, 6, 3) and ``each_r`` (m, 3) are filled with the members' forms, all
+    other symbols and the slack in the last.  Scratch: ``own`` (MOST_SYMBOLS, 3), ``own_slack`` (3,),
+    ``own_weight`` (6,), and as ``_answer``.  ``centre``, ``half``, ``weight`` (6,), ``g1`` (6, WIDTH), ``g2``
+    (MOST_SYMBOLS, WIDTH), ``units`` (8, WIDTH), ``p``, ``slack`` (3,), ``g`` (n, 3).
+    """
+    members, count = each_p.shape[0], PERCEPTRON_INPUTS
+    p[:], slack[:], weight[:] = 0.0, 0.0, 0.0
+    g[:PERCEPTRON_INPUTS] = 0.0
+    for member in range(members):
+        many = _answer(
+            network, member, centre, half, g1, g2, units, of_unit, each_p[member], own, own_slack, own_weight
+        )
+        for i in range(PERCEPTRON_INPUTS):
+            weight[i] += own_weight[i] / members
+        for o in range(OUTPUTS):
+            p[o] += each_p[member, o] / members
+            rest = own_slack[o]
+            for m in range(PERCEPTRON_INPUTS):
+                each_g[member, m, o] = own[m, o]
+                g[m, o] += own[m, o] / members
+            for m in range(PERCEPTRON_INPUTS, many):
+                g[count + m - PERCEPTRON_INPUTS, o] = own[m, o] / members
+                rest += abs(own[m, o])
+            each_r[member, o] = rest * UP
+            size = abs(each_p[member, o]) + rest
+            for m in range(PERCEPTRON_INPUTS):
+                size += abs(own[m, o])
+            slack[o] += (own_slack[o] + GAMMA * size) / members * UP
+        count += many - PERCEPTRON_INPUTS
+    return count
+
+
+@njit_no_nrt
+def _spreads(each_p: Floats, each_g: Floats, each_r: Floats, p: Floats, g: Floats, found: Floats) -> None:
+    """Fill ``found`` (2,) with bounds of the largest axis's spread over the members, of ``_mean_answer``.
+
+    A member's difference from the mean has the symbols of the six axes in common with it; for all others
+    its own and the mean of everybody's count.
+
+    ``each_p`` (m, 3), ``each_g`` (m, 6, 3), ``each_r`` (m, 3), ``p`` (3,), ``g`` (n, 3).
+    """
+    members = each_p.shape[0]
+    found[0], found[1] = 0.0, 0.0
+    for o in range(OUTPUTS):
+        rest, low, high = 0.0, 0.0, 0.0
+        for member in range(members):
+            rest += each_r[member, o] / members
+        for member in range(members):
+            middle, radius = abs(each_p[member, o] - p[o]), rest + each_r[member, o]
+            for m in range(PERCEPTRON_INPUTS):
+                radius += abs(each_g[member, m, o] - g[m, o])
+            radius *= UP
+            low += max(0.0, middle - radius) ** 2
+            high += (middle + radius) ** 2
+        found[0] = max(found[0], sqrt(low / members) / UP)
+        found[1] = max(found[1], sqrt(high / members) * UP)
 
 
 @njit_no_nrt
@@ -336,6 +417,7 @@ def examine(
     optimum: Floats,
     kind: int,
     limit_m: float,
+    doubt_m: float,
     near_m: float,
     far_m: float,
     low: Floats,
@@ -346,11 +428,17 @@ def examine(
 
     ``low``, ``high`` (n, 6) are boxes of hands and TCPs in the base frame [m]; OUTSIDE are those in which
     every hand is nearer than ``near_m`` to the TCP, or farther than ``far_m``.  ``optimum`` (10,) is of
-    ``optimum_constants``.
+    ``optimum_constants``; with UNSURE a spread above ``doubt_m`` will do as well.
     """
+    members = network.weight1.shape[0]
+    symbols = PERCEPTRON_INPUTS + members * (MOST_SYMBOLS - PERCEPTRON_INPUTS)
+    own, own_slack, own_weight = np.empty((MOST_SYMBOLS, 3)), np.empty(3), np.empty(6)
+    each_p = np.empty((members, 3))
+    each_g, each_r = np.empty((members, PERCEPTRON_INPUTS, 3)), np.empty((members, 3))
+    spread = np.empty(2)
     centre, half, weight = np.empty(6), np.empty(6), np.empty(6)
     g1, g2 = np.empty((PERCEPTRON_INPUTS, WIDTH)), np.empty((MOST_SYMBOLS, WIDTH))
-    g = np.empty((MOST_SYMBOLS + PERCEPTRON_INPUTS, 3))
+    g = np.empty((symbols + PERCEPTRON_INPUTS, 3))
     units, of_unit = np.empty((8, WIDTH)), np.empty(MOST_SYMBOLS, np.int64)
     p, slack, scratch, found = np.empty(3), np.empty(3), np.empty((8, 3)), np.empty(2)
     for n in range(low.shape[0]):
@@ -368,14 +456,18 @@ def examine(
             codes[n] = OUTSIDE
             continue
         whole = nearest >= near_m + MARGIN and farthest <= far_m - MARGIN
-        count = _answer(network, centre, half, g1, g2, units, of_unit, p, g, slack, weight)
+        count = _mean_answer(
+            *(network, centre, half, g1, g2, units, of_unit, own, own_slack, own_weight),
+            *(each_p, each_g, each_r, p, g, slack, weight),
+        )
+        _spreads(each_p, each_g, each_r, p, g, spread)
         decided = True
         for o in range(3):
             reach = abs(p[o]) + slack[o]
             for k in range(count):
                 reach += abs(g[k, o])
             decided = decided and reach < FARTHEST_M
-        if kind == OPTIMUM:
+        if kind in (OPTIMUM, UNSURE):
             decided = (
                 _off_optimum(optimum, centre, half, p, g, count, slack, scratch, found, weight) and decided
             )
@@ -391,6 +483,9 @@ def examine(
         at_least = kind in (AT_LEAST, AWAY)
         proven = found[0] >= limit_m + MARGIN if at_least else found[1] <= limit_m - MARGIN
         refuted = found[1] <= limit_m - MARGIN if at_least else found[0] >= limit_m + MARGIN
+        if kind == UNSURE:
+            proven = proven or spread[0] >= doubt_m + MARGIN
+            refuted = refuted and spread[1] <= doubt_m - MARGIN
         if decided and proven:
             codes[n] = PROVEN
         elif decided and refuted and whole:

@@ -20,8 +20,8 @@ import numpy as np
 
 from safety_harness.exceptions import InputError, Place
 from safety_harness.proof.box_kernel import OUTSIDE, PROVEN
-from safety_harness.proof.claims import ClaimKind
-from safety_harness.proof.plan import PlannedProof, ProofPlan
+from safety_harness.proof.claims import ClaimKind, DecisionClaim
+from safety_harness.proof.plan import PlannedProof, ProofPlan, ProofRegion
 from safety_harness.proof.tree import BoxTree
 from safety_harness.scenario.typed_json import of_format, read_json
 from safety_harness.settings import Vector3
@@ -34,6 +34,7 @@ KINDS = {
     ClaimKind.AT_LEAST: "at least",
     ClaimKind.OPTIMUM: "optimum",
     ClaimKind.AWAY: "away",
+    ClaimKind.UNSURE: "unsure",
 }
 
 
@@ -130,6 +131,23 @@ def taken_up(path: Path, plan: ProofPlan) -> list[Proof]:
     if not same or not isinstance(claims, list):
         raise InputError.of_file(path, "a certificate of this plan and network", "one of others")
     return [_proof(one, planned, path) for one, planned in zip(claims, plan.proofs, strict=True)]
+
+
+def read_proofs(found: Mapping[str, Any], path: Path) -> list[Proof]:
+    """All proofs of a certificate that was confirmed; InputError for a field that is none."""
+    try:
+        return [_proof(one, _planned(one), path) for one in found["claims"]]
+    except (KeyError, IndexError, TypeError, ValueError):
+        raise InputError.of_file(path, "a certificate of prove", "fields that are none") from None
+
+
+def _planned(one: Mapping[str, Any]) -> PlannedProof:
+    kinds = {name: kind for kind, name in KINDS.items()}
+    region: dict[str, Any] = {
+        key: tuple(map(float, value)) for key, value in one["region"].items() if key != "name"
+    }
+    claim = DecisionClaim(kinds[one["kind"]], float(one["limit_m"]))
+    return PlannedProof(claim, ProofRegion(name=str(one["region"]["name"]), **region))
 
 
 def _proof(one: Mapping[str, Any], planned: PlannedProof, path: Path) -> Proof:

@@ -1,15 +1,13 @@
 """An independent check of a certificate of ``prove``: numpy and nothing of this package.
 
-Run: python check.py CERTIFICATE MODEL.safetensors.  It bounds the answers p to hands h and TCPs t (in the
-base frame) in each box that is called proven or refuted, and refuses what it cannot confirm.
-
-Bounds are affine forms (centre, symbols, slack); a ReLU of l < 0 < u is s z + b +- b with s = u / (u - l) and
-b = -s l / 2.  Sums of 40 terms are off by less than 1e-14 of their magnitudes, here and in the program: the
-slack takes ROUNDING of them, and every claim has to be kept by MARGIN more (m, m2), 100 times what is left.
-
-The optimum is t_opt + 0.05 (t - h), t_opt = t + 0.1 u, u the direction of DESIRED - t or the nearest to it on
-the rim of the cone of 60 degrees about the way from NOMINAL to DESIRED.  The direction f of a vector v has
-the derivative (1 - f f^T) / |v|, and a second one of at most 2 / (sqrt(3) |v|^2).
+Run: python check.py CERTIFICATE MODEL.safetensors.  It bounds the answers p to hands h and TCPs t (base
+frame) in each box that is called proven or refuted, and refuses what it cannot confirm.  Bounds are forms
+(centre, symbols, slack); a ReLU of l < 0 < u is s z + b +- b, s = u / (u - l), b = -s l / 2.  Sums of 40
+terms are off by less than 1e-14 of their magnitudes, here and in the program: the slack takes ROUNDING of
+them, and a claim has to be kept by MARGIN more (m, m2), 100 times what is left.  The optimum is t_opt + 0.05
+(t - h), t_opt = t + 0.1 u, u the direction of DESIRED - t or the nearest to it on the rim of the cone of 60
+degrees about the way from NOMINAL to DESIRED.  The direction f of v has the derivative (1 - f f^T) / |v|, and
+a second one of at most 2 / (sqrt(3) |v|^2).
 """
 
 from __future__ import annotations
@@ -27,13 +25,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-Layers = list[tuple[Array, Array]]
+Network = tuple[list[list[tuple[Array, Array]]], float]
 
 DESIRED, NOMINAL = np.array([0.7, 0.0, 0.35]), np.array([0.84, -0.35, 0.005])
 RADIUS, CONE, PULL = 0.1, math.pi / 3.0, 0.05
 NAMES = {6: "proven", 7: "refuted", 8: "undecided", 9: "outside"}
 PROVEN, REFUTED, UNDECIDED, OUTSIDE = NAMES
-KINDS = ("at most", "at least", "optimum", "away")
+KINDS = ("at most", "at least", "optimum", "away", "unsure")
+PARTS = ("weight", "bias")
 MARGIN, ROUNDING, FARTHEST, AT_ONCE, MOST = 1e-9, 1e-13, 100.0, 2048, 2**28
 
 
@@ -43,25 +42,27 @@ def need(held: bool | np.bool_, what: str) -> None:
         raise ValueError(what)
 
 
-def network_of(data: bytes) -> Layers:
-    """Weights (inputs, outputs) and biases of three layers in metres, from a safetensors file."""
+def network_of(data: bytes) -> Network:
+    """Of a safetensors file: each member's three layers in metres, and the threshold of their spread."""
     size = int.from_bytes(data[:8], "little")
     header = json.loads(data[8 : 8 + size])
     about = json.loads(header.pop("__metadata__")["safety_harness"])
-    need(about["kind"] == "relu perceptron" and about["members"] == 1, "the network is no single perceptron")
+    need(about["kind"] == "relu perceptron" and about["members"] >= 1, "the network is no perceptron")
 
     def tensor(name: str) -> Array:
-        begin, end = header["0/" + name]["data_offsets"]
-        values = np.frombuffer(data[8 + size + begin : 8 + size + end], "<f4").astype(float)
-        return values.reshape(header["0/" + name]["shape"])
+        (begin, end), shape = header[name]["data_offsets"], header[name]["shape"]
+        return np.frombuffer(data[8 + size + begin : 8 + size + end], "<f4").astype(float).reshape(shape)
 
     mean, std, to, by = (np.array(about[k]) for k in ("input_mean", "input_std", "target_mean", "target_std"))
-    first, last = tensor("fc1.weight") / std, tensor("fc_out.weight") * by[:, None]
-    layers = [(first.T, tensor("fc1.bias") - first @ mean), (tensor("fc2.weight").T, tensor("fc2.bias"))]
-    return [*layers, (last.T, to + by * tensor("fc_out.bias"))]
+    members = []
+    for k in range(about["members"]):
+        w1, w2, w3, b1, b2, b3 = (tensor(f"{k}/fc{n}.{part}") for part in PARTS for n in ("1", "2", "_out"))
+        first, last = w1 / std, w3 * by[:, None]
+        members.append([(first.T, b1 - first @ mean), (w2.T, b2), (last.T, to + by * b3)])
+    return members, (about["calibration"] or {}).get("spread_threshold_m", math.nan)
 
 
-def answers(layers: Layers, centre: Array, half: Array) -> tuple[Array, Array, Array]:
+def answers(layers: list[tuple[Array, Array]], centre: Array, half: Array) -> tuple[Array, Array, Array]:
     """Forms in boxes ``centre`` +- ``half`` (n, 6): answers, symbols (n, k, 3), first the 6 axes', slack."""
     z, g, r = centre, half[:, :, None] * np.eye(6), np.zeros_like(centre)
     for number, (weight, bias) in enumerate(layers):
@@ -69,17 +70,28 @@ def answers(layers: Layers, centre: Array, half: Array) -> tuple[Array, Array, A
         r = r @ np.abs(weight) + ROUNDING * (size @ np.abs(weight) + np.abs(bias))
         z, g = z @ weight + bias, g @ weight
         if number < 2:
-            radius = np.abs(g).sum(axis=1) + r
-            low, high = z - radius, z + radius
+            low, high = z - (radius := np.abs(g).sum(axis=1) + r), z + radius
             bent = (low < 0.0) & (high > 0.0)
             slope = np.where(bent, high / np.where(bent, high - low, 1.0), (high > 0.0).astype(float))
             add = np.where(bent, -slope * low / 2.0, 0.0)
             z, g = slope * z + add, g * slope[:, None]
             r = slope * r + ROUNDING * (np.abs(z) + slope * radius + add)
-            fresh = add[:, :, None] * np.eye(add.shape[1])
-            g = np.concatenate([g, fresh[:, add.any(axis=0)]], axis=1)
-    need(bool(np.isfinite(z).all()), "an answer is not finite")
+            g = np.concatenate([g, (add[:, :, None] * np.eye(add.shape[1]))[:, add.any(axis=0)]], axis=1)
     return z, g, r
+
+
+def mean_answers(members: list[list[tuple[Array, Array]]], centre: Array, half: Array) -> tuple[Array, ...]:
+    """As ``answers``, of the members' mean, and bounds (n,) of the largest axis's spread over them."""
+    forms, part = [answers(layers, centre, half) for layers in members], 1.0 / len(members)
+    z, own = (part * np.sum(x, axis=0) for x in ([z for z, _, _ in forms], [g[:, :6] for _, g, _ in forms]))
+    rests = [np.abs(g[:, 6:]).sum(axis=1) + r for _, g, r in forms]
+    slack = part * sum(r + ROUNDING * (np.abs(c) + np.abs(g).sum(axis=1) + r) for c, g, r in forms)
+    low = high = np.zeros(centre[:, :3].shape)
+    for (middle, g, _), rest in zip(forms, rests, strict=True):
+        far, off = np.abs(middle - z), np.abs(g[:, :6] - own).sum(axis=1) + rest + part * sum(rests)
+        low, high = low + part * np.maximum(far - off, 0.0) ** 2, high + part * (far + off) ** 2
+    g = np.concatenate([own, *(part * g[:, 6:] for _, g, _ in forms)], axis=1)
+    return z, g, slack, np.sqrt(low).max(axis=1), np.sqrt(high).max(axis=1)
 
 
 def lengths(c: Array, g: Array, slack: Array) -> tuple[Array, Array]:
@@ -95,10 +107,8 @@ def lengths(c: Array, g: Array, slack: Array) -> tuple[Array, Array]:
     for axis in np.eye(3):
         side = axis - (along @ axis)[:, None] * along
         norm = np.linalg.norm(side, axis=1)
-        side = side / np.maximum(norm, 1e-30)[:, None]
-        squares = (np.abs(middle) + off) ** 2
-        for way in (side, np.cross(along, side)):
-            squares = squares + sum(map(np.abs, reach(way))) ** 2
+        ways = (unit := side / np.maximum(norm, 1e-30)[:, None]), np.cross(along, unit)
+        squares = (np.abs(middle) + off) ** 2 + sum(sum(map(np.abs, reach(way))) ** 2 for way in ways)
         highest = np.where(norm > 0.1, np.minimum(highest, np.sqrt(squares)), highest)
     return middle - off, highest
 
@@ -114,8 +124,7 @@ def off_optimum(centre: Array, half: Array, z: Array, g: Array, r: Array) -> tup
     sides = (way, np.eye(3), RADIUS, 0.0), rim
     for sign, (vector, project, scale, up) in zip((1.0, -1.0), sides, strict=True):
         norm = np.linalg.norm(vector, axis=1)
-        clear = norm - rho > 1e-6
-        safe = np.where(clear, norm, 1.0)
+        safe = np.where(clear := norm - rho > 1e-6, norm, 1.0)
         u = vector / safe[:, None]
         tangent = (project - u[:, :, None] * u[:, None, :]) * (scale / safe)[:, None, None]
         e = z - tcp - scale * u - up * axis - PULL * (tcp - centre[:, :3])
@@ -139,84 +148,76 @@ def away(centre: Array, half: Array, z: Array, g: Array, r: Array) -> tuple[Arra
     own[:, 3:] -= half[:, 3:, None] * np.eye(3)
     w = np.concatenate([-half[:, :3, None] * np.eye(3), half[:, 3:, None] * np.eye(3)], axis=1)
     linear = np.einsum("nki,ni->nk", own, w0) + np.einsum("nki,ni->nk", w, q0)
-    both = np.einsum("nki,nmi->nkm", own, w)
-    both = both + both.transpose(0, 2, 1)
+    both = (half_of := np.einsum("nki,nmi->nkm", own, w)) + half_of.transpose(0, 2, 1)
     square, cross = np.einsum("nkk->nk", both) / 2.0, np.triu(np.abs(both), 1).sum(axis=(1, 2))
-    rest = np.abs(g[:, 6:]).sum(axis=1) + r
     off = np.abs(linear).sum(axis=1) + np.abs(square).sum(axis=1) / 2.0 + cross
     off = off + np.abs(np.einsum("nki,ni->nk", g[:, 6:], w0)).sum(axis=1) + (r * np.abs(w0)).sum(axis=1)
-    off = off + (rest * np.abs(w).sum(axis=1)).sum(axis=1)
+    off = off + ((np.abs(g[:, 6:]).sum(axis=1) + r) * np.abs(w).sum(axis=1)).sum(axis=1)
     middle = (q0 * w0).sum(axis=1) + square.sum(axis=1) / 2.0  # e^2 is in [0, 1]
     return middle - off, middle + off
 
 
-def confirm(layers: Layers, claim: dict[str, Any], low: Array, high: Array, code: int) -> None:
+def confirm(network: Network, claim: dict[str, Any], low: Array, high: Array, code: int) -> None:
     """Refused unless all boxes from ``low`` to ``high`` (n, 6) are what ``code`` says of them."""
     kind, limit, (near, far) = KINDS.index(claim["kind"]), claim["limit_m"], claim["region"]["apart_m"]
-    centre = (low + high) / 2.0
-    half = np.maximum(high - centre, centre - low) * (1.0 + 1e-12)
+    half = np.maximum(high - (centre := (low + high) / 2.0), centre - low) * (1.0 + 1e-12)
     gap, wide = np.abs(centre[:, 3:] - centre[:, :3]), half[:, 3:] + half[:, :3]
-    nearest = np.linalg.norm(np.maximum(gap - wide, 0.0), axis=1)
-    farthest = np.linalg.norm(gap + wide, axis=1)
+    nearest, farthest = (np.linalg.norm(w, axis=1) for w in (np.maximum(gap - wide, 0.0), gap + wide))
     if code == OUTSIDE:
         need(((farthest < near - MARGIN) | (nearest > far + MARGIN)).all(), "a box is not outside")
         return
-    z, g, r = answers(layers, centre, half)
+    z, g, r, least_spread, most_spread = mean_answers(network[0], centre, half)
     need((np.abs(z) + np.abs(g).sum(axis=1) + r < FARTHEST).all(), "an answer may be out of all bounds")
     if kind < 2:
         g[:, 3:6] -= half[:, 3:, None] * np.eye(3)
         least, most = lengths(z - centre[:, 3:], g, r)
     else:
-        least, most = (off_optimum if kind == 2 else away)(centre, half, z, g, r)
+        least, most = (away if kind == 3 else off_optimum)(centre, half, z, g, r)
     kept, broken = (least - limit, limit - most) if kind in (1, 3) else (limit - most, least - limit)
-    if code == PROVEN:
-        need((kept >= MARGIN).all(), "a box is not proven")
-    else:
-        need(((broken >= MARGIN) & (nearest >= near) & (farthest <= far)).all(), "a box is not refuted")
+    if kind == 4:  # a spread above the threshold will do as well
+        kept, broken = (
+            np.maximum(kept, least_spread - network[1]),
+            np.minimum(broken, network[1] - most_spread),
+        )
+    fits = kept >= MARGIN if code == PROVEN else (broken >= MARGIN) & (nearest >= near) & (farthest <= far)
+    need(fits.all(), f"a box is not {NAMES[code]}")
 
 
-def check_claim(layers: Layers, claim: dict[str, Any]) -> str:
+def check_claim(network: Network, claim: dict[str, Any]) -> str:
     """What the tree of one claim shows, in words of this file; refused if that is not what it says."""
     region, limit = claim["region"], claim["limit_m"]
-    low, high = (np.array([[*region[f"hand_{c}_m"], *region[f"tcp_{c}_m"]]], float) for c in ("low", "high"))
+    corner = [np.array([[*region[f"hand_{c}_m"], *region[f"tcp_{c}_m"]]], float) for c in ("low", "high")]
+    low, high = corner
     need(low.shape == (1, 6) and (np.abs([low, high]) <= FARTHEST).all() and (low <= high).all(), "no box")
     need(0.0 <= limit <= FARTHEST and (claim["kind"] != "away" or limit == 0.0), "no limit")
-    corner = low, high
     codes = np.frombuffer(zlib.decompressobj().decompress(base64.b64decode(claim["tree"]), MOST), np.uint8)
-    shares = dict.fromkeys(NAMES.values(), 0.0)
-    at = level = 0
+    shares, at, level = dict.fromkeys(NAMES.values(), 0.0), 0, 0
     while len(low):
         here = codes[at : at + len(low)]
         need(len(here) == len(low) and int(here.max()) <= OUTSIDE, "no whole tree")
         for code, name in NAMES.items():
             rows = np.flatnonzero(here == code)
             shares[name] += len(rows) * 2.0**-level
-            for start in range(0, len(rows) if code != UNDECIDED else 0, AT_ONCE):
-                part = rows[start : start + AT_ONCE]
-                confirm(layers, claim, low[part], high[part], code)
+            for part in np.split(rows, range(AT_ONCE, len(rows), AT_ONCE)) if code != UNDECIDED else ():
+                confirm(network, claim, low[part], high[part], code)
         rows = np.flatnonzero(here < PROVEN)
         axes, k = here[rows], np.arange(len(rows))
         middle = 0.5 * (low[rows, axes] + high[rows, axes])
         below, above = high[rows], low[rows]
         below[k, axes] = above[k, axes] = middle
-        pairs = (low[rows], above), (below, high[rows])
-        low, high = (np.stack(pair, axis=1).reshape(-1, 6) for pair in pairs)
+        low, high = (np.stack(x, axis=1).reshape(-1, 6) for x in ((low[rows], above), (below, high[rows])))
         at, level = at + len(here), level + 1
-    need(at == len(codes), "codes that belong to no box")
-    need(shares == claim["shares"], f"the shares are {shares}")
-    question = claim["question"]
-    if question is not None:
+    need(at == len(codes) and shares == claim["shares"], f"codes of no box, or the shares are {shares}")
+    if (question := claim["question"]) is not None:
         point = np.array([[*question["hand_in_base_m"], *question["tcp_in_base_m"]]], float)
         need(bool(((point >= corner[0]) & (point <= corner[1])).all()), "a question out of the region")
-        confirm(layers, claim, point, point, REFUTED)
+        confirm(network, claim, point, point, REFUTED)
     whole = shares["proven"] > 0.0 and shares["refuted"] == shares["undecided"] == 0.0
     verdict = "refuted" if question else "proven" if whole else "undecided"
     need(claim["verdict"] == verdict, f"it is {verdict}")
     parts = ", ".join(f"{name} {share:.4%}" for name, share in shares.items())
-    region_m = (
-        f"hand and TCP from {corner[0][0].tolist()} to {corner[1][0].tolist()}, {region['apart_m']} apart"
-    )
-    return f"{verdict}: {claim['kind']} {limit:g} m; {region_m} (m): {parts}"
+    where = f"hand and TCP from {corner[0][0].tolist()} to {corner[1][0].tolist()}, {region['apart_m']} apart"
+    return f"{verdict}: {claim['kind']} {limit:g} m; {where} (m): {parts}"
 
 
 def check(certificate: bytes, model: bytes) -> list[str]:
@@ -224,8 +225,7 @@ def check(certificate: bytes, model: bytes) -> list[str]:
     found = json.loads(certificate)
     need(found["format"] == "safety-harness certificate 1" and found["claims"] != [], "no certificate")
     need(found["model_sha256"] == hashlib.sha256(model).hexdigest(), "it is of another network")
-    layers = network_of(model)
-    return [check_claim(layers, claim) for claim in found["claims"]]
+    return [check_claim(network_of(model), claim) for claim in found["claims"]]
 
 
 if __name__ == "__main__":

@@ -5,6 +5,8 @@ A question is a hand h and a TCP t, the answer p; all in the base frame [m].
 * steps at most / at least D: |p - t| <= D, or >= D.
 * within E of the optimum: |p - o(h, t)| <= E, where o = t_opt + pull (t - h) with the continuous optimum of
   ``avoidance.candidates``, for the settings' defaults.
+* uncertain or within E of the optimum: so it is, or the spread over the members is above the network's own
+  threshold on an axis, so that the gate refuses the answer.
 * leads away: (p - t) . (t - h) >= 0.  Then no point of the straight way from t to p is nearer to h than t is,
   since the squared distance along the way is convex and does not fall at its beginning.
 """
@@ -19,6 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.avoidance.candidates import CandidateCap, continuous_optimum
+from safety_harness.avoidance.learned import LearnedAvoider
+from safety_harness.avoidance.model_file import Model
 from safety_harness.geometry.arrays import ArrayNx3
 from safety_harness.scenario.fields import Field
 from safety_harness.scenario.units import LENGTH, nice, parse_quantity
@@ -34,6 +38,7 @@ class ClaimKind(IntEnum):
     AT_LEAST = 1
     OPTIMUM = 2
     AWAY = 3
+    UNSURE = 4
 
 
 _PATTERNS = {
@@ -41,6 +46,7 @@ _PATTERNS = {
     ClaimKind.AT_LEAST: "steps at least {}",
     ClaimKind.OPTIMUM: "within {} of the optimum",
     ClaimKind.AWAY: "leads away",
+    ClaimKind.UNSURE: "uncertain or within {} of the optimum",
 }
 
 
@@ -56,17 +62,37 @@ class DecisionClaim:
         """As a plan has it."""
         return _PATTERNS[self.kind].format(nice(self.limit_m, LENGTH))
 
-    def margins(self, hands: ArrayNx3, tcps: ArrayNx3, answers: ArrayNx3) -> Floats:
-        """(n,) by how much answers (n, 3) to hands and TCPs (n, 3) keep it, in m (AWAY: m2); below 0: not."""
+    def margins(
+        self, hands: ArrayNx3, tcps: ArrayNx3, answers: ArrayNx3, doubt_m: Floats | None = None
+    ) -> Floats:
+        """(n,) by how much answers (n, 3) to hands and TCPs (n, 3) keep it, in m (AWAY: m2); below 0: not.
+
+        ``doubt_m`` (n,) is by how much the largest axis's spread is above the network's threshold.
+        """
         steps = answers - tcps
         if self.kind is ClaimKind.AWAY:
             away: Floats = (steps * (tcps - hands)).sum(axis=1)
             return away
-        if self.kind is ClaimKind.OPTIMUM:
+        if self.kind in (ClaimKind.OPTIMUM, ClaimKind.UNSURE):
             pull = DEFAULTS.avoidance.hand_pull
             steps = answers - continuous_optimum(DEFAULTS, tcps) - pull * (tcps - hands)
         below: Floats = self.limit_m - np.linalg.norm(steps, axis=1)
+        if self.kind is ClaimKind.UNSURE and doubt_m is not None:
+            return np.maximum(below, doubt_m)
         return -below if self.kind is ClaimKind.AT_LEAST else below
+
+
+def margins_of(avoider: LearnedAvoider, claim: DecisionClaim, questions: Floats) -> Floats:
+    """(n,) margins of what the network itself answers to questions (n, 6), hands and TCPs."""
+    hands, tcps = questions[:, :3], questions[:, 3:]
+    answers, spreads = avoider.propose_many(hands, tcps, np.zeros(len(questions), np.uint64))
+    return claim.margins(hands, tcps, answers, spreads.max(axis=1) - threshold_m(avoider.model))
+
+
+def threshold_m(model: Model) -> float:
+    """The largest spread with which the gate takes an answer; NaN for a network without one."""
+    threshold = model.spread_threshold_m
+    return np.nan if threshold is None or model.members == 1 else threshold
 
 
 def read_claim(field: Field) -> DecisionClaim:

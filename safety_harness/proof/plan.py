@@ -7,23 +7,32 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtr
 
 from safety_harness.avoidance.model_file import PERCEPTRON, Model, SeenSpace, load_model
 from safety_harness.avoidance.shipped import SHIPPED, shipped_model
-from safety_harness.proof.claims import DecisionClaim, read_claim
+from safety_harness.proof.claims import ClaimKind, DecisionClaim, read_claim, threshold_m
 from safety_harness.scenario.compose import Library
 from safety_harness.scenario.fields import LARGEST_COORDINATE_M, Field
 from safety_harness.scenario.files import as_path
 from safety_harness.scenario.kinds import FileKind, refuse_other_kind
 from safety_harness.scenario.references import MODEL_SUFFIX
-from safety_harness.scenario.units import LENGTH
+from safety_harness.scenario.units import FRACTION, LENGTH
 from safety_harness.settings import Vector3
 from safety_harness.shipped.contents import located
 
-KEYS = ("proof", "about", "avoider", "regions", "claims")
+KEYS = ("proof", "about", "avoider", "regions", "claims", "distribution")
+OF_LOOPS = ("space", "scenario", "run", "runs", "trace", "log", "campaign")
+LOOP = (
+    "questions that a loop makes follow from earlier answers: their distribution is not known, use a campaign"
+)
 SEEN = "seen"
 MOST_CLAIMS, MOST_REGIONS = 64, 64
 STEPS = 150
+MOST_SAMPLES = 10_000_000
+LEAST_INSIDE = 1e-3  # of a normal axis, within each region
+
+Normal = tuple[float, float]  # mean and standard deviation [m]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,6 +82,19 @@ class PlannedProof:
         return f"{self.claim.sentence} ({self.region.name})"
 
 
+@dataclass(frozen=True, kw_only=True)
+class QuestionLaw:
+    """How questions are distributed: ``normals_m`` (6,) by axis of hand and TCP, None where it is uniform.
+
+    ``samples`` of them are drawn for each claim, and all bounds hold together with ``confidence``.
+    """
+
+    normals_m: tuple[Normal | None, ...]
+    samples: int
+    confidence: float
+    seed: int
+
+
 @dataclass(frozen=True, eq=False)
 class ProofPlan:
     """Made by ``read_proof_plan``; ``model`` is what the file ``model_file`` holds."""
@@ -82,6 +104,7 @@ class ProofPlan:
     model_file: Path
     model: Model
     proofs: tuple[PlannedProof, ...]
+    questions: QuestionLaw | None = None
 
 
 def read_proof_plan(path: str | Path) -> ProofPlan:
@@ -98,10 +121,8 @@ def read_proof_plan(path: str | Path) -> ProofPlan:
         raise avoider.error(f"a network: one that ships, or FILE{MODEL_SUFFIX}")
     file = shipped_model(name) if name in SHIPPED else located(path.parent / Path(name).expanduser())
     model = load_model(file)
-    if model.kind != PERCEPTRON or model.members != 1:
-        raise avoider.error(
-            f"a {PERCEPTRON} of one member", got=f"{name}: a {model.kind}, {model.members} member(s)"
-        )
+    if model.kind != PERCEPTRON:
+        raise avoider.error(f"a {PERCEPTRON}", got=f"{name}: a {model.kind}, {model.members} member(s)")
     regions = {SEEN: seen_region(model.seen)}
     if at := given.optional("regions"):
         for key, item in at.entries("regions by name")[:MOST_REGIONS]:
@@ -115,10 +136,14 @@ def read_proof_plan(path: str | Path) -> ProofPlan:
         proof = PlannedProof(
             read_claim(fields.required("claim")), where.one_of(regions) if where else regions[SEEN]
         )
+        if proof.claim.kind is ClaimKind.UNSURE and not threshold_m(model) >= 0.0:
+            raise item.error("a network with a spread and its threshold for such a claim", got=name)
         if proof in proofs:
             raise item.error("each claim once in a region", got=proof.sentence)
         proofs.append(proof)
-    return ProofPlan(title, name, file, model, tuple(proofs))
+    at = given.optional("distribution")
+    questions = None if at is None else _questions(at, [proof.region for proof in proofs])
+    return ProofPlan(title, name, file, model, tuple(proofs), questions)
 
 
 def seen_region(seen: SeenSpace) -> ProofRegion:
@@ -151,6 +176,38 @@ def _region(name: str, at: Field, seen: ProofRegion) -> ProofRegion:
         tcp_high_m=tcps[1],
         apart_m=apart_m,
     )
+
+
+def _questions(at: Field, regions: list[ProofRegion]) -> QuestionLaw:
+    """A distribution that is known; ScenarioError for one that a loop makes, or that misses a region."""
+    given = at.fields(("hand", "tcp", "samples", "confidence", "seed"), hints=dict.fromkeys(OF_LOOPS, LOOP))
+    normals: list[Normal | None] = []
+    for key in ("hand", "tcp"):
+        one = given.optional(key)
+        normals += [None] * 3 if one is None or one.got() == "uniform" else _normals(one)
+    for region in regions:
+        for axis, (low, high) in enumerate(zip(*(side[0] for side in region.corners()), strict=True)):
+            normal = normals[axis]
+            if normal is None:
+                continue
+            start, end = ((side - normal[0]) / normal[1] for side in (low, high))
+            if not ndtr(end) - ndtr(start) >= LEAST_INSIDE:
+                expected = f"at least {LEAST_INSIDE:g} of each axis within the region {region.name}"
+                raise at.error(expected, got=f"mean {normal[0]:g} m, std {normal[1]:g} m, axis {axis % 3}")
+    samples, confidence, seed = (given.optional(key) for key in ("samples", "confidence", "seed"))
+    return QuestionLaw(
+        normals_m=tuple(normals),
+        samples=20_000 if samples is None else samples.integer(least=1, most=MOST_SAMPLES),
+        confidence=0.99 if confidence is None else confidence.quantity(FRACTION, least=0.5, most=0.999999),
+        seed=0 if seed is None else seed.integer(least=0, most=2**63 - 1),
+    )
+
+
+def _normals(at: Field) -> list[Normal | None]:
+    given = at.fields(("mean", "std"))
+    mean = _corner(given.required("mean"))
+    stds = given.required("std").items("three lengths", count=3)
+    return [(m, std.quantity(LENGTH, above=0.0)) for m, std in zip(mean, stds, strict=True)]
 
 
 def _box(at: Field) -> tuple[Vector3, Vector3]:

@@ -13,6 +13,7 @@ from safety_harness.avoidance.learned import LearnedAvoider
 from safety_harness.avoidance.perceptron_kernel import fold_perceptron
 from safety_harness.proof.box_kernel import REFUTED, UNDECIDED
 from safety_harness.proof.certificate import Proof, WrongQuestion
+from safety_harness.proof.claims import margins_of, threshold_m
 from safety_harness.proof.plan import PlannedProof, ProofPlan
 from safety_harness.proof.tree import BoxTree, Over, work
 
@@ -56,6 +57,7 @@ def carry_on(plan: ProofPlan, proofs: list[Proof], effort: Effort) -> Iterator[P
             proof.planned.claim,
             proof.planned.region,
             halvings=effort.halvings,
+            doubt_m=threshold_m(plan.model),
             until_s=now_s + share_s,
             over=effort.over,
             at_once=effort.at_once,
@@ -78,10 +80,8 @@ def wrong_question(avoider: LearnedAvoider, planned: PlannedProof, tree: BoxTree
     near_m, far_m = planned.region.apart_m
     apart_m = np.linalg.norm(asked[:, :3] - asked[:, 3:], axis=1)
     asked = asked[(apart_m > near_m + WRONG_BY) & (apart_m < far_m - WRONG_BY)]
-    hands, tcps = asked[:, :3], asked[:, 3:]
-    answers, _ = avoider.propose_many(hands, tcps, np.zeros(len(asked), np.uint64))
-    margins = planned.claim.margins(hands, tcps, answers)
+    margins = margins_of(avoider, planned.claim, asked)
     if not len(margins) or not margins.min() < -WRONG_BY:
         return None
-    hand, tcp = hands[margins.argmin()].tolist(), tcps[margins.argmin()].tolist()
-    return WrongQuestion((hand[0], hand[1], hand[2]), (tcp[0], tcp[1], tcp[2]))
+    x = asked[margins.argmin()].tolist()
+    return WrongQuestion((x[0], x[1], x[2]), (x[3], x[4], x[5]))

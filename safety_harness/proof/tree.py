@@ -68,12 +68,17 @@ Over = Callable[[Callable[[Boxes], Codes], Iterable[Boxes]], Iterable[Codes]]
 
 
 def examined(
-    network: Perceptron, constants: Floats, claim: DecisionClaim, region: ProofRegion, boxes: Boxes
+    network: Perceptron,
+    constants: Floats,
+    claim: DecisionClaim,
+    region: ProofRegion,
+    boxes: Boxes,
+    doubt_m: float = np.nan,
 ) -> Codes:
     """The codes (n,) of boxes, with ``constants`` (10,); of a module, so that other processes can."""
     codes = np.empty(len(boxes[0]), np.uint8)
     near_m, far_m = region.apart_m
-    examine(network, constants, int(claim.kind), claim.limit_m, near_m, far_m, *boxes, codes)
+    examine(network, constants, int(claim.kind), claim.limit_m, doubt_m, near_m, far_m, *boxes, codes)
     return codes
 
 
@@ -85,6 +90,7 @@ def work(
     *,
     halvings: int,
     until_s: float,
+    doubt_m: float = np.nan,
     over: Over = map,
     at_once: int = 1,
     told: Callable[[BoxTree], Any] = lambda tree: None,
@@ -92,10 +98,12 @@ def work(
 ) -> None:
     """Take up what is undecided in ``tree``, largest first, down to ``halvings`` halvings.
 
+    ``doubt_m`` is the network's threshold of spread.
+
     Ends early at ``until_s`` of ``time.monotonic`` or when ``stopped``; the tree is whole at any time.
     ``over`` maps, in other processes say, ``at_once`` batches at a time; the result does not depend on it.
     """
-    judge = partial(examined, network, optimum_constants(), claim, region)
+    judge = partial(examined, network, optimum_constants(), claim, region, doubt_m=doubt_m)
     low, high = region.corners()
     level = 0
     while level < len(tree.levels):

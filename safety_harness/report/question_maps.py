@@ -62,19 +62,37 @@ def question_map(
     np.add.at(count, place, 1.0)
     (np.add if scale.shares else np.maximum).at(found, place, values)
     worst = np.where(count > 0, scale.classes(found / np.maximum(count, 1.0) if scale.shares else found), -1)
+    ends = ((low[across], high[across]), (low[up], high[up]))
+    return class_map(worst, scale, ends, AXES[across] + AXES[up], f"seen {seen}", prefix=prefix, title=title)
+
+
+def class_map(
+    worst: NDArray[np.int64],
+    scale: Scale,
+    ends_m: tuple[tuple[float, float], tuple[float, float]],
+    axes: str,
+    seen: str,
+    *,
+    prefix: str,
+    title: str,
+) -> str:
+    """An ``<svg>`` of cells' classes, ``worst`` (CELLS, CELLS) by across and up, -1 for an empty one.
+
+    ``ends_m`` are those of the axes across and up, ``axes`` their two letters.
+    """
     side = CELLS * CELL_PX
     width, height = LEFT_PX + side + RIGHT_PX, TOP_PX + side + BELOW_PX
     root = Element("svg", {"viewBox": f"0 0 {width} {height}", "width": str(width), "height": str(height)})
     told = ", ".join(
         f"{np.count_nonzero(worst == level)} of {words}" for level, words in enumerate(scale.words)
     )
-    cells = f"{np.count_nonzero(worst >= 0)} cells with questions, seen {seen}: {told}."
+    cells = f"{np.count_nonzero(worst >= 0)} cells with questions, {seen}: {told}."
     describe(root, prefix=prefix, title=title, description=cells)
     box = {"x": str(LEFT_PX), "y": str(TOP_PX), "width": str(side), "height": str(side), "fill": "none"}
     SubElement(root, "rect", {**box, "stroke": f"var({Ink.GRID.variable})"})
     for level in range(len(scale.words)):
         _draw_class(root, np.argwhere(worst == level), scale, level)
-    _label_axes(root, side, (low[across], high[across]), (low[up], high[up]), AXES[across] + AXES[up])
+    _label_axes(root, side, *ends_m, axes)
     return ElementTree.tostring(root, encoding="unicode")
 
 

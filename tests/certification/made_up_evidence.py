@@ -6,6 +6,8 @@ from safety_harness.certification.evidence import (
     FORMAT,
     Bound,
     CalibrationCheck,
+    CertifiedClaim,
+    CertifiedProofs,
     ClaimEvidence,
     ClaimResult,
     ClaimStatus,
@@ -37,6 +39,7 @@ from safety_harness.certification.tools import (
     SelfTest,
     WorldAgreement,
 )
+from safety_harness.proof.maps import CELLS, BoxMap
 from safety_harness.trace.system import Component, SystemUnderTest
 
 HOSTILE = "<script>alert(1)</script><b>bold</b> & \"quoted\" 'single'"
@@ -340,4 +343,19 @@ def evidence(*, only_shown: bool = False, counterexamples: int = 2) -> Evidence:
             run_seconds_s=5400.0,
         ),
         files=(StoredFile(path="ledger.sqlite", sha256=HASH, bytes=123456),),
+        proven=None if only_shown else proven(),
     )
+
+
+def proven() -> CertifiedProofs:
+    rows = ("0" * CELLS,) * (CELLS - 1) + ("-" + "4" * (CELLS - 1),)
+    ends = {"low_m": (0.54, -0.65), "high_m": (1.14, -0.05)}
+    drawn = BoxMap(who="hand", seen="from above", axes="xy", what="refuted", rows=rows, **ends)
+    one = CertifiedClaim(
+        claim=f"leads away {HOSTILE}",
+        region=f"near {HOSTILE}",
+        verdict="refuted",
+        confirmed=f"refuted: away 0 m {HOSTILE}",
+        maps=(drawn,),
+    )
+    return CertifiedProofs(network_sha256=HASH, claims=(one,))

@@ -16,6 +16,7 @@ from safety_harness.proof.tree import BoxTree
 from tests.proof.regions import PLAN, plan_file
 
 FALSE = "proof: wrong\navoider: student\nclaims: [{claim: steps at most 60 mm}]\n"
+QUESTIONS = "distribution: {samples: 100, confidence: 95 %}\n"
 
 
 @pytest.fixture(autouse=True)
@@ -28,7 +29,9 @@ def test_what_is_proven_is_told_written_and_confirmed(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert prove(plan_file(folder), out=folder / "out", halvings=40) == AS_EXPECTED
-    rows = [line.split() for line in capsys.readouterr().out.splitlines()]
+    said = capsys.readouterr().out
+    assert said.splitlines()[-1] == str(folder / "out" / "proof.html")
+    rows = [line.split() for line in said.splitlines()]
     assert [row[-4:] for row in rows if "mm" in row] == 2 * [["proven", "100.0000%", "0.0000%", "0.0000%"]]
     certificate = folder / "out" / "certificate.json"
     assert prove(certificate, check=True) == AS_EXPECTED
@@ -51,7 +54,10 @@ def test_a_false_claim_is_refuted_with_a_question_that_is_a_scenario(
         "safety_harness.cli.prove._write_question",
         lambda plan, proof, path: written.append((path.name, proof.planned.sentence)),
     )
-    assert prove(plan_file(folder, FALSE), out=folder / "out", halvings=4) == DIFFERS
+    assert prove(plan_file(folder, FALSE + QUESTIONS), out=folder / "out", halvings=4) == DIFFERS
+    *_, columns, row, _, _ = capsys.readouterr().out.splitlines()
+    assert columns.split()[2:6] == ["wrong", "at", "most", "at"]
+    assert float(row.split()[6]) > 0.9
     assert written == [("refuted-1.yaml", "steps at most 60 mm (seen)")]
     (claim,) = json.loads((folder / "out" / "certificate.json").read_text())["claims"]
     assert claim["verdict"] == "refuted"

@@ -25,10 +25,17 @@ import safety_harness
 import safety_harness_paper
 from safety_harness.certification.folder import junit_xml
 from safety_harness.certification.page import render as evidence_page
+from safety_harness.proof.certificate import Proof, WrongQuestion
+from safety_harness.proof.plan import read_proof_plan
+from safety_harness.proof.session import fresh
+from safety_harness.proof.together import joint_bounds
+from safety_harness.proof.tree import BoxTree
 from safety_harness.report import arm_page
 from safety_harness.report.coverage_map import coverage_map
 from safety_harness.report.html import render as report_page
 from safety_harness.report.page_parts import asset
+from safety_harness.report.proof_page import ProofEvidence
+from safety_harness.report.proof_page import render as proof_page
 from safety_harness.report.question_maps import VIEWS, question_map
 from safety_harness.report.score_page import OFF, ScoreEvidence
 from safety_harness.report.score_page import render as score_page
@@ -40,6 +47,7 @@ from safety_harness.selftest.document import render as selftest_page
 from safety_harness_paper import figure7, table1
 from safety_harness_paper.page import render as reproduction_page
 from safety_harness_paper.scale import DEFAULT
+from tests.proof.regions import PLAN, plan_file
 
 MARKUP = "</script></style></svg><img src=x onerror=alert(1)><script>alert(2)</script>\"'&{{7*7}}"
 IN_PLACE = {  # what is looked up, never shown as it came
@@ -54,6 +62,7 @@ IN_PLACE = {  # what is looked up, never shown as it came
     "unit",
     "arm_name",
     "avoider_sha256",
+    "rows",
 }
 WHEN = datetime(2026, 11, 21, tzinfo=UTC)
 
@@ -122,6 +131,23 @@ def arms() -> str:
         return (Path(folder) / "arms.html").read_text()
 
 
+def proven() -> str:
+    with TemporaryDirectory() as folder:
+        plan = read_proof_plan(plan_file(Path(folder), f"{PLAN}distribution: {{samples: 10}}\n"))
+    asked = WrongQuestion((0.7, 0.0, 0.3), (0.7, 0.0, 0.3))
+    named = (replace(one, region=replace(one.region, name=MARKUP)) for one in plan.proofs)
+    return proof_page(
+        ProofEvidence(
+            plan=replace(plan, title=MARKUP, avoider=MARKUP),
+            proofs=tuple(Proof(one, BoxTree(), asked) for one in named),
+            bounds=tuple(joint_bounds(plan, fresh(plan))),
+            files=(MARKUP, None),
+            command=MARKUP,
+            generated_at=WHEN,
+        )
+    )
+
+
 PAGES: dict[str, Callable[[], str]] = {
     "report.html.j2": report,
     "search.html.j2": a_search,
@@ -130,6 +156,7 @@ PAGES: dict[str, Callable[[], str]] = {
     "selftest.html.j2": tried,
     "reproduction.html.j2": reproduced,
     "arms.html.j2": arms,
+    "proof.html.j2": proven,
 }
 
 

@@ -13,7 +13,13 @@ from safety_harness.avoidance.model_file import Model, load_model
 from safety_harness.avoidance.perceptron_kernel import fold_perceptron
 from safety_harness.avoidance.shipped import shipped_model
 from safety_harness.proof.box_kernel import MARGIN, OUTSIDE, PROVEN, REFUTED
-from safety_harness.proof.claims import ClaimKind, DecisionClaim, optimum_constants
+from safety_harness.proof.claims import (
+    ClaimKind,
+    DecisionClaim,
+    margins_of,
+    optimum_constants,
+    threshold_m,
+)
 from safety_harness.proof.plan import ProofRegion
 from safety_harness.proof.tree import Boxes, Codes, examined
 from tests.proof.regions import SEEN_REGION, random_boxes
@@ -25,11 +31,25 @@ CLAIMS = [
     DecisionClaim(ClaimKind.OPTIMUM, 0.05),
     DecisionClaim(ClaimKind.AWAY, 0.0),
 ]
+OF_ENSEMBLES = [
+    DecisionClaim(ClaimKind.AT_MOST, 0.11),
+    DecisionClaim(ClaimKind.UNSURE, 0.003),
+    DecisionClaim(ClaimKind.UNSURE, 0.02),
+    DecisionClaim(ClaimKind.AWAY, 0.0),
+]
 NEAR = replace(SEEN_REGION, apart_m=(0.1, 0.4))
 
 
+def random_ensemble(seed: int) -> Model:
+    """Three members, with a threshold that about half of their spreads are above."""
+    found = load_model(shipped_model("student-ensemble")).calibration
+    assert found is not None
+    calibration = replace(found, spread_threshold_m=0.02)
+    return replace(random_perceptron(members=3, seed=seed), calibration=calibration)
+
+
 def codes_of(model: Model, claim: DecisionClaim, region: ProofRegion, boxes: Boxes) -> Codes:
-    return examined(fold_perceptron(model), optimum_constants(), claim, region, boxes)
+    return examined(fold_perceptron(model), optimum_constants(), claim, region, boxes, threshold_m(model))
 
 
 def contradicted(
@@ -42,10 +62,8 @@ def contradicted(
         place = rng.random((len(low), n, 6))
         place[:, : n // 4] = np.round(place[:, : n // 4])
         asked = (low + (high - low) * place).reshape(-1, 6)
-        hands, tcps = asked[:, :3], asked[:, 3:]
-        answers, _ = avoider.propose_many(hands, tcps, np.zeros(len(asked), np.uint64))
-        margins = claim.margins(hands, tcps, answers)
-        apart_m = np.linalg.norm(hands - tcps, axis=1)
+        margins = margins_of(avoider, claim, asked)
+        apart_m = np.linalg.norm(asked[:, :3] - asked[:, 3:], axis=1)
         inside = (apart_m >= region.apart_m[0]) & (apart_m <= region.apart_m[1])
         if code == OUTSIDE:
             wrong += int(inside.sum())
@@ -75,6 +93,23 @@ def test_nor_of_random_networks(claim: DecisionClaim) -> None:
     sizes_and_examples(claim, random_perceptron(seed=5), 60, 40, 50)
 
 
+@pytest.mark.parametrize("claim", OF_ENSEMBLES, ids=lambda claim: claim.sentence)
+def test_nor_of_ensembles_whose_spread_counts_too(claim: DecisionClaim) -> None:
+    sizes_and_examples(claim, load_model(shipped_model("student-ensemble")), 40, 40, 60)
+    sizes_and_examples(claim, random_ensemble(seed=6), 20, 40, 20)
+
+
+def test_the_spread_alone_can_prove_and_keep_from_refuting() -> None:
+    wild = random_ensemble(seed=6)  # far from the optimum, and its members far from each other
+    claim, boxes = DecisionClaim(ClaimKind.UNSURE, 0.001), random_boxes(SEEN_REGION, 50, 0.001, seed=7)
+    assert wild.calibration is not None
+    sure = replace(wild, calibration=replace(wild.calibration, spread_threshold_m=9.0))
+    assert (codes_of(wild, claim, SEEN_REGION, boxes) == PROVEN).mean() > 0.9
+    assert (codes_of(sure, claim, SEEN_REGION, boxes) == REFUTED).mean() > 0.9
+    nobody = replace(wild, calibration=None)
+    assert (codes_of(nobody, claim, SEEN_REGION, boxes) < PROVEN).all()
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("seed", range(10))
 @pytest.mark.parametrize("claim", CLAIMS, ids=lambda claim: claim.sentence)
@@ -87,8 +122,7 @@ def test_a_single_question_is_decided_as_the_network_answers_it(claim: DecisionC
     model = load_model(shipped_model("student"))
     asked, _ = random_boxes(SEEN_REGION, 500, 0.5, seed=9)
     codes = codes_of(model, claim, SEEN_REGION, (asked, asked.copy()))
-    answers, _ = LearnedAvoider.of(model).propose_many(asked[:, :3], asked[:, 3:], np.zeros(500, np.uint64))
-    margins = claim.margins(asked[:, :3], asked[:, 3:], answers)
+    margins = margins_of(LearnedAvoider.of(model), claim, asked)
     clear = np.abs(margins) > 10.0 * MARGIN
     assert clear.sum() > 490
     assert np.array_equal(codes[clear] == PROVEN, margins[clear] > 0.0)

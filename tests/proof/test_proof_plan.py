@@ -42,6 +42,7 @@ def test_a_network_of_ones_own_is_sought_beside_the_plan(tmp_path: Path) -> None
         ("avoider: student", "avoider: opposite pose", ":2: avoider", "a network"),
         ("steps at most 150 mm", "steps at most 150", "claims[0].claim", "mm"),
         ("steps at most 150 mm", "steps at most 0 mm", "claims[0].claim", "above 0"),
+        ("steps at most 150 mm", "uncertain or within 9 mm of the optimum", "claims[0]", "a spread"),
         ("steps at most 150 mm", "is kind", "claims[0].claim", "leads away"),
         ("in: corner", "in: corners", "claims[1].in", "corner"),
         ("close: {apart: [100 mm, 400 mm]}", "close: {apart: [400 mm, 100 mm]}", "apart[1]", "above"),

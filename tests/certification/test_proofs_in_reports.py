@@ -1,0 +1,115 @@
+"""A certificate in a report: told in its checker's words apart from what is shown, and checked by verify."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+from avoidance.random_models import random_perceptron
+
+from safety_harness.avoidance.model_file import save_model
+from safety_harness.campaign.ledger import Ledger
+from safety_harness.campaign.session import LEDGER, carry_on, plan_of, processes
+from safety_harness.certification.evidence import read_evidence
+from safety_harness.certification.folder import stored_files, write_folder, write_manifest
+from safety_harness.certification.gather import gather
+from safety_harness.certification.proofs import CERTIFICATE, FOLDER, read_certified
+from safety_harness.certification.verify import verify
+from safety_harness.exceptions import InputError
+from safety_harness.proof.certificate import write_certificate
+from safety_harness.proof.plan import read_proof_plan
+from safety_harness.proof.session import Effort, fresh
+from safety_harness.proof.session import carry_on as prove
+from tests.campaign.plans import PLAN as PLAN_OF_RUNS
+from tests.campaign.plans import plan_in
+from tests.proof.regions import PLAN, plan_file
+
+FEW = PLAN_OF_RUNS.replace("runs: 30", "runs: 2").replace("runs: 20", "runs: 1")
+QUIET = FEW.replace("opposite pose", "student").replace(
+    "hand distance never below 150 mm", "trace finite and monotone"
+)
+
+
+def certificate_in(folder: Path, text: str = PLAN) -> Path:
+    plan = read_proof_plan(plan_file(folder, text))
+    proofs = list(prove(plan, fresh(plan), Effort(seconds=60.0, halvings=9)))
+    write_certificate(folder / "certificate.json", plan, proofs)
+    return folder / "certificate.json"
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A report of a few runs of the student, with a proof."""
+    folder = tmp_path_factory.mktemp("with-proof")
+    plan, report = plan_in(folder, QUIET), folder / "report"
+    assert carry_on(plan, report / LEDGER, processes(1))
+    read_certified(certificate_in(folder), plan).write(report)
+    with Ledger.open(report / LEDGER) as ledger, plan_of(ledger) as plan:
+        gathered = gather(plan, ledger, report, command="safety-harness certify plan.yaml")
+        evidence = write_folder(report, gathered, ledger)
+    write_manifest(report, evidence.files)
+    return report
+
+
+@pytest.fixture
+def report(made: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(made, tmp_path / "report"))
+
+
+def faults(report: Path) -> list[str]:
+    return [line for check in verify(report, runs=0) for line in check.faults]
+
+
+def altered(report: Path, **changes: Any) -> None:
+    """The first claim of its certificate, and every hash anew."""
+    file = report / CERTIFICATE
+    found = json.loads(file.read_text())
+    found["claims"][0] |= changes
+    file.write_text(json.dumps(found))
+    write_manifest(report, stored_files(report))
+
+
+def test_what_the_checker_confirms_is_told_apart_from_what_is_shown(report: Path) -> None:
+    found = read_evidence(report / "evidence.json").proven
+    assert found is not None
+    steps, near = found.claims
+    assert steps.verdict == "undecided"
+    assert near.region == "corner"
+    assert steps.confirmed.startswith(f"{steps.verdict}: at most 0.15 m")
+    assert len(steps.maps) == 8
+    page = (report / "evidence.html").read_text()
+    part = page[page.index('id="proven"') :]
+    assert steps.confirmed in part
+    assert "undecided, by the hand from above" in part
+    assert "Proven is another word than shown" in part
+
+
+def test_it_stands_until_its_certificate_says_something_false(report: Path) -> None:
+    checks = {check.name: check for check in verify(report, runs=0)}
+    assert [line for check in checks.values() for line in check.faults] == []
+    assert "shares none" in checks["proof"].looked_at
+    altered(report, limit_m=0.01)
+    assert any("a certificate that the checker confirms" in line for line in faults(report))
+
+
+def test_nor_is_it_gone(report: Path) -> None:
+    shutil.rmtree(report / FOLDER)
+    write_manifest(report, stored_files(report))
+    assert any("says otherwise of what is proven" in line for line in faults(report))
+
+
+def test_one_of_another_network_or_not_confirmed_is_refused(tmp_path: Path) -> None:
+    plan = plan_in(tmp_path, QUIET)
+    save_model(random_perceptron(), tmp_path / "own.safetensors")
+    other = certificate_in(tmp_path, PLAN.replace("avoider: student", "avoider: own.safetensors"))
+    with pytest.raises(InputError, match="network of the plan's avoider"):
+        read_certified(other, plan)
+    own = certificate_in(tmp_path)
+    own.write_text(own.read_text().replace('"limit_m": 0.15', '"limit_m": 0.02'))
+    with pytest.raises(InputError, match="that the checker confirms"):
+        read_certified(own, plan)
+    with pytest.raises(InputError):
+        read_certified(tmp_path / "plan.yaml", plan)
