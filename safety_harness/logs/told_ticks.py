@@ -153,6 +153,12 @@ def _decided(
         found[FIELDS[name]] = values if width > 1 else values[:, 0]
         known[FIELDS[name]] = Measurement(source=Source.LOG)
         first += width
+    if "hand" in told.fields:  # which the avoider was asked about then
+        found["asked_tick"], known["asked_tick"] = tick, Measurement(source=Source.LOG)
+    if "proposed" in told.fields:
+        nowhere = ~np.isfinite(found[FIELDS["proposed"]]).all(axis=1)
+        found["fault"] = np.where(nowhere, "no position in the log", "")
+        known["fault"] = Measurement(source=Source.LOG)
     columns |= {f"{OF_DECISIONS}{name}": one for name, one in known.items()}
     ticks["decision"] = -1
     ticks["decision"][tick] = np.arange(len(tick))

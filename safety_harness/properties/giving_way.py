@@ -62,7 +62,7 @@ class _End:
 
 
 def _ends(prop: MovesAway, trace: Trace) -> tuple[float, float, bool]:
-    """For ``reads``, of every decision by itself; nothing of one that goes on for the sake of another hand."""
+    """For ``reads``, of every decision by itself; nothing of one that goes on for another hand."""
     if trace.known.uncertain(["demanded_joint_velocity_radps"]):
         return -np.inf, np.inf, False
     ends: list[_End] = []
@@ -101,7 +101,8 @@ def _ends_of(prop: MovesAway, trace: Trace, number: int) -> tuple[list[_End], bo
     way_m, moved_m = decision["chosen_position_in_base_m"] - tcp_m[first], tcp_m[run] - tcp_m[first]
     length_m = float(np.linalg.norm(way_m))
     velocities = np.array([velocity_at(trace, tick) for tick in range(*about.indices(count))])
-    fastest_mps = float((trace.ticks["tcp_speed_mps"] + known.within("tcp_speed_mps", count))[about].max())
+    speeds_mps = trace.ticks["tcp_speed_mps"] + known.within("tcp_speed_mps", count)
+    fastest_mps = float(np.nan_to_num(speeds_mps[about], nan=np.inf).max())
     dv_mps = 2.0 * float(off_m[about].max()) / period_s
     dv_mps = float(np.fmin(dv_mps, fastest_mps + np.linalg.norm(velocities, axis=1).max()))
     ends = [_End(length_m - start_off_m - LEAST_WAY_M, length_m + start_off_m - LEAST_WAY_M)]

@@ -136,7 +136,7 @@ class _Judging:
 
     def _widened(self, found: Evaluation, prop: Property, trace: Trace, limited: Sequence[str]) -> Evaluation:
         """The verdict that every value within the uncertainty gives, with the margin that is certain."""
-        if found.verdict is Verdict.INCONCLUSIVE and self.ends is not None:
+        if found.verdict is Verdict.INCONCLUSIVE and self.ends is not None and not self.filled:
             return found
         low, high, exercised = -inf, inf, False
         if self.ends is not None and found.margin is not None:

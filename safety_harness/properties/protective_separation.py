@@ -244,8 +244,8 @@ def _times_left_s(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """(n,) and (n,) at most, where the stop time that a speed gives may be ``off_s`` more or less.
 
-    Less than all of both only of a stop whose beginning is known, and whose ramp is not over for certain; where
-    nothing is known of stops, ``longest_s``.
+    Less than all of both only of a stop whose beginning is known, and whose ramp is not over for certain;
+    ``longest_s`` where nothing is known of stops.
     """
     period_s, time_s = trace.scenario.settings.clock.control_period_s, trace.time_s
     reaction_s, stop_s = _full_times_s(trace, off_s)
