@@ -209,9 +209,11 @@ def read_positions(
     time: str,
     length: float,
     to_base: Callable[[str, Message], Callable[[Sequence[float]], Sequence[float]]],
+    halves: bool = True,
 ) -> None:
     """Positions in the base frame; NaN for a body that a message does not have.
 
+    LogError for one of which it has not all numbers, unless ``halves`` may be.
     ``length`` is the unit in m, ``to_base`` makes positions in a frame, by its name, positions in the base's.
     """
     for message in messages(source):
@@ -238,6 +240,8 @@ def read_positions(
             where = _follow(content, source, message, path)
         place = [math.nan] * 3 if where is None else _xyz(where, source, message)
         _refuse_infinite(place, source, message)
+        if not halves and 0 < sum(map(math.isnan, place)) < 3:
+            raise error(source, message, "a position, or none of its three numbers", str(place))
         frame = str(getattr(header, "frame_id", ""))
         position = to_base(frame, message)([value * length for value in place])
         collector.add(_time_ns(message, source, time, header), position, message.number)

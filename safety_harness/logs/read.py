@@ -245,7 +245,9 @@ class _Reading:
         if source.is_bag:
             to_base = self._to_base(source, frame)
             length = _LENGTHS[word or "m"]
-            read_positions(source, collector, time=_time(said), length=length, to_base=to_base)
+            read_positions(
+                source, collector, time=_time(said), length=length, to_base=to_base, halves=not keep
+            )
             return _positions_checked(collector.samples(), keep)
         if frame is None:
             expected = 'the key "frame": base, or {at: ..., turned: ...} of the frame in which positions are'
@@ -256,6 +258,11 @@ class _Reading:
         time = time_column(source, header, _said(said.optional("time")))
         read_table(Table(*time, tuple(at)), collector)
         found = collector.samples()
+        gone = np.isnan(found.values)
+        half = gone.any(axis=1) & ~gone.all(axis=1)
+        if keep and half.any():
+            expected = "a position, or none of its three numbers"
+            raise found.error(int(np.argmax(half)), expected, str(found.values[half][0].tolist()))
         transform = _given_transform(frame)
         values = found.values @ transform[:3, :3].T + transform[:3, 3]
         moved = LogSamples(source, found.time_ns, values, found.at, found.counts)

@@ -200,11 +200,7 @@ class _Reading:
             raise field.error("a tracked hand at least")
         found = []
         for _, one in parts:
-            samples = positions(one, self.said)
-            gone = np.isnan(samples.values)
-            half = np.asarray(gone.any(axis=1) & ~gone.all(axis=1))
-            self.refuse(samples, half, "a position, or none of its three numbers", "some of them")
-            found.append(self.told(samples))
+            found.append(self.told(positions(one, self.said)))
         return tuple(found)
 
     def decisions(self, placed: Places) -> tuple[ToldStream, tuple[str, ...]]:

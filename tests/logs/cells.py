@@ -18,7 +18,7 @@ MIDDLE_RAD = np.array([-0.22, -1.27, 1.98, -2.27, -1.57, -0.22])
 SWING_RAD = np.array([0.25, 0.10, 0.10, 0.15, 0.10, 0.20])
 HARDEST_RADPS2 = 4.0
 FASTEST_MPS = 1.0
-NEAR_M = 0.35  # the critical distance of the settings
+NEAR_M = 0.4  # the critical distance of the settings
 
 
 @dataclass(frozen=True, eq=False)
@@ -243,7 +243,7 @@ TOLD_CLAIMS = """\
   - hand predictions within 60 mm
   - proposals lead away to within 10 mm
   - repulsion moves away from every hand to within 5 mm
-  - whenever repulsing then TCP speed < 2 m/s
+  - always hand tracked
 """
 
 
