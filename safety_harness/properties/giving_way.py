@@ -34,6 +34,7 @@ DIP_M = 1e-4  # how far the executed way may come nearer beyond the unavoidable
 SPEED_SHARE, ACCELERATION_SHARE = 0.9, 0.7
 LEAST_SPEED_MPS, LEAST_ACCELERATION_MPS2 = 0.020, 0.1
 SLACK_M = 0.002  # how far the TCP may stay behind the reference; one control period's way more, but
+NOT_OFF = np.zeros(3)
 SLACK_SHARE = 0.1  # at most this share of the whole way
 
 
@@ -84,8 +85,7 @@ def _ends(prop: MovesAway, trace: Trace) -> tuple[float, float, bool]:
 def _ends_of(prop: MovesAway, trace: Trace, number: int) -> tuple[list[_End], bool]:
     """Of one decision, which may have been a tick away, or as far as it is not known; was it exercised?
 
-    The reference may begin as far from its place, and with as much more or less speed, as the TCP's are known
-    to; two of them draw apart by no more than twice that speed until both have turned to the target.
+    The reference may begin elsewhere, and faster, by as much as the TCP's place and velocity are known to.
     """
     decision, count, known = trace.decisions[number], len(trace.ticks), trace.known
     first, last = int(decision["tick"]), last_tick(trace, number)
@@ -136,23 +136,34 @@ def _ends_of(prop: MovesAway, trace: Trace, number: int) -> tuple[list[_End], bo
         high_m = float((nearer_m + nearer_off_m).min()) + float(unavoidable_m[1])
         ends.append(_End(low_m, high_m if sure else np.inf))
     done = _followed(trace, decision, last)
-    speed_mps = SPEED_SHARE * max(avoidance.repulsion_speed_mps, LEAST_SPEED_MPS)
-    slowest_mps2 = ACCELERATION_SHARE * braking_mps2
-    aligned_s = (speed_mps + fastest_mps) / slowest_mps2
-    since_s = np.arange(last + 1 - first) * period_s
-    behind_off_m = off_m[run] + start_off_m + 2.0 * dv_mps * np.minimum(since_s, aligned_s)
-    behind_off_m += speed_mps * period_s * (about.stop - about.start) / 2.0
-    behind_off_m[0] = 0.0
+    period_m = SPEED_SHARE * max(avoidance.repulsion_speed_mps, LEAST_SPEED_MPS) * period_s
+    follow = off_m[run] + _led_m(trace, decision, last, start_off_m + period_m, dv_mps)
     slack_off_m = SLACK_SHARE * start_off_m
-    low_m = done.slack_m - slack_off_m - float((done.behind_m + behind_off_m).max())
-    high_m = done.slack_m + slack_off_m - float((done.behind_m - behind_off_m).max())
+    low_m = done.slack_m - slack_off_m - float((done.behind_m + follow).max())
+    high_m = done.slack_m + slack_off_m - float((done.behind_m - follow).max())
     ends.append(_End(-np.inf, np.inf) if done.excused else _End(low_m, high_m if counted else np.inf))
     if arrival_claimed(trace, number, last):
         left_m = float(np.linalg.norm(decision["chosen_position_in_base_m"] - tcp_m[last]))
         left_off_m = float(off_m[last]) + ARRIVED_FRACTION * start_off_m
         margin_m = ARRIVED_FRACTION * length_m - left_m
         ends.append(_End(margin_m - left_off_m, margin_m + left_off_m if counted else np.inf))
-    return ends, counted and done.due_m - float(behind_off_m[-1]) >= LEAST_WAY_M
+    return ends, counted and done.due_m - float(follow[-1]) >= LEAST_WAY_M
+
+
+def _led_m(trace: Trace, decision: np.void, last: int, off_m: float, dv_mps: float) -> NDArray[np.float64]:
+    """(n,) how far off a reference gets that begins ``off_m`` away and ``dv_mps`` faster, and a half more.
+
+    Along the way and back, and to four sides of it, which is the most that a beginning can do; zero at first.
+    """
+    first = int(decision["tick"])
+    way_m = decision["chosen_position_in_base_m"] - trace.ticks["transform_tcp_to_base"][first, :3, 3]
+    axes = np.linalg.svd(way_m[None, :])[2]
+    plain_m, found = _followed(trace, decision, last).behind_m, np.zeros(last + 1 - first)
+    for axis in (*axes, *-axes):
+        other = _followed(trace, decision, last, off_m * axis, dv_mps * axis)
+        found = np.maximum(found, np.abs(other.behind_m - plain_m))
+    found[0] = 0.0
+    return np.asarray(1.5 * found)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -388,8 +399,14 @@ class _Followed:
     excused: bool
 
 
-def _followed(trace: Trace, decision: np.void, last: int) -> _Followed:
-    """The repulsion from ``decision`` to the tick ``last``."""
+def _followed(
+    trace: Trace,
+    decision: np.void,
+    last: int,
+    off_m: NDArray[np.float64] = NOT_OFF,  # (3,)
+    faster_mps: NDArray[np.float64] = NOT_OFF,  # (3,)
+) -> _Followed:
+    """The repulsion from ``decision`` to the tick ``last``; the reference may begin elsewhere, and faster."""
     first = int(decision["tick"])
     settings, avoidance = trace.scenario.settings, trace.scenario.settings.avoidance
     window = trace.ticks[first : last + 1]
@@ -398,11 +415,13 @@ def _followed(trace: Trace, decision: np.void, last: int) -> _Followed:
     slowed = (window["limits"] & Limit.JOINT_SPEED != 0) & at_limit.any(axis=1)
     tcp_in_base = np.ascontiguousarray(window["transform_tcp_to_base"][:, :3, 3])
     earlier = trace.ticks["transform_tcp_to_base"][max(first - 1, 0), :3, 3]
+    velocity = (tcp_in_base[0] - earlier) / settings.clock.control_period_s + faster_mps
+    tcp_in_base[0] += off_m
     period_s = settings.clock.control_period_s
     excused = slowed | (window["limits"] & Limit.BRAKING != 0)
     behind_m, due_m = _behind(
         tcp_in_base,
-        (tcp_in_base[0] - earlier) / period_s,
+        velocity,
         decision["chosen_position_in_base_m"].copy(),
         excused,
         SPEED_SHARE * max(avoidance.repulsion_speed_mps, LEAST_SPEED_MPS),

@@ -94,7 +94,7 @@ CLOSELY = (
     ("known to: 8 mm", "known to: 1 mm"),
     ("137 ms, known to: 5 ms", "137 ms, known to: 0 ms"),
     ("known to: 0.2 mrad", "known to: 0.001 mrad"),
-    ("accelerate at most: 4.0 rad/s2", "accelerate at most: 1.5 rad/s2"),
+    ("accelerate at most: 4.0 rad/s2", "accelerate at most: 1.3 rad/s2"),
 )
 
 
