@@ -26,10 +26,10 @@ _FAR_STDS, _LEAST_MASS = 9.0, 1e-3
 
 @dataclass(frozen=True)
 class Family:
-    """Two ``parameters`` by their names, and for many samples at once, of known bounds ``low`` and ``high``:
+    """Two ``parameters`` by their names, for many samples at once, within known bounds (low, high).
 
-    ``fitted`` (b, n) samples to (b, 2) parameters, NaN for a sample that has none; ``below`` (b, n) values and
-    (b, 2) to (b, n) how probable less is; ``values`` the inverse.
+    ``fitted`` takes (b, n) samples to (b, 2) parameters, NaN for a sample that has none; ``below`` takes
+    (b, n) values and (b, 2) parameters to (b, n), how probable less is; ``values`` is its inverse.
     """
 
     name: str
@@ -42,8 +42,8 @@ class Family:
 def _normal(samples: Floats, low: float, high: float) -> Floats:
     """Mean and std of a normal distribution that is cut off at the bounds: its moments are the samples'.
 
-    The density is exp(a y + b y^2) on y from -1 to 1; Newton's method solves for a and b, as the likelihood is
-    concave in them.  One with b >= 0 has no normal distribution.
+    The density is exp(a y + b y^2) on y from -1 to 1; Newton's method solves for a and b, in which the
+    likelihood is concave.  One with b >= 0 has no normal distribution.
     """
     middle, half = (low + high) / 2.0, (high - low) / 2.0
     y = (samples - middle) / half
