@@ -1,7 +1,7 @@
 """Distributions that a scenario space can have, fitted to samples, with a goodness of fit and intervals.
 
 Parameters are those of the greatest likelihood within bounds that are known beforehand.  The fit is judged by
-the Kolmogorov-Smirnov distance, whose distribution under the family is found by a parametric bootstrap:
+the Anderson-Darling distance, whose distribution under the family is found by a parametric bootstrap:
 samples of the same size from the fitted one, each of them fitted anew (Stute, Gonzalez Manteiga and Presedo
 Quindimil, 1993), as a table for known parameters would hardly ever reject.
 """
@@ -21,7 +21,7 @@ REJECTED_BELOW = 0.05
 CONFIDENCE = 0.95
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(240)
 _STEPS, _CLOSE = 60, 1e-10
-_FAR_STDS, _LEAST_MASS = 9.0, 1e-3
+_FAR_STDS, _LEAST_MASS, _LEAST_TAIL = 9.0, 1e-3, 1e-12
 
 
 @dataclass(frozen=True)
@@ -133,7 +133,12 @@ class Fit:
 
 
 def fit(values: Floats, *, low: float, high: float, rng: np.random.Generator) -> tuple[Fit, ...]:
-    """Each family that can be fitted to ``values`` (n,), from ``low`` to ``high``, the best first."""
+    """Each family that can be fitted to ``values`` (n,), from ``low`` to ``high``, the best first.
+
+    One value alone has no distribution.
+    """
+    if float(np.ptp(values)) == 0.0:
+        return ()
     found = [_fit(family, values[None, :], low, high, rng) for family in FAMILIES]
     return tuple(sorted((one for one in found if one is not None), key=lambda one: -one.p_value))
 
@@ -162,7 +167,9 @@ def _fit(family: Family, own: Floats, low: float, high: float, rng: np.random.Ge
 
 
 def _distances(family: Family, samples: Floats, parameters: Floats, low: float, high: float) -> Floats:
-    """(b,) greatest distance of each sample's distribution function from the family's; ``samples`` (b, n)."""
-    below = family.below(np.sort(samples, axis=1), parameters, low, high)
-    steps = np.arange(samples.shape[1] + 1) / samples.shape[1]
-    return np.asarray(np.maximum(steps[1:] - below, below - steps[:-1]).max(axis=1))
+    """(b,) A^2 of each sample's distribution function from the family's; ``samples`` (b, n)."""
+    below, n = family.below(np.sort(samples, axis=1), parameters, low, high), samples.shape[1]
+    below = np.clip(below, _LEAST_TAIL, 1.0 - _LEAST_TAIL)
+    weights = 2.0 * np.arange(1, n + 1) - 1.0
+    logs = np.log(below) + np.log1p(-below[:, ::-1])
+    return np.asarray(-n - (weights * logs).sum(axis=1) / n)

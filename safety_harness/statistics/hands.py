@@ -15,7 +15,7 @@ import numpy as np
 from scipy.special import gammaincc, gammaincinv
 
 from safety_harness.exceptions import LogError, Place
-from safety_harness.logs.approaches import MOVES_MPS, NEAR_M, Approach, Watched, approaches_of
+from safety_harness.logs.approaches import LEAST_STAND_S, MOVES_MPS, NEAR_M, Approach, Watched, approaches_of
 from safety_harness.logs.model import CellLog
 from safety_harness.scenario.codec import Tree, scalar_text
 from safety_harness.scenario.files import told
@@ -65,7 +65,8 @@ class Quantity:
         one = self.chosen
         if one is None:
             values = np.quantile(self.values, np.linspace(0.0, 1.0, min(len(self.values), MOST_VALUES)))
-            return "one of " + ", ".join(dict.fromkeys(written(value) for value in values.tolist()))
+            texts = list(dict.fromkeys(written(value) for value in values.tolist()))
+            return texts[0] if len(texts) == 1 else f"one of {', '.join(texts)}"
         first, second = (one.parameters[key] for key in one.parameters)
         if one.family == "uniform":
             return f"from {written(first)} to {written(second)}"
@@ -147,12 +148,12 @@ def _samples(
     """(name, unit, low, high, values) of each quantity, without what is beyond its bounds."""
     starts = np.array([one.start_from_tcp_m for one in found])
     dwells = [one.dwell_s for one in found if one.dwell_s is not None]
-    pauses = [one.pause_s for one in found if one.pause_s is not None and one.pause_s > 0.0]
+    pauses = [one.pause_s for one in found if one.pause_s is not None]
     rows = [
         (SPEED_OF, "m/s", MOVES_MPS, fastest_mps, [one.speed_mps for one in found]),
         (ACCELERATION, "m/s2", LEAST_MPS2, HARDEST_MPS2, [one.acceleration_mps2 for one in found]),
-        (DWELL, "s", 0.0, LONGEST_S, dwells),
-        (PAUSE, "s", 0.0, LONGEST_S, pauses),
+        (DWELL, "s", LEAST_STAND_S, LONGEST_S, dwells),
+        (PAUSE, "s", LEAST_STAND_S, LONGEST_S, pauses),
         (END, "m", 0.0, NEAR_M, [one.end_distance_m for one in found]),
         *((f"start {a}", "m", -FARTHEST_M, FARTHEST_M, starts[:, k].tolist()) for k, a in enumerate(AXES)),
     ]
@@ -266,7 +267,7 @@ def quantity_lines(one: Quantity) -> list[str]:
             for key, (low, high) in each.intervals.items()
         )
         verdict = "rejected" if each.rejected else "taken" if each is one.chosen else "not rejected"
-        words = f"{each.family}: {values} {unit}; D = {each.distance:.3f}, p = {each.p_value:.3f}, {verdict}"
+        words = f"{each.family}: {values} {unit}; A2 = {each.distance:.3f}, p = {each.p_value:.3f}, {verdict}"
         lines.append(f"{one.name}, {len(one.values)} values, {words}")
     return lines or [f"{one.name}, {len(one.values)} values: neither family can be fitted"]
 
