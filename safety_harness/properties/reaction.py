@@ -101,7 +101,7 @@ def _answer_ends(
     hand changed between two ticks is not known, so that the one is a period more and the other one less.
     """
     gives, may = may_give_way(trace)
-    last, longest, closed = len(sure) - 1, [0, 0], 0
+    last, longest, may_be_open = len(sure) - 1, [0, 0], False
     for side, (near, giving) in enumerate(((maybe, gives), (sure, may))):
         for first, end in zip(*runs_of(~giving if whole_stretch else near & ~giving), strict=True):
             inside = np.flatnonzero(near[first:end])
@@ -109,10 +109,11 @@ def _answer_ends(
                 took = min(end, last) - (first + int(inside[0]))
                 over = time_left_s(trace, prop.within_s, took - 1) < 0.0
                 longest[side] = max(longest[side], took if side == 0 or end <= last or over else 0)
-                closed += side == 1 and end <= last
-    answered = bool((sure & gives).any())
+                may_be_open |= side == 0 and end > last
+    occasions = times_begun(sure[sure | ~maybe])  # at least
     low, high = (time_left_s(trace, prop.within_s, took) for took in (longest[0] + 1, longest[1] - 1))
-    return low, high, closed > 0 or answered
+    exercised = occasions > may_be_open
+    return low, high if exercised else np.inf, exercised
 
 
 def _predicted_ends(prop: GivesWay, trace: Trace) -> tuple[float, float, bool]:
