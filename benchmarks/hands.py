@@ -13,6 +13,7 @@ import argparse
 import tempfile
 from pathlib import Path
 
+import numpy as np
 from logs import RECORDINGS, ROOT, _blanked, _write_joints, write_log
 
 from safety_harness.admission.admit import admit
@@ -20,6 +21,7 @@ from safety_harness.admission.trial import run_kinematic
 from safety_harness.logs.read import read_log
 from safety_harness.scenario.model import RecordedHand
 from safety_harness.scenario.read import read_scenario
+from safety_harness.statistics.fitting import NORMAL, fit
 from safety_harness.statistics.hands import direction_line, fit_hands, quantity_lines, space_text
 
 
@@ -38,6 +40,22 @@ def logs_of_recordings(folder: Path) -> list[Path]:
     return found
 
 
+def trial(count: int = 400, values: int = 40) -> None:
+    """How often the right family is rejected, the wrong one too, and an interval has the true mean."""
+    true, rejected, has = np.array([[0.6, 0.2]]), {"normal": 0, "uniform": 0}, 0
+    for seed in range(count):
+        rng = np.random.default_rng(seed)
+        drawn = NORMAL.values(rng.random((1, values)), true, 0.1, 2.0)[0]
+        for one in fit(drawn, low=0.1, high=2.0, rng=rng):
+            rejected[one.family] += one.rejected
+            if one.family == "normal":
+                low, high = one.intervals["mean"]
+                has += low <= true[0, 0] <= high
+    print(
+        f"{count} samples of {values} values, normal 0.6 +- 0.2 from 0.1 to 2: rejected {rejected}, mean in {has}"
+    )
+
+
 def main(out: Path | None) -> None:
     """Fit them, and write the space."""
     with tempfile.TemporaryDirectory() as name:
@@ -51,13 +69,12 @@ def main(out: Path | None) -> None:
     for one in found.quantities:
         print(*quantity_lines(one), sep="\n")
     print(direction_line(found.direction), *found.notes, sep="\n")
-    text = space_text(found)
-    print(text)
     if out is not None:
-        out.write_text(text)
+        out.write_text(space_text(found))
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path)
     main(parser.parse_args().out)
+    trial()
