@@ -51,9 +51,8 @@ def trial(count: int = 400, values: int = 40) -> None:
             if one.family == "normal":
                 low, high = one.intervals["mean"]
                 has += low <= true[0, 0] <= high
-    print(
-        f"{count} samples of {values} values, normal 0.6 +- 0.2 from 0.1 to 2: rejected {rejected}, mean in {has}"
-    )
+    print(f"{count} samples of {values} values, normal 0.6 +- 0.2 from 0.1 to 2: rejected {rejected},")
+    print(f"true mean within its interval in {has}")
 
 
 def main(out: Path | None) -> None:
