@@ -29,8 +29,8 @@ from safety_harness.logs.tables import (
     required_column,
     time_column,
 )
-from safety_harness.scenario import nodes
 from safety_harness.scenario.fields import Field, Fields
+from safety_harness.scenario.nodes import Mapping as MappingNode
 from safety_harness.scenario.units import TIME
 from safety_harness.trace.records import DecisionOutcome, Limit, Mode, Trigger
 
@@ -194,7 +194,7 @@ class _Reading:
 
     def tracks(self, positions: Positions) -> tuple[ToldStream, ...]:
         """Of one hand that is told each; a sample without numbers tells that it is not tracked."""
-        field, several = self.field, isinstance(self.field.node, nodes.Mapping)
+        field, several = self.field, isinstance(self.field.node, MappingNode)
         parts = field.entries("tracked hands by their names") if several else (("", field),)
         if not parts:
             raise field.error("a tracked hand at least")

@@ -35,7 +35,7 @@ FORMS = {"m/s": ("mm/s", 1e3), "m/s2": ("m/s2", 1.0), "s": ("ms", 1e3), "m": ("m
 
 
 @dataclass(frozen=True, kw_only=True)
-class Quantity:
+class FittedQuantity:
     """One quantity of approaches: its values in SI, known bounds, and what was fitted to it, best first."""
 
     name: str
@@ -93,7 +93,7 @@ class Direction:
 class HandsFit:
     """All that was fitted, of which recordings (their name and SHA-256), and what a reader has to know."""
 
-    quantities: tuple[Quantity, ...]
+    quantities: tuple[FittedQuantity, ...]
     direction: Direction
     approaches: int
     hours: float
@@ -125,7 +125,7 @@ def fit_hands(logs: Sequence[CellLog], *, seed: int) -> HandsFit:
             continue
         rng = generator(seed, Branch.STATISTICS, number)
         fits = fit(np.array(values), low=low, high=high, rng=rng)
-        one = Quantity(name=name, unit=unit, low=low, high=high, values=tuple(values), fits=fits)
+        one = FittedQuantity(name=name, unit=unit, low=low, high=high, values=tuple(values), fits=fits)
         quantities.append(one)
     hours = watched.seconds / 3600.0
     return HandsFit(
@@ -192,7 +192,7 @@ def _recordings(logs: Sequence[CellLog]) -> tuple[tuple[str, str], ...]:
     return tuple((str(told(file)), digest) for file, digest in found.items())
 
 
-def _notes(watched: Watched, quantities: Sequence[Quantity]) -> list[str]:
+def _notes(watched: Watched, quantities: Sequence[FittedQuantity]) -> list[str]:
     found = []
     if watched.gaps:
         found.append(f"{watched.gaps} gaps longer than said: what was going on there is left out")
@@ -257,7 +257,7 @@ def _comments(found: HandsFit) -> list[str]:
     return [*lines, *(f"{digest} {name}" for name, digest in found.recordings)]
 
 
-def quantity_lines(one: Quantity) -> list[str]:
+def quantity_lines(one: FittedQuantity) -> list[str]:
     """What was fitted to one quantity, a family a line."""
     unit, per_si = FORMS[one.unit]
     lines = []
