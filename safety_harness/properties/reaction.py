@@ -101,7 +101,7 @@ def _answer_ends(
     hand changed between two ticks is not known, so that the one is a period more and the other one less.
     """
     gives, may = may_give_way(trace)
-    last, longest, may_be_open = len(sure) - 1, [0, 0], False
+    last, longest, may_be_open, too_long = len(sure) - 1, [0, 0], False, False
     for side, (near, giving) in enumerate(((maybe, gives), (sure, may))):
         for first, end in zip(*runs_of(~giving if whole_stretch else near & ~giving), strict=True):
             inside = np.flatnonzero(near[first:end])
@@ -110,9 +110,10 @@ def _answer_ends(
                 over = time_left_s(trace, prop.within_s, took - 1) < 0.0
                 longest[side] = max(longest[side], took if side == 0 or end <= last or over else 0)
                 may_be_open |= side == 0 and end > last
+                too_long |= side == 1 and end > last and over  # already, when the run ends
     occasions = times_begun(sure[sure | ~maybe])  # at least
     low, high = (time_left_s(trace, prop.within_s, took) for took in (longest[0] + 1, longest[1] - 1))
-    exercised = occasions > may_be_open
+    exercised = occasions > (may_be_open and not too_long)
     return low, high if exercised else np.inf, exercised
 
 
