@@ -136,24 +136,7 @@ def recordings(folder: Path) -> None:
         _write_joints(trace, folder / "joints.csv")
         for number, hand in enumerate(trace.scenario.hands):
             assert isinstance(hand, RecordedHand)
-            raw = ROOT / "scenarios" / hand.recording
-            track = hand.name.replace(" ", "_")
-            rows = raw.read_text().splitlines()
-            at = [rows[0].split(",").index(f"{track}_{axis}_m") for axis in "xyz"]
-            first = np.array([float(rows[1].split(",")[k]) for k in at])
-            shift = np.array(hand.starts_at_in_base_m) - first
-            text = (
-                "log: {joints: joints.csv, hands: {HAND: hands.csv#TRACK}}\n"
-                "clock: {hands are ahead by: 0 ms, known to: 2 ms}\n"
-                "joints: {known to: 0.01 mrad, accelerate at most: 20 rad/s2}\n"
-                "hands:\n  forearm: FOREARM\n  longest gap: 200 ms\n  moves at most: 3 m/s\n"
-                "  known to: 1 mm\n"
-                f"  frame: {{at: [{', '.join(f'{x * 1e3:.4f} mm' for x in shift)}]}}\n"
-                f"robot: {trace.scenario.robot.label}\nclaims: [hand distance never below 50 mm]\n"
-            )
-            elbow = "hands.csv#right_elbow" if track == "right_hand" else "not measured"
-            text = text.replace("HAND", hand.name).replace("TRACK", track).replace("FOREARM", elbow)
-            (folder / "LOG.yaml").write_text(text)
+            rows = write_log(trace, hand, folder)
             blanked = _blanked(folder, rows)
             log = recorded(folder / "LOG.yaml")
             (found,) = judge(log.trace)
@@ -165,6 +148,29 @@ def recordings(folder: Path) -> None:
                 f"| {name} | {hand.name} | {blanked} | {simulated:+.1f} | {found.verdict.value} | "
                 f"{margin or why.partition('; by what')[0]} | {within:.1f} |"
             )
+
+
+def write_log(trace: Trace, hand: RecordedHand, folder: Path) -> list[str]:
+    """LOG.yaml of one recorded hand, placed as its scenario places it; returns the lines of the recording."""
+    raw = ROOT / "scenarios" / hand.recording
+    track = hand.name.replace(" ", "_")
+    rows = raw.read_text().splitlines()
+    at = [rows[0].split(",").index(f"{track}_{axis}_m") for axis in "xyz"]
+    first = np.array([float(rows[1].split(",")[k]) for k in at])
+    shift = np.array(hand.starts_at_in_base_m) - first
+    text = (
+        "log: {joints: joints.csv, hands: {HAND: hands.csv#TRACK}}\n"
+        "clock: {hands are ahead by: 0 ms, known to: 2 ms}\n"
+        "joints: {known to: 0.01 mrad, accelerate at most: 20 rad/s2}\n"
+        "hands:\n  forearm: FOREARM\n  longest gap: 200 ms\n  moves at most: 3 m/s\n"
+        "  known to: 1 mm\n"
+        f"  frame: {{at: [{', '.join(f'{x * 1e3:.4f} mm' for x in shift)}]}}\n"
+        f"robot: {trace.scenario.robot.label}\nclaims: [hand distance never below 50 mm]\n"
+    )
+    elbow = "hands.csv#right_elbow" if track == "right_hand" else "not measured"
+    text = text.replace("HAND", hand.name).replace("TRACK", track).replace("FOREARM", elbow)
+    (folder / "LOG.yaml").write_text(text)
+    return rows
 
 
 def _write_joints(trace: Trace, file: Path) -> None:

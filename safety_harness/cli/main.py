@@ -16,6 +16,7 @@ from safety_harness.cli.certify import of_certify
 from safety_harness.cli.console import BAD_INPUT, NARROW, columns_of, explain, give_up, no_escapes, result
 from safety_harness.cli.evaluate import commands as of_scoring
 from safety_harness.cli.fuzz import commands as of_search
+from safety_harness.cli.hands import commands as of_hands
 from safety_harness.cli.learning import commands as of_learning
 from safety_harness.cli.log import commands as of_logs
 from safety_harness.cli.machine import commands as of_machine
@@ -58,6 +59,7 @@ app.add_typer(of_campaigns, name="campaign")
 app.add_typer(of_robots, name="robot")
 app.add_typer(of_logs, name="log")
 app.add_typer(of_scenario, name="scenario")
+app.add_typer(of_hands, name="hands")
 app.add_typer(of_learning)
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
@@ -17,6 +17,7 @@ from typing import Any
 from safety_harness.exceptions import LogError, Place, near_miss
 from safety_harness.extras import LOGS
 from safety_harness.logs.streams import Collector, LogSource
+from safety_harness.logs.tables import as_word
 from safety_harness.scenario.units import shown
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
@@ -40,6 +41,68 @@ class Message:
     received_ns: int
     kind: str
     content: Any
+
+
+@dataclass(frozen=True)
+class Part:
+    """A field of each message by its ``path``: so many numbers, or a word that ``words`` has as a number.
+
+    ``si`` is what one of it is in SI.  With ``names`` the numbers are those of the things that this field
+    lists, as in a ``JointState``.
+    """
+
+    path: str
+    width: int
+    si: float
+    words: Mapping[str, float] | None = None
+    names: str = ""
+
+
+def read_parts(
+    source: LogSource, collector: Collector, parts: Sequence[Part], names: Sequence[str], *, time: str
+) -> None:
+    """What a program told: the ``parts`` of each message, NaN for one that it does not have."""
+    for message in messages(source):
+        content, values = message.content, []
+        for part in parts:
+            found = _follow(content, source, message, part.path)
+            if part.words is not None:
+                word = as_word(found)
+                if word not in part.words:
+                    hint = near_miss(word, part.words)
+                    expected = f"one of {', '.join(part.words)} for {part.path}"
+                    raise error(source, message, expected, shown(word) or "none", hint)
+                values.append(part.words[word])
+                continue
+            values += [value * part.si for value in _of_part(part, found, names, source, message)]
+        _refuse_infinite(values, source, message)
+        header = getattr(content, "header", None)
+        collector.add(_time_ns(message, source, time, header), values, message.number)
+
+
+def _of_part(
+    part: Part, found: Any, names: Sequence[str], source: LogSource, message: Message
+) -> Sequence[float]:
+    """The numbers of one part of a message."""
+    if found is None:
+        return [math.nan] * part.width
+    if part.width == 1:
+        return _numbers([found], source, message)
+    if not part.names:
+        if part.width == 3 and not names:
+            return _xyz(found, source, message)
+        numbers = _numbers(found, source, message)
+    else:
+        told = list(_follow(message.content, source, message, part.names))
+        numbers = _numbers(found, source, message)
+        lacking = [name for name in names if name not in told]
+        if lacking or len(numbers) != len(told):
+            expected = f"a number for each of {', '.join(names)}"
+            raise error(source, message, expected, f"{len(numbers)} for {shown(', '.join(told))}")
+        numbers = [numbers[told.index(name)] for name in names]
+    if len(numbers) != part.width:
+        raise error(source, message, f"{part.width} numbers in {part.path}", str(len(numbers)))
+    return numbers
 
 
 @contextmanager
@@ -146,9 +209,11 @@ def read_positions(
     time: str,
     length: float,
     to_base: Callable[[str, Message], Callable[[Sequence[float]], Sequence[float]]],
+    halves: bool = True,
 ) -> None:
     """Positions in the base frame; NaN for a body that a message does not have.
 
+    LogError for one of which it has not all numbers, unless ``halves`` may be.
     ``length`` is the unit in m, ``to_base`` makes positions in a frame, by its name, positions in the base's.
     """
     for message in messages(source):
@@ -175,6 +240,8 @@ def read_positions(
             where = _follow(content, source, message, path)
         place = [math.nan] * 3 if where is None else _xyz(where, source, message)
         _refuse_infinite(place, source, message)
+        if not halves and 0 < sum(map(math.isnan, place)) < 3:
+            raise error(source, message, "a position, or none of its three numbers", str(place))
         frame = str(getattr(header, "frame_id", ""))
         position = to_base(frame, message)([value * length for value in place])
         collector.add(_time_ns(message, source, time, header), position, message.number)

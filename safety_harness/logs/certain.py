@@ -25,6 +25,8 @@ from safety_harness.logs.reach import (
     rate_off,
 )
 from safety_harness.logs.streams import NS, LogSamples
+from safety_harness.logs.told import ahead_s
+from safety_harness.logs.told_ticks import with_told
 from safety_harness.properties.true_motion import (
     JOINTS,
     apart_moved_m,
@@ -57,6 +59,7 @@ RECORDED = "recorded"  # the world of such a trace, and its avoider, which nobod
 HAND, ELBOW, PRESENT = "hand_position_in_base_m", "elbow_position_in_base_m", "hand_present"
 _LONGEST_STEP_S = 5.0  # between rows of a stored path
 _PASSED_ON = ("robot", "obstacles")
+_HAND_FILTER, _HORIZON = "hand filter", "prediction horizon"
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +98,8 @@ def trace_of(log: CellLog) -> Recorded:
     columns[PRESENT] = Measurement(source=Source.LOG)
     columns |= _of_hands(log, paths)
     trace = replace(trace, known=knowing(trace, columns).known)
-    return Recorded(_derived(trace, columns), recordings, tuple(_notes(log, paths)))
+    trace = with_told(_derived(trace, columns), log, columns)
+    return Recorded(trace, recordings, tuple(_notes(log, paths)))
 
 
 def _with_hands(trace: Trace) -> Trace:
@@ -301,7 +305,7 @@ def _scenario(log: CellLog, paths: list[_Path], recordings: dict[str, bytes]) ->
         "duration": _scalar(format_quantity((log.ticks - 1) * log.period_s, TIME)),
         "avoider": _scalar(RECORDED),
         "tcp start": _mapping({"joints": _list([format_quantity(float(a), ANGLE) for a in joints])}),
-        "settings": settings_with(log.period_s, given.get("settings")),
+        "settings": settings_with(log.period_s, given.get("settings"), ahead_s(log.told)),
         "claims": claims_of(given.get("claims")),
     }
     entries |= {key: given[key].node for key in ("about", *_PASSED_ON) if key in given}
@@ -333,15 +337,27 @@ def _hand(log: CellLog, path: _Path) -> Node:
     )
 
 
-def settings_with(period_s: float, given: Field | None) -> Node:
-    """Those that are said, and the period."""
+def settings_with(period_s: float, given: Field | None, ahead: float | None = None) -> Node:
+    """Those that are said, the period, and how far [s] detections are ``ahead``, if they are told."""
     period = _mapping({"control period": _scalar(format_quantity(period_s, TIME))})
     groups = {} if given is None else dict(given.entries("a mapping of groups of settings"))
     if "clock" in groups:
         raise groups["clock"].error(
             "the period below log", got="settings of a clock", hint="log: {period: 8 ms}"
         )
+    own = groups.get(_HAND_FILTER)
+    if own is not None and ahead is not None:
+        for key, one in own.entries("settings of the filter"):
+            if key == _HORIZON and one.quantity(TIME) != ahead:
+                raise one.error(f"{format_quantity(ahead, TIME)}, as far as detections are ahead, or nothing")
     entries = tuple((Scalar(key, one.line), one.node) for key, one in groups.items())
+    if ahead is not None:
+        horizon = Scalar(_HORIZON, 1), _scalar(format_quantity(ahead, TIME))
+        kept: tuple[tuple[Scalar, Node], ...] = ()
+        if own is not None and isinstance(own.node, Mapping):
+            kept = tuple(pair for pair in own.node.entries if pair[0].text != _HORIZON)
+        entries = tuple(entry for entry in entries if entry[0].text != _HAND_FILTER)
+        entries = (*entries, (Scalar(_HAND_FILTER, 1), Mapping((*kept, horizon), 1)))
     return Mapping((*entries, (Scalar("clock", 1), period)), 1)
 
 

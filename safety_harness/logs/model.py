@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.logs.streams import NS, LogSamples
+from safety_harness.logs.told import Told
 from safety_harness.scenario.fields import Field
 from safety_harness.scenario.robots import AnyRobot
 
@@ -57,7 +58,8 @@ class CellLog:
     ``joints``: values (n, 2 j), positions and then velocities of the arm's joints, NaN where none was told,
     on the clock of the joints, from which everything is counted.  ``hands_ahead_ns`` is by how much the clock
     of the hands shows more, known to ``clock_known_to_s``.  ``period_ns`` is from tick to tick of the trace.
-    ``said`` is the file, from which the scenario's own keys are still to be read.
+    ``said`` is the file, from which the scenario's own keys are still to be read; ``told`` is the
+    controller's own word.
     """
 
     name: str
@@ -72,6 +74,7 @@ class CellLog:
     clock_known_to_s: float
     period_ns: int
     files: tuple[Path, ...]
+    told: Told
 
     @property
     def origin_ns(self) -> int:

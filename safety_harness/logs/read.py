@@ -37,6 +37,7 @@ from safety_harness.logs.tables import (
     required_column,
     time_column,
 )
+from safety_harness.logs.told import STREAMS, Told, ToldClock, read_told
 from safety_harness.robot.description import ArmModel
 from safety_harness.robot.robots import arm_model
 from safety_harness.scenario.codec import POINT, ROTATION
@@ -48,8 +49,11 @@ from safety_harness.scenario.nodes import Mapping, Scalar, parse_tree
 from safety_harness.scenario.robots import Robot, read_robot
 from safety_harness.scenario.units import ANGLE, ANGULAR_ACCELERATION, ANGULAR_SPEED, LENGTH, SPEED, TIME
 
-KEYS = ("log", "title", "about", "clock", "joints", "hands", "robot", "obstacles", "settings", "claims")
-OF_LOG = ("joints", "hands", "from", "to", "period")
+KEYS = (
+    *("log", "title", "about", "clock", "joints", "hands", *STREAMS),
+    *("robot", "obstacles", "settings", "claims"),
+)
+OF_LOG = ("joints", "hands", *STREAMS, "from", "to", "period")
 OF_CLOCK = ("hands are ahead by", "known to")
 OF_JOINTS = (
     *("names", "unit", "time", "known to", "speeds known to"),
@@ -105,6 +109,12 @@ def log_of(said: Field, *, name: str, align: bool = False) -> CellLog:
     elif "hands" in given or "clock" in given:
         key = "hands" if "hands" in given else "clock"
         raise given.required(key).error("a stream of hands below log", got="none", hint="log: {hands: FILE}")
+    clock_ns = None if hand_facts is None else ahead_ns
+    told = (
+        Told()
+        if align
+        else reading.told(ToldClock(hands_ahead_ns=clock_ns, hands_known_to_ns=round(known_to_s * NS)))
+    )
     found = CellLog(
         name=name,
         file=said.file,
@@ -118,6 +128,7 @@ def log_of(said: Field, *, name: str, align: bool = False) -> CellLog:
         clock_known_to_s=known_to_s,
         period_ns=period_ns,
         files=tuple(dict.fromkeys(one for source in reading.sources for one in source.files)),
+        told=told,
     )
     if found.ticks < 2:
         raise streams.required("joints").error("two control periods of joints, at least", got="less")
@@ -197,17 +208,38 @@ class _Reading:
             found.append(Body(name, hand, elbow, there))
         return tuple(found)
 
-    def _positions(self, field: Field, said: Fields, window: tuple[int | None, int | None]) -> LogSamples:
+    def told(self, clock: ToldClock) -> Told:
+        """What the controller said."""
+        names = _names(self._said_of_joints().optional("names"), self.arm)
+
+        def placed(frame: Field, samples: LogSamples, first: int) -> LogSamples:
+            transform, values = _given_transform(frame), samples.values.copy()
+            values[:, first : first + 3] = (
+                values[:, first : first + 3] @ transform[:3, :3].T + transform[:3, 3]
+            )
+            return LogSamples(samples.source, samples.time_ns, values, samples.at, samples.counts)
+
+        def positions(field: Field, said: Fields) -> LogSamples:
+            return self._positions(field, said, (None, None), keep=True)
+
+        return read_told(self.given, self.streams, names, clock, self._source, positions, placed)
+
+    def _positions(
+        self, field: Field, said: Fields, window: tuple[int | None, int | None], *, keep: bool = False
+    ) -> LogSamples:
+        """Of a body, in the base frame; ``keep`` those samples in which it is nowhere."""
         source = self._source(field)
-        collector = Collector(source, 3, _counts(source), *window)
+        collector = Collector(source, 3, _counts(source), *window, least=2 - keep)
         unit = said.optional("unit")
         word = _word(unit, _LENGTHS) if unit else None
         frame = said.optional("frame")
         if source.is_bag:
             to_base = self._to_base(source, frame)
             length = _LENGTHS[word or "m"]
-            read_positions(source, collector, time=_time(said), length=length, to_base=to_base)
-            return _positions_checked(collector.samples())
+            read_positions(
+                source, collector, time=_time(said), length=length, to_base=to_base, halves=not keep
+            )
+            return _positions_checked(collector.samples(), keep)
         if frame is None:
             expected = 'the key "frame": base, or {at: ..., turned: ...} of the frame in which positions are'
             raise said.whole.error(expected, got=f"none, and {source.name} is a table that cannot say it")
@@ -217,9 +249,15 @@ class _Reading:
         time = time_column(source, header, _said(said.optional("time")))
         read_table(Table(*time, tuple(at)), collector)
         found = collector.samples()
+        gone = np.isnan(found.values)
+        half = gone.any(axis=1) & ~gone.all(axis=1)
+        if keep and half.any():
+            expected = "a position, or none of its three numbers"
+            raise found.error(int(np.argmax(half)), expected, str(found.values[half][0].tolist()))
         transform = _given_transform(frame)
         values = found.values @ transform[:3, :3].T + transform[:3, 3]
-        return _positions_checked(LogSamples(source, found.time_ns, values, found.at, found.counts))
+        moved = LogSamples(source, found.time_ns, values, found.at, found.counts)
+        return _positions_checked(moved, keep)
 
     def _to_base(self, source: LogSource, frame: Field | None) -> ToBase:
         """How positions of a bag come to the base frame."""
@@ -323,14 +361,14 @@ def _joints_checked(joints: LogSamples, names: tuple[str, ...]) -> LogSamples:
     return _told(joints, np.asarray(np.isfinite(values).all(axis=1)))
 
 
-def _positions_checked(positions: LogSamples) -> LogSamples:
+def _positions_checked(positions: LogSamples, keep: bool) -> LogSamples:
     far = np.abs(positions.values) > FARTHEST_M
     if far.any():
         index = int(np.argmax(far.any(axis=1)))
         got = f"{', '.join(f'{value:.6g}' for value in positions.values[index])} m"
         expected = f"a position within {FARTHEST_M:g} m of the base"
         raise positions.error(index, expected, got, 'millimetres that were taken for metres? the key "unit"')
-    return _told(positions, np.asarray(np.isfinite(positions.values).all(axis=1)))
+    return positions if keep else _told(positions, np.asarray(np.isfinite(positions.values).all(axis=1)))
 
 
 def _told(samples: LogSamples, there: NDArray[np.bool_]) -> LogSamples:

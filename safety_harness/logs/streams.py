@@ -127,6 +127,7 @@ class Collector:
     begin_ns: int | None = None
     end_ns: int | None = None
     begin: Callable[[int], tuple[int | None, int | None]] | None = None  # the window, by the first time
+    least: int = 2
     _time: array[int] = field(default_factory=lambda: array("q"))
     _values: array[float] = field(default_factory=lambda: array("d"))
     _at: array[int] = field(default_factory=lambda: array("q"))
@@ -153,7 +154,7 @@ class Collector:
         self._at.append(at)
 
     def samples(self) -> LogSamples:
-        """All that were kept; LogError for fewer than two, and for times that do not rise."""
+        """All that were kept; LogError for fewer than ``least``, and for times that do not rise."""
         n = len(self._time)
         found = LogSamples(
             self.source,
@@ -162,10 +163,11 @@ class Collector:
             np.array(self._at, np.int64),
             self.counts,
         )
-        if n < 2:
+        if n < self.least:
+            words = "two samples" if self.least == 2 else "a sample"
             got = f"{n} of {self.seen} in the file" if self.seen else "none in the file"
             raise LogError(
-                place=self.source.place, expected=f"two samples at least of {self.source.name}", got=got
+                place=self.source.place, expected=f"{words} at least of {self.source.name}", got=got
             )
         refuse_disorder(found)
         return found

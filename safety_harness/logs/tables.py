@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from decimal import Decimal, InvalidOperation
@@ -31,10 +31,11 @@ _EXACT_BELOW = 1e6  # in a unit of time, up to which a float has enough digits f
 
 @dataclass(frozen=True)
 class TableColumn:
-    """A column of a table and what one of it is in SI."""
+    """A column of a table and what one of it is in SI, or what its ``words`` are as numbers."""
 
     name: str
     si: float
+    words: Mapping[str, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -156,6 +157,13 @@ def _read_parquet(table: Table, collector: Collector) -> None:
                 collector.add(time_ns, values, row)
 
 
+def as_word(cell: object) -> str:
+    """A word of a program, or the number that it has in its place, as a table of words would have it."""
+    if isinstance(cell, float) and cell.is_integer():
+        return str(int(cell))
+    return "" if cell is None else str(cell).strip()
+
+
 def _time(cell: Any, table: Table, source: LogSource, at: int) -> int:
     """A time in nanoseconds, from decimal digits where a float has too few."""
     try:
@@ -175,6 +183,14 @@ def _time(cell: Any, table: Table, source: LogSource, at: int) -> int:
 
 def _cell(cell: Any, one: TableColumn, source: LogSource, at: int) -> float:
     """A number in SI, NaN for an empty cell."""
+    if one.words is not None:
+        word = as_word(cell)
+        if word not in one.words:
+            hint = near_miss(word, one.words)
+            raise _error(
+                source, f"one of {', '.join(one.words)}", shown(word) or "none", hint, field=one.name, line=at
+            )
+        return one.words[word]
     text = cell.strip() if isinstance(cell, str) else cell
     if text is None or text == "":
         return math.nan

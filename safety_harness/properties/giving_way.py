@@ -34,6 +34,7 @@ DIP_M = 1e-4  # how far the executed way may come nearer beyond the unavoidable
 SPEED_SHARE, ACCELERATION_SHARE = 0.9, 0.7
 LEAST_SPEED_MPS, LEAST_ACCELERATION_MPS2 = 0.020, 0.1
 SLACK_M = 0.002  # how far the TCP may stay behind the reference; one control period's way more, but
+NOT_OFF = np.zeros(3)
 SLACK_SHARE = 0.1  # at most this share of the whole way
 
 
@@ -50,6 +51,119 @@ def worst_of(findings: Sequence[Finding]) -> Finding:
     """The first whose margin is not finite, else that with the least margin; there must be one."""
     unknown = next((finding for finding in findings if not np.isfinite(finding.margin_m)), None)
     return unknown or min(findings, key=lambda finding: finding.margin_m)
+
+
+@dataclass(frozen=True)
+class _End:
+    """The ends of one finding's margin [m]; is it there in any case, or only where it is negative?"""
+
+    low_m: float
+    high_m: float
+    always: bool = False
+
+
+def _ends(prop: MovesAway, trace: Trace) -> tuple[float, float, bool]:
+    """For ``reads``, of every decision by itself; nothing of one that goes on for another hand."""
+    if trace.known.uncertain(["demanded_joint_velocity_radps"]):
+        return -np.inf, np.inf, False
+    ends: list[_End] = []
+    exercised = False
+    for number, decision in enumerate(trace.decisions):
+        if decision["outcome"] == DecisionOutcome.STOP:
+            continue
+        if decision["trigger"] == Trigger.ANOTHER_HAND or not is_somewhere(
+            decision["chosen_position_in_base_m"]
+        ):
+            return -np.inf, np.inf, False
+        found, done = _ends_of(prop, trace, number)
+        ends += found
+        exercised |= done
+    sure = [end.high_m for end in ends if end.always or end.high_m < 0.0]
+    return min((end.low_m for end in ends), default=-np.inf), min(sure, default=np.inf), exercised
+
+
+def _ends_of(prop: MovesAway, trace: Trace, number: int) -> tuple[list[_End], bool]:
+    """Of one decision, which may have been a tick away, or as far as it is not known; was it exercised?
+
+    The reference may begin elsewhere, and faster, by as much as the TCP's place and velocity are known to.
+    """
+    decision, count, known = trace.decisions[number], len(trace.ticks), trace.known
+    first, last = int(decision["tick"]), last_tick(trace, number)
+    gaps = ((gap.first, gap.after) for gap in known.of("decision").gaps)
+    about = slice(*next((gap for gap in gaps if gap[0] <= first < gap[1]), (max(first - 1, 0), first + 2)))
+    run, period_s = slice(first, last + 1), trace.scenario.settings.clock.control_period_s
+    tcp_m, hands_m = trace.ticks["transform_tcp_to_base"][:, :3, 3], trace.ticks["hand_position_in_base_m"]
+    off_m, hand_off_m = (
+        known.within("transform_tcp_to_base", count),
+        known.within("hand_position_in_base_m", count),
+    )
+    start_off_m = float(off_m[about].max() + np.linalg.norm(tcp_m[about] - tcp_m[first], axis=1).max())
+    way_m, moved_m = decision["chosen_position_in_base_m"] - tcp_m[first], tcp_m[run] - tcp_m[first]
+    length_m = float(np.linalg.norm(way_m))
+    velocities = np.array([velocity_at(trace, tick) for tick in range(*about.indices(count))])
+    speeds_mps = trace.ticks["tcp_speed_mps"] + known.within("tcp_speed_mps", count)
+    fastest_mps = float(np.nan_to_num(speeds_mps[about], nan=np.inf).max())
+    dv_mps = 2.0 * float(off_m[about].max()) / period_s
+    dv_mps = float(np.fmin(dv_mps, fastest_mps + np.linalg.norm(velocities, axis=1).max()))
+    ends = [_End(length_m - start_off_m - LEAST_WAY_M, length_m + start_off_m - LEAST_WAY_M)]
+    avoidance, counted = trace.scenario.settings.avoidance, False
+    braking_mps2 = max(avoidance.repulsion_acceleration_mps2, LEAST_ACCELERATION_MPS2)
+    for hand in np.flatnonzero(trace.ticks["hand_present"][first]).tolist():
+        u_m = float(hand_off_m[about].max())
+        u_m += float(np.linalg.norm(hands_m[about, hand] - hands_m[first, hand], axis=1).max())
+        apart_m = tcp_m[first] - hands_m[first, hand]
+        distance_m = float(np.linalg.norm(apart_m))
+        if distance_m - start_off_m - u_m >= prop.nearer_m:
+            continue
+        sure = distance_m + start_off_m + u_m < prop.nearer_m
+        counted |= sure
+        away = apart_m / max(distance_m, 1e-9)
+        turned = min(2.0, 2.0 * (start_off_m + u_m) / max(distance_m, 1e-9))
+        planned_m, planned_off_m = float(way_m @ away) + prop.tolerance_m, start_off_m + length_m * turned
+        ends.append(_End(planned_m - planned_off_m, planned_m + planned_off_m if sure else np.inf, sure))
+        towards = np.maximum(
+            0.0, np.array([(-velocities @ away).min() - dv_mps, (-velocities @ away).max() + dv_mps])
+        )
+        unavoidable_m = (
+            towards**2 / (2.0 * braking_mps2) + 2.0 * towards * period_s + DIP_M + prop.tolerance_m
+        )
+        nearer_m = np.linalg.norm(tcp_m[run] - hands_m[first, hand], axis=1) - distance_m
+        least_m = max(distance_m - u_m - start_off_m, 1e-9)
+        nearer_off_m = off_m[run] + start_off_m
+        nearer_off_m += u_m * np.minimum(2.0, 2.0 * np.linalg.norm(moved_m, axis=1) / least_m)
+        nearer_off_m[0] = 0.0
+        low_m = float((nearer_m - nearer_off_m).min()) + float(unavoidable_m[0])
+        high_m = float((nearer_m + nearer_off_m).min()) + float(unavoidable_m[1])
+        ends.append(_End(low_m, high_m if sure else np.inf))
+    done = _followed(trace, decision, last)
+    period_m = SPEED_SHARE * max(avoidance.repulsion_speed_mps, LEAST_SPEED_MPS) * period_s
+    follow = off_m[run] + _led_m(trace, decision, last, start_off_m + period_m, dv_mps)
+    slack_off_m = SLACK_SHARE * start_off_m
+    low_m = done.slack_m - slack_off_m - float((done.behind_m + follow).max())
+    high_m = done.slack_m + slack_off_m - float((done.behind_m - follow).max())
+    ends.append(_End(-np.inf, np.inf) if done.excused else _End(low_m, high_m if counted else np.inf))
+    if arrival_claimed(trace, number, last):
+        left_m = float(np.linalg.norm(decision["chosen_position_in_base_m"] - tcp_m[last]))
+        left_off_m = float(off_m[last]) + ARRIVED_FRACTION * start_off_m
+        margin_m = ARRIVED_FRACTION * length_m - left_m
+        ends.append(_End(margin_m - left_off_m, margin_m + left_off_m if counted else np.inf))
+    return ends, counted and done.due_m - float(follow[-1]) >= LEAST_WAY_M
+
+
+def _led_m(trace: Trace, decision: np.void, last: int, off_m: float, dv_mps: float) -> NDArray[np.float64]:
+    """(n,) how far off a reference gets that begins ``off_m`` away and ``dv_mps`` faster, and a half more.
+
+    Along the way and back, and to four sides of it, which is the most that a beginning can do; zero at first.
+    """
+    first = int(decision["tick"])
+    way_m = decision["chosen_position_in_base_m"] - trace.ticks["transform_tcp_to_base"][first, :3, 3]
+    axes = np.linalg.svd(way_m[None, :])[2]
+    plain_m, found = _followed(trace, decision, last).behind_m, np.zeros(last + 1 - first)
+    for axis in (*axes, *-axes):
+        other = _followed(trace, decision, last, off_m * axis, dv_mps * axis)
+        found = np.maximum(found, np.abs(other.behind_m - plain_m))
+    found[0] = 0.0
+    return np.asarray(1.5 * found)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,6 +213,7 @@ class MovesAway:
             "decision.chosen_position_in_base_m",
             "decision.outcome",
         ],
+        ends=lambda prop, trace, _: _ends(prop, trace),
     )
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge each decision's planned and executed way."""
@@ -266,6 +381,33 @@ def progress(
     take the place of moving.
     """
     first = int(decision["tick"])
+    done = _followed(trace, decision, last)
+    behind_m, due_m = done.behind_m, done.due_m
+    if before is not None:
+        behind_m, due_m = behind_m + max(before.behind_m, 0.0), due_m + before.due_m
+    worst = int(np.argmax(behind_m))  # the first NaN, if there is one
+    return RepulsionProgress(done.slack_m - float(behind_m[worst]), first + worst, float(behind_m[-1]), due_m)
+
+
+@dataclass(frozen=True, eq=False)
+class _Followed:
+    """A repulsion beside its reference: ``behind_m`` (n,) at each tick; was any of them ``excused``?"""
+
+    behind_m: NDArray[np.float64]
+    due_m: float
+    slack_m: float
+    excused: bool
+
+
+def _followed(
+    trace: Trace,
+    decision: np.void,
+    last: int,
+    off_m: NDArray[np.float64] = NOT_OFF,  # (3,)
+    faster_mps: NDArray[np.float64] = NOT_OFF,  # (3,)
+) -> _Followed:
+    """The repulsion from ``decision`` to the tick ``last``; the reference may begin elsewhere, and faster."""
+    first = int(decision["tick"])
     settings, avoidance = trace.scenario.settings, trace.scenario.settings.avoidance
     window = trace.ticks[first : last + 1]
     arm = arm_model(trace.scenario.robot)
@@ -273,22 +415,22 @@ def progress(
     slowed = (window["limits"] & Limit.JOINT_SPEED != 0) & at_limit.any(axis=1)
     tcp_in_base = np.ascontiguousarray(window["transform_tcp_to_base"][:, :3, 3])
     earlier = trace.ticks["transform_tcp_to_base"][max(first - 1, 0), :3, 3]
+    velocity = (tcp_in_base[0] - earlier) / settings.clock.control_period_s + faster_mps
+    tcp_in_base[0] += off_m
     period_s = settings.clock.control_period_s
+    excused = slowed | (window["limits"] & Limit.BRAKING != 0)
     behind_m, due_m = _behind(
         tcp_in_base,
-        (tcp_in_base[0] - earlier) / period_s,
+        velocity,
         decision["chosen_position_in_base_m"].copy(),
-        slowed | (window["limits"] & Limit.BRAKING != 0),
+        excused,
         SPEED_SHARE * max(avoidance.repulsion_speed_mps, LEAST_SPEED_MPS),
         ACCELERATION_SHARE * max(avoidance.repulsion_acceleration_mps2, LEAST_ACCELERATION_MPS2),
         period_s,
     )
-    if before is not None:
-        behind_m, due_m = behind_m + max(before.behind_m, 0.0), due_m + before.due_m
-    worst = int(np.argmax(behind_m))  # the first NaN, if there is one
     way_m = float(np.linalg.norm(decision["chosen_position_in_base_m"] - tcp_in_base[0]))
     slack_m = SLACK_M + min(period_s * avoidance.repulsion_speed_mps, SLACK_SHARE * way_m)
-    return RepulsionProgress(slack_m - float(behind_m[worst]), first + worst, float(behind_m[-1]), due_m)
+    return _Followed(behind_m, due_m, slack_m, bool(excused.any()))
 
 
 @compiled

@@ -17,6 +17,8 @@ from safety_harness.properties.unexercised import no_hand, unexercised
 from safety_harness.scenario.units import LENGTH
 from safety_harness.trace.trace import Trace
 
+FILLED = ("track_valid", "predicted_hand_in_base_m")  # what was told then may be anything
+
 
 @dataclass(frozen=True, kw_only=True)
 class HandPredictions:
@@ -35,7 +37,7 @@ class HandPredictions:
         """As the catalogue writes it."""
         return f"hand predictions within {self.maximum_m * 1e3:g} mm"
 
-    @reads("hand_position_in_base_m", also=["track_valid", "predicted_hand_in_base_m"])
+    @reads("hand_position_in_base_m", filled=FILLED, ends=lambda prop, trace, _: _ends(prop, trace))
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge every prediction of every tracked hand."""
         if not trace.scenario.hands:
@@ -61,6 +63,24 @@ class HandPredictions:
         seen = np.flatnonzero(trace.ticks["track_valid"].any(axis=1))
         what = f"first tracked at {trace.time_s[seen[0]]:.3f} s" if len(seen) else "never tracked"
         return f"a hand was {what}; one tracked {horizon_ms:g} ms before the end of the run exercises it"
+
+
+def _ends(prop: HandPredictions, trace: Trace) -> tuple[float, float, bool]:
+    """With the true hand anywhere that it may be at the ticks beside the time that a prediction is for."""
+    errors_m, known, ticks = prediction_errors_m(trace), trace.known, trace.ticks
+    count, ahead = len(errors_m), len(ticks) - len(errors_m)
+    hand_m = known.within("hand_position_in_base_m", len(ticks))
+    later_m = np.maximum(hand_m[ahead:], np.append(hand_m[ahead + 1 :], hand_m[-1:]))[:count]
+    before_m = hand_m[max(ahead - 1, 0) :][:count]
+    off_m = known.within("predicted_hand_in_base_m", len(ticks))[:count] + np.maximum(later_m, before_m)
+    there = ticks["track_valid"][:count]
+    told = known.measured("track_valid", ticks)[:count] & known.measured(FILLED[1], ticks)[:count]
+    sure = there & told[:, None]
+    if not sure.any():
+        return -np.inf, np.inf, False
+    low = prop.maximum_m - float((errors_m + off_m[:, None])[sure].max())
+    high = prop.maximum_m - float((errors_m - off_m[:, None])[sure].max())
+    return (low if told.all() else -np.inf), high, True
 
 
 def prediction_errors_m(trace: Trace) -> NDArray[np.float64]:

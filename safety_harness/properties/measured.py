@@ -48,6 +48,7 @@ def reads(
     *finite: str,
     also: Sequence[str] = (),
     bounded: Sequence[str] = (),
+    filled: Sequence[str] = (),
     of_each_hand: bool = False,
     ends: Ends | None = None,
 ) -> Callable[[Judge], Judge]:
@@ -59,17 +60,18 @@ def reads(
 
     ``ends`` says of a margin (SI) how low and how high the true one may be, as the columns are uncertain, and
     whether the property was exercised in any case; without it nothing is said of a trace in which any is.
-    It reckons with any value of those that are ``bounded``, where they were not measured.
+    It reckons with any value of those that are ``bounded``, where they were not measured, and in the gaps of
+    those that are ``filled``.
     """
     there = [PRESENCE] if {*finite} & {*OF_HANDS} else []
-    names = tuple(dict.fromkeys((*finite, *also, *bounded, *there)))
+    names = tuple(dict.fromkeys((*finite, *filled, *also, *bounded, *there)))
 
     def decorate(evaluate: Judge) -> Judge:
         def plain(prop: Property, trace: Trace) -> Evaluation:
             problem = unreadable(trace, finite)
             return evaluate(prop, trace) if problem is None else inconclusive(prop, problem)
 
-        judging = _Judging(plain, names, tuple(bounded), of_each_hand, ends)
+        judging = _Judging(plain, names, tuple(bounded), tuple(filled), of_each_hand, ends)
 
         @wraps(evaluate)
         def evaluate_what_is_known(prop: Property, trace: Trace) -> Evaluation:
@@ -106,6 +108,7 @@ class _Judging:
     plain: Callable[[Property, Trace], Evaluation]
     names: tuple[str, ...]
     bounded: tuple[str, ...]
+    filled: tuple[str, ...]
     of_each_hand: bool
     ends: Ends | None
 
@@ -116,7 +119,8 @@ class _Judging:
         lacking = [
             name
             for name in limited
-            if name not in self.bounded and (known.missing([name]) or known.of(name).gaps)
+            if name not in self.bounded
+            and (known.missing([name]) or (known.of(name).gaps and name not in self.filled))
         ]
         if not lacking:
             found = self.plain(prop, trace)
@@ -132,7 +136,7 @@ class _Judging:
 
     def _widened(self, found: Evaluation, prop: Property, trace: Trace, limited: Sequence[str]) -> Evaluation:
         """The verdict that every value within the uncertainty gives, with the margin that is certain."""
-        if found.verdict is Verdict.INCONCLUSIVE and self.ends is not None:
+        if found.verdict is Verdict.INCONCLUSIVE and self.ends is not None and not self.filled:
             return found
         low, high, exercised = -inf, inf, False
         if self.ends is not None and found.margin is not None:

@@ -61,6 +61,15 @@ def proposals(trace: Trace) -> NDArray[np.void]:
     return found
 
 
+def _as_told(trace: Trace, margin: float) -> tuple[float, float, bool]:
+    """For ``reads``: what decisions say of themselves is exact; only earlier questions take it from ticks."""
+    decisions, known = trace.decisions, trace.known
+    own = bool((decisions["asked_tick"] == decisions["tick"]).all())
+    if not own or known.uncertain([name for name in (*PROPOSAL, *SURENESS) if name.startswith(OF_DECISIONS)]):
+        return -np.inf, np.inf, False
+    return margin, margin, True
+
+
 def optima_in_base_m(trace: Trace, found: NDArray[np.void]) -> NDArray[np.float64]:
     """(m, 3) the closed-form optimum of the questions of ``found`` (m,)."""
     hands, tcps = found["hand_position_in_base_m"], found["tcp_position_in_base_m"]
@@ -103,7 +112,7 @@ class ProposalsLeadAway:
         """As the catalogue writes it."""
         return f"proposals lead away to within {self.tolerance_m * 1e3:g} mm"
 
-    @reads(also=PROPOSAL)
+    @reads(also=PROPOSAL, ends=lambda prop, trace, margin: _as_told(trace, margin))
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge every proposal."""
         found = proposals(trace)
@@ -127,7 +136,7 @@ class NearOptimum:
         """As the catalogue writes it."""
         return f"proposals within {self.within_m * 1e3:g} mm of the optimum"
 
-    @reads(also=PROPOSAL)
+    @reads(also=PROPOSAL, ends=lambda prop, trace, margin: _as_told(trace, margin))
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge every proposal."""
         found = proposals(trace)
@@ -153,7 +162,7 @@ class WithinSpread:
         spreads = f"{self.spreads:g} {'spread' if self.spreads == 1.0 else 'spreads'}"
         return f"proposals within {spreads} and {self.allowance_m * 1e3:g} mm of the optimum"
 
-    @reads(also=[*PROPOSAL, *SURENESS])
+    @reads(also=[*PROPOSAL, *SURENESS], ends=lambda prop, trace, margin: _as_told(trace, margin))
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge every proposal, axis by axis, unless the avoider gives no spread."""
         found = proposals(trace)
@@ -183,7 +192,7 @@ class NeverSureAndOff:
         """As the catalogue writes it."""
         return f"proposals never sure and more than {self.within_m * 1e3:g} mm from the optimum"
 
-    @reads(also=[*PROPOSAL, *SURENESS])
+    @reads(also=[*PROPOSAL, *SURENESS], ends=lambda prop, trace, margin: _as_told(trace, margin))
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge every proposal that is sure."""
         found = proposals(trace)

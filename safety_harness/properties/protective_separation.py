@@ -63,28 +63,33 @@ def _ends(prop: ProtectiveSeparation, trace: Trace, margin_m: float) -> tuple[fl
     most_mps = hand_mps if prop.own_speeds else np.full_like(hand_mps, prop.assumed_mps)
     least_mps = 0.0 if prop.own_speeds else prop.assumed_mps
 
-    stops = bool((trace.ticks["limits"] & int(Limit.BRAKING)).any())
-    in_doubt = known.of("limits").limited or (stops and speed_mps > 0.0)
+    stopping = _may_be_stopping(trace)
+    in_doubt = known.of("limits").limited or (bool(stopping.any()) and speed_mps > 0.0)
     whole_s = per_speed_s2pm * trace.ticks["tcp_speed_mps"] + braking.stop_time_base_s
     left_s = (
         whole_s + braking.reaction_time_s if in_doubt else reaction_s + stop_s
     ) - per_speed_s2pm * speed_mps
     high_m = np.where(sure, true.nearest_m + distance_m - least_mps * left_s, np.inf)
     ticks = ceil((braking.reaction_time_s + longest_s) / period_s) + 1 if in_doubt else 1
-    high = float(high_m[0])
+    high = min(float(high_m[0]), float(np.where(stopping, np.inf, high_m).min()))
     if len(high_m) >= ticks:
         high = min(high, float(sliding_window_view(high_m, ticks).max(axis=1).min()))
 
     low = margin_m if braking.reaction_time_s >= longest_s - braking.stop_time_base_s else -np.inf
     if known.uncertain((*JOINTS, "tcp_speed_mps", *OF_HANDS)):
-        stop_s = np.full_like(stop_s, longest_s) if in_doubt else stop_s + per_speed_s2pm * speed_mps
-        reaction_s = np.full_like(stop_s, braking.reaction_time_s) if in_doubt else reaction_s
+        reaction_s, stop_s = _times_left_s(trace, per_speed_s2pm * speed_mps, longest_s)
         arm_mps = (turns_radps + faster_radps) @ reach_m
         needed_m = most_mps * (reaction_s + stop_s) + arm_mps * (reaction_s + 0.5 * stop_s)
         needed_m += 0.5 * period_s * (hand_mps + arm_mps)
         low = float(np.where(maybe, true.nearest_m - distance_m - needed_m, np.inf).min())
     near = sure & (true.nearest_m + distance_m < prop.largest_m(settings))
     return low, high, bool(near.any())
+
+
+def _may_be_stopping(trace: Trace) -> NDArray[np.bool_]:
+    """(n,) the ticks at which a protective stop is carried out, or may be."""
+    braking: NDArray[np.bool_] = trace.ticks["limits"] & int(Limit.BRAKING) != 0
+    return braking | ~trace.known.measured("limits", trace.ticks)
 
 
 def _fastest_mps(trace: Trace) -> float:
@@ -223,20 +228,41 @@ def times_left_s(trace: Trace) -> tuple[NDArray[np.float64], NDArray[np.float64]
     arm that still moves when its ramp has been over for two ticks again all of both.  None is carried out
     in a trace that does not know of all its flags.
     """
-    braking, period_s = trace.scenario.settings.braking, trace.scenario.settings.clock.control_period_s
-    speed_mps, time_s = trace.ticks["tcp_speed_mps"], trace.time_s
-    reaction_s = np.full(len(time_s), braking.reaction_time_s)
-    stop_s = braking.stop_time_base_s + braking.stop_time_per_speed_s2pm * speed_mps
-    flag = 0 if trace.known.of("limits").limited else int(Limit.BRAKING)
-    stopping = trace.ticks["limits"] & flag != 0
+    whole = not trace.known.of("limits").limited
+    return _times_left_s(trace, 0.0) if whole else _full_times_s(trace, 0.0)
+
+
+def _full_times_s(trace: Trace, off_s: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """(n,) and (n,) of all of both."""
+    braking, speed_mps = trace.scenario.settings.braking, trace.ticks["tcp_speed_mps"]
+    stop_s = braking.stop_time_base_s + braking.stop_time_per_speed_s2pm * speed_mps + off_s
+    return np.full(len(speed_mps), braking.reaction_time_s), stop_s
+
+
+def _times_left_s(
+    trace: Trace, off_s: float, longest_s: float = 0.0
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """(n,) and (n,) at most, where the stop time that a speed gives may be ``off_s`` more or less.
+
+    Less than all of both only of a stop whose beginning is known, and whose ramp is not over for certain;
+    ``longest_s`` where nothing is known of stops.
+    """
+    period_s, time_s = trace.scenario.settings.clock.control_period_s, trace.time_s
+    reaction_s, stop_s = _full_times_s(trace, off_s)
+    known = trace.known.measured("limits", trace.ticks)
+    stopping = known & _may_be_stopping(trace)
     whole_s = stop_s.copy()
+    stop_s[~known] = longest_s
     for first, after in zip(*runs_of(stopping), strict=True):
+        if first > 0 and not known[first - 1]:
+            stop_s[first:after] = longest_s
+            continue
         run = slice(first, after)
         left_s = reaction_s[run] - (time_s[run] - time_s[first])
         braked = left_s <= 1e-9
         ramp_s = left_s + (whole_s[first + int(np.argmax(braked))] if braked.any() else 0.0)
         late_s = ramp_s + GRACE_TICKS * period_s
-        ramped = braked & (late_s > 0.0)
+        ramped = braked & (late_s > 2.0 * off_s)
         reaction_s[run] = np.where(ramped, 0.0, np.where(braked, reaction_s[run], left_s))
         stop_s[run] = np.where(ramped, np.maximum(late_s, 0.0), whole_s[run])
     return reaction_s, stop_s

@@ -82,6 +82,69 @@ def _predicted_near(
     return near, unknown
 
 
+def may_give_way(trace: Trace) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """(n,) the ticks at which the arm gives way for certain, and (n,) those at which it may."""
+    told = trace.known.measured("mode", trace.ticks)
+    return gives_way(trace) & told, gives_way(trace) | ~told
+
+
+def _answer_ends(
+    prop: GivesWay | GivesWayToTrueHand,
+    trace: Trace,
+    sure: NDArray[np.bool_],
+    maybe: NDArray[np.bool_],
+    whole_stretch: bool,
+) -> tuple[float, float, bool]:
+    """For ``reads``: a hand is near for certain where ``sure`` (n,), and else at most where ``maybe`` (n,).
+
+    The longest time for which it may have been near unanswered, and that for which it was; when a mode and a
+    hand changed between two ticks is not known, so that the one is a period more and the other one less.
+    """
+    gives, may = may_give_way(trace)
+    last, longest, may_be_open, too_long = len(sure) - 1, [0, 0], False, False
+    for side, (near, giving) in enumerate(((maybe, gives), (sure, may))):
+        for first, end in zip(*runs_of(~giving if whole_stretch else near & ~giving), strict=True):
+            inside = np.flatnonzero(near[first:end])
+            if len(inside):
+                took = min(end, last) - (first + int(inside[0]))
+                over = time_left_s(trace, prop.within_s, took - 1) < 0.0
+                longest[side] = max(longest[side], took if side == 0 or end <= last or over else 0)
+                may_be_open |= side == 0 and end > last
+                too_long |= side == 1 and end > last and over  # already, when the run ends
+    occasions = times_begun(sure[sure | ~maybe])  # at least
+    low, high = (time_left_s(trace, prop.within_s, took) for took in (longest[0] + 1, longest[1] - 1))
+    exercised = occasions > (may_be_open and not too_long)
+    return low, high if exercised else np.inf, exercised
+
+
+def _predicted_ends(prop: GivesWay, trace: Trace) -> tuple[float, float, bool]:
+    known, ticks, count = trace.known, trace.ticks, len(trace.ticks)
+    off_m = known.within("transform_tcp_to_base", count) + known.within("predicted_hand_in_base_m", count)
+    critical_m = trace.scenario.settings.avoidance.critical_distance_m
+    apart_m = np.linalg.norm(
+        ticks["predicted_hand_in_base_m"] - true_motion(trace).tcp_m[:, None], axis=2
+    )  # (n, tracks)
+    apart_m = np.where(ticks["track_valid"], apart_m, np.inf).min(axis=1)
+    told = known.measured("track_valid", ticks) & known.measured("predicted_hand_in_base_m", ticks)
+    sure, maybe = told & (apart_m + off_m < critical_m), ~told | (apart_m - off_m < critical_m)
+    return _answer_ends(prop, trace, sure, maybe, whole_stretch=True)
+
+
+def _true_ends(prop: GivesWayToTrueHand, trace: Trace) -> tuple[float, float, bool]:
+    nearest_m, off_m = nearest_hand_m(trace), _nearest_off_m(trace)
+    critical_m = trace.scenario.settings.avoidance.critical_distance_m
+    sure, maybe = nearest_m + off_m < critical_m, nearest_m - off_m < critical_m
+    return _answer_ends(prop, trace, sure, maybe, whole_stretch=False)
+
+
+def _nearest_off_m(trace: Trace) -> NDArray[np.float64]:
+    """(n,) by how much the distance of the nearest hand from the TCP may be off."""
+    count = len(trace.ticks)
+    return trace.known.within("transform_tcp_to_base", count) + trace.known.within(
+        "hand_position_in_base_m", count
+    )
+
+
 @dataclass(frozen=True, kw_only=True)
 class GivesWay:
     """``within_s`` less the longest time for which a predicted hand was near and the arm did not give way.
@@ -103,7 +166,11 @@ class GivesWay:
         """As the catalogue writes it."""
         return f"gives way within {self.within_s * 1e3:g} ms of a predicted hand"
 
-    @reads("transform_tcp_to_base", also=["mode", "track_valid", "predicted_hand_in_base_m"])
+    @reads(
+        "transform_tcp_to_base",
+        filled=["mode", "track_valid", "predicted_hand_in_base_m"],
+        ends=lambda prop, trace, _: _predicted_ends(prop, trace),
+    )
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge every stretch without giving way."""
         near, unknown = predicted_near(trace)
@@ -137,7 +204,13 @@ class GivesWayToTrueHand:
         """As the catalogue writes it."""
         return f"gives way within {self.within_s * 1e3:g} ms of a true hand"
 
-    @reads("transform_tcp_to_base", "hand_position_in_base_m", also=["mode"], of_each_hand=True)
+    @reads(
+        "transform_tcp_to_base",
+        "hand_position_in_base_m",
+        filled=["mode"],
+        of_each_hand=True,
+        ends=lambda prop, trace, _: _true_ends(prop, trace),
+    )
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge every stretch with a hand and without giving way."""
         near = nearest_hand_m(trace) < trace.scenario.settings.avoidance.critical_distance_m
@@ -273,7 +346,13 @@ class NoFalseAlarms:
         words = "never gives way without a hand"
         return words if self.within_m is None else f"{words} within {self.within_m * 1e3:g} mm"
 
-    @reads("transform_tcp_to_base", "hand_position_in_base_m", also=["mode", "limits", "decision.tick"])
+    @reads(
+        "transform_tcp_to_base",
+        "hand_position_in_base_m",
+        also=["decision.tick"],
+        filled=["mode", "limits"],
+        ends=lambda prop, trace, _: _alarm_ends(prop, trace),
+    )
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge every beginning of giving way."""
         limit_m = self.limit_m(trace.scenario.settings)
@@ -310,6 +389,37 @@ def beginnings(trace: Trace) -> NDArray[np.int64]:
     begins &= trace.ticks["limits"] & int(Limit.SINGULARITY) == 0
     begins[trace.decisions["tick"]] = True
     return np.flatnonzero(begins)
+
+
+def _alarm_ends(prop: NoFalseAlarms, trace: Trace) -> tuple[float, float, bool]:
+    """With the nearest hand as far as it may be where the arm may have begun, and as near where it did.
+
+    A beginning is known to the tick before, and a decision to a tick either way or the gap that it lies in.
+    """
+    limit_m, nearest_m, off_m = (
+        prop.limit_m(trace.scenario.settings),
+        nearest_hand_m(trace),
+        _nearest_off_m(trace),
+    )
+    far_m, near_m = np.minimum(nearest_m + off_m, 2.0 * limit_m), nearest_m - off_m
+    told, (gives, may) = trace.known.measured("limits", trace.ticks), may_give_way(trace)
+    singular = trace.ticks["limits"] & int(Limit.SINGULARITY) != 0
+    lows, highs = [limit_m], [limit_m]
+    before = np.append(False, gives[:-1])
+    for tick in np.flatnonzero(may & ~before & ~(singular & told)).tolist():
+        lows.append(limit_m - float(far_m[max(tick - 1, 0) : tick + 1].max()))
+    for first, after in zip(*runs_of(may), strict=True):
+        inside = np.flatnonzero(gives[first:after])
+        begun = slice(max(first - 1, 0), first + int(inside[0]) + 1) if len(inside) else slice(0)
+        if len(inside) and told[begun].all() and not singular[begun].any():
+            highs.append(limit_m - min(float(near_m[begun].min()), 2.0 * limit_m))
+    gaps = [(gap.first, gap.after) for gap in trace.known.of("decision").gaps]
+    for tick in trace.decisions["tick"].tolist():
+        about = next((gap for gap in gaps if gap[0] <= tick < gap[1]), (tick - 1, tick + 2))
+        window = slice(max(about[0], 0), about[1])
+        lows.append(limit_m - float(far_m[window].max()))
+        highs.append(limit_m - min(float(near_m[window].min()), 2.0 * limit_m))
+    return min(lows), min(highs), bool((near_m > limit_m).any())
 
 
 FALSE_ALARMS = CatalogueEntry(

@@ -79,7 +79,8 @@ def test_every_command_and_group_has_the_short_option_of_help(words: list[str]) 
     short, long = (CliRunner().invoke(app, [*words, option]) for option in ("-h", "--help"))
     assert short.exit_code == 0
     assert short.output == long.output
-    assert words in (["campaign"], ["log"], ["robot"], ["scenario"], ["schema"]) or "--json" in short.output
+    groups = (["campaign"], ["hands"], ["log"], ["robot"], ["scenario"], ["schema"])
+    assert words in groups or "--json" in short.output
 
 
 @pytest.mark.parametrize(

@@ -51,7 +51,7 @@ SMALL_PLAN = (
 )
 TRACE = "out/traces/scenario.trace"
 LOG = Path(__file__).parents[2] / "examples" / "logs"
-GROUPS = ("campaign", "certify", "log", "robot", "scenario ")
+GROUPS = ("campaign", "certify", "hands", "log", "robot", "scenario ")
 
 # Every command: a new one has to take a stand.  Those that look, with their words and exit code ...
 LOOKS: dict[str, tuple[str, int]] = {
@@ -67,6 +67,8 @@ LOOKS: dict[str, tuple[str, int]] = {
     "show": ("scenario.yaml space.yaml --draws 3", AS_EXPECTED),
     "sample": ("space.yaml --count 2", AS_EXPECTED),
     "scenario from": ("log/LOG.yaml --scenario scenario.yaml --around 50 mm --out from", AS_EXPECTED),
+    "hands fit": ("scenario.yaml --out hands.yaml", BAD_INPUT),
+    "prove": ("plan.yaml", BAD_INPUT),
     "log align": ("scenario.yaml --body hand", BAD_INPUT),
     "monitor": ("scenario.yaml", BAD_INPUT),
     "robot show": ("scenario.yaml", BAD_INPUT),

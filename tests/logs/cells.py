@@ -8,6 +8,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from safety_harness.robot.description import load_arm
+from safety_harness.robot.kinematics import links_in_base
+
 Floats = NDArray[np.float64]
 NAMES = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint", "wrist_1_joint", "wrist_2_joint",
          "wrist_3_joint")  # fmt: skip
@@ -15,6 +18,7 @@ MIDDLE_RAD = np.array([-0.22, -1.27, 1.98, -2.27, -1.57, -0.22])
 SWING_RAD = np.array([0.25, 0.10, 0.10, 0.15, 0.10, 0.20])
 HARDEST_RADPS2 = 4.0
 FASTEST_MPS = 1.0
+NEAR_M = 0.4  # the critical distance of the settings
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,6 +74,21 @@ class Streams:
     hand_ns: NDArray[np.int64]
     hand_m: Floats
     elbow_m: Floats
+    words: Words | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Words:
+    """What the controller told at every sample of the joints, and of its decisions."""
+
+    mode: list[str]
+    limits: list[int]
+    commands_radps: Floats
+    predicted_m: Floats
+    decided_ns: NDArray[np.int64]
+    places_m: dict[str, Floats]  # (m, 3) by field
+    outcome: list[str]
+    trigger: list[str]
 
 
 def recorded(
@@ -107,8 +126,69 @@ def recorded(
     )
 
 
+def words_of(cell: Cell, streams: Streams, *, late_s: float = 0.04, off_m: float = 0.01) -> Words:
+    """A controller that predicts 100 ms ahead, ``off_m`` wrongly, and gives way ``late_s`` after that.
+
+    It decides when it begins, and brakes from 0.2 s after that on.
+    """
+    time_s = (streams.joint_ns - streams.joint_ns[0]) / 1e9
+    predicted = cell.hand_m(time_s + 0.1) + np.array([0.0, 0.0, off_m])
+    near = np.linalg.norm(predicted - tcp_m(cell.joints_rad(time_s)), axis=1) < NEAR_M
+    late = round(late_s / 0.008)
+    gives = np.concatenate([np.zeros(late, bool), near])[: len(near)]
+    at = np.flatnonzero(gives & ~np.append(False, gives[:-1]))
+    brakes = gives & np.append(np.zeros(25, bool), gives)[: len(gives)]
+    tcp, hand = tcp_m(cell.joints_rad(time_s[at])), predicted[at]
+    away = (tcp - hand) / np.linalg.norm(tcp - hand, axis=1, keepdims=True)
+    return Words(
+        mode=["RETREAT" if one else "RUN" for one in gives],
+        limits=[2 if one else 0 for one in brakes],
+        commands_radps=cell.rates_radps(time_s),
+        predicted_m=predicted,
+        decided_ns=streams.joint_ns[at],
+        places_m={"hand": hand, "tcp": tcp, "proposed": tcp + 0.1 * away, "chosen": tcp + 0.1 * away},
+        outcome=["OK"] * len(at),
+        trigger=["hand entered"] * len(at),
+    )
+
+
+def tcp_m(joints_rad: Floats) -> Floats:
+    """(n, 3) of the arm at (n, 6)."""
+    arm = load_arm("ur10")
+    return np.array([links_in_base(arm, row)[-1][:3, 3] for row in joints_rad]).reshape(-1, 3)
+
+
+def rows_of(words: Words) -> tuple[dict[str, list[object]], dict[str, list[object]]]:
+    """The columns of two tables: what was told regularly, and the decisions."""
+    regular: dict[str, list[object]] = {"state": list(words.mode), "flags": list(words.limits)}
+    for name, column in zip(NAMES, words.commands_radps.T, strict=True):
+        regular[f"to_{name}_radps"] = column.tolist()
+    for axis, column in zip("xyz", words.predicted_m.T, strict=True):
+        regular[f"right_{axis}_m"] = [None if np.isnan(one) else one for one in column.tolist()]
+    decided: dict[str, list[object]] = {"result": list(words.outcome), "why": list(words.trigger)}
+    for field, rows in words.places_m.items():
+        for axis, column in zip("xyz", rows.T, strict=True):
+            decided[f"{field}_{axis}_m"] = column.tolist()
+    return regular, decided
+
+
+def _write_words(streams: Streams, folder: Path) -> None:
+    if streams.words is None:
+        return
+    regular, decided = rows_of(streams.words)
+    for name, time_ns, columns in (
+        ("words", streams.joint_ns, regular),
+        ("decisions", streams.words.decided_ns, decided),
+    ):
+        lines = ["time_ns," + ",".join(columns)]
+        for t, row in zip(time_ns.tolist(), zip(*columns.values(), strict=True), strict=True):
+            lines.append(f"{t}," + ",".join("" if one is None else str(one) for one in row))
+        (folder / f"{name}.csv").write_text("\n".join(lines) + "\n")
+
+
 def write_csv(streams: Streams, folder: Path) -> None:
-    """``joints.csv`` and ``hands.csv``."""
+    """``joints.csv`` and ``hands.csv``, ``words.csv`` and ``decisions.csv``."""
+    _write_words(streams, folder)
     lines = ["time_ns," + ",".join(f"{name}_rad" for name in NAMES)]
     lines += [
         f"{t}," + ",".join(repr(float(a)) for a in row)
@@ -126,7 +206,7 @@ def write_csv(streams: Streams, folder: Path) -> None:
 
 
 SAID = """\
-log: {{joints: "{joints}", hands: "{hands}"}}
+log: {{joints: "{joints}", hands: "{hands}"{streams}}}
 clock: {{hands are ahead by: 137 ms, known to: 5 ms}}
 joints: {{known to: 0.2 mrad, accelerate at most: {hardest} rad/s2}}
 hands:
@@ -136,7 +216,7 @@ hands:
   known to: 8 mm
   {frame}
 robot: UR10
-claims:
+{told}claims:
   - hand distance never below 50 mm
   - always hand distance > 50 mm
   - protective separation kept from hands at their own speeds
@@ -146,8 +226,45 @@ claims:
 """
 
 
-def said(joints: str, hands: str, elbow: str, frame: str = "frame: base") -> str:
-    """The text of a LOG.yaml."""
-    return SAID.format(
-        joints=joints, hands=hands, elbow=elbow, frame=frame, hardest=HARDEST_RADPS2, fastest=FASTEST_MPS
+TOLD = """\
+mode: {{words: {{RUN: servoing, RETREAT: repulsing}}, known to: 0 ms, longest gap: 40 ms}}
+limits: {{words: {{0: none, 2: braking, 3: joint speed and braking}}, known to: 0 ms, longest gap: 40 ms}}
+commands: {{known to: 0 ms, longest gap: 40 ms}}
+detections: {{ahead by: 100 ms, known to: 0 ms, longest gap: until the next{frame}}}
+decisions:
+  known to: 0 ms
+  frame: base
+  fields: {{hand: hand, tcp: tcp, proposed: proposed, chosen: chosen, outcome: result, trigger: why}}
+  words: {{outcome: {{OK: proposed, OTHER: opposite, HALT: stop}}}}
+"""
+TOLD_CLAIMS = """\
+  - gives way within 100 ms of a predicted hand
+  - gives way within 100 ms of a true hand
+  - hand predictions within 60 mm
+  - proposals lead away to within 10 mm
+  - repulsion moves away from every hand to within 5 mm
+  - always hand tracked
+"""
+
+
+def said(
+    joints: str,
+    hands: str,
+    elbow: str,
+    frame: str = "frame: base",
+    told: dict[str, str] | None = None,
+    told_frame: str = "",
+) -> str:
+    """The text of a LOG.yaml; ``told`` are the streams of what the controller said."""
+    streams = "".join(f', {name}: "{one}"' for name, one in (told or {}).items())
+    text = SAID.format(
+        joints=joints,
+        hands=hands,
+        elbow=elbow,
+        frame=frame,
+        hardest=HARDEST_RADPS2,
+        fastest=FASTEST_MPS,
+        streams=streams,
+        told=TOLD.format(frame=f", {told_frame}" if told_frame else "") if told else "",
     )
+    return text + TOLD_CLAIMS if told else text

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from cells import NAMES, Streams, cell, recorded, said
+from cells import NAMES, Streams, cell, recorded, said, words_of
 from log_formats import FORMATS, joint_messages, own_messages, poses, write_bag
 from rosbags.rosbag2 import StoragePlugin
 
@@ -20,7 +21,9 @@ from safety_harness.logs.read import read_log
 def streams() -> Streams:
     """With a gap that is bridged, and one that is not."""
     rng = np.random.default_rng(7)
-    return recorded(cell(rng), rng, seconds=1.6, lost=((0.3, 0.4), (0.9, 1.2)))
+    one = cell(rng)
+    found = recorded(one, rng, seconds=1.6, lost=((0.3, 0.4), (0.9, 1.2)))
+    return replace(found, words=words_of(one, found))
 
 
 def _log(folder: Path, text: str) -> Path:
