@@ -112,7 +112,7 @@ def run_data(run: JudgedRun) -> dict[str, Any]:
         "title": scenario.title,
         "file": str(told(scenario.file)) if scenario.file else None,
         "seed": scenario.seed,
-        "system": asdict(trace.system),
+        "system": trace.system.as_dict,
         "world": trace.provenance.world,
         "package_version": trace.provenance.package_version,
         "source_hash": trace.provenance.source_hash,
