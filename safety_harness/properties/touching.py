@@ -86,6 +86,8 @@ def closest_moving(trace: Trace, paths: HandPaths) -> tuple[float, float, int]:
         before = np.minimum(at[:-1].astype(int), len(trace.ticks) - 2)
         first = first_turning(trace)[before]
         for begin, end in _runs(first):
+            if first[begin] == joints_rad.shape[1]:
+                continue  # it stands
             arm = _beyond(arm_of(trace), int(first[begin]))
             if len(arm.capsules) == 0:
                 continue
