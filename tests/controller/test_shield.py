@@ -185,10 +185,10 @@ def test_a_forearm_that_reaches_farther_than_assumed_is_touched() -> None:
     rests = REACH[: REACH.index("    moves:")] + "    moves: []\n" + REACH[REACH.index("claims:") :]
     rests = rests.replace("[1400 mm, -1200 mm, 300 mm]", "[1500 mm, 100 mm, 350 mm]")
     towards = rests.replace("[1900 mm, -1700 mm, 300 mm]", "[0 mm, 100 mm, 350 mm]")
-    longer = "settings: {hand: {forearm length: 600 mm}}\n"
+    longer = "settings: {hand: {forearm length: 750 mm}}\n"
     _, said = swinging(f"{longer}shield: {{{WITHIN}}}\n", reach=towards)
     assert said.verdict is Verdict.VIOLATED
-    trace, _ = swinging(f"{longer}shield: {{body within: 645 mm}}\n", reach=towards)
+    trace, _ = swinging(f"{longer}shield: {{body within: 795 mm}}\n", reach=towards)
     assert trace.ticks["hand_distance_m"].min() > 0.0
 
 
