@@ -36,7 +36,7 @@ from safety_harness.perception.hand_filter import filter_parameters
 from safety_harness.robot.capsules import CapsuleSet
 from safety_harness.robot.description import ArmModel
 from safety_harness.robot.distance import CAPSULE, CapsuleRecords, chain_lengths, place_capsules
-from safety_harness.robot.kinematics import fastest_end, link_twists
+from safety_harness.robot.kinematics import link_twists, point_velocity
 from safety_harness.scenario.model import HAND_SLOTS
 from safety_harness.scenario.shield import Shield
 from safety_harness.settings import Settings
@@ -195,25 +195,49 @@ def clearances(
     shields: ShieldRecords,
     capsules: CapsuleRecords,
 ) -> float:
-    """The speed V of the fastest point of an axis; fills how far each hand is from the parts that move.
+    """A bound V of the speed of every point of an axis; fills how far each hand is from the arm.
 
-    That is from the surface of the part to the measured centre of the hand, and which part it is.
+    That is from the surface of what can move, all but the base, to the measured centre of the hand, and what
+    it is.  No point of an axis is faster than its middle by more than |w| times half its length, and none
+    is farther from it: most parts are passed over.
     """
     g, fastest_mps, joints = shields[0], 0.0, joint_axes.shape[0]
     link_twists(joint_axes, transforms, rates_radps, g.twists)
     for i in range(g.count[0]):
         g.clearance_m[i], g.capsule[i] = np.inf, -1
-    for k in range(capsules.shape[0]):
-        place_capsules(capsules[k : k + 1], transforms, g.ends)
-        speed_mps = fastest_end(g.twists[min(capsules[k].link_index, joints)], g.ends[0])
-        if speed_mps == 0.0:
-            continue  # a hand may touch what stands
+    middle = g.in_sensor
+    for k in range(capsules.shape[0] - 1, -1, -1):  # the hand end first: usually the nearest
+        capsule = capsules[k]
+        if capsule.link_index == 0:
+            continue  # the base stands
+        start, end, squared = capsule.start_in_link, capsule.end_in_link, 0.0
+        for i in range(3):
+            squared += (end[i] - start[i]) * (end[i] - start[i])
+        half_m, at = 0.5 * sqrt(squared), transforms[capsule.link_index]
+        for i in range(3):
+            middle[i] = at[i, 3]
+            for j in range(3):
+                middle[i] += at[i, j] * 0.5 * (start[j] + end[j])
+        twist = g.twists[min(capsule.link_index, joints)]
+        x, y, z = point_velocity(twist, middle)
+        turn = sqrt(twist[0] * twist[0] + twist[1] * twist[1] + twist[2] * twist[2])
+        speed_mps = sqrt(x * x + y * y + z * z) + turn * half_m
         if not speed_mps <= fastest_mps:
             fastest_mps = speed_mps
+        placed, around_m = False, half_m + capsule.radius_m
         for i in range(g.count[0]):
-            axis_m = point_segment_distance(g.hand_in_base_m[0, i], g.ends[0, 0], g.ends[0, 1])
-            if not axis_m - capsules[k].radius_m >= g.clearance_m[i]:
-                g.clearance_m[i], g.capsule[i] = axis_m - capsules[k].radius_m, k
+            hand, away = g.hand_in_base_m[0, i], 0.0
+            for n in range(3):
+                away += (hand[n] - middle[n]) * (hand[n] - middle[n])
+            within = g.clearance_m[i] + around_m
+            if within > 0.0 and away >= within * within:
+                continue
+            if not placed:
+                place_capsules(capsules[k : k + 1], transforms, g.ends)
+                placed = True
+            clear_m = point_segment_distance(hand, g.ends[0, 0], g.ends[0, 1]) - capsule.radius_m
+            if not clear_m >= g.clearance_m[i]:
+                g.clearance_m[i], g.capsule[i] = clear_m, k
     return fastest_mps
 
 
