@@ -4,9 +4,9 @@ Run: python benchmarks/shield.py [SECTION]... [--episodes N] [--pybullet N] [--p
 numbers take days: make shield-all.
 
 *contacts*: episodes of the shielded spaces in both worlds, judged one by one.  *cost*: the same draws of each
-space with a shield and without one: who comes within 20 mm of the desired TCP and stays, and when.  *tick*: the
-kinematic loop with and without, in turns.  *search*: told to break the claim, with the margin as its guide,
-where all assumptions are true and where one is not.
+space with a shield and without one: who comes within 20 mm of the desired TCP and stays, and when.
+*tick*: the kinematic loop with and without, in turns.  *search*: told to break the claim, with the margin as
+its guide, where all assumptions are true and where one is not.
 """
 
 from __future__ import annotations
@@ -153,11 +153,9 @@ def cost(given: argparse.Namespace) -> str:
             rows.append(_of_pairs(space, speed_mps, most_mps2, plain, shielded, float(np.mean(slowed))))
     text = f"{given.pairs} draws of each space, of {LONG_S:.0f} s, each run both ways. Times are medians over the "
     text += (
-        "draws that arrive both ways; the ratio is the median of their own ratios, with its 95 % interval by "
+        "draws that arrive both ways; the ratio is the median of their own, with its 95 % interval by ranks. "
     )
-    text += (
-        "ranks. Hands stay as fast as they are: a bound below their speed is no shield, and only a price.\n\n"
-    )
+    text += "Hands stay as fast as they are: a bound below their speed is no shield, and only a price.\n\n"
     return text + "\n".join(rows)
 
 
@@ -271,14 +269,21 @@ def _searched(file: Path, budget: int) -> str:
 SECTIONS = {"contacts": contacts, "cost": cost, "tick": tick, "search": search}
 
 
-def written(section: str, body: str) -> None:
+def revision() -> str:
+    """That of what is measured, and whether it was changed since."""
+    what = ["safety_harness", "scenarios", "benchmarks/shield.py"]
+    git = [["rev-parse", "--short", "HEAD"], ["status", "--porcelain", "--", *what]]
+    head, changed = (
+        subprocess.run(["git", *one], capture_output=True, text=True, cwd=ROOT).stdout.strip() for one in git
+    )
+    return f"{head}, changed" if changed else head
+
+
+def written(section: str, body: str, at: str) -> None:
     """Put a section into the file, in its place."""
     text = TABLES.read_text() if TABLES.exists() else HEAD
     parts = dict(re.findall(r"^## (\w+)\n\n(.*?)(?=^## |\Z)", text, re.DOTALL | re.MULTILINE))
-    revision = subprocess.run(
-        ["git", "describe", "--always", "--dirty"], capture_output=True, text=True, cwd=ROOT
-    ).stdout.strip()
-    parts[section.capitalize()] = f"At {revision}. {body}\n\n"
+    parts[section.capitalize()] = f"At {at}. {body}\n\n"
     order = [name.capitalize() for name in SECTIONS if name.capitalize() in parts]
     whole = HEAD + "".join(f"\n## {name}\n\n{parts[name].strip()}\n" for name in order)
     TABLES.write_text(whole)
@@ -294,9 +299,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--search", type=int, default=300)
     given = parser.parse_args(arguments)
     for name in given.sections or SECTIONS:
-        begun_s = time.monotonic()
+        begun_s, at = time.monotonic(), revision()
         body = SECTIONS[name](given)
-        written(name, f"{body}\n\nTook {(time.monotonic() - begun_s) / 60.0:.1f} min.")
+        written(name, f"{body}\n\nTook {(time.monotonic() - begun_s) / 60.0:.1f} min.", at)
         print(body, flush=True)
 
 
