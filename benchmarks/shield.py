@@ -151,7 +151,7 @@ def cost(given: argparse.Namespace) -> str:
                 shielded.append(arrival_s(one))
                 slowed.append(float((one.interventions["scale"] < 1.0).mean()))
             rows.append(_of_pairs(space, speed_mps, most_mps2, plain, shielded, float(np.mean(slowed))))
-    text = f"{given.pairs} draws of each space, of {LONG_S:.0f} s, each run both ways. Times are medians over the "
+    text = f"{given.pairs} draws of each space, of {LONG_S:.0f} s, run both ways. Times are medians over the "
     text += (
         "draws that arrive both ways; the ratio is the median of their own, with its 95 % interval by ranks. "
     )
