@@ -179,11 +179,11 @@ def closest_approach(
 
 def closest_between(
     arm: Arm,
-    joints_rad: NDArray[np.float64],
-    hand_m: NDArray[np.float64],
-    elbow_m: NDArray[np.float64],
-    distance_m: NDArray[np.float64],
-    slack_m: NDArray[np.float64],
+    joints_rad: NDArray[np.float64],  # (n, joints)
+    hand_m: NDArray[np.float64],  # (n, 3)
+    elbow_m: NDArray[np.float64],  # (n, 3)
+    distance_m: NDArray[np.float64],  # (n,)
+    slack_m: NDArray[np.float64],  # (n - 1,)
     size: Hand,
     tolerance_m: float,
 ) -> tuple[float, int, float]:
