@@ -45,8 +45,7 @@ from safety_harness.trace.trace import Trace
 
 ROOT = Path(__file__).parents[1]
 TABLES = Path(__file__).with_name("SHIELD.md")
-SPACES = ROOT / "scenarios" / "spaces"
-SHIELDED = ("shielded-reaching-hands", "shielded-unseen-both")
+SHIELDED = ("shielded/reaching-hands", "shielded/unseen-both")
 OF_COST = ("nominal", "unseen-hand", "unseen-tcp", "unseen-both", "reaching-hands")
 SPEEDS_MPS = (0.5, 1.0, 1.6, 2.0)
 ARRIVED_M, LONG_S = 0.020, 40.0
@@ -58,11 +57,16 @@ Written by `python benchmarks/shield.py`, each section at the revision that it n
 """
 
 
+def file_of(space: str) -> Path:
+    """The shielded ones lie beside the plan that they are for."""
+    return ROOT / ("plans" if space in SHIELDED else "scenarios/spaces") / f"{space}.yaml"
+
+
 def draws(
     space: str, count: int, change: Callable[[Scenario], Scenario] = lambda one: one
 ) -> Iterator[Admitted]:
     """The first ``count`` draws of a shipped space that can be tried, each changed alike."""
-    of_space, admitter = read_space(SPACES / f"{space}.yaml"), Admitter()
+    of_space, admitter = read_space(file_of(space)), Admitter()
     found, number = 0, 0
     while found < count:
         try:
@@ -243,8 +247,8 @@ def search(given: argparse.Namespace) -> str:
     with tempfile.TemporaryDirectory() as folder:
         for space in SHIELDED:
             for number, (what, lines) in enumerate(violated.items()):
-                file = Path(folder) / f"{space}-{number}.yaml"
-                head = f"scenario space: searched\nextends: {SPACES / space}.yaml\n"
+                file = Path(folder) / f"{Path(space).name}-{number}.yaml"
+                head = f"scenario space: searched\nextends: {file_of(space)}\n"
                 file.write_text(head + lines)
                 rows.append(f"| {space} | {what} | " + _searched(file, given.search) + " |")
     text = "`safety-harness fuzz` with the margins as its guide, in the kinematic world, from one seed.\n\n"
@@ -271,7 +275,7 @@ SECTIONS = {"contacts": contacts, "cost": cost, "tick": tick, "search": search}
 
 def revision() -> str:
     """That of what is measured, and whether it was changed since."""
-    what = ["safety_harness", "scenarios", "benchmarks/shield.py"]
+    what = ["safety_harness", "scenarios", "plans", "benchmarks/shield.py"]
     git = [["rev-parse", "--short", "HEAD"], ["status", "--porcelain", "--", *what]]
     head, changed = (
         subprocess.run(["git", *one], capture_output=True, text=True, cwd=ROOT).stdout.strip() for one in git
