@@ -28,6 +28,7 @@ from safety_harness.scenario.robots import Robot
 from safety_harness.scenario.shield import Shield
 from safety_harness.settings import DEFAULTS
 from safety_harness.trace.compare import first_difference
+from safety_harness.trace.consistency import first_inconsistency
 from safety_harness.trace.records import Limit
 from safety_harness.trace.store import load_trace, save_trace
 from safety_harness.trace.trace import Trace
@@ -138,6 +139,10 @@ def test_its_trace_is_stored_compared_and_named(tmp_path: Any) -> None:
     assert difference is not None
     assert difference.fields == ("interventions",)
     assert difference.index == 7
+    wrong = first_inconsistency(replace(trace, interventions=changed))
+    assert wrong is not None
+    assert wrong.expected == "the flag SHIELD where the shield scaled"
+    assert first_inconsistency(replace(trace, interventions=changed[:-1])) is not None
 
 
 def test_a_trace_without_a_shield_says_nothing_of_one() -> None:
