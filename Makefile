@@ -7,7 +7,7 @@ BIN := $(VENV)/bin
 INSTALL := -m pip install --quiet --disable-pip-version-check
 HERE := $(BIN)/python $(INSTALL) --constraint requirements.lock
 
-.PHONY: demo test suite long warm check sample paper bench bench-all others docs wheel oracles mutation mutants bounds release setup clean
+.PHONY: demo test suite long shield-all warm check sample paper bench bench-all others docs wheel oracles mutation mutants bounds release setup clean
 
 demo: $(VENV)/installed
 	$(BIN)/safety-harness run scenarios --out reports/demo
@@ -56,7 +56,7 @@ lock := uv==0.13.9
 # The long tables, hours; bench-loop, say, is one of them. A change of ratios: results.py --against REVISION.
 LONG := agreement altered_rows arms broken_programs busy campaign convergence convergence_in_pybullet crashes dataset decision \
 	environments evaluate_faults flat_bugs formulas found_in_spaces from_logs hands interval_coverage isolation kinematic \
-	kinematics_of_arms logs loop monitor overhead proof rare_in_kinematic scenario_files search_power seam \
+	kinematics_of_arms logs loop monitor overhead proof rare_in_kinematic scenario_files search_power seam shield \
 	shipped_controllers soak spaces start_up student_in_spaces training \
 	whose_fault
 
@@ -85,6 +85,10 @@ oracles: $(VENV)/tested
 # One small page of each kind, into reports/sample/.
 sample: $(VENV)/installed
 	$(BIN)/python benchmarks/sample_reports.py
+
+# The full numbers of benchmarks/SHIELD.md: a million episodes of each shielded space, 30,000 in PyBullet. Days.
+shield-all: $(VENV)/benchmarks
+	$(BIN)/python benchmarks/shield.py --episodes 1000000 --pybullet 30000 --pairs 1000 --search 20000
 
 # Mutants of properties/ and statistics/ that no test notices: hours, resumes; "mutmut results" lists them.
 mutation: $(VENV)/tested

@@ -76,6 +76,7 @@ class HandSensorKind(Enum):
 
     IDEAL = "ideal"  # the overhead camera without field of view, occlusion, noise or delay
     OVERHEAD = "overhead"  # a fixed RGB-D camera over the table
+    SURROUND = "surround"  # cameras all around as one: as overhead, and nothing hides a hand from it
     EYE_IN_HAND = "eye in hand"  # the servoing camera itself: blind outside its field of view
 
 
@@ -169,7 +170,8 @@ class HandSensor:
     kind: HandSensorKind = setting(
         HandSensorKind.IDEAL,
         "`ideal` is the overhead camera without field of view, occlusion, noise and delay, so "
-        "it takes none of the keys for them; `eye in hand` is blind outside the servoing "
+        "it takes none of the keys for them; `surround` is cameras all around as one, with noise and "
+        "delay, but without field of view and occlusion; `eye in hand` is blind outside the servoing "
         "camera's view and has its optics",
         example="hand sensor: {kind: eye in hand}",
     )

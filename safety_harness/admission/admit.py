@@ -42,6 +42,7 @@ from safety_harness.controller.contract import UserController
 from safety_harness.controller.controller import AvoidingServo
 from safety_harness.controller.decision_times import decision_times_s, recorded_late, recorded_times_s
 from safety_harness.controller.driven import DrivenController
+from safety_harness.controller.shield import Guard, guard_of
 from safety_harness.exceptions import InadmissibleError, NoAnswerError, SettingsError, refuse_other_type
 from safety_harness.properties.base import Property
 from safety_harness.robot.description import ArmModel
@@ -53,6 +54,7 @@ from safety_harness.scenario.robots import AnyRobot
 from safety_harness.seeds import Branch, seed
 from safety_harness.servoing.control import DesiredView
 from safety_harness.settings import DecisionCost, Settings, Vector3
+from safety_harness.simulation.truth import cell_capsules
 from safety_harness.space.regions import SeenRegions, seen_by
 from safety_harness.trace.trace import Trace
 
@@ -98,6 +100,7 @@ class Admitted(Checked):
             self.joint_position_rad,
             seed(scenario.seed, Branch.CONTROLLER),
             scenario.hand_slots,
+            self.guard(),
         )
 
     def servo(self, recorded: Trace | None = None) -> AvoidingServo:
@@ -122,7 +125,15 @@ class Admitted(Checked):
             fault_table(scenario.faults),
             times_s,
             scenario.hand_slots,
+            self.guard(),
         )
+
+    def guard(self) -> Guard:
+        """The scenario's shield for one run; empty if it has none."""
+        scenario = self.scenario
+        capsules = cell_capsules(arm_capsules(scenario.robot), scenario.settings)
+        ticks = scenario.ticks + 1
+        return guard_of(scenario.shield, scenario.settings, self.arm, capsules, ticks, scenario.hand_slots)
 
 
 class Admitter:

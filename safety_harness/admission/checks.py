@@ -150,7 +150,19 @@ def check_cameras(scenario: Scenario) -> None:
     if settings.hand_sensor.kind is HandSensorKind.IDEAL:
         _check_ideal(scenario, settings.hand_sensor)
     if settings.hand_sensor.kind is HandSensorKind.EYE_IN_HAND:
+        _refuse_shield(scenario)
         _check_one_optics(scenario)
+
+
+def _refuse_shield(scenario: Scenario) -> None:
+    """A shield sees hands by a sensor that stays where it is."""
+    if scenario.shield is not None:
+        raise InadmissibleError(
+            place=scenario.place("shield"),
+            expected="a fixed hand sensor, which a shield sees by",
+            got="one in the hand, blind outside its view",
+            hint="hand sensor: {kind: surround}",
+        )
 
 
 def _check_ideal(scenario: Scenario, sensor: HandSensor) -> None:

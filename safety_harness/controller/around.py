@@ -29,6 +29,11 @@ class ControllerWrapper:
         return self.pilot.decisions
 
     @property
+    def interventions(self) -> NDArray[np.void]:
+        """The pilot's own."""
+        return self.pilot.interventions
+
+    @property
     def decision_latencies_s(self) -> NDArray[np.float64]:
         """The pilot's own."""
         return self.pilot.decision_latencies_s

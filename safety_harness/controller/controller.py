@@ -36,6 +36,7 @@ from safety_harness.controller.records import (
     initial_state,
     parameters,
 )
+from safety_harness.controller.shield import Guard, no_guard
 from safety_harness.controller.sight import Sight
 from safety_harness.perception.hand_filter import filter_parameters
 from safety_harness.perception.tracking import no_tracks
@@ -80,7 +81,7 @@ class AvoidingServo:
     that name makes it, and ``faults`` (n,) FAULT may make the answer later: until it counts, or
     the decision deadline is over, the controller goes on with what it was doing.  ``recorded_late`` (m,)
     says which decisions of an old trace came too late by the wall's clock, and in which words.
-    ``hand_slots`` is the scenario's.
+    ``hand_slots`` is the scenario's, and ``guard`` its shield in this run.
     """
 
     def __init__(
@@ -95,6 +96,7 @@ class AvoidingServo:
         faults: NDArray[np.void] | None = None,
         decision_times_s: NDArray[np.float64] = NOTHING,
         hand_slots: int = HAND_SLOTS[0],
+        guard: Guard | None = None,
     ) -> None:
         self.name = avoider.name
         self.avoider = avoider
@@ -110,6 +112,7 @@ class AvoidingServo:
             QuestionRecords(np.zeros(1, QUESTION)),
             CommandRecords(np.zeros(1, command_dtype(joints))),
             AnswerRecords(np.zeros(1, ANSWER)),
+            *(guard or no_guard(hand_slots, joints)),
         )
         self._late = late_fault(settings.avoidance.decision_deadline_s)
         self._limit_s = settings.clock.wall_limit_s
@@ -154,6 +157,11 @@ class AvoidingServo:
     def decision_latencies_s(self) -> NDArray[np.float64]:
         """(m,) wall-clock time from the question to the avoider's answer, or to giving up on it."""
         return np.array(self._latencies_s, dtype=np.float64)
+
+    @property
+    def interventions(self) -> NDArray[np.void]:
+        """(n,) INTERVENTION: what the shield did in each tick of the run; empty without one."""
+        return self.records.interventions
 
     def _ask_now(self, observation: NDArray[np.void]) -> None:
         """Ask, take the time, and let the answer count when that much simulated time is over."""

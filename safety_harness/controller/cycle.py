@@ -23,8 +23,10 @@ from safety_harness.controller.records import (
     StateRecords,
     TrackRecords,
 )
+from safety_harness.controller.shield import Interventions, ShieldRecords, keep_apart
 from safety_harness.controller.stack import begin_tick, finish_tick
 from safety_harness.geometry.linear import copy_matrix, copy_vector
+from safety_harness.robot.distance import CapsuleRecords
 from safety_harness.scenario.fault_table import TIME_EPS_S, acting, delay_s
 from safety_harness.scenario.faults import FaultKind
 from safety_harness.trace.records import Mode
@@ -73,6 +75,9 @@ class ControllerRecords(NamedTuple):
     question: QuestionRecords  # (1,) QUESTION
     command: CommandRecords  # (1,) COMMAND
     answer: AnswerRecords  # (1,) ANSWER
+    shield: ShieldRecords  # (1,) SHIELD, or (0,) without one, as the next two
+    interventions: Interventions  # (n,) INTERVENTION
+    capsules: CapsuleRecords  # (n,) CAPSULE
 
 
 @inlined
@@ -164,11 +169,16 @@ def act(
     questions: QuestionRecords,
     commands: CommandRecords,
     answers: AnswerRecords,
+    shields: ShieldRecords,
+    interventions: Interventions,
+    capsules: CapsuleRecords,
     observations: ObservationRecords,
 ) -> None:
-    """Act on the answer, if one was waited for, and command the arm for this tick."""
+    """Act on the answer, if one was waited for, and command the arm, as the shield leaves it."""
     q = questions[0]
     finish_tick(parameters, states, observations, answers, commands)
+    if shields.shape[0] > 0:
+        keep_apart(parameters, states, shields, interventions, capsules, observations, commands, q.tick)
     q.made += q.made_now
     q.tick += 1
 

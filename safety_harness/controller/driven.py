@@ -43,6 +43,7 @@ from safety_harness.controller.records import (
 )
 from safety_harness.controller.rows import SeenLayout, seen_dtype
 from safety_harness.controller.seeing import SeenRecords, driven_records, obey, see
+from safety_harness.controller.shield import Guard, keep_apart, no_guard
 from safety_harness.exceptions import ControllerError, described, printable
 from safety_harness.perception.hand_filter import FILTER_PARAMETERS
 from safety_harness.perception.tracking import no_tracks
@@ -74,6 +75,7 @@ class DrivenController:
     """One episode of a user's controller; ControllerError for what it raises or returns that is no action.
 
     ``joint_position_rad`` (n,) is where the arm starts.  ``view`` is read only if the object is seen.
+    ``guard`` is the scenario's shield in this run.
     """
 
     def __init__(
@@ -85,6 +87,7 @@ class DrivenController:
         joint_position_rad: Floats,
         seed: int,
         hand_slots: int,
+        guard: Guard | None = None,
     ) -> None:
         self.user = user
         self.name = user.name
@@ -102,6 +105,7 @@ class DrivenController:
         self._wants = OBJECT in self.sees, PREDICTED_HANDS in self.sees
         self._mode = -1  # as reported at this tick
         self._see, self._obey, self._tell = _entries(hand_slots, joints)
+        self._guard = guard or no_guard(hand_slots, joints)
         self._image: Callable[[], Any] | None = None
         pose = links_in_base(arm, joint_position_rad)[-1]
         start = Start(joint_position_rad=_frozen(joint_position_rad), transform_tcp_to_base=_frozen(pose))
@@ -137,6 +141,9 @@ class DrivenController:
         o = ObservationRecords(observation)
         if not self._obey(self._parameters, self._state, o, wanted, by_joints, stop, self._command):
             raise self._failed("act returned", f"velocities that are not finite: {wanted.tolist()}")
+        if len(self._guard.shield):
+            tick = int(self._question[0]["tick"])
+            keep_apart(self._parameters, self._state, *self._guard, o, self._command, tick)
         self._question["tick"] += 1
         return self._command
 
@@ -162,6 +169,11 @@ class DrivenController:
     def decision_latencies_s(self) -> Floats:
         """(m,) NaN: nobody asked it for a decision."""
         return np.full(len(self._decisions), np.nan)
+
+    @property
+    def interventions(self) -> NDArray[np.void]:
+        """(n,) INTERVENTION: what the shield did in each tick of the run; empty without one."""
+        return self._guard.interventions
 
     @property
     def known(self) -> dict[str, Measurement]:

@@ -71,6 +71,10 @@ class Episodes:
             scenario = self._scenario
             if seed is not None:
                 scenario = replace(scenario, seed=leaf(seed, Branch.ENVIRONMENT, number))
+        if scenario.shield is not None:
+            expected = "no shield: an agent learns what it does itself"
+            place = scenario.place("shield")
+            raise InadmissibleError(place=place, expected=expected, got="one")
         checked = check(replace(scenario, controller=OUTSIDE, avoider=NO_AVOIDER))
         self._world.refuse(scenario)
         return checked

@@ -46,9 +46,11 @@ from safety_harness.properties.servoing import (
     NEVER_STARVED,
     OBJECT_IN_VIEW,
 )
+from safety_harness.properties.touching import NO_MOVING_PART_TOUCHES
 
 CATALOGUE: tuple[CatalogueEntry, ...] = (
     HAND_DISTANCE,
+    NO_MOVING_PART_TOUCHES,
     PROTECTIVE_SEPARATION,
     PROTECTIVE_SEPARATION_AT,
     PROTECTIVE_SEPARATION_OWN,

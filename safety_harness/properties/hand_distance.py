@@ -29,7 +29,7 @@ from safety_harness.robot.closest_approach import MAX_BISECTIONS, closest_approa
 from safety_harness.robot.distance import hand_distance, place_capsules
 from safety_harness.robot.kinematics import forward_kinematics
 from safety_harness.scenario.units import LENGTH
-from safety_harness.settings import DEFAULTS
+from safety_harness.settings import DEFAULTS, Hand
 from safety_harness.trace.trace import Trace
 
 RESOLUTION_M = 1e-4
@@ -167,22 +167,32 @@ def closest_approach(
             distance_m = distance_m - off_m[before]
             after = np.minimum(before[:-1] + 1, len(off_m) - 1)
             slack_m = slack_m + np.maximum(off_m[before[:-1]], off_m[after])
-        least_m, index, fraction = _closest_in_trace(
-            arm_of(trace),
-            joints_rad,
-            hand_m,
-            elbow_m,
-            distance_m,
-            slack_m,
-            settings.hand.radius_m,
-            settings.hand.forearm_radius_m,
-            RESOLUTION_M,
+        least_m, index, fraction = closest_between(
+            arm_of(trace), joints_rad, hand_m, elbow_m, distance_m, slack_m, settings.hand, RESOLUTION_M
         )
         if not least_m >= best[0]:
             later = at[min(index + 1, len(at) - 1)]
             instant = at[index] + fraction * (later - at[index])
             best = (least_m, float(instant * settings.clock.control_period_s), hand)
     return best
+
+
+def closest_between(
+    arm: Arm,
+    joints_rad: NDArray[np.float64],  # (n, joints)
+    hand_m: NDArray[np.float64],  # (n, 3)
+    elbow_m: NDArray[np.float64],  # (n, 3)
+    distance_m: NDArray[np.float64],  # (n,)
+    slack_m: NDArray[np.float64],  # (n - 1,)
+    size: Hand,
+    tolerance_m: float,
+) -> tuple[float, int, float]:
+    """(distance [m], instant before it, fraction of the way to the next) over ``instants`` of one hand."""
+    radii_m = size.radius_m, size.forearm_radius_m
+    least_m, index, fraction = _closest_in_trace(
+        arm, joints_rad, hand_m, elbow_m, distance_m, slack_m, *radii_m, tolerance_m
+    )
+    return least_m, index, fraction
 
 
 def instants(trace: Trace, paths: HandPaths, hand: int) -> tuple[NDArray[np.float64], ...]:

@@ -22,11 +22,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled, inlined
-from safety_harness.geometry.arrays import Array2x3, Array3, Array6
 from safety_harness.geometry.segments import ROUNDING_M, axes_lower_m, nearest_of_segments
 from safety_harness.robot.capsules import Arm
 from safety_harness.robot.distance import place_capsules
-from safety_harness.robot.kinematics import forward_kinematics
+from safety_harness.robot.kinematics import fastest_end, forward_kinematics, link_twists, point_velocity
 
 WALKING_MPS = 1.6  # ISO 13855 and ISO/TS 15066, for a person whose speed is not measured
 ASSUMED = (
@@ -168,11 +167,11 @@ def least_separation(
                 continue  # never for a NaN, which must come out
         forward_kinematics(arm.chain[0], joints_rad[k], transforms)
         place_capsules(arm.capsules, transforms, ends)
-        _twists(arm.chain[0].joint_axes, transforms, rates_radps[k], twists)
+        link_twists(arm.chain[0].joint_axes, transforms, rates_radps[k], twists)
         looked, near_m, arm_mps = k, np.inf, 0.0
         for capsule in range(capsules):
             link = min(arm.capsules[capsule].link_index, joints)
-            fastest_mps[capsule] = _fastest_end(twists[link], ends[capsule])
+            fastest_mps[capsule] = fastest_end(twists[link], ends[capsule])
             if not fastest_mps[capsule] <= arm_mps:
                 arm_mps = fastest_mps[capsule]
         for hand in range(present.shape[1]):
@@ -209,7 +208,7 @@ def least_separation(
                     if distance - human_m - most_arm_m > good_enough:
                         continue
                     link = min(arm.capsules[capsule].link_index, joints)
-                    robot[0], robot[1], robot[2] = _velocity(twists[link], robot)
+                    robot[0], robot[1], robot[2] = point_velocity(twists[link], robot)
                     robot_speed = _along(robot, apart, axes)
                     robot_moves = 0.5 * period_s * sqrt(robot[0] ** 2 + robot[1] ** 2 + robot[2] ** 2)
                     needed = 0.0
@@ -300,56 +299,6 @@ def faster_mps(
         faster += abs(rates_radps[b, j] - rates_radps[a, j]) * reach_m[j]
         faster += abs(rates_radps[b, j]) * (before * reach_m[j] + beyond)
     return faster
-
-
-@inlined
-def _twists(
-    joint_axes: NDArray[np.float64],  # (joints, 3)
-    transforms: NDArray[np.float64],  # (joints + 2, 4, 4)
-    rates_radps: NDArray[np.float64],  # (joints,)
-    twists: NDArray[np.float64],  # (joints + 1, 6), written
-) -> None:
-    """Of each link: its angular velocity, and the velocity of its point at the base's origin.
-
-    w_j = w_(j-1) + q'_j a_j and v_j = v_(j-1) - q'_j a_j x p_j, with the axis a_j and a point p_j on it, in
-    the base frame.  (Spatial velocities: Featherstone, Rigid Body Dynamics Algorithms, 2008.)
-    """
-    twists[0] = 0.0
-    for joint in range(joint_axes.shape[0]):
-        frame, own, rate = transforms[joint + 1], joint_axes[joint], rates_radps[joint]
-        wx = rate * (frame[0, 0] * own[0] + frame[0, 1] * own[1] + frame[0, 2] * own[2])
-        wy = rate * (frame[1, 0] * own[0] + frame[1, 1] * own[1] + frame[1, 2] * own[2])
-        wz = rate * (frame[2, 0] * own[0] + frame[2, 1] * own[1] + frame[2, 2] * own[2])
-        x, y, z = frame[0, 3], frame[1, 3], frame[2, 3]
-        twists[joint + 1, 0] = twists[joint, 0] + wx
-        twists[joint + 1, 1] = twists[joint, 1] + wy
-        twists[joint + 1, 2] = twists[joint, 2] + wz
-        twists[joint + 1, 3] = twists[joint, 3] - (wy * z - wz * y)
-        twists[joint + 1, 4] = twists[joint, 4] - (wz * x - wx * z)
-        twists[joint + 1, 5] = twists[joint, 5] - (wx * y - wy * x)
-
-
-@inlined
-def _velocity(twist: Array6, point: Array3) -> tuple[float, float, float]:
-    """The velocity v + w x p [m/s] of a point p of a link, both in the base frame."""
-    x, y, z = point[0], point[1], point[2]
-    return (
-        twist[3] + twist[1] * z - twist[2] * y,
-        twist[4] + twist[2] * x - twist[0] * z,
-        twist[5] + twist[0] * y - twist[1] * x,
-    )
-
-
-@inlined
-def _fastest_end(twist: Array6, ends: Array2x3) -> float:
-    """The speed [m/s] of the faster of two points of a link."""
-    fastest = 0.0
-    for end in range(2):
-        x, y, z = _velocity(twist, ends[end])
-        total = x * x + y * y + z * z
-        if not total <= fastest:
-            fastest = total
-    return sqrt(fastest)
 
 
 @compiled

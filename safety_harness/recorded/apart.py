@@ -51,7 +51,7 @@ class Difference:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Fit:
+class DelayFit:
     """recorded(t) = simulated(t - late) + offset of each joint, by least squares.
 
     ``late`` [s] is None where the joints cannot show it, and ``why`` says so; ``offsets`` [rad] in the order
@@ -90,7 +90,7 @@ def difference_of(
     )
 
 
-def fit_of(time_s: Floats, recorded: Floats, simulated_s: Floats, simulated: Floats) -> Fit | None:
+def fit_of(time_s: Floats, recorded: Floats, simulated_s: Floats, simulated: Floats) -> DelayFit | None:
     """Joints ``recorded`` (n, j) at ``time_s`` (n,) against ``simulated`` (m, j) at ``simulated_s`` (m,).
 
     None for too few samples.  Before its beginning the simulated arm stands.
@@ -124,7 +124,7 @@ def fit_of(time_s: Floats, recorded: Floats, simulated_s: Floats, simulated: Flo
     apart, joints = off(late_s), recorded.shape[1]
     sums = np.column_stack([np.ones(len(apart)), apart, rates, rates * apart, rates * rates])
     value, half = _jackknife(sums, lambda total: _normal(total, joints))
-    return Fit(
+    return DelayFit(
         late=None if why else _estimate(late_s + value[0], half[0]),
         why=why,
         offsets=tuple(map(_estimate, value[1:], half[1:])),

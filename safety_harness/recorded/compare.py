@@ -24,8 +24,8 @@ from safety_harness.recorded.apart import (
     CONFIDENCE,
     FEWEST,
     USUALLY,
+    DelayFit,
     Difference,
-    Fit,
     difference_of,
     fit_of,
 )
@@ -92,7 +92,7 @@ class WorldBeside:
     tcp: Difference | None
     distances: tuple[Difference, ...]
     closest: tuple[ClosestHand, ...]
-    fit: Fit | None
+    fit: DelayFit | None
     claims: tuple[ClaimOfBoth, ...]
     absent: tuple[str, ...]
 

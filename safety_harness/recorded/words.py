@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from math import degrees
 
-from safety_harness.recorded.apart import Difference, Estimate, Fit
+from safety_harness.recorded.apart import DelayFit, Difference, Estimate
 from safety_harness.recorded.compare import CellComparison, ClaimOfBoth, ClosestHand, WorldBeside
 
 
@@ -50,7 +50,7 @@ def closest_words(one: ClosestHand) -> str:
     )
 
 
-def fit_words(fit: Fit, joints: Sequence[str]) -> Iterator[str]:
+def fit_words(fit: DelayFit, joints: Sequence[str]) -> Iterator[str]:
     """What delay and offsets explain."""
     late = f"not estimated: {fit.why}" if fit.late is None else estimate(fit.late, "s")
     yield f"recorded joints later than simulated by: {late}"

@@ -38,6 +38,7 @@ from safety_harness.report.knowledge import measured_rows
 from safety_harness.report.machine import refused_data
 from safety_harness.report.page_parts import in_words, render_page
 from safety_harness.report.path_views import MOST_NUMBERS, path_views, shown_moment
+from safety_harness.report.shielding import shield_lines
 from safety_harness.report.timeline import thinning, timeline
 from safety_harness.report.words import (
     MODE_WORDS,
@@ -161,6 +162,7 @@ def _summary(runs: Sequence[JudgedRun], *, whole: bool) -> Row:
         "avoiders": avoiders(traces),  # name, runs
         "recorded": any(trace.known.recorded for trace in traces),
         "computing_time": computing_time_lines(traces),
+        "shield": shield_lines(traces),
         "overruling": overruling_lines(overruling_of_each(traces)),
         "uncounted": sum(not are_counted(trace) for trace in traces),
         "unmeasured": sum(bool(found.unmeasured) for run in runs for _, found in run.judged_claims()),

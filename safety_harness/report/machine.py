@@ -25,6 +25,7 @@ from safety_harness.report.decisions import (
 )
 from safety_harness.report.evidence import JudgedRun, tallies
 from safety_harness.report.knowledge import known_data
+from safety_harness.report.shielding import shield_data
 from safety_harness.scenario.files import told
 from safety_harness.trace.overruling import Overruling, is_measured
 from safety_harness.whole_file import write_whole
@@ -112,7 +113,7 @@ def run_data(run: JudgedRun) -> dict[str, Any]:
         "title": scenario.title,
         "file": str(told(scenario.file)) if scenario.file else None,
         "seed": scenario.seed,
-        "system": asdict(trace.system),
+        "system": trace.system.as_dict,
         "world": trace.provenance.world,
         "package_version": trace.provenance.package_version,
         "source_hash": trace.provenance.source_hash,
@@ -125,6 +126,7 @@ def run_data(run: JudgedRun) -> dict[str, Any]:
         "overruling": Overruling.of([trace]).named if is_measured(trace) else None,
         "avoider_answered": None if scenario.driven else _outcome(AvoiderAnswered().evaluate(trace)),
         "computing_time": computing_time_lines([trace]),
+        **({} if scenario.shield is None else {"shield": shield_data(trace)}),
         "claims": [
             {
                 "claim": claim.sentence,

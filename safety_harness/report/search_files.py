@@ -124,7 +124,7 @@ def as_json(trials: Trials, evidence: SearchEvidence) -> dict[str, object]:
     return {
         "space": evidence.space,
         "avoider": None if isinstance(trials.avoider, Driver) else trials.avoider,
-        "system": asdict(evidence.system),
+        "system": evidence.system.as_dict,
         "against": None if trials.against is None else _held(trials.against),
         "computing_time": evidence.computing_time,
         "searcher": findings.searcher,

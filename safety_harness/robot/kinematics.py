@@ -12,7 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled, inlined, njit_no_nrt
-from safety_harness.geometry.arrays import Array4x4, Array6, Array6xN, ArrayN, ArrayNx3, ArrayNx4x4
+from safety_harness.geometry.arrays import (
+    Array2x3,
+    Array3,
+    Array4x4,
+    Array6,
+    Array6xN,
+    ArrayN,
+    ArrayNx3,
+    ArrayNx4x4,
+)
 from safety_harness.geometry.linear import invert, solve_in_place
 from safety_harness.geometry.rotations import rotation_entries
 from safety_harness.robot.description import ArmModel, Chain
@@ -119,6 +128,56 @@ def _joint_twist(
     dy = transforms[tcp, 1, 3] - link[1, 3]
     dz = transforms[tcp, 2, 3] - link[2, 3]
     return ax, ay, az, ay * dz - az * dy, az * dx - ax * dz, ax * dy - ay * dx
+
+
+@inlined
+def link_twists(
+    joint_axes: NDArray[np.float64],  # (joints, 3)
+    transforms: NDArray[np.float64],  # (joints + 2, 4, 4)
+    rates_radps: NDArray[np.float64],  # (joints,)
+    twists: NDArray[np.float64],  # (joints + 1, 6), written
+) -> None:
+    """Of each link: its angular velocity, and the velocity of its point at the base's origin.
+
+    w_j = w_(j-1) + q'_j a_j and v_j = v_(j-1) - q'_j a_j x p_j, with the axis a_j and a point p_j on it, in
+    the base frame.  (Spatial velocities: Featherstone, Rigid Body Dynamics Algorithms, 2008.)
+    """
+    twists[0] = 0.0
+    for joint in range(joint_axes.shape[0]):
+        frame, own, rate = transforms[joint + 1], joint_axes[joint], rates_radps[joint]
+        wx = rate * (frame[0, 0] * own[0] + frame[0, 1] * own[1] + frame[0, 2] * own[2])
+        wy = rate * (frame[1, 0] * own[0] + frame[1, 1] * own[1] + frame[1, 2] * own[2])
+        wz = rate * (frame[2, 0] * own[0] + frame[2, 1] * own[1] + frame[2, 2] * own[2])
+        x, y, z = frame[0, 3], frame[1, 3], frame[2, 3]
+        twists[joint + 1, 0] = twists[joint, 0] + wx
+        twists[joint + 1, 1] = twists[joint, 1] + wy
+        twists[joint + 1, 2] = twists[joint, 2] + wz
+        twists[joint + 1, 3] = twists[joint, 3] - (wy * z - wz * y)
+        twists[joint + 1, 4] = twists[joint, 4] - (wz * x - wx * z)
+        twists[joint + 1, 5] = twists[joint, 5] - (wx * y - wy * x)
+
+
+@inlined
+def point_velocity(twist: Array6, point: Array3) -> tuple[float, float, float]:
+    """The velocity v + w x p [m/s] of a point p of a link, both in the base frame."""
+    x, y, z = point[0], point[1], point[2]
+    return (
+        twist[3] + twist[1] * z - twist[2] * y,
+        twist[4] + twist[2] * x - twist[0] * z,
+        twist[5] + twist[0] * y - twist[1] * x,
+    )
+
+
+@inlined
+def fastest_end(twist: Array6, ends: Array2x3) -> float:
+    """The speed [m/s] of the faster of two points of a link."""
+    fastest = 0.0
+    for end in range(2):
+        x, y, z = point_velocity(twist, ends[end])
+        total = x * x + y * y + z * z
+        if not total <= fastest:
+            fastest = total
+    return sqrt(fastest)
 
 
 @compiled

@@ -34,6 +34,7 @@ from safety_harness.scenario.faults import Fault
 from safety_harness.scenario.moves import LONGEST_S, MOVE, REACHING_MPS, SPEEDS, TREMOR, HandMove, Tremor
 from safety_harness.scenario.obstacles import Obstacle
 from safety_harness.scenario.robots import DIGEST, AnyRobot, Robot
+from safety_harness.scenario.shield import Shield
 from safety_harness.scenario.units import ACCELERATION, NUMBER, SPEED, TIME
 from safety_harness.settings import DEFAULTS, Settings, Vector3
 
@@ -379,6 +380,7 @@ class Scenario:
     faults: tuple[Fault, ...] = ()
     obstacles: tuple[Obstacle, ...] = ()
     controller: str = VISUAL_SERVO
+    shield: Shield | None = None
     file: Path | None = field(default=None, compare=False)
     places: Mapping[str, Place] = field(default_factory=dict, compare=False)
 

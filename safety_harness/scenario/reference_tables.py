@@ -14,6 +14,7 @@ from safety_harness.scenario.moves import LASTING, LONGEST_S
 from safety_harness.scenario.obstacles import OBSTACLES
 from safety_harness.scenario.robots import ROBOT_VALUE, Robot
 from safety_harness.scenario.settings_keys import SETTINGS_KEYS, TOP_GROUPS, group_table
+from safety_harness.scenario.shield import SHIELD_VALUE
 from safety_harness.scenario.units import NUMBER
 
 CLAIMS = FreeKeys(
@@ -143,6 +144,15 @@ TOP = KeyTable(
             "stop when near",
             attribute="controller",
             fallback=VISUAL_SERVO,
+        ),
+        Key(
+            "shield",
+            SHIELD_VALUE,
+            "what slows the arm between any controller and the drives ([shield](shield.md))",
+            "speed and separation",
+            "none",
+            attribute="shield",
+            fallback=None,
         ),
         Key(
             "object",

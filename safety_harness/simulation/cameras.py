@@ -156,7 +156,7 @@ def camera_state(settings: Settings) -> SensorRecords:
     state["object_period_s"], state["object_latency_s"] = _timing(
         "camera", camera.rate_hz, camera.latency_s, settings
     )
-    state["ideal"] = hand.kind is HandSensorKind.IDEAL
+    state["ideal"] = hand.kind in (HandSensorKind.IDEAL, HandSensorKind.SURROUND)
     state["eye_in_hand"] = hand.kind is HandSensorKind.EYE_IN_HAND
     state["hand_focal_px"] = hand.focal_px
     state["hand_width_px"], state["hand_height_px"] = hand.width_px, hand.height_px

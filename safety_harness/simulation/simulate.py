@@ -15,6 +15,7 @@ from safety_harness.avoidance.gate import ask_many
 from safety_harness.controller.around import ControllerWrapper
 from safety_harness.controller.controller import AvoidingServo, Controller
 from safety_harness.controller.driven import DrivenController
+from safety_harness.exceptions import ControllerError
 from safety_harness.robot.robots import arm_model, urdf_sha256_of
 from safety_harness.scenario.model import Scenario
 from safety_harness.simulation.driving import drive
@@ -25,7 +26,7 @@ from safety_harness.trace.known import knowing
 from safety_harness.trace.provenance import provenance
 from safety_harness.trace.records import Limit, tick_dtype
 from safety_harness.trace.system import Component, SystemUnderTest, system_of
-from safety_harness.trace.trace import Trace
+from safety_harness.trace.trace import Trace, no_interventions
 
 INTERRUPTED = "interrupted by the user"
 
@@ -105,8 +106,17 @@ def trace_of(
         provenance=provenance(world.name, libraries_of(world.name, scenario)),
         ended=ended,
         system=_system(scenario, controller),
+        interventions=_interventions(scenario, controller)[: len(ticks)].copy(),
     )
     return knowing(trace, controller.known) if isinstance(controller, DrivenController) else trace
+
+
+def _interventions(scenario: Scenario, controller: Controller) -> NDArray[np.void]:
+    """(n,) INTERVENTION of a controller that admission made; ControllerError for one past the shield."""
+    found: NDArray[np.void] = getattr(controller, "interventions", no_interventions())
+    if scenario.shield is not None and len(found) == 0:
+        raise ControllerError(f"{controller.name!r} drives the arm past the shield of its scenario")
+    return found
 
 
 def _system(scenario: Scenario, controller: Controller) -> SystemUnderTest:

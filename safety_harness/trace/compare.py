@@ -47,9 +47,23 @@ def first_difference(first: Trace, second: Trace) -> TraceDifference | None:
     found = [
         _compare("decision", first.decisions, second.decisions),
         _compare("tick", first.ticks, second.ticks),
+        _compare_interventions(first, second),
     ]
     differences = [difference for difference in found if difference is not None]
     return min(differences, key=lambda difference: difference.time_s, default=None)
+
+
+def _compare_interventions(first: Trace, second: Trace) -> TraceDifference | None:
+    """Of what their shields did, with the times of the ticks."""
+    one, other = first.interventions, second.interventions
+    if len(one) != len(other):
+        lengths = f"{len(one)} ticks", f"{len(other)} ticks"
+        return TraceDifference("trace", 0, 0.0, ("interventions",), *lengths)
+    at = np.flatnonzero(one != other)
+    if len(at) == 0:
+        return None
+    k = int(at[0])
+    return TraceDifference("tick", k, float(first.time_s[k]), ("interventions",), str(one[k]), str(other[k]))
 
 
 def _told(one: Measurement) -> str:

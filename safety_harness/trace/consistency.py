@@ -62,7 +62,12 @@ class Inconsistency:
 @once_a_trace
 def first_inconsistency(trace: Trace) -> Inconsistency | None:
     """The first thing in ``trace`` that contradicts its scenario or itself, or None."""
-    checks: tuple[Callable[[Trace], Iterator[Inconsistency]], ...] = (_length, _decisions, _ticks)
+    checks: tuple[Callable[[Trace], Iterator[Inconsistency]], ...] = (
+        _length,
+        _decisions,
+        _ticks,
+        _interventions,
+    )
     wrong = (found for check in checks for found in check(trace))
     return next((found for found in wrong if _is_known(trace.known, found)), None)
 
@@ -100,6 +105,7 @@ def _ticks(trace: Trace) -> Iterator[Inconsistency]:
         trace.decisions["tick"],
         scenario.settings.clock.control_period_s,
         len(scenario.hands),
+        limits := LIMITS if scenario.shield is not None else LIMITS & ~int(Limit.SHIELD),
         np.array([_times_s(scenario, fault) for fault in scenario.faults]).reshape(-1, 2),
     )
     if first.min() >= len(ticks):
@@ -113,7 +119,7 @@ def _ticks(trace: Trace) -> Iterator[Inconsistency]:
         ("sse", "a sum of squares"),
         ("predicted_distance_m", "the distance of a hand that is predicted"),
         ("mode", f"one of {list(MODES)}"),
-        ("limits", f"flags within {LIMITS}"),
+        ("limits", f"flags within {limits}"),
         ("faults", "faults of that time"),
         ("decision", "the number of the decision made then, else -1"),
     )
@@ -121,6 +127,21 @@ def _ticks(trace: Trace) -> Iterator[Inconsistency]:
         if index < len(ticks):
             found = ticks[field].view(np.uint8) if expected == A_FLAG else ticks[field]
             yield Inconsistency(field, "tick", index, expected, " ".join(str(found[index]).split()))
+
+
+def _interventions(trace: Trace) -> Iterator[Inconsistency]:
+    """Of a shield: one a tick, a share from 0 to 1, below 1 exactly where the flag says so."""
+    done, ticks = trace.interventions, trace.ticks
+    if trace.scenario.shield is None or trace.known.missing(["limits"]):
+        return
+    if len(done) != len(ticks):
+        yield Inconsistency(
+            "limits", "trace", len(done), f"interventions of {len(ticks)} ticks", str(len(done))
+        )
+        return
+    flagged, scale = ticks["limits"] & int(Limit.SHIELD) != 0, done["scale"]
+    wrong = ((scale < 1.0) != flagged) | ~((scale >= 0.0) & (scale <= 1.0))
+    yield from at_first(wrong, "limits", "tick", "the flag SHIELD where the shield scaled", ticks["limits"])
 
 
 def _times_s(scenario: Scenario, fault: Fault) -> tuple[float, float]:
@@ -137,6 +158,7 @@ def _first_wrong(
     decided: NDArray[np.int64],  # (m,) ticks of the decisions
     period_s: float,
     hands: int,
+    limits: int,  # the flags that there can be
     fault_times_s: NDArray[np.float64],  # (f, 2) from and until when each may act
 ) -> NDArray[np.int64]:
     """(13,) the first tick that fails each check, n if none does."""
@@ -166,7 +188,7 @@ def _first_wrong(
         wrong |= int(tick.sse < 0.0) << 7
         wrong |= int(tick.predicted_distance_m < 0.0) << 8
         wrong |= int(tick.mode not in MODES) << 9
-        wrong |= int(tick.limits & ~LIMITS != 0) << 10
+        wrong |= int(tick.limits & ~limits != 0) << 10
         wrong |= int(tick.faults & ~possible != 0) << 11
         wrong |= int(tick.decision != made[k]) << 12
         if wrong != 0:

@@ -42,6 +42,7 @@ class Limit(IntFlag):
     JOINT_SPEED = 4
     SINGULARITY = 8
     BRAKING = 16
+    SHIELD = 32
 
 
 class Trigger(IntEnum):
@@ -184,3 +185,7 @@ def decision_dtype(joints: int = JOINTS) -> np.dtype[Any]:
 
 
 DECISION = decision_dtype()
+
+# What the shield of a scenario that has one did in a tick: the share of the wanted speed that it allowed, and
+# the capsule that the hand which asked for it was nearest to; -1 for none, and for want of a frame.
+INTERVENTION = np.dtype([("scale", np.float64), ("capsule", np.int64)], align=True)

@@ -36,9 +36,9 @@ from safety_harness.scenario.write import write_scenario
 from safety_harness.shipped.contents import located
 from safety_harness.trace.consistency import first_inconsistency
 from safety_harness.trace.known import WHOLLY_KNOWN, Knowledge, Measurement
-from safety_harness.trace.records import DECISION, decision_dtype, tick_dtype
+from safety_harness.trace.records import DECISION, INTERVENTION, decision_dtype, tick_dtype
 from safety_harness.trace.system import Component, Line, SystemUnderTest, system_of
-from safety_harness.trace.trace import Provenance, Trace
+from safety_harness.trace.trace import Provenance, Trace, no_interventions
 from safety_harness.whole_file import replacing
 
 FORMAT = "safety-harness trace 4"
@@ -48,8 +48,9 @@ HEADER = "trace.json"
 SMALL_BYTES = 4_000_000  # of a part that is text; arrays are as long as the scenario lasts
 ARRAY_HEADER_BYTES = 20_000
 KNOWN = "known.json"
+INTERVENTIONS = "interventions.npy"  # only of a scenario that has a shield
 CARRIED = ("recordings/", "robot/")  # files of the scenario by their SHA-256
-MOST_PARTS = 9 + MAX_HANDS
+MOST_PARTS = 10 + MAX_HANDS
 ZIP_END = struct.Struct("<4s4H2LH")  # without a comment, as it is written here
 OF_AVOIDER = ("avoider", "avoider_sha256")  # in the provenance, before the system was a record
 NEW = ("asked_tick", "decision_time_s")
@@ -91,6 +92,8 @@ def save_trace(trace: Trace, path: str | Path, recordings: Mapping[str, bytes] |
         "decisions.npy": _fields_alone(trace.decisions),
         "latencies.npy": trace.decision_latency_s,
     }
+    if trace.scenario.shield is not None:
+        arrays[INTERVENTIONS] = _fields_alone(trace.interventions)
     for name, array in arrays.items():
         buffer = io.BytesIO()
         np.lib.format.write_array(buffer, array, allow_pickle=False)
@@ -109,7 +112,7 @@ def save_trace(trace: Trace, path: str | Path, recordings: Mapping[str, bytes] |
         "scenario_file": str(told(trace.scenario.file)) if trace.scenario.file else None,
         "ended": trace.ended,
         "provenance": asdict(trace.provenance),
-        "system": asdict(trace.system),
+        "system": trace.system.as_dict,
     }
     parts["run.json"] = json.dumps(run, indent=1, sort_keys=True).encode()
     if not (trace.known.simulated and trace.known.whole):
@@ -225,6 +228,11 @@ class _Reader:
         latencies_s = self._array(archive, "latencies.npy", np.dtype(np.float64), most)
         if len(latencies_s) != len(decisions):
             raise self._error(f"{len(decisions)}, one a decision", str(len(latencies_s)), "latencies.npy")
+        interventions = no_interventions()
+        if scenario.shield is not None:
+            interventions = self._array(archive, INTERVENTIONS, INTERVENTION, most)
+            if len(interventions) != len(ticks):
+                raise self._error(f"{len(ticks)}, one a tick", str(len(interventions)), INTERVENTIONS)
         known = WHOLLY_KNOWN
         if self._format == IN_PART or KNOWN in self._parts:
             self._unpack(archive, KNOWN, SMALL_BYTES)
@@ -238,6 +246,7 @@ class _Reader:
             ended=run.ended,
             known=known,
             system=run.system or system_of(scenario, avoider=before),
+            interventions=interventions,
         )
         wrong = first_inconsistency(trace)
         if wrong is not None:

@@ -13,6 +13,7 @@ from msgspec import Meta
 
 from safety_harness.scenario.model import VISUAL_SERVO, Scenario
 from safety_harness.scenario.robots import OwnRobot
+from safety_harness.scenario.shield import Shield
 from safety_harness.settings import GateKind, HandSensorKind, ImageSource, Settings
 
 Line = Annotated[str, Meta(max_length=4_096, pattern=r"\A[^\0\n\r]*\Z")]  # it is printed, and may name a file
@@ -37,7 +38,7 @@ class SystemUnderTest:
     """What drives the arm in a run, and what it drives and sees by; traces, ledgers and pages carry it.
 
     Only the visual servo has ``avoider`` and ``gate``.  ``robot`` has the hash of its URDF, ``gate``,
-    ``perception`` and ``settings`` of their settings.
+    ``perception`` and ``settings`` of their settings.  ``shield`` is None where there is none.
     """
 
     controller: Component
@@ -46,6 +47,7 @@ class SystemUnderTest:
     perception: Component
     robot: Component
     settings: Component
+    shield: Component | None = None
 
     @property
     def tested(self) -> Component:
@@ -69,9 +71,14 @@ class SystemUnderTest:
         return {name: part for name, part in found if part is not None}
 
     @property
+    def as_dict(self) -> dict[str, Any]:
+        """Its parts as they are written down; a shield only where there is one."""
+        return {name: one for name, one in asdict(self).items() if name != "shield" or one is not None}
+
+    @property
     def as_json(self) -> str:
         """One text for one system."""
-        return json.dumps(asdict(self), sort_keys=True)
+        return json.dumps(self.as_dict, sort_keys=True)
 
     def changes(self, now: SystemUnderTest) -> Iterator[str]:
         """Each part that is another now, in words; a hash that was never noted is no change."""
@@ -103,7 +110,16 @@ def system_of(
         perception=perception,
         robot=Component(name=robot.label, sha256=robot_sha256),
         settings=whole,
+        shield=_shield(scenario.shield),
     )
+
+
+def _shield(shield: Shield | None) -> Component | None:
+    """With the hash of what it takes for granted."""
+    if shield is None:
+        return None
+    text = json.dumps(asdict(shield), sort_keys=True, default=_plain)
+    return Component(name=shield.kind.value, sha256=hashlib.sha256(text.encode()).hexdigest())
 
 
 _UNKNOWN = Component(name="not noted")

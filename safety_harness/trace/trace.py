@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import wraps
 from typing import Any, TypeVar
 from weakref import WeakKeyDictionary
@@ -13,9 +13,15 @@ from numpy.typing import NDArray
 
 from safety_harness.scenario.model import Scenario
 from safety_harness.trace.known import WHOLLY_KNOWN, Knowledge
+from safety_harness.trace.records import INTERVENTION
 from safety_harness.trace.system import NOT_NOTED, Line, SystemUnderTest
 
 R = TypeVar("R")
+
+
+def no_interventions() -> NDArray[np.void]:
+    """(0,) INTERVENTION: of a run without a shield."""
+    return np.zeros(0, INTERVENTION)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,7 +51,8 @@ class Trace:
     timed since it was made together with others: the one thing here that a repetition does not give
     again, and nothing but reports reads it (by the wall's clock each decision's own record has it).
     ``known`` says which columns were measured, and how well; of a simulated run all are known.
-    ``system`` is what was tested.
+    ``system`` is what was tested.  ``interventions`` (n,) INTERVENTION are those of the shield, one a tick;
+    empty where the scenario has none.
     """
 
     scenario: Scenario
@@ -56,11 +63,13 @@ class Trace:
     ended: str = "complete"
     known: Knowledge = WHOLLY_KNOWN
     system: SystemUnderTest = NOT_NOTED
+    interventions: NDArray[np.void] = field(default_factory=no_interventions)
 
     def __post_init__(self) -> None:
         self.ticks.setflags(write=False)
         self.decisions.setflags(write=False)
         self.decision_latency_s.setflags(write=False)
+        self.interventions.setflags(write=False)
         self.known.refuse_gaps_beyond(self.ticks, len(self.scenario.hands))
 
     @property

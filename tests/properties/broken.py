@@ -180,6 +180,7 @@ def computes_nonsense() -> Trace:
 
 BROKEN: dict[str, Callable[[], Trace]] = {
     "hand distance never below 50 mm": seeks_the_hand,
+    "no moving part touches a hand": seeks_the_hand,
     "protective separation kept": seeks_the_hand,
     "protective separation kept at 2 m/s": seeks_the_hand,
     "protective separation kept from hands at their own speeds": seeks_the_hand,

@@ -1,0 +1,313 @@
+"""What a shield is worth and what it costs: sections of benchmarks/SHIELD.md, written anew.
+
+Run: python benchmarks/shield.py [SECTION]... [--episodes N] [--pybullet N] [--pairs N] [--search N]; the full
+numbers take days: make shield-all.
+
+*contacts*: episodes of the shielded spaces in both worlds, judged one by one.  *cost*: the same draws of each
+space with a shield and without one: who comes within 20 mm of the desired TCP and stays, and when.
+*tick*: the kinematic loop with and without, in turns.  *search*: told to break the claim, with the margin as
+its guide, where all assumptions are true and where one is not.
+"""
+
+from __future__ import annotations
+
+import one_thread  # noqa: F401 (before every library that reads its variables)
+
+# isort: split
+
+import argparse
+import re
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from safety_harness.admission.admit import Admitted, Admitter
+from safety_harness.admission.trial import run_many, run_trial
+from safety_harness.exceptions import InputError
+from safety_harness.properties.touching import NO_MOVING_PART_TOUCHES
+from safety_harness.proportions import upper_bound
+from safety_harness.scenario.model import Scenario, Verdict
+from safety_harness.scenario.shield import Shield
+from safety_harness.settings import HandSensorKind
+from safety_harness.simulation.simulate import Episode
+from safety_harness.simulation.worlds import KINEMATIC, PYBULLET, WorldEntry
+from safety_harness.space.read import read_space
+from safety_harness.trace.trace import Trace
+
+ROOT = Path(__file__).parents[1]
+TABLES = Path(__file__).with_name("SHIELD.md")
+SHIELDED = ("shielded/reaching-hands", "shielded/unseen-both")
+OF_COST = ("nominal", "unseen-hand", "unseen-tcp", "unseen-both", "reaching-hands")
+SPEEDS_MPS = (0.5, 1.0, 1.6, 2.0)
+ARRIVED_M, LONG_S = 0.020, 40.0
+SEED, BATCH, TURNS = 20261124, 24, 15
+HEAD = """# Shield
+
+Written by `python benchmarks/shield.py`, each section at the revision that it names; the full numbers by
+`make shield-all`. [The shield](../docs/shield.md) has the rule, its proof and what it takes for granted.
+"""
+
+
+def file_of(space: str) -> Path:
+    """The shielded ones lie beside the plan that they are for."""
+    return ROOT / ("plans" if space in SHIELDED else "scenarios/spaces") / f"{space}.yaml"
+
+
+def draws(
+    space: str, count: int, change: Callable[[Scenario], Scenario] = lambda one: one
+) -> Iterator[Admitted]:
+    """The first ``count`` draws of a shipped space that can be tried, each changed alike."""
+    of_space, admitter = read_space(file_of(space)), Admitter()
+    found, number = 0, 0
+    while found < count:
+        try:
+            yield admitter.admit(change(of_space.draw(SEED, number)))
+            found += 1
+        except InputError:
+            pass
+        number += 1
+
+
+def traces(admitted: Iterator[Admitted], world: WorldEntry) -> Iterator[Trace]:
+    """One a draw, in their order."""
+    if world is KINEMATIC:
+        return run_many(admitted, world=world)
+    return (run_trial(one, world=world) for one in admitted)
+
+
+def contacts(given: argparse.Namespace) -> str:
+    """Verdicts of the claim, and the exact bound of both spaces together in each world."""
+    rows = [
+        "| space | world | episodes | came near | touched | at most, of those | least distance | slowed |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for world, count in ((KINEMATIC, given.episodes), (PYBULLET, given.pybullet)):
+        for space in SHIELDED:
+            tally = {verdict: 0 for verdict in Verdict}
+            least_m, slowed = np.inf, []
+            for trace in traces(draws(space, count), world):
+                said = NO_MOVING_PART_TOUCHES.prop.evaluate(trace)
+                tally[said.verdict] += 1
+                slowed.append(float((trace.interventions["scale"] < 1.0).mean()))
+                if said.margin is not None:
+                    least_m = min(least_m, said.margin)
+            tested, broken = tally[Verdict.HOLDS] + tally[Verdict.VIOLATED], tally[Verdict.VIOLATED]
+            bound = upper_bound(broken, tested, 0.05 / len(SHIELDED)) if tested else 1.0
+            rows.append(
+                f"| {space} | {world.label} | {count:,} | {tested:,} | {broken} | {bound:.2g} "
+                f"| {least_m * 1e3:.0f} mm | {100.0 * float(np.mean(slowed)):.0f} % |"
+            )
+    text = (
+        "A bound is one-sided and exact; the two of a world hold together with 95 % confidence. *Came near*: "
+    )
+    text += "a hand within the critical distance of the arm, which the claim asks for.\n\n"
+    return text + "\n".join(rows)
+
+
+def longer(scenario: Scenario) -> Scenario:
+    """The same with time to arrive, and a sensor that a shield can use."""
+    sensor = scenario.settings.hand_sensor
+    kind = HandSensorKind.SURROUND if sensor.kind is HandSensorKind.OVERHEAD else sensor.kind
+    settings = replace(scenario.settings, hand_sensor=replace(sensor, kind=kind))
+    return replace(scenario, duration_s=LONG_S, settings=settings)
+
+
+def behind(shield: Shield) -> Callable[[Scenario], Scenario]:
+    """``longer``, with a shield."""
+    return lambda scenario: replace(longer(scenario), shield=shield)
+
+
+def arrival_s(trace: Trace) -> float:
+    """From when on the TCP stays within ARRIVED_M of the desired one; infinite for never."""
+    desired = np.array(trace.scenario.settings.cell.desired_tcp_position_in_base_m)
+    away = np.linalg.norm(trace.ticks["transform_tcp_to_base"][:, :3, 3] - desired, axis=1) > ARRIVED_M
+    if away[-1]:
+        return np.inf
+    return float(trace.time_s[int(np.flatnonzero(away)[-1]) + 1]) if away.any() else 0.0
+
+
+def cost(given: argparse.Namespace) -> str:
+    """Arrivals and times of the same draws with a shield and without."""
+    rows = [
+        "| space | hand speed | acceleration | arrive plain | shielded | to 20 mm, plain | shielded | ratio "
+        "| above 1.25 | slowed |",
+        "|---|---|---|---|---|---|---|---|---|---|",
+    ]
+    for space in OF_COST:
+        plain = [arrival_s(one) for one in run_many(draws(space, given.pairs, longer))]
+        uncertainty_m = 0.04 if space == "reaching-hands" else 0.01
+        kinds = [(speed, None) for speed in SPEEDS_MPS] + [(2.0, 10.0)]
+        for speed_mps, most_mps2 in kinds:
+            shield = Shield(
+                hand_speed_mps=speed_mps, hand_acceleration_mps2=most_mps2, uncertainty_m=uncertainty_m
+            )
+            shielded, slowed = [], []
+            for one in run_many(draws(space, given.pairs, behind(shield))):
+                shielded.append(arrival_s(one))
+                slowed.append(float((one.interventions["scale"] < 1.0).mean()))
+            rows.append(_of_pairs(space, speed_mps, most_mps2, plain, shielded, float(np.mean(slowed))))
+    text = f"{given.pairs} draws of each space, of {LONG_S:.0f} s, run both ways. Times are medians over the "
+    text += (
+        "draws that arrive both ways; the ratio is the median of their own, with its 95 % interval by ranks. "
+    )
+    text += "Hands stay as fast as they are: a bound below their speed is no shield, and only a price.\n\n"
+    return text + "\n".join(rows)
+
+
+def _of_pairs(
+    space: str, speed_mps: float, most: float | None, plain: list[float], shielded: list[float], slowed: float
+) -> str:
+    both = [(a, b) for a, b in zip(plain, shielded, strict=True) if np.isfinite(a) and np.isfinite(b)]
+    ratios = sorted((b + 1.0) / (a + 1.0) if a == 0.0 else b / a for a, b in both)
+    n = len(ratios)
+    reach = 1.96 * 0.5 * np.sqrt(n)
+    low, high = max(int(n / 2 - reach), 0), min(int(n / 2 + reach), n - 1)
+    arrive = [f"{100.0 * np.mean(np.isfinite(one)):.0f} %" for one in (plain, shielded)]
+    of_most = "any" if most is None else f"{most:g} m/s2"
+    head = f"| {space} | {speed_mps:g} m/s | {of_most} | {arrive[0]} | {arrive[1]} "
+    if n == 0:
+        return f"{head}| - | - | - | - | {100 * slowed:.0f} % |"
+    times = [f"{statistics.median(column):.1f} s" for column in zip(*both, strict=True)]
+    slower = sum(ratio > 1.25 for ratio in ratios) / n
+    ratio = f"{statistics.median(ratios):.2f} ({ratios[low]:.2f} to {ratios[high]:.2f})"
+    tail = f"{100.0 * slower:.0f} % | {100.0 * slowed:.0f} % |"
+    return f"{head}| {times[0]} | {times[1]} | {ratio} | {tail}"
+
+
+def tick(given: argparse.Namespace) -> str:
+    """Microseconds a tick in the kinematic world, the sides taking turns."""
+    del given
+
+    def without_avoidance(scenario: Scenario) -> Scenario:
+        avoidance = replace(scenario.settings.avoidance, critical_distance_m=0.0)
+        return replace(scenario, settings=replace(scenario.settings, avoidance=avoidance))
+
+    rows = ["| space | hands | plain | shielded | ratio (least to greatest) |", "|---|---|---|---|---|"]
+    for space in SHIELDED:
+        sides = {
+            "plain": list(draws(space, BATCH, lambda s: replace(without_avoidance(s), shield=None))),
+            "shielded": list(draws(space, BATCH, without_avoidance)),
+        }
+        found: dict[str, list[float]] = {name: [] for name in sides}
+        for turn in range(TURNS + 1):
+            for name, admitted in sides.items():
+                us = _tick_us(admitted)
+                if turn:
+                    found[name].append(us)
+        ratios = [b / a for a, b in zip(*found.values(), strict=True)]
+        hands = len(sides["plain"][0].scenario.hands)
+        a, b = (statistics.median(one) for one in found.values())
+        rows.append(
+            f"| {space} | {hands} | {a:.2f} us | {b:.2f} us "
+            f"| {statistics.median(ratios):.2f} ({min(ratios):.2f} to {max(ratios):.2f}) |"
+        )
+    text = (
+        "The loop of the kinematic world, with hands but without avoidance: both sides do the same but for "
+    )
+    return text + "the shield; processor time.\n\n" + "\n".join(rows)
+
+
+def _tick_us(admitted: Sequence[Admitted]) -> float:
+    episodes = []
+    for one in admitted:
+        world = KINEMATIC.open(one.scenario, one.arm, one.joint_position_rad)
+        episodes.append(Episode(one.scenario, world.__enter__(), one.servo()))  # type: ignore[arg-type]
+    begun_s = time.process_time()
+    for episode in episodes:
+        while episode.advance():
+            pass
+    seconds = time.process_time() - begun_s
+    return 1e6 * seconds / sum(len(episode.ticks) for episode in episodes)
+
+
+def search(given: argparse.Namespace) -> str:
+    """What ``fuzz`` finds in the shielded spaces, and with one assumption violated."""
+    violated = {
+        "none": "",
+        "no hand is faster": "shield: {hand speed: 200 mm/s}\n",
+        "no body reaches farther": "shield: {body within: 20 mm}\n",
+        "a place is measured within its uncertainty": "faults:\n  - hand sensor: is off\n"
+        "    offset: [600 mm, -600 mm, 0 mm]\n",
+        "frames tell when they were taken": "faults:\n  - hand sensor: freezes\n    from: 100 ms\n",
+        "every hand is in every frame": "faults:\n  - hand sensor: sees nothing\n",
+    }
+    rows = [
+        "| space | violated assumption | runs | with a verdict | violated | least distance |",
+        "|---|---|---|---|---|---|",
+    ]
+    with tempfile.TemporaryDirectory() as folder:
+        for space in SHIELDED:
+            for number, (what, lines) in enumerate(violated.items()):
+                file = Path(folder) / f"{Path(space).name}-{number}.yaml"
+                head = f"scenario space: searched\nextends: {file_of(space)}\n"
+                file.write_text(head + lines)
+                rows.append(f"| {space} | {what} | " + _searched(file, given.search) + " |")
+    text = "`safety-harness fuzz` with the margins as its guide, in the kinematic world, from one seed.\n\n"
+    return text + "\n".join(rows)
+
+
+def _searched(file: Path, budget: int) -> str:
+    """Runs, those that violate the claim, and the least margin, as ``fuzz`` prints them."""
+    command = [sys.executable, "-m", "safety_harness", "fuzz", str(file), "--budget", str(budget)]
+    command += ["--seed", "1", "--out", str(file.with_suffix(""))]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT)
+    said = re.search(
+        r"^ *(.+? mm)  no moving part touches a hand: violated (\d+) of (\d+)",
+        done.stdout + done.stderr,
+        re.M,
+    )
+    if said is None:
+        raise RuntimeError(f"{' '.join(command)}: {(done.stdout + done.stderr)[-2000:]}")
+    return f"{budget} | {said[3]} | {said[2]} | {said[1]}"
+
+
+SECTIONS = {"contacts": contacts, "cost": cost, "tick": tick, "search": search}
+
+
+def revision() -> str:
+    """That of what is measured, and whether it was changed since."""
+    what = ["safety_harness", "scenarios", "plans", "benchmarks/shield.py"]
+    git = [["rev-parse", "--short", "HEAD"], ["status", "--porcelain", "--", *what]]
+    head, changed = (
+        subprocess.run(["git", *one], capture_output=True, text=True, cwd=ROOT).stdout.strip() for one in git
+    )
+    return f"{head}, changed" if changed else head
+
+
+def written(section: str, body: str, at: str) -> None:
+    """Put a section into the file, in its place."""
+    text = TABLES.read_text() if TABLES.exists() else HEAD
+    parts = dict(re.findall(r"^## (\w+)\n\n(.*?)(?=^## |\Z)", text, re.DOTALL | re.MULTILINE))
+    parts[section.capitalize()] = f"At {at}. {body}\n\n"
+    order = [name.capitalize() for name in SECTIONS if name.capitalize() in parts]
+    whole = HEAD + "".join(f"\n## {name}\n\n{parts[name].strip()}\n" for name in order)
+    TABLES.write_text(whole)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Measure, and write."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("sections", nargs="*", choices=[*SECTIONS, []], default=[])
+    parser.add_argument("--episodes", type=int, default=2_000)
+    parser.add_argument("--pybullet", type=int, default=100)
+    parser.add_argument("--pairs", type=int, default=60)
+    parser.add_argument("--search", type=int, default=300)
+    given = parser.parse_args(arguments)
+    for name in given.sections or SECTIONS:
+        begun_s, at = time.monotonic(), revision()
+        body = SECTIONS[name](given)
+        written(name, f"{body}\n\nTook {(time.monotonic() - begun_s) / 60.0:.1f} min.", at)
+        print(body, flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,162 @@
+"""No moving part touches a hand: contact is the hazard, and a hand may always touch an arm that stands."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.controller.stack import STANDSTILL_RADPS
+from safety_harness.properties.base import Evaluation, Unit, inconclusive, judged, times_begun
+from safety_harness.properties.entry import CatalogueEntry
+from safety_harness.properties.hand_distance import RESOLUTION_M, closest_between, followed_hands, instants
+from safety_harness.properties.measured import reads
+from safety_harness.properties.true_motion import HandPaths, arm_of, capsules_of, true_motion
+from safety_harness.properties.unexercised import OFF_THE_GOAL, nearest_of, unexercised
+from safety_harness.robot.capsules import Arm
+from safety_harness.settings import DEFAULTS
+from safety_harness.trace.trace import Trace, once_a_trace
+
+
+@dataclass(frozen=True, kw_only=True)
+class NoMovingPartTouches:
+    """min over hands, and over the ticks in which a part of the arm moves, of the distance to that part.
+
+    A part moves in a tick if any joint between it and the base turns by at least STANDSTILL_RADPS times the
+    period: the base never does.  Distances are surface to surface, and certified between ticks, as those of
+    ``HandDistance``; zero is a touch, and the margin is below zero inside.
+
+    Exercised when a hand comes within ``near_m`` of the arm, moving or not, in a run in which the arm moves.
+    """
+
+    near_m: float
+    unit: Unit = Unit.LENGTH
+    sentence: str = "no moving part touches a hand"
+
+    @reads(
+        "joint_position_rad",
+        "joint_velocity_radps",
+        "transform_tcp_to_base",
+        "hand_position_in_base_m",
+        "elbow_position_in_base_m",
+        "hand_distance_m",
+        also=["hand_distance_capsule"],
+        of_each_hand=True,
+    )
+    def evaluate(self, trace: Trace) -> Evaluation:
+        """Judge the closest approach of a hand and a part that moves."""
+        paths, why = followed_hands(trace)
+        if paths is None:
+            return inconclusive(self, why)
+        distance_m, time_s, hand = closest_moving(trace, paths)
+        if not distance_m < np.inf:
+            return unexercised(self, f"the arm did not move while a hand was there: {OFF_THE_GOAL}")
+        nearest_m = true_motion(trace).nearest_m
+        name = trace.scenario.hands[hand].name
+        inside = (
+            f"{-distance_m * 1e3:.1f} mm inside" if distance_m < 0.0 else f"{distance_m * 1e3:.1f} mm from"
+        )
+        times = times_begun(nearest_m < self.near_m)
+
+        def lacked() -> str:
+            return nearest_of(trace, nearest_m, self.near_m, "hand", "the arm's surface")
+
+        return judged(self, trace, distance_m, time_s, f"{name}: {inside} a part that moves", times, lacked)
+
+
+@once_a_trace
+def first_turning(trace: Trace) -> NDArray[np.int64]:
+    """(n - 1,) the first joint, from the base on, that turns in each tick; as many as there are for none."""
+    joints_rad = true_motion(trace).joints_rad
+    period_s = trace.scenario.settings.clock.control_period_s
+    turns = np.abs(np.diff(joints_rad, axis=0)) >= STANDSTILL_RADPS * period_s
+    first: NDArray[np.int64] = np.where(turns.any(axis=1), turns.argmax(axis=1), joints_rad.shape[1])
+    return first
+
+
+def closest_moving(trace: Trace, paths: HandPaths) -> tuple[float, float, int]:
+    """(distance [m], time [s], hand) of the closest approach of a hand to a moving part; inf: none."""
+    best = (np.inf, 0.0, 0)
+    links, hand_size = capsules_of(trace).link_index, trace.scenario.settings.hand
+    for hand in range(len(trace.scenario.hands)):
+        at, joints_rad, hand_m, elbow_m, distance_m, slack_m = instants(trace, paths, hand)
+        nearest = trace.ticks["hand_distance_capsule"][:, hand]
+        before = np.minimum(at[:-1].astype(int), len(trace.ticks) - 2)
+        first = first_turning(trace)[before]
+        for begin, end in _runs(first):
+            if first[begin] == joints_rad.shape[1]:
+                continue  # it stands
+            arm = _beyond(arm_of(trace), int(first[begin]))
+            if len(arm.capsules) == 0:
+                continue
+            own = slice(begin, end + 1)
+            known = _known(distance_m[own], at[own], links[nearest] > first[begin])
+            least_m, index, fraction = closest_between(
+                arm,
+                joints_rad[own],
+                hand_m[own],
+                elbow_m[own],
+                known,
+                slack_m[begin:end],
+                hand_size,
+                RESOLUTION_M,
+            )
+            if not least_m >= best[0]:
+                index += begin
+                later = at[min(index + 1, len(at) - 1)]
+                instant = at[index] + fraction * (later - at[index])
+                best = (least_m, float(instant * trace.scenario.settings.clock.control_period_s), hand)
+    return best
+
+
+def _runs(first: NDArray[np.int64]) -> list[tuple[int, int]]:
+    """Where each stretch of equal values begins, and the first after its end."""
+    cuts = (np.flatnonzero(np.diff(first)) + 1).tolist()
+    return list(zip([0, *cuts], [*cuts, len(first)], strict=True)) if len(first) else []
+
+
+def _beyond(arm: Arm, joint: int) -> Arm:
+    """The arm with the capsules alone that the joint moves."""
+    return Arm(arm.chain, _moved(arm.capsules.tobytes(), arm.capsules.dtype, joint), arm.reach_m)
+
+
+@lru_cache(maxsize=64)
+def _moved(capsules: bytes, dtype: np.dtype[np.void], joint: int) -> NDArray[np.void]:
+    found = np.frombuffer(capsules, dtype)
+    found = found[found["link_index"] > joint].copy()
+    found.setflags(write=False)  # as all of them are: the same type for compiled code
+    return found
+
+
+def _known(
+    distance_m: NDArray[np.float64], at: NDArray[np.float64], moves: NDArray[np.bool_]
+) -> NDArray[np.float64]:
+    """The distance at an instant whose nearest part is one that moves, else infinite: to be worked out.
+
+    In memory as ``distance_m`` (k,) is, for compiled code knows arrays by that.
+    """
+    whole = at == np.floor(at)
+    found = np.empty((len(at), 1 if distance_m.flags.c_contiguous else 2))[:, 0]
+    found[:] = np.where(whole & moves[np.minimum(at.astype(int), len(moves) - 1)], distance_m, np.inf)
+    found.setflags(write=distance_m.flags.writeable)
+    return found
+
+
+NO_MOVING_PART_TOUCHES = CatalogueEntry(
+    prop=NoMovingPartTouches(near_m=DEFAULTS.avoidance.critical_distance_m),
+    pattern="no moving part touches a hand",
+    make=lambda _, scenario, place: NoMovingPartTouches(
+        near_m=scenario.settings.avoidance.critical_distance_m
+    ),
+    rationale="a person may always touch an arm, even run into it; what hurts is an arm that moves",
+    source="ISO 10218-2:2025, speed and separation monitoring: the arm stops before a person is there",
+    margin="least distance, surface to surface, of any hand or forearm from any part of the arm, over the "
+    "ticks in which that part moves; a certified bound between ticks",
+    parameters="the hands' sizes and the critical distance of the settings; a part stands whose joints turn "
+    "by less than 1 mrad/s",
+    exercised="a hand comes within the critical distance of the arm's surface, and the arm moves in that run",
+    inconclusive="a hand that is not where its scenario moves it; an arm that did not move beside a hand",
+    broken_by="an avoider that heads for the hand, behind a gate that passes everything",
+)

@@ -1,0 +1,87 @@
+"""The key ``shield`` of a scenario file: what stands between any controller and the drives, if anything does.
+
+docs/shield.md says what it does and proves what that is worth; each value here is an assumption of the proof.
+"""
+
+from __future__ import annotations
+
+from enum import Enum
+
+from safety_harness.scenario.codec import Below, Key, QuantityValue, Word, declared, key, keyed, table_of
+from safety_harness.scenario.fields import Field
+from safety_harness.scenario.nodes import Scalar
+from safety_harness.scenario.units import ACCELERATION, LENGTH, SPEED, TIME
+
+
+class ShieldKind(Enum):
+    """What shields there are."""
+
+    SPEED_AND_SEPARATION = "speed and separation"
+
+
+@declared
+class Shield:
+    """What the shield takes for granted; all of it is checked against nothing: it is the user's word."""
+
+    kind: ShieldKind = keyed(
+        Key("kind", Word(ShieldKind), "what stands behind the controller ([shield](shield.md))"),
+        default=ShieldKind.SPEED_AND_SEPARATION,
+    )
+    hand_speed_mps: float = key(
+        "hand speed",
+        QuantityValue(SPEED, least=0.1, most=10.0),
+        "no hand is faster; 2 m/s is what ISO 13855 takes for a hand that reaches",
+        default=2.0,
+    )
+    hand_acceleration_mps2: float | None = key(
+        "hand acceleration",
+        QuantityValue(ACCELERATION, least=0.1, most=100.0),
+        "no hand changes its velocity faster: a hand that was seen to rest is then known to need time",
+        "10 m/s2",
+        "any",
+        default=None,
+    )
+    body_m: float = key(
+        "body within",
+        QuantityValue(LENGTH, least=0.01, most=2.0),
+        "no part of a hand or its forearm is farther from the hand's centre; the default is a forearm of "
+        "300 mm and its radius of 45 mm, whichever way it points",
+        default=0.345,
+    )
+    uncertainty_m: float = key(
+        "position uncertainty",
+        QuantityValue(LENGTH, least=0.0, most=1.0),
+        "no measured place of a hand's centre, less that of the arm, is farther from the true one",
+        default=0.01,
+    )
+    reaction_time_s: float = key(
+        "reaction time",
+        QuantityValue(TIME, least=0.0, most=5.0),
+        "from a command until the arm moves by it, beside one control period",
+        default=0.0,
+    )
+    deceleration_mps2: float = key(
+        "deceleration",
+        QuantityValue(ACCELERATION, least=0.1, most=100.0),
+        "at which the drives can bring the arm's fastest point to rest; the shield brakes with it",
+        default=1.0,
+    )
+
+
+SHIELD = table_of(Shield, "shield", path="shield")
+
+
+class _ShieldValue(Below):
+    """The name of a kind of shield, with the defaults, or a mapping of its values."""
+
+    def read(self, field: Field) -> Shield:
+        """The shield."""
+        if isinstance(field.node, Scalar):
+            return Shield(kind=field.choice(ShieldKind))
+        found: Shield = SHIELD.read(field)
+        return found
+
+
+SHIELD_VALUE = _ShieldValue(
+    words="speed and separation, or a mapping", tables=(SHIELD,), or_text=r"^speed and separation$"
+)

@@ -1,0 +1,65 @@
+"""The key ``shield`` of a scenario file: a name or a mapping, read back as written, refused in its place."""
+
+from __future__ import annotations
+
+import pytest
+
+from safety_harness.admission.admit import check
+from safety_harness.exceptions import InadmissibleError, ScenarioError
+from safety_harness.gym.episodes import Episodes
+from safety_harness.scenario.read import parse_scenario
+from safety_harness.scenario.shield import Shield
+from safety_harness.scenario.write import write_scenario
+from safety_harness.simulation.worlds import KINEMATIC
+
+TEXT = """
+scenario: nobody is there
+duration: 1 s
+tcp start: {offset: [0 mm, 0 mm, 0 mm]}
+claims:
+  joint speeds within limits: holds
+"""
+
+
+@pytest.mark.parametrize(
+    ("written", "meant"),
+    [
+        ("", None),
+        ("shield: speed and separation\n", Shield()),
+        ("shield: {hand speed: 1.6 m/s}\n", Shield(hand_speed_mps=1.6)),
+        (
+            "shield: {hand acceleration: 10 m/s2, reaction time: 450 ms}\n",
+            Shield(hand_acceleration_mps2=10.0, reaction_time_s=0.45),
+        ),
+    ],
+)
+def test_it_is_read_and_written(written: str, meant: Shield | None) -> None:
+    found = parse_scenario(TEXT + written)
+    assert found.shield == meant
+    assert parse_scenario(write_scenario(found)).shield == meant
+    assert ("shield" in write_scenario(found)) == (meant is not None)
+
+
+@pytest.mark.parametrize(
+    ("written", "said"),
+    [
+        ("shield: speed\n", r":7: shield: expected speed and separation; got speed"),
+        ("shield: {hand sped: 1 m/s}\n", r':7: shield.hand sped: .* \(did you mean "hand speed"\?\)'),
+        ("shield: {deceleration: 0 m/s2}\n", r":7: shield.deceleration: expected an acceleration"),
+    ],
+)
+def test_what_is_none_is_refused(written: str, said: str) -> None:
+    with pytest.raises(ScenarioError, match=said):
+        parse_scenario(TEXT + written)
+
+
+def test_a_sensor_in_the_hand_is_no_eye_for_it() -> None:
+    blind = parse_scenario(TEXT + "shield: speed and separation\nhand sensor: {kind: eye in hand}\n")
+    with pytest.raises(InadmissibleError, match=r":7: shield: expected a fixed hand sensor"):
+        check(blind)
+
+
+def test_an_agent_learns_without_one() -> None:
+    shielded = parse_scenario(TEXT + "shield: speed and separation\n")
+    with pytest.raises(InadmissibleError, match=r":7: shield: expected no shield"):
+        Episodes(shielded, None, KINEMATIC)
