@@ -10,6 +10,7 @@ from safety_harness.campaign.identity import Identity, PlanFile, unpacked
 from safety_harness.campaign.plan import read_plan, stratum_number
 from safety_harness.exceptions import InputError, ScenarioError
 from safety_harness.properties.base import Unit
+from safety_harness.scenario.kinds import FileKind, kind_of
 from safety_harness.simulation.worlds import KINEMATIC
 from tests.campaign.plans import PLAN, plan_in
 from tests.search.short_space import TEXT
