@@ -64,4 +64,5 @@ def test_branches_keep_their_numbers() -> None:
         "SCORING": 10,
         "CONTROLLER": 11,
         "ENVIRONMENT": 12,
+        "PROOF": 13,
     }

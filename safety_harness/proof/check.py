@@ -81,7 +81,7 @@ def answers(layers: list[tuple[Array, Array]], centre: Array, half: Array) -> tu
 
 
 def mean_answers(members: list[list[tuple[Array, Array]]], centre: Array, half: Array) -> tuple[Array, ...]:
-    """As ``answers``, of the members' mean, and bounds (n,) of the largest axis's spread over them."""
+    """As ``answers``, ``centre`` and ``half`` (n, 6), of the mean; bounds (n,) of the largest spread."""
     forms, part = [answers(layers, centre, half) for layers in members], 1.0 / len(members)
     z, own = (part * np.sum(x, axis=0) for x in ([z for z, _, _ in forms], [g[:, :6] for _, g, _ in forms]))
     rests = [np.abs(g[:, 6:]).sum(axis=1) + r for _, g, r in forms]

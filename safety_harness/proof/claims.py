@@ -83,7 +83,7 @@ class DecisionClaim:
 
 
 def margins_of(avoider: LearnedAvoider, claim: DecisionClaim, questions: Floats) -> Floats:
-    """(n,) margins of what the network itself answers to questions (n, 6), hands and TCPs."""
+    """(n,) margins of what the network itself answers to ``questions`` (n, 6), hands and TCPs."""
     hands, tcps = questions[:, :3], questions[:, 3:]
     answers, spreads = avoider.propose_many(hands, tcps, np.zeros(len(questions), np.uint64))
     return claim.margins(hands, tcps, answers, spreads.max(axis=1) - threshold_m(avoider.model))

@@ -139,7 +139,7 @@ def joint_bounds(plan: ProofPlan, proofs: list[Proof]) -> list[JointBound]:
 
 
 def answered_wrongly(avoider: LearnedAvoider, planned: PlannedProof, asked: Floats) -> NDArray[np.bool_]:
-    """(n,) which questions (n, 6) the claim is about and the network answers otherwise, or nearly so."""
+    """(n,) which of ``asked`` (n, 6) the claim is about and the network answers otherwise, or nearly so."""
     apart_m, (near_m, far_m) = np.linalg.norm(asked[:, :3] - asked[:, 3:], axis=1), planned.region.apart_m
     found: NDArray[np.bool_] = (apart_m >= near_m) & (apart_m <= far_m)
     return found & ~(margins_of(avoider, planned.claim, asked) >= DOUBTFUL)

@@ -82,7 +82,9 @@ def closest_moving(trace: Trace, paths: HandPaths) -> tuple[float, float, int]:
     links, hand_size = capsules_of(trace).link_index, trace.scenario.settings.hand
     for hand in range(len(trace.scenario.hands)):
         at, joints_rad, hand_m, elbow_m, distance_m, slack_m = instants(trace, paths, hand)
-        nearest = trace.ticks["hand_distance_capsule"][:, hand]
+        part = trace.ticks["hand_distance_capsule"][:, hand]
+        there = (part >= 0) & (part < len(links))  # not so in a trace that was edited
+        nearest = np.where(there, links[np.where(there, part, 0)], -1)
         before = np.minimum(at[:-1].astype(int), len(trace.ticks) - 2)
         first = first_turning(trace)[before]
         for begin, end in _runs(first):
@@ -92,7 +94,7 @@ def closest_moving(trace: Trace, paths: HandPaths) -> tuple[float, float, int]:
             if len(arm.capsules) == 0:
                 continue
             own = slice(begin, end + 1)
-            known = _known(distance_m[own], at[own], links[nearest] > first[begin])
+            known = _known(distance_m[own], at[own], nearest > first[begin])
             least_m, index, fraction = closest_between(
                 arm,
                 joints_rad[own],

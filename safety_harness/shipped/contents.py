@@ -19,7 +19,7 @@ from safety_harness.exceptions import Place, ScenarioError, near_miss
 
 PREFIX = "shipped:"
 PACKED = Path(__file__).resolve().parent
-_TITLE = re.compile(r"^(?:scenario|scenario space|suite|plan): *(.+)$", re.MULTILINE)
+_TITLE = re.compile(r"^(?:scenario|scenario space|suite|plan|proof): *(.+)$", re.MULTILINE)
 
 
 class ShippedKind(StrEnum):

@@ -80,7 +80,7 @@ def hashed_anew(report: Path) -> None:
 
 
 def _save(report: Path, document: dict[str, Any]) -> None:
-    evidence = typed(document, Evidence, report / "evidence.json")
+    evidence = typed({"proven": None, **document}, Evidence, report / "evidence.json")
     (report / "evidence.json").write_text(as_text(evidence))
     (report / "junit.xml").write_text(junit_xml(evidence))
 

@@ -94,4 +94,4 @@ def test_a_count_that_makes_no_sense_is_refused(tmp_path: Path) -> None:
 
 def test_each_scenario_of_a_matrix_has_its_picture(tmp_path: Path) -> None:
     assert show([SCENARIOS / "every-avoider.yaml"], out=tmp_path) == AS_EXPECTED
-    assert len(list(tmp_path.glob("every-avoider*.svg"))) == 7
+    assert len(list(tmp_path.glob("every-avoider*.svg"))) == 9
