@@ -58,6 +58,7 @@ VISITORS = tuple(
     )
     for k, (x, y, z) in enumerate(PLACES * 2)
 )
+THREE = pytest.param(3, marks=pytest.mark.long)  # records for four hands are compiled for them alone
 IDLE = tuple(hand(at=(-0.5 - 0.3 * k, 3.0, 0.2), name=f"idle {k + 1}") for k in range(MAX_HANDS - 1))
 
 
@@ -75,7 +76,7 @@ def said_of_distance(trace: Trace) -> Evaluation:
     return judge(trace)[CLAIMS.index(DISTANCE)]
 
 
-@pytest.mark.parametrize("count", [3, 8])
+@pytest.mark.parametrize("count", [THREE, 8])
 def test_both_worlds_see_every_hand_and_agree(count: int) -> None:
     what = with_hands(*VISITORS[:count])
     traces = [tried(what, world) for world in (PYBULLET, KINEMATIC)]
@@ -119,8 +120,9 @@ def test_hands_that_nobody_sees_or_meets_change_no_motion_and_no_margin(world: W
             assert (one.verdict, one.margin) == (other.verdict, other.margin), sentence
 
 
-def test_a_batch_of_two_three_and_eight_hands_gives_what_each_gives_alone() -> None:
-    admitted = [admit(with_hands(*VISITORS[:count], settings=NOISY)) for count in (2, 3, 8)]
+@pytest.mark.parametrize("counts", [(2, 8), pytest.param((2, 3, 8), marks=pytest.mark.long)])
+def test_a_batch_of_two_three_and_eight_hands_gives_what_each_gives_alone(counts: tuple[int, ...]) -> None:
+    admitted = [admit(with_hands(*VISITORS[:count], settings=NOISY)) for count in counts]
     alone = [run_trial(one, world=KINEMATIC) for one in admitted]
     episodes = []
     for one in admitted:
@@ -130,7 +132,7 @@ def test_a_batch_of_two_three_and_eight_hands_gives_what_each_gives_alone() -> N
         assert first_difference(trace, same) is None
 
 
-@pytest.mark.parametrize("count", [0, 2, 3, 8])
+@pytest.mark.parametrize("count", [0, 2, THREE, 8])
 def test_a_trace_is_saved_and_loaded_without_loss_and_judged_the_same(count: int, tmp_path: Path) -> None:
     trace = tried(with_hands(*VISITORS[:count], duration_s=1.0))
     save_trace(trace, tmp_path / "trace.zip")
@@ -160,12 +162,14 @@ def test_a_ninth_hand_is_refused_in_a_file_and_in_python() -> None:
 
 def test_a_space_may_have_more_than_two_hands(tmp_path: Path) -> None:
     text = (SCENARIOS / "spaces" / "reaching-hands.yaml").read_text()
-    third = """  - hand: third hand
+    other = """  - hand: {name} hand
     starts at: {box: [[1300 mm, -200 mm, 100 mm], [1500 mm, 200 mm, 500 mm]]}
     elbow towards: [1900 mm, 0 mm, 400 mm]
     moves: []
 """
-    (tmp_path / "space.yaml").write_text(text.replace("claims:\n", f"{third}claims:\n"))
+    more = "".join(other.format(name=name) for name in ("third", "fourth", "fifth"))
+    (tmp_path / "space.yaml").write_text(text.replace("claims:\n", f"{more}claims:\n"))
     drawn = read_space(tmp_path / "space.yaml").draw(1, 0)
-    assert [one.name for one in drawn.hands] == ["reaching hand", "resting hand", "third hand"]
-    assert tried(drawn).ticks["hand_present"].sum(axis=1).tolist() == [3] * (drawn.ticks + 1)
+    names = ["reaching hand", "resting hand", "third hand", "fourth hand", "fifth hand"]
+    assert [one.name for one in drawn.hands] == names
+    assert tried(drawn).ticks["hand_present"].sum(axis=1).tolist() == [5] * (drawn.ticks + 1)
