@@ -48,6 +48,7 @@ def selftest(
     from safety_harness.certification.tools import FaultState
     from safety_harness.cli.progress import paced_lines, where
     from safety_harness.properties.tally import table
+    from safety_harness.scenario.files import told
     from safety_harness.selftest.outcome import (
         HARMLESS_HEAD,
         HEAD,
@@ -67,7 +68,7 @@ def selftest(
     tested = one_of(avoider, controller)
     again += [option_of(tested), tested] if tested is not None else []
     again += ["--fault", fault] if fault is not None else []
-    again += ["--out", str(out), "--jobs", str(jobs)]
+    again += ["--out", str(told(out)), "--jobs", str(jobs)]
     try:
         plan = SelfTestPlan(profile_named(profile), scenarios, tested)
         if jobs < 1:

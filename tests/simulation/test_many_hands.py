@@ -162,12 +162,12 @@ def test_a_ninth_hand_is_refused_in_a_file_and_in_python() -> None:
 
 def test_a_space_may_have_more_than_two_hands(tmp_path: Path) -> None:
     text = (SCENARIOS / "spaces" / "reaching-hands.yaml").read_text()
-    other = """  - hand: {name} hand
+    other = """  - hand: NAME hand
     starts at: {box: [[1300 mm, -200 mm, 100 mm], [1500 mm, 200 mm, 500 mm]]}
     elbow towards: [1900 mm, 0 mm, 400 mm]
     moves: []
 """
-    more = "".join(other.format(name=name) for name in ("third", "fourth", "fifth"))
+    more = "".join(other.replace("NAME", name) for name in ("third", "fourth", "fifth"))
     (tmp_path / "space.yaml").write_text(text.replace("claims:\n", f"{more}claims:\n"))
     drawn = read_space(tmp_path / "space.yaml").draw(1, 0)
     names = ["reaching hand", "resting hand", "third hand", "fourth hand", "fifth hand"]
