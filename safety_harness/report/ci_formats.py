@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 from safety_harness.properties.base import Evaluation
 from safety_harness.report.evidence import JudgedRun, answer
@@ -60,8 +62,8 @@ def markdown(runs: Sequence[JudgedRun]) -> str:
 
 def _cell(text: str) -> str:
     """Text that stays in its cell and is no markup of its own."""
-    words = text.replace("\\", "\\\\").replace("|", "\\|").replace("<", "&lt;").replace("`", "\\`")
-    return " ".join(words.split())
+    words = text.replace("&", "&amp;").replace("<", "&lt;")
+    return " ".join(re.sub(r"[\\|`\[\]*!]", r"\\\g<0>", words).split())
 
 
 def sarif(runs: Sequence[JudgedRun]) -> dict[str, Any]:
@@ -94,7 +96,7 @@ def _result(run: JudgedRun, claim: Claim, found: Evaluation, expected: bool) -> 
     }
     file = claim.place.file or run.trace.scenario.file
     if file is not None:
-        physical: dict[str, Any] = {"artifactLocation": {"uri": told(file).as_posix()}}
+        physical: dict[str, Any] = {"artifactLocation": {"uri": quote(told(file).as_posix())}}
         if claim.place.line is not None:
             physical["region"] = {"startLine": claim.place.line}
         result["locations"] = [{"physicalLocation": physical}]

@@ -236,6 +236,15 @@ def test_the_verdicts_are_filtered_and_the_filter_stands_in_the_address(browser:
     assert "=" not in browser.current_url
 
 
+def test_no_address_keeps_the_page_from_working(browser: Any, report: str) -> None:
+    browser.get_log("browser")
+    for address in ("#100%", "#find=100%", "#", "#no-such-run"):
+        browser.get("about:blank")
+        show(browser, report + address, width=1280)
+        assert browser.execute_script("return document.querySelectorAll('.copy-button').length") > 1
+    assert browser.get_log("browser") == []
+
+
 def test_the_slash_leads_to_the_filter_and_a_link_unfolds_its_run(browser: Any, report: str) -> None:
     from selenium.webdriver.common.keys import Keys
 

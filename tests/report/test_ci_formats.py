@@ -46,7 +46,7 @@ def test_each_claim_that_is_not_as_expected_is_an_error_at_its_line(tmp_path: Pa
     errors = [one for one in found["results"] if one["level"] == "error"]
     places = [one["locations"][0]["physicalLocation"] for one in errors]
     assert [place["region"]["startLine"] for place in places] == [10 + k for k in unlike]
-    assert {place["artifactLocation"]["uri"] for place in places} == {"scenarios/two hands.yaml"}
+    assert {place["artifactLocation"]["uri"] for place in places} == {"scenarios/two%20hands.yaml"}  # a URI
     rules = {rule["id"] for rule in found["tool"]["driver"]["rules"]}
     assert rules == {one["ruleId"] for one in found["results"]}
     assert all(one["message"]["text"] for one in found["results"])
@@ -68,6 +68,9 @@ def test_the_summary_begins_with_the_answer_and_has_one_row_a_line() -> None:
     rows = [line for line in text.splitlines() if line.startswith("| ")][1:]
     assert all(row.replace("\\|", "").count("|") == 7 for row in rows)
     assert "<script" not in text
+    named = replace(hostile.trace.scenario, name="![a](http://b) | `c` & <d>")
+    text = markdown([replace(hostile, trace=replace(hostile.trace, scenario=named))] * 2)
+    assert r"| \!\[a\](http://b) \| \`c\` &amp; &lt;d> |" in text
     many = markdown([factory.violated_run()] * MOST_LINES)
     assert len(many.splitlines()) < MOST_LINES + 10
     assert "more are in report.html" in many

@@ -126,7 +126,8 @@ const label = () => {
 narrow.addEventListener("change", label);
 label();
 const unfold = () => {
-  const target = location.hash.length > 1 && document.getElementById(decodeURIComponent(location.hash.slice(1)));
+  const id = new URLSearchParams(`id=${location.hash.slice(1)}`).get("id");  // decodes, and no address is an error
+  const target = document.getElementById(id);
   for (let part = target; part; part = part.parentElement) if (part.tagName === "DETAILS") part.open = true;
   if (!target) return;
   target.querySelector(":scope > details")?.setAttribute("open", "");
