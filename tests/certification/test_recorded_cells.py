@@ -18,7 +18,7 @@ from safety_harness.certification.page import render
 from safety_harness.certification.tools import HarnessTrials, RecordedCell, read_cell
 from safety_harness.cli.main import app
 from safety_harness.compiled import source_hash
-from safety_harness.recorded.apart import Difference, Estimate, Fit
+from safety_harness.recorded.apart import DelayFit, Difference, Estimate
 from safety_harness.recorded.compare import CellComparison, ClaimOfBoth, ClosestHand, WorldBeside, as_json
 from safety_harness.scenario.model import Verdict
 
@@ -43,7 +43,7 @@ def cell(simulated: Verdict = Verdict.HOLDS, *, present: bool = True) -> Recorde
         tcp=None,
         distances=(),
         closest=(ClosestHand(hand=HOSTILE, simulated_m=0.07, recorded_least_m=None, recorded_most_m=0.08),),
-        fit=Fit(late=None, why="the joints stand", offsets=(AN_ESTIMATE,), before=0.003, left=0.001),
+        fit=DelayFit(late=None, why="the joints stand", offsets=(AN_ESTIMATE,), before=0.003, left=0.001),
         claims=(claim,),
         absent=(),
     )
