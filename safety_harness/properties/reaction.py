@@ -101,7 +101,7 @@ def _answer_ends(
     hand changed between two ticks is not known, so that the one is a period more and the other one less.
     """
     gives, may = may_give_way(trace)
-    last, longest, may_be_open, too_long = len(sure) - 1, [0, 0], False, False
+    last, longest, open_from, too_long = len(sure) - 1, [0, 0], len(sure), False
     for side, (near, giving) in enumerate(((maybe, gives), (sure, may))):
         for first, end in zip(*runs_of(~giving if whole_stretch else near & ~giving), strict=True):
             inside = np.flatnonzero(near[first:end])
@@ -109,11 +109,11 @@ def _answer_ends(
                 took = min(end, last) - (first + int(inside[0]))
                 over = time_left_s(trace, prop.within_s, took - 1) < 0.0
                 longest[side] = max(longest[side], took if side == 0 or end <= last or over else 0)
-                may_be_open |= side == 0 and end > last
+                if side == 0 and end > last:
+                    open_from = first + int(inside[0])
                 too_long |= side == 1 and end > last and over  # already, when the run ends
-    occasions = times_begun(sure[sure | ~maybe])  # at least
     low, high = (time_left_s(trace, prop.within_s, took) for took in (longest[0] + 1, longest[1] - 1))
-    exercised = occasions > (may_be_open and not too_long)
+    exercised = bool((sure if too_long else sure[:open_from]).any())
     return low, high if exercised else np.inf, exercised
 
 
@@ -229,20 +229,21 @@ def _judged(
     if occasions == 0:
         true = isinstance(prop, GivesWayToTrueHand)
         return unexercised(prop, no_near_hand(trace) if true else no_predicted_hand(trace))
-    longest, since, open_ones = 0, int(np.argmax(near)), 0  # in ticks
+    longest, since, open_from = 0, int(np.argmax(near)), len(near)  # in ticks
     for first, end in unanswered:
         took = min(end, len(near) - 1) - first
         if end == len(near) and time_left_s(trace, prop.within_s, took) >= 0.0:
-            open_ones += 1
+            open_from = first
         elif took > longest:
             longest, since = took, first
-    if open_ones == occasions:
+    decided = times_begun(near[:open_from])  # one that gave way and is open again has been answered once
+    if decided == 0:
         had_ms = (len(near) - 1 - int(np.argmax(near))) * trace.scenario.settings.clock.control_period_s * 1e3
         why = f"the run ends {had_ms:.0f} ms after a {whose} came near, before the {prop.within_s * 1e3:g} ms"
         return inconclusive(prop, f"{why} allowed; a longer duration exercises it")
     margin_s = time_left_s(trace, prop.within_s, longest)
     reason = f"longest {trace.time_s[longest] * 1e3:.0f} ms, of {occasions} times that a {whose} came near"
-    return judged(prop, trace, margin_s, trace.time_s[since + longest], reason, occasions - open_ones)
+    return judged(prop, trace, margin_s, trace.time_s[since + longest], reason, decided)
 
 
 GIVES_WAY = CatalogueEntry(

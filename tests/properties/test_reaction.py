@@ -102,6 +102,33 @@ def test_a_hand_that_is_near_from_the_first_tick_on_counts_once(visit: Trace) ->
     assert (evaluation.verdict, evaluation.exercised) == (Verdict.HOLDS, 1)
 
 
+def beside_a_hand(visit: Trace, near: list[int], answered: slice) -> Trace:
+    """A predicted hand beside the TCP in the ticks ``near``, and the controller gives way in ``answered``."""
+    ticks = visit.ticks.copy()
+    ticks["track_valid"] = False
+    ticks["track_valid"][near, 0] = True
+    ticks["predicted_hand_in_base_m"][:, 0] = ticks["transform_tcp_to_base"][:, :3, 3] + 0.1
+    ticks["mode"] = Mode.SERVOING
+    ticks["mode"][answered] = Mode.REPULSING
+    return replace(visit, ticks=ticks)
+
+
+def test_one_that_was_answered_and_is_open_again_at_the_end_is_judged_by_its_answer(visit: Trace) -> None:
+    last = len(visit.ticks)
+    evaluation = IN_TIME.evaluate(
+        beside_a_hand(visit, list(range(last - 60, last)), slice(last - 57, last - 5))
+    )
+    assert (evaluation.verdict, evaluation.exercised) == (Verdict.HOLDS, 1)
+    assert evaluation.margin == pytest.approx(0.1 - 3 * 0.008, abs=1e-12)
+
+
+def test_two_that_come_in_the_last_moment_and_are_not_answered_are_no_evidence(visit: Trace) -> None:
+    last = len(visit.ticks)
+    evaluation = IN_TIME.evaluate(beside_a_hand(visit, [last - 6, last - 2, last - 1], slice(0, 0)))
+    assert evaluation.verdict is Verdict.INCONCLUSIVE
+    assert "the run ends 40 ms after" in evaluation.reason
+
+
 @pytest.mark.parametrize("field", ["transform_tcp_to_base", "predicted_hand_in_base_m"])
 def test_what_is_no_number_is_inconclusive_and_the_reason_says_from_when(field: str, visit: Trace) -> None:
     at = int(np.flatnonzero(predicted_near(visit)[0])[3])
