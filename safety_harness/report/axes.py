@@ -408,8 +408,9 @@ def _strokes(x: Floats, y: Floats, *, closed: bool = False) -> str:
     """The path through places (n,) [px], broken where one is not finite, without those along a level line."""
     places = np.round(np.column_stack([x, y]), 1)
     places = np.where(np.isfinite(places), np.clip(places, -_FAR_PX, _FAR_PX) + 0.0, np.nan)
+    places = np.delete(places, 1 + np.flatnonzero((np.diff(places, axis=0) == 0.0).all(axis=1)), axis=0)
     across, up = np.diff(places, axis=0).T
-    along = (up[1:] == 0.0) & (up[:-1] == 0.0) & (across[1:] * across[:-1] >= 0.0)
+    along = (up[1:] == 0.0) & (up[:-1] == 0.0) & (across[1:] * across[:-1] > 0.0)
     places = np.delete(places, 1 + np.flatnonzero(along), axis=0)
     good = np.isfinite(places.sum(axis=1))
     drawn = []
