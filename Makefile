@@ -70,7 +70,7 @@ paper: $(VENV)/installed
 	$(HERE) --editable '.[learning]' --editable paper
 
 docs: $(VENV)/documented
-	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
+	$(BIN)/python docs/build_site.py
 
 # Into dist/, with scenarios, plans, examples (setup.py) and the site.
 wheel: docs

@@ -1,16 +1,16 @@
 // A page opened from a folder may not start a Worker; the search then runs in a hidden frame instead.
 if (location.protocol === "file:") {
-  class IFrameWorker extends EventTarget {
+  class IFrameWorker {
     constructor(address) {
-      super();
-      const frame = document.createElement("iframe");
+      const frame = (this.frame = document.createElement("iframe"));
       frame.hidden = true;
       document.body.appendChild(frame);
       this.inner = frame.contentWindow;
       this.waiting = []; // what is said before the script has been read
       const script = this.inner.document.createElement("script");
       this.inner.postMessage = (data) => {
-        this.dispatchEvent(new MessageEvent("message", { data }));
+        const copy = structuredClone(data);
+        setTimeout(() => this.onmessage?.(new MessageEvent("message", { data: copy })));
       };
       this.inner.importScripts = (...addresses) =>
         addresses.reduce((before, each) => before.then(() => this.load(each)), Promise.resolve());
@@ -32,7 +32,11 @@ if (location.protocol === "file:") {
       });
     }
     tell(data) {
-      this.inner.dispatchEvent(new this.inner.MessageEvent("message", { data }));
+      const copy = this.inner.structuredClone(data);
+      this.inner.dispatchEvent(new this.inner.MessageEvent("message", { data: copy }));
+    }
+    terminate() {
+      this.frame.remove();
     }
     postMessage(data) {
       if (this.waiting) this.waiting.push(data);

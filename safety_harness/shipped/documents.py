@@ -39,10 +39,10 @@ def missing() -> ScenarioError:
 
 def sections() -> tuple[Section, ...]:
     """Every page and heading of the site; ScenarioError if there is none."""
-    index = site() / "search" / "search_index.json"
+    index = site() / "search.json"
     if not index.is_file():
         raise missing()
-    found = json.loads(index.read_text(encoding="utf-8"))["docs"]
+    found = json.loads(index.read_text(encoding="utf-8"))["items"]
     return tuple(Section(one["location"].replace(".html", "", 1), one["title"]) for one in found)
 
 

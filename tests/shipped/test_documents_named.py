@@ -71,15 +71,14 @@ def _has_docstring(node: ast.AST) -> bool:
 
 @pytest.fixture
 def small_site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A site of two pages, as mkdocs leaves it."""
+    """A site of two pages, as the build leaves it."""
     monkeypatch.setattr(documents, "site", lambda: tmp_path)
     found = [
         {"location": "index.html", "title": "Start"},
         {"location": "claims.html", "title": "The catalogue of claims"},
         {"location": "claims.html#proposals-lead-away", "title": "proposals lead away"},
     ]
-    (tmp_path / "search").mkdir()
-    (tmp_path / "search/search_index.json").write_text(json.dumps({"docs": found}))
+    (tmp_path / "search.json").write_text(json.dumps({"items": found}))
     for page in ("index.html", "claims.html"):
         (tmp_path / page).write_text("")
     return tmp_path
