@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +16,7 @@ from safety_harness.controller.contract import (
     Action,
     DrivenArm,
     Move,
+    Moves,
     Report,
     Seen,
     Start,
@@ -42,6 +45,10 @@ class StopWhenNear:
         self._gain = settings.servo.gain_far
         self._near_m = settings.avoidance.critical_distance_m
 
+    def another(self) -> StopWhenNear:
+        """One more, for an episode beside."""
+        return StopWhenNear()
+
     def act(self, seen: Seen) -> Action:
         """Stop, or on towards the desired pose."""
         tcp = seen.tcp_position_in_base_m
@@ -54,6 +61,30 @@ class StopWhenNear:
             tcp_angular_velocity_radps=self._gain * _turn(seen.transform_tcp_to_base),
             report=_GOING,
         )
+
+    @staticmethod
+    def act_many(controllers: Sequence[StopWhenNear], seen: Mapping[str, NDArray[Any]]) -> Moves:
+        """As ``act`` of each, to the last bit."""
+        gains = np.array([one._gain for one in controllers])[:, None]
+        near_m = np.array([one._near_m for one in controllers])[:, None]
+        tcp = seen["tcp_position_in_base_m"]
+        way = np.ascontiguousarray(seen["hands"] - tcp[:, None])
+        near = ~(_squared(way) >= near_m**2) & (seen["hands_there"] != 0)
+        stop = near.any(axis=1)
+        target = np.array([one._target_in_base_m for one in controllers])
+        turn = [_turn(transform) for transform in seen["transform_tcp_to_base"]]
+        return Moves(
+            tcp_velocity_mps=gains * (target - tcp),
+            tcp_angular_velocity_radps=gains * np.array(turn),
+            stop=stop,
+            mode=np.where(stop, int(Mode.PROTECTIVE_STOP), int(Mode.SERVOING)),
+        )
+
+
+def _squared(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(...,) of (..., 3), the bits of ``v @ v`` of each."""
+    found: NDArray[np.float64] = (vectors[..., None, :] @ vectors[..., :, None])[..., 0, 0]
+    return found
 
 
 def _turn(transform_tcp_to_base: NDArray[np.float64]) -> NDArray[np.float64]:

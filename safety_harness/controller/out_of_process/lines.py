@@ -22,6 +22,7 @@ from safety_harness.controller.out_of_process.messages import (
     PROTOCOL,
     Act,
     ActOnRow,
+    ActOnRows,
     Hello,
     MakeController,
     NoController,
@@ -157,6 +158,10 @@ class FileLine(Line):
         self._send(
             self._encoded(ActOnRow(tick, own["_makers"].hand_slots, own["_row"].tobytes(), told)), limit_s
         )
+
+    def act_together(self, lanes: list[int], tick: int, hand_slots: int, rows: bytes, limit_s: float) -> None:
+        """The rows that the controllers of those lanes see."""
+        self._send(self._encoded(ActOnRows(tick, lanes, hand_slots, rows)), limit_s)
 
     def _open(self) -> Channel:
         say_it_is_executed(self._path, self._source, LOGGER)
