@@ -18,7 +18,6 @@ from safety_harness.exceptions import ControllerError, described, printable
 from safety_harness.trace.records import Mode
 
 Floats = NDArray[np.float64]
-_MODES = [int(mode) for mode in Mode]
 NOT_REPORTED = -1
 
 
@@ -84,7 +83,7 @@ class Answers:
         stop = _flags("stop", moves.stop, n)
         if self._tells:
             modes = np.asarray(moves.mode)
-            if modes.shape != (n,) or not np.isin(modes, _MODES).all():
+            if modes.shape != (n,) or not _are_modes(modes):
                 raise ControllerError(
                     f'act_many reported no Mode of each: {n} of them, "mode" being reported'
                 )
@@ -105,7 +104,8 @@ class Answers:
         for column, data in zip(self.columns, sent, strict=True):
             rows = np.frombuffer(data, np.uint8 if column.dtype == np.bool_ else column.dtype)
             column[own] = rows.reshape(len(lanes), *column.shape[1:])
-        if not np.isin(self.modes[own], _MODES if self._tells else [NOT_REPORTED]).all():
+        modes = self.modes[own]
+        if not (_are_modes(modes) if self._tells else (modes == NOT_REPORTED).all()):
             raise ValueError("a mode that there is not")
 
 
@@ -119,6 +119,11 @@ def numbers(name: str, value: object, shape: tuple[int, ...], what: str = "act")
         got = f"{given.dtype} of the shape {given.shape}"
         raise ControllerError(f"{what} returned a {name} other than real numbers of the shape {shape}: {got}")
     return given
+
+
+def _are_modes(modes: NDArray[Any]) -> bool:
+    """Mode counts from zero."""
+    return modes.dtype.kind in "iu" and bool((modes >= 0).all() and (modes < len(Mode)).all())
 
 
 def _flags(name: str, value: object, count: int) -> NDArray[np.bool_]:

@@ -72,10 +72,9 @@ class StopWhenNear:
         near = ~(_squared(way) >= near_m**2) & (seen["hands_there"] != 0)
         stop = near.any(axis=1)
         target = np.array([one._target_in_base_m for one in controllers])
-        turn = [_turn(transform) for transform in seen["transform_tcp_to_base"]]
         return Moves(
             tcp_velocity_mps=gains * (target - tcp),
-            tcp_angular_velocity_radps=gains * np.array(turn),
+            tcp_angular_velocity_radps=gains * _turns(seen["transform_tcp_to_base"]),
             stop=stop,
             mode=np.where(stop, int(Mode.PROTECTIVE_STOP), int(Mode.SERVOING)),
         )
@@ -94,3 +93,16 @@ def _turn(transform_tcp_to_base: NDArray[np.float64]) -> NDArray[np.float64]:
     sine = math.sqrt(axis @ axis)
     angle = math.atan2(sine, 0.5 * (x[0] - y[1] - z[2] - 1.0))
     return axis if sine < 1e-9 else axis * (angle / sine)
+
+
+def _turns(transforms_tcp_to_base: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(n, 3) of (n, 4, 4), the bits of ``_turn`` of each: the angle by the same function."""
+    x, y, z = (transforms_tcp_to_base[:, row] for row in range(3))
+    halves = 0.5 * (z[:, 1] - y[:, 2]), 0.5 * (z[:, 0] + x[:, 2]), -0.5 * (x[:, 1] + y[:, 0])
+    axis = np.stack(halves, axis=1)
+    sine = np.sqrt(_squared(axis))
+    cosine = 0.5 * (x[:, 0] - y[:, 1] - z[:, 2] - 1.0)
+    angle = np.array(list(map(math.atan2, sine.tolist(), cosine.tolist())))
+    tiny = sine < 1e-9
+    scale = np.where(tiny, 1.0, angle / np.where(tiny, 1.0, sine))
+    return axis * scale[:, None]

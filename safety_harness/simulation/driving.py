@@ -93,7 +93,7 @@ def drive(lanes: Sequence[Lane], on_tick: Callable[[int], None] | None = None) -
             break
     for lane, one in enumerate(lanes):
         if n > 1 and one.failed is None:
-            one.ticks.view(np.uint8)[:] = rows[lane, : len(one.ticks)].reshape(-1)
+            one.ticks = room[lane, : len(one.ticks)]
             one.done = len(one.ticks)
 
 

@@ -159,7 +159,7 @@ class _Answering:
         seen = Seen.of_row(row.item(0), self._period_s, layout, row)
         if told.image is not None:
             seen.__dict__["image"] = self._image = _image(told.image, self._image)
-        action = self._lanes[0].act(seen)
+        action = self._lanes[told.lane].act(seen)
         if not isinstance(action, Move | Stop):
             return _failed("act returned no Move and no Stop", repr(action))
         try:

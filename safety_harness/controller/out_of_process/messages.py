@@ -76,6 +76,7 @@ class ActOnRow(Struct, tag="row", tag_field="say"):
     tick: int
     hand_slots: int
     row: bytes
+    lane: int = 0
     image: tuple[float, bool, int, bytes] | None = None  # time [s], new, width [px], pixels of a new one
 
 

@@ -79,7 +79,7 @@ class RemoteController:
         """What it says; ControllerError for nothing within the wall limit, or what is no action."""
         tick, self._tick = self._tick, self._tick + 1
         try:
-            self._line.act(tick, seen, self.sees, self._limit_s)
+            self._line.act(tick, seen, self.sees, self._lane, self._limit_s)
             said = self._line.hear(self._limit_s)
             if isinstance(said, SaidMove | SaidStop):
                 if said.tick != tick:
