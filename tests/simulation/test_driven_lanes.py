@@ -76,6 +76,7 @@ class Nan(Bad):
 class Leaves(Bad):
     def fail(self): os._exit(3)
 """
+EXAMPLE = f"{Path(__file__).parents[2] / 'examples' / 'stop_and_go_together.py'}:StopAndGo"
 OTHER = hand(MoveTo(position_in_base_m=(0.85, 0.3, 0.3), speed_mps=1.2), at=(1.2, 0.8, 0.3), name="left")
 
 
@@ -129,9 +130,9 @@ def one_by_one(admitted: Sequence[Admitted]) -> list[Trace | Exception]:
     return found
 
 
-@pytest.mark.parametrize("who", ["stop when near", "Plain", "Together"])
+@pytest.mark.parametrize("who", ["stop when near", "Plain", "Together", EXAMPLE])
 def test_lanes_are_the_runs_one_by_one(file: Path, who: str) -> None:
-    admitted = driven_by(who if " " in who else f"{file}:{who}", *varied())
+    admitted = driven_by(f"{file}:{who}" if who.isalpha() else who, *varied())
     expected = one_by_one(admitted)
     assert not any(isinstance(one, Exception) for one in expected)
     assert_alike(list(run_all(admitted, KINEMATIC)), expected)
