@@ -221,8 +221,8 @@ def table(measured: Sequence[Side]) -> Iterator[str]:
             best = 1.0 / min(both for both in (turn[1] + turn[2] for turn in side.turns))
             met = [("met" if rate >= AIM else "NOT MET") for rate in (side.rates()[0], best)]
             yield (
-                f"Aim: {AIM} episodes/s on one core, {side.what}: by the wall, median, {met[0]}; by processor "
-                f"time, in the quickest turn {best:.0f}, {met[1]}."
+                f"Aim: {AIM} episodes/s on one core, {side.what}: by the wall, median, {met[0]}; "
+                f"by processor time, in the quickest turn {best:.0f}, {met[1]}."
             )
 
 
