@@ -1,10 +1,10 @@
-"""Where the processor's time of a campaign's episode goes, part by part.  Writes benchmarks/PARTS.md or FILE.md.
+"""Where the processor's time of a campaign's episode goes, part by part.  Writes benchmarks/PARTS.md.
 
 Run: python benchmarks/parts.py [FILE.md] [--against FOLDER] [--turns N] [--episodes N].
 
-Episodes of 500 ticks of `unseen-both` with three claims, 64 at a time, as ``million.py`` runs them, in a process
-of their own each turn; the checkout in FOLDER takes turns with this one.  Below, an avoider of a user's file that
-answers many questions in one call, and one that does not, beside the shipped one.
+Episodes of 500 ticks of `unseen-both` with three claims, 64 at a time, as ``million.py`` runs them, in a
+process of their own each turn; the checkout in FOLDER takes turns with this one.  Below, an avoider of a
+user's file that answers many questions in one call, and one that does not, beside the shipped one.
 """
 
 from __future__ import annotations
@@ -140,11 +140,11 @@ def main() -> None:
         (
             "# Where an episode's time goes",
             "",
-            f"Written by `python benchmarks/parts.py --against FOLDER`. {platform.system()} {platform.machine()}, "
-            f"{os.cpu_count()} cores, Python {platform.python_version()}, load {load:.1f} at the beginning and "
-            f"{os.getloadavg()[0]:.1f} at the end; {given.turns} turns of {given.episodes} episodes.",
-            "Milliseconds of the processor an episode of 500 ticks, of the batches of a turn the least; of the turns",
-            "the median (least). A user's file answers in a process of its own, whose time is not in it.",
+            f"Written by `make bench-parts`. {platform.system()} {platform.machine()}, {os.cpu_count()} cores, "
+            f"Python {platform.python_version()}, load {load:.1f} at the beginning and {os.getloadavg()[0]:.1f} "
+            f"at the end; {given.turns} turns of {given.episodes} episodes.",
+            "Milliseconds of the processor an episode of 500 ticks, of the batches of a turn the least; of the",
+            "turns the median (least). A user's file answers in a process of its own, whose time is not in it.",
             "",
             *first,
             "",

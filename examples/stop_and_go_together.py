@@ -1,6 +1,6 @@
 """The controller of stop_and_go.py, which answers for many episodes at once, as campaigns ask.
 
-safety-harness run scenarios/hand-visits-and-leaves.yaml --controller examples/stop_and_go_together.py:StopAndGo
+safety-harness run FILE --controller examples/stop_and_go_together.py:StopAndGo
 """
 
 import numpy as np
