@@ -136,15 +136,19 @@ def main() -> None:
                 sides[name].append(turn(here, given.episodes, avoider))
     first = list(rows({name: sides[name] for name in checkouts}))
     second = list(rows({name: sides[name] for name in avoiders}))
+    machine = f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores"
+    loads = f"load {load:.1f} at the beginning and {os.getloadavg()[0]:.1f} at the end"
+    head = (
+        f"Written by `make bench-parts`. {machine}, Python {platform.python_version()}, {loads};",
+        f"{given.turns} turns of {given.episodes} episodes. Milliseconds of the processor an episode of 500 ticks, of the batches of a",
+        "turn the least; of the turns the median (least). A user's file answers in a process of its own, whose",
+        "time is not in it.",
+    )
     text = "\n".join(
         (
             "# Where an episode's time goes",
             "",
-            f"Written by `make bench-parts`. {platform.system()} {platform.machine()}, {os.cpu_count()} cores, "
-            f"Python {platform.python_version()}, load {load:.1f} at the beginning and {os.getloadavg()[0]:.1f} "
-            f"at the end; {given.turns} turns of {given.episodes} episodes.",
-            "Milliseconds of the processor an episode of 500 ticks, of the batches of a turn the least; of the",
-            "turns the median (least). A user's file answers in a process of its own, whose time is not in it.",
+            *head,
             "",
             *first,
             "",
