@@ -140,9 +140,9 @@ def main() -> None:
     loads = f"load {load:.1f} at the beginning and {os.getloadavg()[0]:.1f} at the end"
     head = (
         f"Written by `make bench-parts`. {machine}, Python {platform.python_version()}, {loads};",
-        f"{given.turns} turns of {given.episodes} episodes. Milliseconds of the processor an episode of 500 ticks, of the batches of a",
-        "turn the least; of the turns the median (least). A user's file answers in a process of its own, whose",
-        "time is not in it.",
+        f"{given.turns} turns of {given.episodes} episodes. Milliseconds of the processor an episode of",
+        "500 ticks, of the batches of a turn the least; of the turns the median (least). A user's file",
+        "answers in a process of its own, whose time is not in it.",
     )
     text = "\n".join(
         (
