@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from safety_harness.avoidance.avoider import AvoiderAround as AvoiderAround
     from safety_harness.avoidance.avoider import Proposal as Proposal
     from safety_harness.controller.contract import Move as Move
+    from safety_harness.controller.contract import Moves as Moves
     from safety_harness.controller.contract import Report as Report
     from safety_harness.controller.contract import Seen as Seen
     from safety_harness.controller.contract import Stop as Stop
@@ -91,7 +92,7 @@ _HOMES = {
     "admission.spaces": ("AdmittedDraws", "draw_admissible"),
     "admission.trial": ("judge", "run_kinematic", "run_many", "run_trial"),
     "avoidance.avoider": ("Avoider", "AvoiderAround", "Proposal"),
-    "controller.contract": ("Move", "Report", "Seen", "Stop", "UserController"),
+    "controller.contract": ("Move", "Moves", "Report", "Seen", "Stop", "UserController"),
     "exceptions": ("InputError", "SafetyHarnessError"),
     "formulas.claim": ("FormulaClaim",),
     "formulas.parse": ("parse_formula",),

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from safety_harness.admission.avoiders import avoider_sha256, folder_of
 from safety_harness.avoidance.avoider import Avoider, Proposal, Vector
-from safety_harness.controller.contract import IMAGE, OBJECT, UserController, sees_of
+from safety_harness.controller.contract import DECISIONS, IMAGE, OBJECT, UserController, reports_of, sees_of
 from safety_harness.controller.named import controller_of, controller_sha256, refuse_unusable_controller
 from safety_harness.controller.python_file import checked_controller
 from safety_harness.exceptions import AvoiderError, InadmissibleError, Place
@@ -43,6 +44,21 @@ class MadeDriver:
     controller: UserController
     make: Callable[[], UserController]
     sha256: str = ""  # of its file; empty for one that ships, or without a file
+    _lanes: list[UserController] = field(default_factory=list, init=False, repr=False)
+
+    @property
+    def many(self) -> bool:
+        """Can it drive many episodes side by side, with a controller for each?"""
+        return getattr(self.controller, "another", None) is not None and DECISIONS not in reports_of(
+            self.controller
+        )
+
+    def lane(self, number: int) -> UserController:
+        """The controller of a lane, the same each time; the first is that of single runs."""
+        another: Any = getattr(self.controller, "another", None)
+        while len(self._lanes) <= number:
+            self._lanes.append(another() if self._lanes else self.controller)
+        return self._lanes[number]
 
     @property
     def component(self) -> Component:

@@ -226,8 +226,10 @@ def _driven_otherwise(run: DrivenRun, scenario: Scenario) -> str:
     if again[0].sha256 != again[1].sha256:
         return f"the controller does not repeat itself: two fresh ones drive {run.run} differently"
     if again[0].sha256 != run.sha256:
-        carries = "the controller carries something over from earlier episodes"
-        return f"{carries}: a fresh one drives {run.run} otherwise"
+        carries = (
+            "the controller carries something over from earlier episodes, or its act_many is not its act"
+        )
+        return f"{carries}: a fresh one, alone, drives {run.run} otherwise"
     return ""
 
 

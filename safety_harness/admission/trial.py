@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
@@ -13,16 +14,19 @@ from safety_harness.admission.claims import property_of
 from safety_harness.avoidance.asking import OutOfProcessAvoider, takes_many
 from safety_harness.avoidance.avoider import Avoider, shown_to
 from safety_harness.controller.controller import Controller
-from safety_harness.exceptions import InadmissibleError, InstallationError, refuse_other_type
+from safety_harness.exceptions import ControllerError, InadmissibleError, InstallationError, refuse_other_type
 from safety_harness.perception.detector import BoundingBoxDetector
 from safety_harness.properties.base import Evaluation
 from safety_harness.properties.true_motion import refuse_contradictions
 from safety_harness.scenario.decision_times import refuse_wall_clock
-from safety_harness.simulation.simulate import Episode, simulate, simulate_many
+from safety_harness.simulation.kinematic_world import KinematicWorld
+from safety_harness.simulation.simulate import Episode, simulate, simulate_driven, simulate_many
 from safety_harness.simulation.world import BatchWorld
 from safety_harness.simulation.worlds import KINEMATIC, REFERENCE, WorldEntry
 from safety_harness.trace.trace import Trace
 
+LOGGER = logging.getLogger("safety_harness.controller")
+MOST_LANES = 64  # of a user's controller
 TICKS_AT_ONCE = 32_768  # of all episodes under way together: some 24 MB of trace
 
 
@@ -73,23 +77,10 @@ def run_many(
     NoAnswerError for one that hangs; InadmissibleError for a scenario by the wall's clock, which is for the
     slower loop.
     """
-    chunk: list[Admitted] = []
-    ticks = 0
-    for admitted in scenarios:
-        refuse_other_type("run_many(scenarios)", admitted, Admitted)
-        # one after another: what a driver remembers is in their order, what is seen is not kept in a batch
-        if admitted.driver is not None or shown_to(admitted.avoider):
-            yield from _run_chunk(chunk, world)
-            chunk, ticks = [], 0
-            yield run_trial(admitted, world=world)
-            continue
-        refuse_wall_clock(admitted.scenario, InadmissibleError, whose="these runs")
-        if chunk and ticks + admitted.scenario.ticks + 1 > ticks_at_once:
-            yield from _run_chunk(chunk, world)
-            chunk, ticks = [], 0
-        chunk.append(admitted)
-        ticks += admitted.scenario.ticks + 1
-    yield from _run_chunk(chunk, world)
+    for run in _runs(scenarios, world, ticks_at_once):
+        if isinstance(run, Exception):
+            raise run
+        yield run
 
 
 def run_all(admitted: Sequence[Admitted], world: WorldEntry) -> Iterator[Trace | Exception]:
@@ -98,20 +89,49 @@ def run_all(admitted: Sequence[Admitted], world: WorldEntry) -> Iterator[Trace |
     All together where the world takes many, and one by one if any of them breaks.  InstallationError for a
     world that is not installed, which is no run's failure.
     """
-    together = all(one.driver is None for one in admitted)  # others go one after another anyhow
-    if world.batch and len(admitted) > 1 and together:
+    if world.batch and len(admitted) > 1:
         try:
-            yield from list(run_many(admitted, world=world))
+            yield from list(_runs(admitted, world, TICKS_AT_ONCE))
             return
         except Exception:
             pass
     for one in admitted:
-        try:
-            yield next(run_many([one], world=world)) if world.batch else run_trial(one, world=world)
-        except InstallationError:
-            raise
-        except Exception as error:  # one run's failure is a finding
-            yield error
+        yield _attempt(one, world)
+
+
+def _runs(
+    scenarios: Iterable[Admitted], world: WorldEntry, ticks_at_once: int
+) -> Iterator[Trace | Exception]:
+    """In chunks of those that can run together; an Exception is of a user's controller in its episode."""
+    chunk: list[Admitted] = []
+    ticks, of = 0, None
+    for admitted in scenarios:
+        refuse_other_type("run_many(scenarios)", admitted, Admitted)
+        driver = admitted.driver
+        # one after another: what a driver remembers is in their order, what is seen is not kept in a batch
+        alone = shown_to(admitted.avoider) if driver is None else not (driver.many and world is KINEMATIC)
+        if driver is None and not alone:
+            refuse_wall_clock(admitted.scenario, InadmissibleError, whose="these runs")
+        full = ticks + admitted.scenario.ticks + 1 > ticks_at_once or (driver and len(chunk) == MOST_LANES)
+        if chunk and (alone or full or driver is not of):
+            yield from _run_chunk(chunk, world)
+            chunk, ticks = [], 0
+        if alone:
+            yield run_trial(admitted, world=world) if driver is None else _attempt(admitted, world)
+            continue
+        chunk, of = [*chunk, admitted], driver
+        ticks += admitted.scenario.ticks + 1
+    yield from _run_chunk(chunk, world)
+
+
+def _attempt(one: Admitted, world: WorldEntry) -> Trace | Exception:
+    try:
+        together = world.batch and one.driver is None
+        return next(run_many([one], world=world)) if together else run_trial(one, world=world)
+    except InstallationError:
+        raise
+    except Exception as error:  # one run's failure is a finding
+        return error
 
 
 def slower_because(avoider: Avoider) -> str:
@@ -132,7 +152,10 @@ def judge(trace: Trace, *, file: Path | None = None) -> tuple[Evaluation, ...]:
     return tuple(property_of(claim, trace.scenario).evaluate(trace) for claim in trace.scenario.claims)
 
 
-def _run_chunk(chunk: list[Admitted], world: WorldEntry) -> Iterator[Trace]:
+def _run_chunk(chunk: list[Admitted], world: WorldEntry) -> Iterator[Trace | Exception]:
+    if chunk and chunk[0].driver is not None:
+        yield from _drive_chunk(chunk)
+        return
     with ExitStack() as opened:
         worlds = [
             opened.enter_context(world.open(one.scenario, one.arm, one.joint_position_rad)) for one in chunk
@@ -146,6 +169,29 @@ def _run_chunk(chunk: list[Admitted], world: WorldEntry) -> Iterator[Trace]:
     traces.reverse()
     for one in chunk:
         yield _of_avoider(traces.pop(), one)  # what the caller has let go of is not kept for the others' sake
+
+
+def _drive_chunk(chunk: list[Admitted]) -> Iterator[Trace | Exception]:
+    """In lanes; one by one where that breaks for all, so that what one does costs its own episode alone."""
+    driver = chunk[0].driver
+    assert driver is not None
+    if len(chunk) > 1:
+        try:
+            with ExitStack() as opened:
+                episodes = []
+                for number, one in enumerate(chunk):
+                    world = KINEMATIC.open(one.scenario, one.arm, one.joint_position_rad)
+                    episode = cast(KinematicWorld, opened.enter_context(world))
+                    episodes.append((one.scenario, episode, one.driven_by(driver.lane(number))))
+                runs = simulate_driven(episodes)
+        except ControllerError as error:
+            LOGGER.warning("%d episodes side by side broke off and run one by one: %s", len(chunk), error)
+        else:
+            for one, run in zip(chunk, runs, strict=True):
+                yield run if isinstance(run, Exception) else _of_avoider(run, one)
+            return
+    for one in chunk:
+        yield _attempt(one, KINEMATIC)
 
 
 def _of_avoider(trace: Trace, admitted: Admitted) -> Trace:

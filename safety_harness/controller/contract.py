@@ -225,6 +225,21 @@ Action = Move | Stop
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
+class Moves:
+    """What ``act_many`` returns: the ``Move`` or ``Stop`` of each of n episodes.
+
+    ``tcp_velocity_mps`` (n, 3), ``tcp_angular_velocity_radps`` (n, 3) and ``joint_velocity_radps`` (n, j) as
+    of ``Move``; ``stop`` (n,) is true of those that stop.  ``mode`` (n,) is each one's, if it is reported.
+    """
+
+    tcp_velocity_mps: Floats | None = None
+    tcp_angular_velocity_radps: Floats | None = None
+    joint_velocity_radps: Floats | None = None
+    stop: NDArray[np.bool_] | None = None
+    mode: NDArray[np.int64] | None = None
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
 class DrivenArm:
     """The arm that is driven, n turning joints; arrays are read-only.
 
@@ -257,6 +272,10 @@ class UserController(Protocol):
 
     It may also have ``reports``, words of ``REPORTS``: what it says of itself in the ``report`` of each
     action.  What it raises, and an action that is none, cost the episode: it has failed, with that reason.
+
+    Its class may have ``act_many(controllers, seen)``, which gives the ``Moves`` of so many episodes at once,
+    the bits that ``act`` of each controller gives.  ``seen`` has the arrays of ``arrays.observed`` of what it
+    ``sees``, n rows each, ``time_s`` (n,) and ``period_s``.  Many episodes then run in lanes, side by side.
     """
 
     @property

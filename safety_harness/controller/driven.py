@@ -14,6 +14,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from safety_harness.controller.answers import Answers, in_act, numbers
 from safety_harness.controller.contract import (
     DECISIONS,
     DOUBT,
@@ -21,13 +22,12 @@ from safety_harness.controller.contract import (
     MODE,
     OBJECT,
     PREDICTED_HANDS,
+    Action,
     Decision,
     DrivenArm,
-    Move,
     Report,
     Seen,
     Start,
-    Stop,
     UserController,
     reports_of,
     sees_of,
@@ -42,9 +42,9 @@ from safety_harness.controller.records import (
     parameters_dtype,
 )
 from safety_harness.controller.rows import SeenLayout, seen_dtype
-from safety_harness.controller.seeing import SeenRecords, driven_records, obey, see
+from safety_harness.controller.seeing import DrivenRecords, SeenRecords, driven_records, obey, see
 from safety_harness.controller.shield import Guard, keep_apart, no_guard
-from safety_harness.exceptions import ControllerError, described, printable
+from safety_harness.exceptions import ControllerError, described
 from safety_harness.perception.hand_filter import FILTER_PARAMETERS
 from safety_harness.perception.tracking import no_tracks
 from safety_harness.robot.description import ArmModel
@@ -52,7 +52,7 @@ from safety_harness.robot.kinematics import links_in_base
 from safety_harness.servoing.control import DesiredView
 from safety_harness.settings import Settings
 from safety_harness.trace.known import NOT_REPORTED, OF_DECISIONS, Measurement
-from safety_harness.trace.records import DECISION, Mode, as_compiled, decision_dtype, tick_dtype
+from safety_harness.trace.records import DECISION, as_compiled, decision_dtype, tick_dtype
 
 Floats = NDArray[np.float64]
 
@@ -94,18 +94,15 @@ class DrivenController:
         self.sees, self.reports = sees_of(user), reports_of(user)
         joints = len(arm.joint_names)
         records = driven_records(settings, arm, view, hand_slots)
-        self._parameters, self._filter, self._state, self._tracks, self._seen, self._command = records
-        self._question = QuestionRecords(np.zeros(1, QUESTION))
         self._decision = decision_dtype(joints)
         self._decisions: list[NDArray[np.void]] = []
-        self._twist, self._joints, self._nothing = np.zeros(6), np.zeros(joints), np.zeros(6)
-        self._period_s = settings.clock.control_period_s
-        self._layout = SeenLayout(hand_slots, joints, self.sees)
-        self._floats = self._seen.view(np.float64)[: self._layout.wanted]
-        self._wants = OBJECT in self.sees, PREDICTED_HANDS in self.sees
-        self._mode = -1  # as reported at this tick
+        self.answers = Answers(1, joints, self.reports)
+        self.period_s = settings.clock.control_period_s
+        self.layout = SeenLayout(hand_slots, joints, self.sees)
+        self.lie_in(records, QuestionRecords(np.zeros(1, QUESTION)))
+        self.wants = OBJECT in self.sees, PREDICTED_HANDS in self.sees
         self._see, self._obey, self._tell = _entries(hand_slots, joints)
-        self._guard = guard or no_guard(hand_slots, joints)
+        self.guard = guard or no_guard(hand_slots, joints)
         self._image: Callable[[], Any] | None = None
         pose = links_in_base(arm, joint_position_rad)[-1]
         start = Start(joint_position_rad=_frozen(joint_position_rad), transform_tcp_to_base=_frozen(pose))
@@ -114,7 +111,12 @@ class DrivenController:
         except ControllerError:
             raise
         except (Exception, SystemExit) as error:  # a user's code may raise anything
-            raise self._failed("reset raised", described(error)) from error
+            raise self.failed(f"reset raised: {described(error)}") from error
+
+    def lie_in(self, records: DrivenRecords, question: QuestionRecords) -> None:
+        """All that it knows lies there from now on.  ``question`` (1,) QUESTION."""
+        self.records, self.question = records, question
+        self._floats = records.seen.view(np.float64)[: self.layout.wanted]
 
     def sees_images_of(self, image: Callable[[], Any]) -> None:
         """Let it see the ``image()`` of now, if "image" is among its sees."""
@@ -123,13 +125,17 @@ class DrivenController:
     def step(self, observation: NDArray[np.void]) -> NDArray[np.void]:
         """(1,) OBSERVATION to (1,) COMMAND."""
         self.look(observation)
-        return self.carry_out(*self._asked(), observation)
+        self.ask()
+        by_joints = bool(self.answers.by_joints[0])
+        wanted = self.answers.joints[0] if by_joints else self.answers.twists[0]
+        return self.carry_out(wanted, by_joints, bool(self.answers.stop[0]), observation)
 
     def look(self, observation: NDArray[np.void]) -> SeenRecords:
         """(1,) SEEN of (1,) OBSERVATION: the first half of ``step``."""
         o = ObservationRecords(observation)
-        self._see(self._parameters, self._filter, self._state, self._tracks, o, self._seen, *self._wants)
-        return self._seen
+        r = self.records
+        self._see(r.parameters, r.filter_parameters, r.state, r.tracks, o, r.seen, *self.wants)
+        return r.seen
 
     def carry_out(
         self, wanted: Floats, by_joints: bool, stop: bool, observation: NDArray[np.void]
@@ -138,14 +144,18 @@ class DrivenController:
 
         ``wanted`` (6,) or (n,), ``observation`` (1,) OBSERVATION; ControllerError for what is not finite.
         """
-        o = ObservationRecords(observation)
-        if not self._obey(self._parameters, self._state, o, wanted, by_joints, stop, self._command):
-            raise self._failed("act returned", f"velocities that are not finite: {wanted.tolist()}")
-        if len(self._guard.shield):
-            tick = int(self._question[0]["tick"])
-            keep_apart(self._parameters, self._state, *self._guard, o, self._command, tick)
-        self._question["tick"] += 1
-        return self._command
+        o, r = ObservationRecords(observation), self.records
+        if not self._obey(r.parameters, r.state, o, wanted, by_joints, stop, r.command):
+            raise self.not_finite(wanted)
+        self.shielded(o, int(self.question[0]["tick"]))
+        self.question["tick"] += 1
+        return r.command
+
+    def shielded(self, observation: ObservationRecords, tick: int) -> None:
+        """The command as the shield leaves it, if there is one.  ``observation`` (1,) OBSERVATION."""
+        if len(self.guard.shield):
+            r = self.records
+            keep_apart(r.parameters, r.state, *self.guard, observation, r.command, tick)
 
     def report(self, tick: NDArray[np.void]) -> None:
         """Write what it saw and reports into ``tick`` (1,) TICK."""
@@ -153,9 +163,9 @@ class DrivenController:
 
     def report_compiled(self, tick: NDArray[np.void]) -> None:
         """As ``report``, into a tick (1,) ``as_compiled``."""
-        self._tell(self._state, self._question, self._command, tick)
-        if self._mode >= 0:
-            tick["mode"] = self._mode
+        self._tell(self.records.state, self.question, self.records.command, tick)
+        if self.answers.modes[0] >= 0:
+            tick["mode"] = self.answers.modes[0]
 
     @property
     def decisions(self) -> NDArray[np.void]:
@@ -173,7 +183,7 @@ class DrivenController:
     @property
     def interventions(self) -> NDArray[np.void]:
         """(n,) INTERVENTION: what the shield did in each tick of the run; empty without one."""
-        return self._guard.interventions
+        return self.guard.interventions
 
     @property
     def known(self) -> dict[str, Measurement]:
@@ -188,89 +198,56 @@ class DrivenController:
             of_decisions, lacking = [*(DECISION.names or ())], [*lacking, "decision"]
         return dict.fromkeys([*lacking, *(OF_DECISIONS + name for name in of_decisions)], NOT_REPORTED)
 
-    def _asked(self) -> tuple[Floats, bool, bool]:
-        """What it wants of the arm until the next tick: velocities, are they the joints', is it a stop?"""
+    def ask(self) -> None:
+        """What it wants of the arm until the next tick, into ``answers``."""
         row = self._floats.copy()
         row.flags.writeable = False
-        seen = Seen.of_row(float(row[0]), self._period_s, self._layout, row)
+        seen = Seen.of_row(float(row[0]), self.period_s, self.layout, row)
         if self._image is not None and IMAGE in self.sees:
             seen.__dict__["image"] = self._image()
         try:
             action = self.user.act(seen)
+            self.answers.take(0, action)
+            self._note(action)
         except ControllerError as error:
-            raise self._failed(
-                "act raised" if not str(error).startswith("act") else "", str(error)
-            ) from error
+            raise self.failed(in_act(error)) from error
         except (Exception, SystemExit) as error:  # a user's code may raise anything
-            raise self._failed("act raised", described(error)) from error
-        self._note(action)
-        if isinstance(action, Stop):
-            return self._nothing, False, True
-        if not isinstance(action, Move):
-            raise self._failed("act returned no Move and no Stop", printable(repr(action)))
-        return self._move(action)
+            raise self.failed(f"act raised: {described(error)}") from error
 
-    def _move(self, action: Move) -> tuple[Floats, bool, bool]:
-        linear, angular = action.tcp_velocity_mps, action.tcp_angular_velocity_radps
-        if action.joint_velocity_radps is not None:
-            if linear is not None or angular is not None:
-                raise self._failed("act returned a Move", "of the TCP and of the joints at once")
-            self._joints[:] = self._numbers("joint_velocity_radps", action.joint_velocity_radps, self._joints)
-            return self._joints, True, False
-        twist = self._twist
-        twist[:3] = 0.0 if linear is None else self._numbers("tcp_velocity_mps", linear, twist[:3])
-        twist[3:] = (
-            0.0 if angular is None else self._numbers("tcp_angular_velocity_radps", angular, twist[3:])
-        )
-        return twist, False, False
+    def not_finite(self, wanted: Floats) -> ControllerError:
+        """Of what it ``wanted`` (6,) or (n,)."""
+        return self.failed(f"act returned: velocities that are not finite: {wanted.tolist()}")
 
-    def _numbers(self, name: str, value: object, like: Floats) -> Floats:
-        """Real numbers in the shape of ``like``."""
-        try:
-            given = np.asarray(value)
-        except (TypeError, ValueError) as error:
-            raise self._failed(f"act returned a {name} that is no array of numbers", str(error)) from error
-        if given.dtype.kind not in "fiu" or given.shape != like.shape:
-            what = f"{given.dtype} of the shape {given.shape}"
-            raise self._failed(
-                f"act returned a {name} other than real numbers of the shape {like.shape}", what
-            )
-        return given
+    def failed(self, why: str) -> ControllerError:
+        """It cannot go on at this tick."""
+        when = f" at {float(self.records.seen[0]['time_s']):.3f} s"
+        return ControllerError(f"the controller {self.name!r}: {why}{when}")
 
-    def _failed(self, what: str, got: str) -> ControllerError:
-        when = f" at {float(self._seen[0]['time_s']):.3f} s"
-        return ControllerError(f"the controller {self.name!r}: {what + ': ' if what else ''}{got}{when}")
-
-    def _note(self, action: object) -> None:
-        """What it reports of itself; ControllerError if that is less than it says."""
-        if not self.reports:
+    def _note(self, action: Action) -> None:
+        """The decision that it reports, if it does."""
+        if DECISIONS not in self.reports:
             return
-        said = getattr(action, "report", None)
-        if MODE in self.reports:
-            if not isinstance(said, Report) or not isinstance(said.mode, Mode):
-                raise self._failed("act reported no Mode", 'though "mode" is among its reports')
-            self._mode = int(said.mode)
-        if DECISIONS in self.reports:
-            decision = said.decision if isinstance(said, Report) else None
-            self._question["made_now"] = decision is not None
-            if decision is not None:
-                self._decisions.append(self._record(decision))
-                self._question["made"] += 1
+        said = action.report
+        decision = said.decision if isinstance(said, Report) else None
+        self.question["made_now"] = decision is not None
+        if decision is not None:
+            self._decisions.append(self._record(decision))
+            self.question["made"] += 1
 
     def _record(self, decision: Decision) -> NDArray[np.void]:
         """(1,) DECISION."""
         record = np.zeros(1, self._decision)
-        record["tick"] = record["asked_tick"] = self._question["tick"]
+        record["tick"] = record["asked_tick"] = self.question["tick"]
         for name in ("time_s", "joint_position_rad"):
-            record[name] = self._seen[name]
-        record["tcp_position_in_base_m"] = self._state["transform_tcp_to_base"][0, :3, 3]
+            record[name] = self.records.seen[name]
+        record["tcp_position_in_base_m"] = self.records.state["transform_tcp_to_base"][0, :3, 3]
         record["opposite_position_in_base_m"] = np.nan
         record["outcome"], record["trigger"] = int(decision.outcome), int(decision.trigger)
         pairs = {"proposed_spread_m": decision.spread_m, "spread_threshold_m": decision.spread_threshold_m}
         for name in ("hand", "proposed", "chosen"):
             pairs[f"{name}_position_in_base_m"] = getattr(decision, f"{name}_position_in_base_m")
         for name, value in pairs.items():
-            record[name] = self._numbers(name, value, record[name][0])
+            record[name] = numbers(name, value, record[name][0].shape)
         return record
 
 
@@ -306,6 +283,8 @@ _ENTRIES: dict[tuple[Any, tuple[Any, ...]], Callable[..., Any]] = {}
 
 def _kind(argument: Any) -> Any:
     """All that its type depends on for numba, which takes milliseconds to find that out for an episode."""
+    if isinstance(argument, tuple):
+        return type(argument), tuple(map(_kind, argument))
     if not isinstance(argument, np.ndarray):
         return type(argument)
     is_ = argument.flags

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +16,7 @@ from safety_harness.controller.contract import (
     Action,
     DrivenArm,
     Move,
+    Moves,
     Report,
     Seen,
     Start,
@@ -42,6 +45,10 @@ class StopWhenNear:
         self._gain = settings.servo.gain_far
         self._near_m = settings.avoidance.critical_distance_m
 
+    def another(self) -> StopWhenNear:
+        """One more, for an episode beside."""
+        return StopWhenNear()
+
     def act(self, seen: Seen) -> Action:
         """Stop, or on towards the desired pose."""
         tcp = seen.tcp_position_in_base_m
@@ -55,6 +62,29 @@ class StopWhenNear:
             report=_GOING,
         )
 
+    @staticmethod
+    def act_many(controllers: Sequence[StopWhenNear], seen: Mapping[str, NDArray[Any]]) -> Moves:
+        """As ``act`` of each, to the last bit."""
+        gains = np.array([one._gain for one in controllers])[:, None]
+        near_m = np.array([one._near_m for one in controllers])[:, None]
+        tcp = seen["tcp_position_in_base_m"]
+        way = np.ascontiguousarray(seen["hands"] - tcp[:, None])
+        near = ~(_squared(way) >= near_m**2) & (seen["hands_there"] != 0)
+        stop = near.any(axis=1)
+        target = np.array([one._target_in_base_m for one in controllers])
+        return Moves(
+            tcp_velocity_mps=gains * (target - tcp),
+            tcp_angular_velocity_radps=gains * _turns(seen["transform_tcp_to_base"]),
+            stop=stop,
+            mode=np.where(stop, int(Mode.PROTECTIVE_STOP), int(Mode.SERVOING)),
+        )
+
+
+def _squared(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(...,) of (..., 3), the bits of ``v @ v`` of each."""
+    found: NDArray[np.float64] = (vectors[..., None, :] @ vectors[..., :, None])[..., 0, 0]
+    return found
+
 
 def _turn(transform_tcp_to_base: NDArray[np.float64]) -> NDArray[np.float64]:
     """(3,) rotation vector in the base frame from the TCP's orientation to looking straight down."""
@@ -63,3 +93,16 @@ def _turn(transform_tcp_to_base: NDArray[np.float64]) -> NDArray[np.float64]:
     sine = math.sqrt(axis @ axis)
     angle = math.atan2(sine, 0.5 * (x[0] - y[1] - z[2] - 1.0))
     return axis if sine < 1e-9 else axis * (angle / sine)
+
+
+def _turns(transforms_tcp_to_base: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(n, 3) of (n, 4, 4), the bits of ``_turn`` of each: the angle by the same function."""
+    x, y, z = (transforms_tcp_to_base[:, row] for row in range(3))
+    halves = 0.5 * (z[:, 1] - y[:, 2]), 0.5 * (z[:, 0] + x[:, 2]), -0.5 * (x[:, 1] + y[:, 0])
+    axis = np.stack(halves, axis=1)
+    sine = np.sqrt(_squared(axis))
+    cosine = 0.5 * (x[:, 0] - y[:, 1] - z[:, 2] - 1.0)
+    angle = np.array(list(map(math.atan2, sine.tolist(), cosine.tolist())))
+    tiny = sine < 1e-9
+    scale = np.where(tiny, 1.0, angle / np.where(tiny, 1.0, sine))
+    return axis * scale[:, None]

@@ -11,18 +11,20 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from safety_harness.admission.admit import Checked
+from safety_harness.controller.answers import NOT_REPORTED
 from safety_harness.controller.arrays import Arrays, observed
 from safety_harness.controller.contract import OBJECT, PREDICTED_HANDS
+from safety_harness.controller.cycle import QUESTION
 from safety_harness.controller.seeing import DrivenRecords, driven_records
 from safety_harness.exceptions import InadmissibleError
 from safety_harness.gym.environment import REWARDS, SEES, TCP_VELOCITY, Setting
 from safety_harness.gym.episodes import File
-from safety_harness.gym.lanes import look_lane, placed, stacked, step_lanes
 from safety_harness.scenario.model import Scenario
+from safety_harness.simulation.lanes import look_lanes, obey_lanes, placed, stacked, step_lanes
 from safety_harness.simulation.records import WorldRecords, world_records
 from safety_harness.simulation.worlds import KINEMATIC, WorldEntry
 from safety_harness.space.space import ScenarioSpace
-from safety_harness.trace.records import tick_dtype
+from safety_harness.trace.records import as_compiled, tick_dtype
 
 
 class HarnessVectorEnv(VectorEnv[Any, Any, Any]):
@@ -64,6 +66,7 @@ class HarnessVectorEnv(VectorEnv[Any, Any, Any]):
         first = setting.episodes.first.scenario
         self._tick_dtype = tick_dtype(first.hand_slots, setting.joints)
         self._left = np.zeros(num_envs, np.int64)  # ticks
+        self._acts = _Acts(num_envs, setting.joints, as_compiled(np.zeros((num_envs, 1), self._tick_dtype)))
         self._way_m = np.zeros(num_envs)
         self._least = {sentence: np.full(num_envs, np.inf) for sentence in setting.rewards.margins}
 
@@ -86,7 +89,8 @@ class HarnessVectorEnv(VectorEnv[Any, Any, Any]):
     ) -> tuple[Arrays, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
         """Every lane a control tick on.  ``actions`` (lanes, a) as of ``action_space``."""
         wanted = self.setting.wanted_of(actions, self.num_envs)
-        step_lanes(self._worlds, self._controllers, wanted, self.setting.by_joints, *self._wants)
+        self._acts.carry_out(self._worlds, self._controllers, wanted, self.setting.by_joints)
+        self._acts.look(self._worlds, self._controllers, self._acts.lasts, self._wants)
         rewards, ticks, way_before_m = self.setting.rewards, self._ticks, self._way_m
         margins, self._way_m = rewards.at(ticks), rewards.way_left_m(ticks)
         for sentence, margin in margins.items():
@@ -119,7 +123,9 @@ class HarnessVectorEnv(VectorEnv[Any, Any, Any]):
         self._worlds = placed(self._worlds, lane, world)
         self._controllers = placed(self._controllers, lane, controller)
         self._left[lane] = checked.scenario.ticks
-        look_lane(self._worlds, self._controllers, lane, *self._wants)
+        alone = np.full(self.num_envs, -1)
+        alone[lane] = 0
+        self._acts.look(self._worlds, self._controllers, alone, self._wants)
 
     def _measured(self, lanes: NDArray[np.int64]) -> None:
         """Where the ``lanes`` (k,) begin."""
@@ -133,6 +139,40 @@ class HarnessVectorEnv(VectorEnv[Any, Any, Any]):
 
     def _margins(self) -> dict[str, NDArray[np.float64]]:
         return {sentence: least.copy() for sentence, least in self._least.items()}
+
+
+class _Acts:
+    """A control tick of all lanes, of which no trace is kept: each writes the one of its ``ticks`` again.
+
+    ``ticks`` (lanes, 1) ``as_compiled``.
+    """
+
+    def __init__(self, lanes: int, joints: int, ticks: NDArray[np.void]) -> None:
+        self._ticks, self.lasts = ticks, np.ones(lanes, np.int64)  # the last tick is another one
+        self._twists, self._joints = np.zeros((lanes, 6)), np.zeros((lanes, joints))
+        self._flags = [np.zeros(lanes, np.bool_) for _ in range(3)]
+        self._questions = np.zeros((lanes, 1), QUESTION)
+        self._modes = np.full(lanes, NOT_REPORTED, np.int64)
+
+    def carry_out(
+        self, worlds: WorldRecords, controllers: DrivenRecords, wanted: NDArray[np.float64], by_joints: bool
+    ) -> None:
+        """Every lane obeys its action, ``wanted`` (lanes, a)."""
+        flags, lasts = self._flags, self.lasts
+        (self._joints if by_joints else self._twists)[:] = wanted
+        flags[0][:] = by_joints
+        obey_lanes(worlds.observation, controllers, lasts, 0, self._twists, self._joints, *flags)
+        step_lanes(worlds, controllers, self._questions, self._ticks, lasts, 0, self._modes)
+
+    def look(
+        self,
+        worlds: WorldRecords,
+        controllers: DrivenRecords,
+        lasts: NDArray[np.int64],
+        wants: tuple[bool, bool],
+    ) -> None:
+        """The lanes whose ``lasts`` (lanes,) are not negative look."""
+        look_lanes(worlds, controllers, lasts, 0, *wants)
 
 
 def _records(checked: Checked) -> tuple[WorldRecords, DrivenRecords]:

@@ -69,6 +69,8 @@ class AvoiderAnswered:
 def unanswered(trace: Trace) -> NDArray[np.bool_]:
     """(m,) decisions without a usable answer for which no fault of the scenario accounts."""
     decisions = trace.decisions
+    if len(decisions) == 0:
+        return np.zeros(0, np.bool_)
     none: NDArray[np.bool_] = decisions["fault"] != ""
     none |= ~(np.abs(decisions["proposed_position_in_base_m"]) < ENDLESS).all(axis=1)
     return none & _own(trace)

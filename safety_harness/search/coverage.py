@@ -120,6 +120,8 @@ def cell_of(trace: Trace, seen: SeenRegions) -> CoverageCell | None:
 
 
 def _measured(trace: Trace, names: Iterable[str]) -> bool:
+    if not trace.known.columns:
+        return True
     return not any(trace.known.missing([name]) or trace.known.of(name).gaps for name in names)
 
 

@@ -18,7 +18,7 @@ from safety_harness.controller.driven import DrivenController
 from safety_harness.exceptions import ControllerError
 from safety_harness.robot.robots import arm_model, urdf_sha256_of
 from safety_harness.scenario.model import Scenario
-from safety_harness.simulation.driving import drive
+from safety_harness.simulation.driving import Lane, drive
 from safety_harness.simulation.kinematic_world import KinematicWorld
 from safety_harness.simulation.world import BatchWorld, World
 from safety_harness.simulation.worlds import libraries_of
@@ -42,8 +42,12 @@ def simulate(
     ticks = no_ticks(scenario)
     done, ended = 0, "complete"
     if isinstance(controller, DrivenController) and type(world) is KinematicWorld:
-        done, ended = _driven(world, controller, ticks, on_tick)
-        return trace_of(scenario, world, controller, ticks[:done], ended)
+        lane = Lane(world, controller, ticks)
+        try:
+            drive([lane], on_tick)
+        except KeyboardInterrupt:
+            ended = INTERRUPTED
+        return trace_of(scenario, world, controller, ticks[: lane.done], ended)
     try:
         for k in range(len(ticks)):
             tick = ticks[k : k + 1]
@@ -64,26 +68,23 @@ def simulate(
     return trace_of(scenario, world, controller, ticks[:done], ended)
 
 
-def _driven(
-    world: KinematicWorld,
-    controller: DrivenController,
-    ticks: NDArray[np.void],
-    on_tick: Callable[[int], None] | None,
-) -> tuple[int, str]:
-    """How many ticks were done, and how it ended."""
-    done = 0
+def simulate_driven(
+    episodes: Sequence[tuple[Scenario, KinematicWorld, DrivenController]],
+) -> list[Trace | ControllerError]:
+    """Run many with users' controllers in lanes, to their ends or to what broke them off.
 
-    def count(number: int) -> None:
-        nonlocal done
-        done = number
-        if on_tick is not None:
-            on_tick(number)
-
-    try:
-        drive(world, controller, ticks, count)
-    except KeyboardInterrupt:
-        return done, INTERRUPTED
-    return done, "complete"
+    Each trace is that of ``simulate``, bit for bit.  ControllerError for what hinders all of them together.
+    """
+    lanes = [Lane(world, controller, no_ticks(scenario)) for scenario, world, controller in episodes]
+    kinds: dict[object, list[Lane]] = {}
+    for lane in lanes:
+        kinds.setdefault(lane.kind, []).append(lane)
+    for alike in kinds.values():
+        drive(alike)
+    return [
+        lane.failed or trace_of(scenario, lane.world, lane.controller, lane.ticks)
+        for lane, (scenario, _, _) in zip(lanes, episodes, strict=True)
+    ]
 
 
 def no_ticks(scenario: Scenario) -> NDArray[np.void]:

@@ -144,6 +144,8 @@ class Knowledge:
 
     def missing(self, names: Iterable[str]) -> tuple[str, ...]:
         """Those of ``names`` that were not measured at all."""
+        if not self.columns:
+            return ()
         return tuple(name for name in names if self.of(name).source in _NOWHERE)
 
     def unreported(self, names: Iterable[str]) -> bool:

@@ -60,7 +60,7 @@ class Overruling:
 
     @classmethod
     def _of_one(cls, trace: Trace) -> Overruling:
-        if not is_measured(trace):
+        if len(trace.decisions) == 0 or not is_measured(trace):
             return cls()
         vetoed = overruled(trace)
         outcome, failed = trace.decisions["outcome"][vetoed], trace.decisions["proposed_failed"][vetoed]

@@ -35,6 +35,8 @@ def as_measured(trace: Trace) -> Trace:
 def filled(trace: Trace, names: Iterable[str]) -> Trace:
     """The same with zeros where a column of ``names`` was not measured, so nothing there is wrong."""
     known = trace.known
+    if not known.columns:
+        return trace
     lacking = [name for name in names if known.missing([name]) or known.of(name).gaps]
     if not lacking:
         return trace

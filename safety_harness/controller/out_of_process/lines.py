@@ -22,6 +22,7 @@ from safety_harness.controller.out_of_process.messages import (
     PROTOCOL,
     Act,
     ActOnRow,
+    ActOnRows,
     Hello,
     MakeController,
     NoController,
@@ -87,7 +88,7 @@ class Line(ABC):
         self._send(self._encoded(told), limit_s)
 
     @abstractmethod
-    def act(self, tick: int, seen: Seen, sees: tuple[str, ...], limit_s: float) -> None:
+    def act(self, tick: int, seen: Seen, sees: tuple[str, ...], lane: int, limit_s: float) -> None:
         """Tell it what is seen at that tick."""
 
     def hear(self, limit_s: float) -> Said:
@@ -144,7 +145,7 @@ class FileLine(Line):
         """And is its process ours, not that of the process that we were forked from?"""
         return super().alive and self._process is not None and self._process.owner == os.getpid()
 
-    def act(self, tick: int, seen: Seen, sees: tuple[str, ...], limit_s: float) -> None:
+    def act(self, tick: int, seen: Seen, sees: tuple[str, ...], lane: int, limit_s: float) -> None:
         """The row of numbers that the harness made ``seen`` of."""
         own = seen.__dict__
         if "_row" not in own:
@@ -154,9 +155,12 @@ class FileLine(Line):
         if image is not None:
             pixels = image.pixels.tobytes() if image.new or tick == 0 else b""
             told = (image.time_s, image.new, image.pixels.shape[1], pixels)
-        self._send(
-            self._encoded(ActOnRow(tick, own["_makers"].hand_slots, own["_row"].tobytes(), told)), limit_s
-        )
+        rows, hand_slots = own["_row"].tobytes(), own["_makers"].hand_slots
+        self._send(self._encoded(ActOnRow(tick, hand_slots, rows, lane, told)), limit_s)
+
+    def act_together(self, lanes: list[int], tick: int, hand_slots: int, rows: bytes, limit_s: float) -> None:
+        """The rows that the controllers of those lanes see."""
+        self._send(self._encoded(ActOnRows(tick, lanes, hand_slots, rows)), limit_s)
 
     def _open(self) -> Channel:
         say_it_is_executed(self._path, self._source, LOGGER)
@@ -187,7 +191,7 @@ class FileLine(Line):
 class _JsonLine(Line):
     """A JSON object a line."""
 
-    def act(self, tick: int, seen: Seen, sees: tuple[str, ...], limit_s: float) -> None:
+    def act(self, tick: int, seen: Seen, sees: tuple[str, ...], lane: int, limit_s: float) -> None:
         """The fields of what is seen."""
         self._send(self._encoded(Act(tick, fields_of(seen, sees))), limit_s)
 

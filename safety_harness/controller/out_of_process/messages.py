@@ -60,6 +60,7 @@ class Reset(Struct, tag="reset", tag_field="say"):
     arm: Any  # DrivenArm
     start: Any  # Start
     seed: str
+    lane: int = 0  # of a process that has a controller for each
 
 
 class Act(Struct, tag="act", tag_field="say"):
@@ -75,7 +76,17 @@ class ActOnRow(Struct, tag="row", tag_field="say"):
     tick: int
     hand_slots: int
     row: bytes
+    lane: int = 0
     image: tuple[float, bool, int, bytes] | None = None  # time [s], new, width [px], pixels of a new one
+
+
+class ActOnRows(Struct, tag="rows", tag_field="say"):
+    """What the controllers of those lanes see at that tick, a row each, with room for so many hands."""
+
+    tick: int
+    lanes: list[int]
+    hand_slots: int
+    rows: bytes
 
 
 class Ready(Struct, tag="ready", tag_field="say", forbid_unknown_fields=True):
@@ -89,6 +100,12 @@ class Welcome(Struct, tag="hello", tag_field="say", forbid_unknown_fields=True):
     name: str
     sees: tuple[str, ...]
     reports: tuple[str, ...] = ()
+
+
+class Made(Welcome, tag="made", tag_field="say", forbid_unknown_fields=True):
+    """That of a process of ours; ``many``: it can make a controller for each of many lanes."""
+
+    many: bool = False
 
 
 class SaidDecision(Struct, forbid_unknown_fields=True):
@@ -127,6 +144,17 @@ class SaidStop(Struct, tag="stop", tag_field="say", forbid_unknown_fields=True):
     report: SaidReport | None = None
 
 
+class SaidRows(Struct, tag="rows", tag_field="say", forbid_unknown_fields=True):
+    """The answers of all lanes that were asked at that tick: the columns of ``Answers``, a row each.
+
+    ``why`` has the lanes that cannot go on.
+    """
+
+    tick: int
+    columns: list[bytes]
+    why: dict[int, str]
+
+
 class Failed(Struct, tag="failed", tag_field="say", forbid_unknown_fields=True):
     """The episode cannot go on, and why."""
 
@@ -141,12 +169,12 @@ class NoController(Struct, tag="none", tag_field="say"):
     hint: str
 
 
-Said = Ready | Welcome | SaidMove | SaidStop | Failed | NoController
-json_said: msgspec.json.Decoder[Said] = msgspec.json.Decoder(Said)
+SaidByProgram = Ready | Welcome | SaidMove | SaidStop | Failed | NoController
+Said = SaidByProgram | Made | SaidRows
+Told = MakeController | Reset | ActOnRow | ActOnRows
+json_said: msgspec.json.Decoder[SaidByProgram] = msgspec.json.Decoder(SaidByProgram)
 binary_said: msgspec.msgpack.Decoder[Said] = msgspec.msgpack.Decoder(Said)
-to_the_process: msgspec.msgpack.Decoder[MakeController | Reset | ActOnRow] = msgspec.msgpack.Decoder(
-    MakeController | Reset | ActOnRow
-)
+to_the_process: msgspec.msgpack.Decoder[Told] = msgspec.msgpack.Decoder(Told)
 
 
 def _plain(value: object) -> object:
@@ -208,6 +236,22 @@ def action_said(action: Action, tick: int) -> SaidMove | SaidStop:
         _numbers(action.joint_velocity_radps),
         report,
     )
+
+
+def as_sent(action: Action) -> Action:
+    """What comes out at the other end; as ``action_said`` for what cannot be sent."""
+    report = action.report
+    plain = report is None or (type(report.mode) is Mode and report.decision is None)
+    values: tuple[object, ...] = ()
+    if isinstance(action, Move):
+        values = action.tcp_velocity_mps, action.tcp_angular_velocity_radps, action.joint_velocity_radps
+    if plain and all(value is None or _is_floats(value) for value in values):
+        return action
+    return action_of(binary_said.decode(as_binary(action_said(action, 0))))  # type: ignore[arg-type]
+
+
+def _is_floats(value: Any) -> bool:
+    return type(value) is np.ndarray and value.dtype == np.float64
 
 
 def _numbers(value: Any) -> Any:

@@ -13,6 +13,7 @@ Metadata
 
 from __future__ import annotations
 
+from copy import copy
 from pathlib import Path
 from typing import Any
 
@@ -73,6 +74,10 @@ class OnnxPolicy:
         """Begin with a state of zeros."""
         self._joints, self._left = len(arm.joint_names), 0
         self._state = {name: np.zeros(shape, self._types[name]) for name, shape in self._states.items()}
+
+    def another(self) -> OnnxPolicy:
+        """One more of the same file, for an episode beside."""
+        return copy(self)
 
     def act(self, seen: Seen) -> Action:
         """What the file answers, held for its ticks."""

@@ -5,14 +5,23 @@ Its state is its own.  One that ended, hung, or said what is no message is begun
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from copy import copy
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.controller.answers import Answers
 from safety_harness.controller.contract import Action, DrivenArm, Seen, Start
-from safety_harness.controller.out_of_process.lines import Line, RefusedControllerError
+from safety_harness.controller.out_of_process.lines import FileLine, Line, RefusedControllerError
 from safety_harness.controller.out_of_process.messages import (
     Failed,
+    Made,
     Ready,
     Reset,
     Said,
     SaidMove,
+    SaidRows,
     SaidStop,
     Welcome,
     action_of,
@@ -35,13 +44,24 @@ class RemoteController:
             raise
         self.name = printable(self._said.name)
         self.sees, self.reports = self._said.sees, self._said.reports
-        self._tick = 0
+        self._tick, self._lane, self._lanes = 0, 0, [0]
         self._limit_s = DEFAULTS.clock.wall_limit_s
+
+    @property
+    def another(self) -> Callable[[], RemoteController] | None:
+        """What makes one more in the same process, for an episode beside; None if there can be none."""
+        return self._another if isinstance(self._said, Made) and self._said.many else None
+
+    def _another(self) -> RemoteController:
+        other = copy(self)
+        other._lane = len(self._lanes)
+        self._lanes.append(other._lane)
+        return other
 
     def reset(self, *, settings: Settings, arm: DrivenArm, start: Start, seed: int) -> None:
         """Begin an episode, in a new process if the last one is gone."""
         self._limit_s, self._tick = settings.clock.wall_limit_s, 0
-        told = Reset(settings, arm, start, str(seed))
+        told = Reset(settings, arm, start, str(seed), self._lane)
         try:
             if not self._line.alive:
                 self._line.end()
@@ -59,7 +79,7 @@ class RemoteController:
         """What it says; ControllerError for nothing within the wall limit, or what is no action."""
         tick, self._tick = self._tick, self._tick + 1
         try:
-            self._line.act(tick, seen, self.sees, self._limit_s)
+            self._line.act(tick, seen, self.sees, self._lane, self._limit_s)
             said = self._line.hear(self._limit_s)
             if isinstance(said, SaidMove | SaidStop):
                 if said.tick != tick:
@@ -67,6 +87,32 @@ class RemoteController:
                 return action_of(said)
             if not isinstance(said, Failed):
                 raise NonsenseError(f"it has to say how to move; it said {_shown(said)}")
+        except BaseException as error:
+            raise self._over("act", error) from error
+        raise ControllerError(_begun(f"{printable(said.why)}", "act"))
+
+    def act_together(
+        self,
+        others: Sequence[RemoteController],
+        lanes: list[int],
+        tick: int,
+        hand_slots: int,
+        rows: NDArray[np.float64],
+        answers: Answers,
+    ) -> dict[int, str]:
+        """As ``ask_together``, in one turn to the process of all of ``others`` (n,), this one among them."""
+        there, line = [one._lane for one in others], self._line
+        assert isinstance(line, FileLine)
+        limit_s = sum(one._limit_s for one in others)
+        try:
+            line.act_together(there, tick, hand_slots, rows.tobytes(), limit_s)
+            said = line.hear(limit_s)
+            if isinstance(said, SaidRows) and said.tick == tick and said.why.keys() <= {*there}:
+                answers.take_sent(lanes, said.columns)
+                here = dict(zip(there, lanes, strict=True))
+                return {here[lane]: printable(why) for lane, why in said.why.items()}
+            if not isinstance(said, Failed):
+                raise NonsenseError(f"it has to say how to move at tick {tick}; it said {_shown(said)}")
         except BaseException as error:
             raise self._over("act", error) from error
         raise ControllerError(_begun(f"{printable(said.why)}", "act"))
