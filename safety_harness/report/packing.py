@@ -1,0 +1,46 @@
+"""Columns of numbers as text for a page's script, small: fixed-point differences by bytes, deflated, in base64."""
+
+from __future__ import annotations
+
+import base64
+import json
+import zlib
+from collections.abc import Mapping
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+PER_UNIT = 1e5  # a real number is kept to 1e-5 of its SI unit
+NAN, INF = -(2**31), 2**31 - 1  # what is farther than they are is as good as not there
+
+
+def packed(columns: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
+    """Arrays (n, ...) as ``unpack`` of replay.js takes them: name to rows, width and scale, and all their bytes.
+
+    Whole numbers stay exact, real ones are rounded to 10 um, 10 urad or 10 us; NaN and infinity stay.
+    Consecutive values of a component differ little, and so do their bytes of one significance.
+    """
+    shapes, steps = {}, [np.zeros(0, np.int32)]
+    for name, values in columns.items():
+        scale = PER_UNIT if values.dtype.kind == "f" else 1.0
+        rows = values.reshape(len(values), int(np.prod(values.shape[1:], dtype=np.int64))).T * scale
+        there = np.isfinite(rows) & (np.abs(rows) < INF)
+        whole = np.where(there, rows, np.where(np.isposinf(rows), INF, NAN)).round().astype(np.int64)
+        shapes[name] = [len(values), len(whole), scale]
+        before = np.hstack([np.zeros((len(whole), 1), np.int64), whole[:, :-1]])
+        steps.append((whole - before).astype(np.int32).ravel())  # modulo 2^32, as the script adds them up
+    planes = np.concatenate(steps).astype("<i4").view(np.uint8).reshape(-1, 4).T
+    return {"columns": shapes, "packed": deflated(np.ascontiguousarray(planes).tobytes())}
+
+
+@lru_cache(maxsize=1)  # three.js takes a third of a second
+def deflated(plain: bytes) -> str:
+    """Bytes as text that ``inflate`` of replay.js takes."""
+    return base64.b64encode(zlib.compress(plain, 9)).decode()
+
+
+def in_script(found: dict[str, Any]) -> str:
+    """JSON that is safe within a ``script`` element."""
+    return json.dumps(found, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
