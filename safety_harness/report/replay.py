@@ -111,6 +111,7 @@ def replay_data(run: JudgedRun) -> dict[str, Any]:
         "boxes_in_base_m": [_faces(box) for box in trace.scenario.obstacles],
         "views": _views(settings),
         "tracks": used,
+        **({} if trace.known.whole else {"lacking": "not measured"}),
         "modes": {str(int(mode)): words for mode, words in MODE_WORDS.items()} | modes,
         "mode_inks": {str(int(mode)): ink.variable for mode, ink in MODE_INK.items()},
         "decisions": _decisions(trace),

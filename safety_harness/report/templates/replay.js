@@ -183,8 +183,9 @@
         return { hand: ball(data.hand_radius_m, solid(`--fig-hand-${k + 1}`)), forearm, needs: ball(1, clear("--fig-limit", 0.1), separation) };
       });
       this.tracks = Array.from({ length: data.tracks ?? 0 }, () => {
-        const mark = ball(1, ink(new THREE.MeshBasicMaterial({ wireframe: true, transparent: true, opacity: 0.35 }), "--fig-predicted"));
+        const mark = new THREE.Mesh(new THREE.SphereGeometry(1, 14, 10), ink(new THREE.MeshBasicMaterial({ wireframe: true, transparent: true, opacity: 0.4 }), "--fig-predicted"));
         mark.matrixAutoUpdate = false;
+        this.scene.add(mark);
         return mark;
       });
       for (const { on_tool, transform, corners } of data.views ?? []) {
@@ -451,7 +452,7 @@
       this.clock.textContent = `${time.toFixed(2)} s`;
       const parts = [data.modes[columns.mode[tick]], ...data.hands.map((name, k) => {
         const distance = columns.hand_distance_m[tick * data.hands.length + k];
-        const far = Number.isFinite(distance) ? `${(distance * 1000).toFixed(0)} mm` : Number.isNaN(distance) ? "not measured" : "absent";
+        const far = Number.isFinite(distance) ? `${(distance * 1000).toFixed(0)} mm` : Number.isNaN(distance) ? data.lacking : "absent";
         return `${name} ${far}`.replace("-", "\u2212");
       })];
       this.decision = (data.decisions ?? []).findLastIndex((one) => one.time_s <= time + 1e-6);
