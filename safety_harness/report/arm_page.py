@@ -13,12 +13,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from markupsafe import Markup
 from numpy.typing import NDArray
 
 from safety_harness.extras import FITTING
 from safety_harness.report.arm_meshes import packed_meshes
-from safety_harness.report.packing import in_script, packed
+from safety_harness.report.packing import as_attribute, packed
 from safety_harness.report.page_parts import render_page
 from safety_harness.report.replay import arm_in_scene, rounded
 from safety_harness.report.svg import plain
@@ -58,7 +57,7 @@ def _section(robot: AnyRobot, number: int) -> dict[str, Any]:
         "name": plain(robot.label if isinstance(robot, Robot) else arm.name, longest=60),
         "replay": {
             "id": f"arm-{number}-scene",
-            "data": Markup(in_script(_scene(arm, capsules, meshes))),
+            "data": as_attribute(_scene(arm, capsules, meshes)),
             "first_s": 0.0,
             "last_s": 3 * LEG_S * len(arm.joint_names),
             "from_s": 0.0,

@@ -6,7 +6,6 @@ import base64
 import json
 import zlib
 from collections.abc import Mapping
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -35,12 +34,11 @@ def packed(columns: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
     return {"columns": shapes, "packed": deflated(np.ascontiguousarray(planes).tobytes())}
 
 
-@lru_cache(maxsize=1)  # three.js takes a third of a second
 def deflated(plain: bytes) -> str:
     """Bytes as text that ``inflate`` of replay.js takes."""
     return base64.b64encode(zlib.compress(plain, 9)).decode()
 
 
-def in_script(found: dict[str, Any]) -> str:
-    """JSON that is safe within a ``script`` element."""
-    return json.dumps(found, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
+def as_attribute(found: dict[str, Any]) -> str:
+    """JSON, deflated: letters, digits, +, / and = alone."""
+    return deflated(json.dumps(found, separators=(",", ":"), allow_nan=False).encode())

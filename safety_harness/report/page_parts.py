@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import hashlib
 from datetime import datetime
+from functools import lru_cache
 from importlib.resources import files
 
 from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
@@ -54,7 +55,7 @@ def render_page(
     script = "".join(map(asset, ("report.js", *scripts)))
     sheets, also = [style] if style else [], ""
     if replays:
-        script += f'const THREE_DEFLATED="{deflated(asset(THREE).encode())}";\n{asset("replay.js")}'
+        script += f'const THREE_DEFLATED="{_three()}";\n{asset("replay.js")}'
         sheets, also = [*sheets, "replay.css"], f"' 'sha256-{_hash(asset(THREE))}"
     return (
         templates(of)
@@ -66,6 +67,11 @@ def render_page(
             **values,
         )
     )
+
+
+@lru_cache(maxsize=1)
+def _three() -> str:
+    return deflated(asset(THREE).encode())
 
 
 def _hash(script: str) -> str:

@@ -11,7 +11,6 @@ from math import isfinite
 from typing import Any
 
 import numpy as np
-from markupsafe import Markup
 from numpy.typing import NDArray
 
 from safety_harness.controller.records import overhead_transform_sensor_to_base
@@ -20,7 +19,7 @@ from safety_harness.properties.protective_separation import times_left_s
 from safety_harness.properties.separation import WALKING_MPS, lengths
 from safety_harness.report.arm_meshes import arm_meshes
 from safety_harness.report.evidence import JudgedRun
-from safety_harness.report.packing import in_script, packed
+from safety_harness.report.packing import as_attribute, packed
 from safety_harness.report.path_views import shown_moment
 from safety_harness.report.prediction_spread import prediction_spread_m
 from safety_harness.report.svg import plain
@@ -72,7 +71,7 @@ class Replays:
             found["meshes_of"] = f"{self._meshes[arm]}-replay"
         return {
             "id": f"{name}-replay",
-            "data": Markup(in_script(found)),
+            "data": as_attribute(found),
             "first_s": float(time_s[0]),
             "last_s": float(time_s[-1]),
             "from_s": start_s(run),

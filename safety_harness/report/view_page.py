@@ -11,7 +11,7 @@ from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.html import claim_rows, notes
 from safety_harness.report.knowledge import measured_lines
 from safety_harness.report.page_parts import render_page
-from safety_harness.report.replay import Replays
+from safety_harness.report.replay import Replays, start_s
 from safety_harness.report.timeline import timeline
 from safety_harness.whole_file import write_whole
 
@@ -28,7 +28,7 @@ def write_view(path: Path, runs: Sequence[tuple[str, JudgedRun]]) -> None:
             "name": name,
             "run": run,
             "lane": lane,
-            "replay": replays.of(run, f"view-{number}"),
+            "replay": replays.of(run, f"view-{number}", from_s=start_s(runs[0][1])),
             "claims": claim_rows(run),
             "measured": measured_lines(run.trace),
             "notes": notes(run),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
+import re
 import zlib
 from dataclasses import replace
 from pathlib import Path
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 
 from safety_harness.report.arm_meshes import MOST_TRIANGLES, arm_meshes, clustered
 from safety_harness.report.evidence import JudgedRun
-from safety_harness.report.packing import INF, NAN, in_script, packed
+from safety_harness.report.packing import INF, NAN, as_attribute, packed
 from safety_harness.report.prediction_spread import UPPER, prediction_spread_m
 from safety_harness.report.replay import MOST_TICKS, Replays, kept_ticks, replay_data, start_s
 from safety_harness.robot.capsules import load_capsules
@@ -41,9 +42,13 @@ def unpacked(found: dict[str, Any]) -> dict[str, NDArray[np.float64]]:
     return columns
 
 
-def replay_of(run: JudgedRun) -> dict[str, Any]:
-    found: dict[str, Any] = json.loads(in_script(replay_data(run)))
+def inflated(attribute: object) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads(zlib.decompress(base64.b64decode(str(attribute))))
     return found
+
+
+def replay_of(run: JudgedRun) -> dict[str, Any]:
+    return inflated(as_attribute(replay_data(run)))
 
 
 def test_the_columns_are_those_of_the_trace() -> None:
@@ -100,18 +105,18 @@ def test_decisions_say_which_ways_were_refused() -> None:
     assert found[0]["from"] == pytest.approx(decisions["tcp_position_in_base_m"][0], abs=1e-5)
 
 
-def test_it_stands_within_a_script_element_and_is_small() -> None:
-    text = in_script(replay_data(factory.hostile_run()))
-    assert "<" not in text
-    assert json.loads(text)["hands"]
+def test_it_stands_within_an_attribute_and_is_small() -> None:
+    text = as_attribute(replay_data(factory.hostile_run()))
+    assert re.fullmatch(r"[A-Za-z0-9+/=]+", text)
+    assert inflated(text)["hands"]
     assert start_s(factory.no_hands_run()) >= 0.0
-    assert len(in_script(replay_data(factory.violated_run()))) < REPLAY_BYTES
+    assert len(as_attribute(replay_data(factory.violated_run()))) < REPLAY_BYTES
 
 
 def test_a_page_has_so_many_replays_and_the_meshes_of_an_arm_once() -> None:
     page, run = Replays(most=3), factory.violated_run()
     found = [page.of(run, f"run-{k}") for k in range(4)]
-    data = [json.loads(str(one["data"])) for one in found if one]
+    data = [inflated(one["data"]) for one in found if one]
     assert [one is None for one in found] == [False, False, False, True]
     assert ["meshes" in one for one in data] == [True, False, False]
     assert data[2]["meshes_of"] == "run-0-replay"

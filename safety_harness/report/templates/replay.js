@@ -30,7 +30,7 @@
     document.head.append(script);
     script.remove();
   }));
-  const read = (id) => JSON.parse(document.getElementById(id).textContent);
+  const read = async ({ dataset }) => JSON.parse(new TextDecoder().decode(await inflate(dataset.packed)));
   const inked = (name) => new THREE.Color(getComputedStyle(document.documentElement).getPropertyValue(name).trim());
   const vector = (from) => new THREE.Vector3(...from);
   const save = (blob, name) => {
@@ -66,12 +66,12 @@
     load() { return (this.loading ??= this.read()); }
 
     async read() {
-      const data = read(this.figure.dataset.run);
+      const data = await read(this.figure);
       this.columns = await unpack(data);
       this.times = this.columns.time_s;
       this.last = this.times[this.times.length - 1];
       this.data = data;
-      if (data.meshes_of) data.meshes = read(data.meshes_of).meshes;
+      if (data.meshes_of) ({ meshes: data.meshes } = await read(document.getElementById(data.meshes_of)));
       if (data.meshes) Object.assign(data.meshes, await unpack(data.meshes));
       if (data.chart) this.chart();
       this.show(this.now);
