@@ -51,16 +51,17 @@ def packed_meshes(meshes: dict[int, tuple[NDArray[np.float64], NDArray[np.int64]
 def clustered(corners: Triangles, cell_m: float) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Corners (v, 3) and faces (n, 3), where corners within a cell of a grid are one, in their mean."""
     points = corners.reshape(-1, 3)
-    _, index, count = np.unique(
-        np.floor(points / cell_m), axis=0, return_inverse=True, return_counts=True
-    )
-    sums = np.zeros((len(count), 3))
-    np.add.at(sums, index.ravel(), points)
+    cells = np.floor((points - points.min(axis=0)) / cell_m)
+    keys = cells @ (1.0 + cells.max()) ** np.arange(3.0)
+    _, index, count = np.unique(keys, return_inverse=True, return_counts=True)
+    sums = np.stack([np.bincount(index, weights=axis) for axis in points.T], axis=1)
     faces = index.reshape(-1, 3)
     whole = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
     first = faces[whole].argmin(axis=1)[:, None]  # a face begins at its least corner, to be told from others
     turned = np.take_along_axis(faces[whole], (first + np.arange(3)) % 3, axis=1)
-    return np.round(sums / count[:, None], 4), np.unique(turned, axis=0).astype(np.int64)
+    code = np.unique(turned @ len(count) ** np.arange(3)[::-1])
+    faces = np.stack([code // len(count) ** 2, code // len(count) % len(count), code % len(count)], axis=1)
+    return np.round(sums / count[:, None], 4), faces.astype(np.int64)
 
 
 def _triangles(shape: Shape) -> Triangles:

@@ -55,29 +55,33 @@ def prediction_spread_m(trace: Trace) -> Floats:
 def _variances(trace: Trace, valid: NDArray[np.bool_]) -> Floats:
     """(n, tracks, 3) of u, v [px^2] and z [m^2] where a hand is predicted, at the time that it is for."""
     settings = trace.scenario.settings
-    sensor, parameters = settings.hand_sensor, filter_parameters(settings.hand_filter, settings.hand_sensor)[0]
-    noise, push = parameters["measurement_variance"][:3], parameters["acceleration_variance"]
-    horizon_s, latency_s = settings.hand_filter.prediction_horizon_s, sensor.latency_s
-    period_s = settings.clock.control_period_s
-    rate_hz = sensor.rate_hz or 1.0 / period_s
-    found = np.full((*valid.shape, 3), np.nan)
-    p = np.full((3, valid.shape[1], 3), np.nan)  # var(value), cov, var(rate) of each track's u, v, z
-    last, tracked = -1.0, np.zeros(valid.shape[1], np.bool_)
-    for k, time_s in enumerate(trace.time_s):
-        frame_s = np.floor((time_s - latency_s) * rate_hz + 1e-6) / rate_hz  # when it was taken
-        if frame_s > last + 1e-9:
-            dt_s = frame_s - last
-            p[0] += dt_s * (2.0 * p[1] + dt_s * p[2]) + 0.25 * dt_s**4 * push
-            p[1] += dt_s * p[2] + 0.5 * dt_s**3 * push
-            p[2] += dt_s**2 * push
-            total = p[0] + noise
-            p[2] -= p[1] ** 2 / total
-            p[0], p[1] = p[0] * noise / total, p[1] * noise / total
-            last = frame_s
-        new = valid[k] & ~tracked
-        p[0, new], p[1, new], p[2, new] = noise, 0.0, parameters["initial_rate_variance"]
-        tracked = valid[k]
-        ahead_s = time_s + horizon_s - last
-        grown = p[0] + ahead_s * (2.0 * p[1] + ahead_s * p[2]) + 0.25 * ahead_s**4 * push
-        found[k] = np.where(tracked[:, None], grown, np.nan)
+    sensor, horizon_s = settings.hand_sensor, settings.hand_filter.prediction_horizon_s
+    parameters = filter_parameters(settings.hand_filter, sensor)[0]
+    push = parameters["acceleration_variance"]
+    rate_hz = sensor.rate_hz or 1.0 / settings.clock.control_period_s
+    frame = np.floor((trace.time_s - sensor.latency_s) * rate_hz + 1e-6)  # the last that has arrived
+    begins = valid & ~np.vstack([np.zeros_like(valid[:1]), valid[:-1]])
+    first = np.maximum.accumulate(np.where(begins, frame[:, None], -np.inf), axis=0)
+    age = np.where(valid, frame[:, None] - first, 0.0).astype(np.int64)  # frames since that of its beginning
+    after = _after_frames(parameters, 1.0 / rate_hz, int(age.max(initial=0)))
+    value, mixed, rate = np.moveaxis(after[np.minimum(age, len(after) - 1)], 2, 0)
+    ahead_s = (trace.time_s + horizon_s - frame / rate_hz)[:, None, None]
+    found: Floats = value + ahead_s * (2.0 * mixed + ahead_s * rate) + 0.25 * ahead_s**4 * push
     return found
+
+
+def _after_frames(parameters: np.void, dt_s: float, most: int) -> Floats:
+    """(at most ``most`` + 1, 3, 3) var(value), cov, var(rate) of u, v, z after so many frames; the last stays.
+
+    As ``initialise``, ``wait`` and ``update`` of the filter have them.
+    """
+    noise, push = parameters["measurement_variance"][:3], parameters["acceleration_variance"]
+    found = [np.array([noise, np.zeros(3), parameters["initial_rate_variance"]])]
+    while len(found) <= most and (len(found) == 1 or not np.allclose(*found[-2:], rtol=1e-12, atol=0.0)):
+        value, mixed, rate = found[-1]
+        value = value + dt_s * (2.0 * mixed + dt_s * rate) + 0.25 * dt_s**4 * push
+        mixed = mixed + dt_s * rate + 0.5 * dt_s**3 * push
+        rate = rate + dt_s**2 * push
+        gain = noise / (value + noise)
+        found.append(np.array([value * gain, mixed * gain, rate - mixed**2 / (value + noise)]))
+    return np.array(found)

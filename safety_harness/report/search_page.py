@@ -190,7 +190,8 @@ def _section(shown: WrittenCounterexample, number: int, replays: Replays) -> dic
         "parts": [line for each in one.evaluations for line in _part_lines(each, 0)],
         "run": run,
         **_pictures(drawn, one.evaluations, one.complaint, f"{name}-"),
-        "replay": drawn and replays.of(JudgedRun(drawn, one.evaluations, "").under(one.complaint.sentence), name),
+        "replay": drawn
+        and replays.of(JudgedRun(drawn, one.evaluations, "").under(one.complaint.sentence), name),
     }
 
 

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from safety_harness.perception.hand_filter import TRACK, filter_parameters, initialise, predict, update
 from safety_harness.report.arm_meshes import MOST_TRIANGLES, arm_meshes, clustered
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.packing import INF, NAN, as_attribute, packed
@@ -151,25 +152,24 @@ def test_few_triangles_keep_the_shape() -> None:
     assert coarse.max() <= 1.0
 
 
-def test_the_spread_of_a_new_track_is_that_of_one_measurement() -> None:
-    """By hand for the overhead camera, which looks straight down: v and u along base x and y, z upwards."""
+def test_the_spread_of_predictions_is_that_of_the_filter_that_saw_every_image() -> None:
+    """The filter itself, a measurement a tick; the overhead camera looks straight down."""
     trace = factory.violated_run().trace
-    settings, tick = trace.scenario.settings, int(np.argmax(trace.ticks["track_valid"][:, 0]))
-    found = prediction_spread_m(trace)[tick, 0]
-    assert np.isfinite(found).all()
-    root = np.zeros((3, 3))
-    root[UPPER] = root.T[UPPER] = found
-    covariance = root @ root
-    own, h = settings.hand_filter, settings.hand_filter.prediction_horizon_s
-    depth_std, speed, push = (
-        own.measurement_std_depth_m,
-        own.initial_speed_std_depth_mps,
-        own.acceleration_std_depth_mps2,
-    )
-    expected = depth_std**2 + (h * speed) ** 2 + 0.25 * h**4 * push**2
-    assert covariance[2, 2] == pytest.approx(expected, rel=1e-9)
-    later = prediction_spread_m(trace)[-1, 0]
-    assert np.linalg.norm(later[[0, 3, 5]]) < np.linalg.norm(found[[0, 3, 5]])  # it has seen more since
+    settings, period_s = trace.scenario.settings, trace.scenario.settings.clock.control_period_s
+    assert trace.ticks["track_valid"][:, 0].all()
+    found = prediction_spread_m(trace)[:, 0]
+    parameters, track = filter_parameters(settings.hand_filter, settings.hand_sensor), np.zeros(1, TRACK)
+    box = np.array([320.0, 240.0, 1.0, 4000.0, 1.0])
+    initialise(track[0], box, 0.0, parameters[0])
+    for tick in range(40):
+        later = track.copy()
+        predict(later[0], settings.hand_filter.prediction_horizon_s, parameters[0])
+        root = np.zeros((3, 3))
+        root[UPPER] = root.T[UPPER] = found[tick]
+        assert (root @ root)[2, 2] == pytest.approx(later[0]["pair_covariance"][2, 0], rel=1e-9)
+        predict(track[0], period_s, parameters[0])
+        update(track[0], box, parameters[0])
+    assert np.linalg.norm(found[-1]) < np.linalg.norm(found[0])  # it has seen more since
     logged = knowing(trace, {"predicted_hand_in_base_m": Measurement(source=Source.LOG)})
     assert np.isnan(prediction_spread_m(logged)).all()
 
