@@ -23,9 +23,9 @@ from safety_harness.report.coverage_map import coverage_map
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.page_parts import render_page
 from safety_harness.report.path_views import path_views, shown_moment
-from safety_harness.report.replay import Replays
 from safety_harness.report.proof_page import SCALE, STATES, drawn_maps
 from safety_harness.report.question_maps import key_of
+from safety_harness.report.replay import Replays
 from safety_harness.report.timeline import timeline
 from safety_harness.whole_file import write_whole
 

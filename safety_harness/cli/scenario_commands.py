@@ -193,7 +193,8 @@ def view(
     """Show a stored run in 3-D, or two side by side in step: one page, which is opened.
 
     Such as an avoider and its reference, a run with a shield and one without, a simulated and a recorded one.
-    Nothing is simulated or executed; claims are judged again. Of a log, what was not measured is left out, and said.
+    Nothing is simulated or executed; claims are judged again. Of a log, what was not measured is left out,
+    and said.
     Exit code 0; 2: not a trace or log that can be read; 130: interrupted.
     """
     from safety_harness.cli.view import view as view_runs

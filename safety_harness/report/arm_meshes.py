@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import lru_cache
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -42,7 +43,7 @@ def arm_meshes(arm: ArmModel) -> dict[str, Any] | None:
 
 def packed_meshes(meshes: dict[int, tuple[NDArray[np.float64], NDArray[np.int64]]]) -> dict[str, Any] | None:
     """Corners (v, 3) [m] and faces (n, 3) of each link as the viewer takes them; None without any."""
-    columns = {}
+    columns: dict[str, NDArray[Any]] = {}
     for link, (corners, faces) in meshes.items():
         columns |= {f"corners {link}": corners, f"faces {link}": faces}
     return {"links": list(meshes), **packed(columns)} if meshes else None
@@ -89,6 +90,6 @@ def _obj(file: Path) -> Triangles:
             points.append([float(word) for word in words[:3]])
         elif kind == "f":
             corners = [int(word.split("/")[0]) for word in words]
-            faces += [(corners[0], *pair) for pair in zip(corners[1:], corners[2:], strict=False)]
+            faces += [(corners[0], *pair) for pair in pairwise(corners[1:])]
     index = np.array(faces, np.int64).reshape(-1, 3)
     return np.array(points).reshape(-1, 3)[np.where(index > 0, index - 1, index)]

@@ -19,7 +19,7 @@ from safety_harness.extras import FITTING
 from safety_harness.report.arm_meshes import packed_meshes
 from safety_harness.report.packing import as_attribute, packed
 from safety_harness.report.page_parts import render_page
-from safety_harness.report.replay import arm_in_scene, rounded
+from safety_harness.report.replay import arm_in_scene
 from safety_harness.report.svg import plain
 from safety_harness.robot.capsules import CapsuleSet
 from safety_harness.robot.description import ArmModel

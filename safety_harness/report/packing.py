@@ -1,4 +1,4 @@
-"""Columns of numbers as text for a page's script, small: fixed-point differences by bytes, deflated, in base64."""
+"""Columns of numbers as short text for a page's script: fixed-point differences, deflated, in base64."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ NAN, INF = -(2**31), 2**31 - 1  # what is farther than they are is as good as no
 
 
 def packed(columns: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
-    """Arrays (n, ...) as ``unpack`` of replay.js takes them: name to rows, width and scale, and all their bytes.
+    """Arrays (n, ...) as ``unpack`` of replay.js takes them: rows, width and scale of each, and all bytes.
 
     Whole numbers stay exact, real ones are rounded to 10 um, 10 urad or 10 us; NaN and infinity stay.
     Consecutive values of a component differ little, and so do their bytes of one significance.

@@ -71,7 +71,7 @@ def _variances(trace: Trace, valid: NDArray[np.bool_]) -> Floats:
 
 
 def _after_frames(parameters: np.void, dt_s: float, most: int) -> Floats:
-    """(at most ``most`` + 1, 3, 3) var(value), cov, var(rate) of u, v, z after so many frames; the last stays.
+    """(at most ``most`` + 1, 3, 3) var(value), cov, var(rate) of u, v, z by frames; the last stays.
 
     As ``initialise``, ``wait`` and ``update`` of the filter have them.
     """

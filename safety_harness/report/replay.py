@@ -1,4 +1,4 @@
-"""What the 3-D replay of a run needs, as JSON: the arm's frames, capsules and meshes, and columns of the trace.
+"""What the 3-D replay of a run needs, as JSON: the arm's frames, capsules, meshes, and columns of the trace.
 
 The viewer turns the joints itself, so that arm, hands and distances are those of the trace.  Long runs are
 thinned evenly, with every worst moment and every decision kept; the viewer goes straight from one kept tick

@@ -1,4 +1,4 @@
-"""``view`` writes one page with the replay of a stored run, or of two in step, and says what it cannot show."""
+"""``view`` writes one page with the replay of a stored run, or of two in step, and says what is not in it."""
 
 from __future__ import annotations
 
@@ -111,8 +111,9 @@ def test_two_runs_go_in_step(browser: object, stored: Path, tmp_path: Path) -> N
     lines = run("return [...document.querySelectorAll('svg .now')].map((one) => one.getAttribute('d'))")
     assert len(lines) == 4  # a strip and a drawing over time of each
     shown = run(
-        """const svg = document.querySelector('svg[aria-labelledby^="view-1-time-"]'), box = svg.getBoundingClientRect();
-           svg.dispatchEvent(new PointerEvent('pointerdown', { clientX: box.left + box.width / 2, bubbles: true }));
+        """const svg = document.querySelector('svg[aria-labelledby^="view-1-time-"]');
+           const { left, width } = svg.getBoundingClientRect();
+           svg.dispatchEvent(new PointerEvent('pointerdown', { clientX: left + width / 2, bubbles: true }));
            return [...document.querySelectorAll('figure.replay')].map((one) => Number(one.dataset.time))"""
     )
     assert shown[0] == shown[1] > 0.0

@@ -16,11 +16,11 @@ from browsing import show
 from page import parse
 from partly_measured import partly_measured
 
-from safety_harness.report.replay import replay_data
 from safety_harness.properties.base import Evaluation, inconclusive
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.html import render, write_report
 from safety_harness.report.machine import report_data
+from safety_harness.report.replay import replay_data
 from safety_harness.trace.known import COLUMNS_OF_A_TRACE, NOT_MEASURED, OF_DECISIONS, knowing
 from safety_harness.trace.trace import Trace
 

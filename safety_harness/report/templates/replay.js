@@ -278,7 +278,6 @@
       for (const { time_s } of data.decisions) upright(time_s, "--fig-chosen", 1.2, "none");
       for (const { time_s, violated } of data.worst) upright(time_s, violated ? "--fig-violated" : "--fig-muted", violated ? 2 : 1, violated ? "none" : "1 3");
       strip.innerHTML = parts.join("");  // numbers and names of colours only
-      strip.toggleAttribute("hidden", false);
       const [left, width, whole, end] = data.chart;
       this.charts = [{ svg: strip, x, time: (share) => first + share * span, height: 70 }];
       for (const svg of document.querySelectorAll(`svg[aria-labelledby^="${data.charts}"]`)) {
@@ -521,12 +520,12 @@
   const replays = new Map();
   figures.forEach((figure) => replays.set(figure.querySelector(".stage"), new Replay(figure)));
   const seen = new IntersectionObserver((entries) => {
-    for (const { target, isIntersecting } of entries) {
+    for (const { target, intersectionRatio } of entries) {
       const replay = replays.get(target);
-      if (isIntersecting && !replay.lane.awake?.frame) replay.wake();
-      if (!isIntersecting && replay.data) replay.pause();
+      if (intersectionRatio >= 0.35 && !replay.lane.awake?.frame) replay.wake();
+      if (intersectionRatio === 0 && replay.data) replay.pause();
     }
-  }, { threshold: 0.35 });
+  }, { threshold: [0, 0.35] });
   const sized = new ResizeObserver((entries) => entries.forEach((entry) => replays.get(entry.target).resize()));
   for (const stage of replays.keys()) { seen.observe(stage); sized.observe(stage); }
   for (const query of ["(prefers-color-scheme: dark)", "print"]) {
