@@ -77,7 +77,9 @@ def _after_frames(parameters: np.void, dt_s: float, most: int) -> Floats:
     """
     noise, push = parameters["measurement_variance"][:3], parameters["acceleration_variance"]
     found = [np.array([noise, np.zeros(3), parameters["initial_rate_variance"]])]
-    while len(found) <= most and (len(found) == 1 or not np.allclose(*found[-2:], rtol=1e-12, atol=0.0)):
+    while len(found) <= most and (
+        len(found) == 1 or not np.allclose(found[-2], found[-1], rtol=1e-12, atol=0.0)
+    ):
         value, mixed, rate = found[-1]
         value = value + dt_s * (2.0 * mixed + dt_s * rate) + 0.25 * dt_s**4 * push
         mixed = mixed + dt_s * rate + 0.5 * dt_s**3 * push

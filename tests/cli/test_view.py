@@ -117,3 +117,15 @@ def test_two_runs_go_in_step(browser: object, stored: Path, tmp_path: Path) -> N
            return [...document.querySelectorAll('figure.replay')].map((one) => Number(one.dataset.time))"""
     )
     assert shown[0] == shown[1] > 0.0
+    run(
+        """window.saved = null; const made = URL.createObjectURL;
+           URL.createObjectURL = (blob) => {
+             const reader = new FileReader();
+             reader.onload = () => { window.saved = reader.result; };
+             reader.readAsDataURL(blob);
+             return made(blob);
+           };
+           document.querySelector('figure.replay [data-save=png]').click()"""
+    )
+    WebDriverWait(browser, 30).until(lambda _: run("return window.saved"))
+    assert run("return window.saved").startswith("data:image/png;base64,iVBOR")
