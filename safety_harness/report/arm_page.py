@@ -63,6 +63,7 @@ def _section(robot: AnyRobot, number: int) -> dict[str, Any]:
             "from_s": 0.0,
             "step_s": 0.1,
             "moment_s": "",
+            "moment_name": "",
         },
         "meshes": bool(meshes),
         "joints": [

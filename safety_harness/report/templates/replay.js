@@ -221,13 +221,13 @@
         }
         return group;
       });
+      this.dress();
       const has = { capsules: meshed.size > 0, ways: way.length, cameras: data.views?.length, critical: data.critical_distance_m && way.length, separation: this.columns.separation_m?.some(Number.isFinite) && this.hands.length };
       for (const one of this.figure.querySelectorAll("[data-layer]")) {
         if (data.shows?.includes(one.dataset.layer)) this.toggle(one);
         one.hidden = !has[one.dataset.layer];
       }
       this.figure.querySelector("[data-save=webm]").hidden = !window.MediaRecorder;
-      this.dress();
     }
 
     dress() {  // the page's colours, light or dark
