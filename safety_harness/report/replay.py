@@ -186,16 +186,9 @@ def _separation_m(trace: Trace) -> NDArray[np.float64]:
     The arm is taken to come nearer at the TCP's speed; claims take that of each link.
     """
     speed_mps = trace.ticks["tcp_speed_mps"]
-    there = measured(trace, "tcp_speed_mps") & np.isfinite(speed_mps)
-    reaction_s, stop_s = times_left_s(trace)
-    needed = np.sum(
-        [np.broadcast_to(one, speed_mps.shape) for one in _terms(speed_mps, reaction_s, stop_s)], axis=0
-    )
-    return np.where(there, needed, np.nan)
-
-
-def _terms(*of: NDArray[np.float64]) -> tuple[Any, ...]:
-    return lengths(WALKING_MPS, *of, 0.0, 0.0)  # type: ignore[arg-type]  # it adds and multiplies only
+    ticks = zip(speed_mps.tolist(), *(one.tolist() for one in times_left_s(trace)), strict=True)
+    needed = [sum(lengths(WALKING_MPS, *one, 0.0, 0.0)) for one in ticks]
+    return np.where(measured(trace, "tcp_speed_mps"), needed, np.nan)
 
 
 def _views(settings: Settings) -> list[dict[str, Any]]:
