@@ -187,7 +187,7 @@ def _separation_m(trace: Trace) -> NDArray[np.float64]:
     """
     speed_mps = trace.ticks["tcp_speed_mps"]
     ticks = zip(speed_mps.tolist(), *(one.tolist() for one in times_left_s(trace)), strict=True)
-    needed = [sum(lengths(WALKING_MPS, *one, 0.0, 0.0)) for one in ticks]
+    needed = [sum(lengths(WALKING_MPS, speed, wait_s, stop_s, 0.0, 0.0)) for speed, wait_s, stop_s in ticks]
     return np.where(measured(trace, "tcp_speed_mps"), needed, np.nan)
 
 
