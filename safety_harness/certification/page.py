@@ -15,7 +15,6 @@ from safety_harness.certification.evidence import (
     Evidence,
 )
 from safety_harness.certification.figures import bounds_figure, margins_figure, separation_figure
-from safety_harness.certification.replay3d import replay_json, start_s
 from safety_harness.certification.stored import cells_of
 from safety_harness.certification.tables import TABLES
 from safety_harness.certification.verdicts import confidence_words, percent
@@ -26,6 +25,7 @@ from safety_harness.report.page_parts import render_page
 from safety_harness.report.path_views import path_views, shown_moment
 from safety_harness.report.proof_page import SCALE, STATES, drawn_maps
 from safety_harness.report.question_maps import key_of
+from safety_harness.report.replay import Replays
 from safety_harness.report.timeline import timeline
 from safety_harness.whole_file import write_whole
 
@@ -58,12 +58,13 @@ def render(evidence: Evidence, runs: Mapping[int, JudgedRun]) -> str:
     The same arguments give the same bytes.
     """
     top = argument_of(evidence)
-    views = [_counterexample(one, runs.get(one.number)) for one in evidence.counterexamples]
-    replay = ("three.js", "replay.js") if any(view["run"] for view in views) else ()
+    replays = Replays()
+    views = [_counterexample(one, runs.get(one.number), replays) for one in evidence.counterexamples]
     return render_page(
         "evidence.html.j2",
         style="evidence.css",
-        scripts=("evidence.js", *replay),
+        scripts=("evidence.js",),
+        replays=any(view["run"] for view in views),
         evidence=evidence,
         state=STATE,
         counts=_counts(evidence),
@@ -111,7 +112,9 @@ def _proven(evidence: Evidence) -> list[tuple[CertifiedClaim, str, list[tuple[st
     ]
 
 
-def _counterexample(one: CounterexampleEvidence, run: JudgedRun | None) -> dict[str, object]:
+def _counterexample(
+    one: CounterexampleEvidence, run: JudgedRun | None, replays: Replays
+) -> dict[str, object]:
     """With its pictures; without a stored trace there are none."""
     if run is None or len(run.trace.ticks) == 0:
         return {"one": one, "run": None, "moment": ""}
@@ -123,10 +126,7 @@ def _counterexample(one: CounterexampleEvidence, run: JudgedRun | None) -> dict[
         "run": run,
         "views": path_views(run, prefix=prefix),
         "timeline": Markup(timeline(run, prefix=f"{prefix}time-")),
-        "replay": Markup(replay_json(run)),
-        "first_s": float(run.trace.time_s[0]),
-        "last_s": float(run.trace.time_s[-1]),
-        "from_s": start_s(run),
+        "replay": replays.of(run, prefix.removesuffix("-")),
         "moment": "" if moment is None else f"{moment.time_s:.3f}",
         "moment_name": "Nearest hand" if moment is None or moment.claim is None else "Worst moment",
     }

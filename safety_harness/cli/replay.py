@@ -157,7 +157,7 @@ def judge_again(
     refused: list[InputError] = []
     for path in paths:
         try:
-            run = _judged(path, sentences, out)
+            run = judged_run(path, sentences, out)
         except InputError as error:
             if not keep_going:
                 raise
@@ -179,7 +179,8 @@ def judge_again(
     return AS_EXPECTED if all(run.all_as_expected for run in runs) else DIFFERS
 
 
-def _judged(path: Path, sentences: Sequence[str], out: Path | None) -> JudgedRun:
+def judged_run(path: Path, sentences: Sequence[str] = (), out: Path | None = None) -> JudgedRun:
+    """A stored trace, or the log of a cell, judged by its claims or by ``sentences``.  InputError."""
     if is_log(path):
         return _of_log(path, _claims(sentences), out)
     trace = load_trace(path)

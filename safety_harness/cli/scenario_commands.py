@@ -179,6 +179,29 @@ def judge(
     return judge_again(traces, claim or (), keep_going=keep_going, out=out)
 
 
+@command(commands, interrupted="interrupted: nothing was written")
+def view(
+    trace: Annotated[
+        Path, Argument(help="A trace of an earlier run, or the description of a log.", metavar="TRACE")
+    ],
+    other: Annotated[
+        Path | None, Argument(help="Another one, to be shown beside it in step.", metavar="TRACE")
+    ] = None,
+    out: Annotated[Path | None, Option(help="The page. Default: reports/view/NAME.html.")] = None,
+    opens: Annotated[bool, Option("--open/--no-open", help="Open the page in the browser.")] = True,
+) -> int:
+    """Show a stored run in 3-D, or two side by side in step: one page, which is opened.
+
+    Such as an avoider and its reference, a run with a shield and one without, a simulated and a recorded one.
+    Nothing is simulated or executed; claims are judged again. Of a log, what was not measured is left out,
+    and said.
+    Exit code 0; 2: not a trace or log that can be read; 130: interrupted.
+    """
+    from safety_harness.cli.view import view as view_runs
+
+    return view_runs([trace] if other is None else [trace, other], out, opens=opens)
+
+
 @command(commands, interrupted="interrupted: this picture and those after it were not drawn")
 def show(
     files: Annotated[list[Path], Argument(help="Scenario files or spaces.", metavar="FILE...")],

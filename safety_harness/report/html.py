@@ -38,6 +38,7 @@ from safety_harness.report.knowledge import measured_rows
 from safety_harness.report.machine import refused_data
 from safety_harness.report.page_parts import in_words, render_page
 from safety_harness.report.path_views import MOST_NUMBERS, path_views, shown_moment
+from safety_harness.report.replay import Replays
 from safety_harness.report.shielding import shield_lines
 from safety_harness.report.timeline import thinning, timeline
 from safety_harness.report.words import (
@@ -121,6 +122,7 @@ def render(
     summary = _summary(runs, whole=not (interrupted or skipped or refused))
     summary["interrupted"] = interrupted
     fallback = summary["decisions"].fallback
+    replays = Replays()
     return render_page(
         "report.html.j2",
         title=f"{title}; {fallback}" if fallback else title,
@@ -128,8 +130,9 @@ def render(
         generated=in_words(generated_at),
         generated_iso=generated_at.isoformat(),
         summary=summary,
+        replays=True,
         sections=[
-            _section(run, number, full=full)
+            _section(run, number, replays if full else None)
             for number, (run, full) in enumerate(zip(runs, _in_full(runs), strict=True), start=1)
         ],
         most_full=MOST_IN_FULL,
@@ -209,14 +212,14 @@ def _in_full(runs: Sequence[JudgedRun]) -> list[bool]:
     return [k in drawn for k in range(len(runs))]
 
 
-def _section(run: JudgedRun, number: int, *, full: bool) -> Row:
-    """What the page shows about one run; everything, if it is shown in ``full``."""
+def _section(run: JudgedRun, number: int, replays: Replays | None) -> Row:
+    """What the page shows about one run; everything, if it is given the page's ``replays``."""
     run = replace(run, trace=as_measured(run.trace))
     counts = [f"{run.count(verdict)} {verdict.value}" for verdict in Verdict if run.count(verdict)]
     section = {
         "id": f"run-{number}",
         "run": run,
-        "full": full,
+        "full": replays is not None,
         "outcome": ", ".join(counts),
         "claims": claim_rows(run),
         "file": file_name(run),
@@ -226,10 +229,10 @@ def _section(run: JudgedRun, number: int, *, full: bool) -> Row:
         "measured": measured_rows(run.trace),
         "notes": notes(run),
     }
-    return section | _drawn(run, f"run-{number}") if full else section
+    return section if replays is None else section | _drawn(run, f"run-{number}", replays)
 
 
-def _drawn(run: JudgedRun, section: str) -> Row:
+def _drawn(run: JudgedRun, section: str, replays: Replays) -> Row:
     """What the page shows of one run in full."""
     trace = run.trace
     drawn = len(trace.ticks) > 0
@@ -238,6 +241,7 @@ def _drawn(run: JudgedRun, section: str) -> Row:
     limits = {flag_words(flag): (trace.ticks["limits"] & flag.value) != 0 for flag in Limit if flag}
     return {
         "views": path_views(run, prefix=f"{section}-") if drawn else (),
+        "replay": replays.of(run, section),
         "timeline": Markup(timeline(run, prefix=f"{section}-time-") if drawn else ""),
         "moment_time": f"{moment.time_s:.3f} s" if moment else "",
         "moment_claim": moment.claim + 1 if moment and moment.claim is not None else None,  # counted from 1

@@ -5,12 +5,16 @@ from __future__ import annotations
 import base64
 import hashlib
 from datetime import datetime
+from functools import lru_cache
 from importlib.resources import files
 
 from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
+from safety_harness.report.packing import deflated
+
 PACKAGE = "safety_harness.report"
+THREE = "three.js"
 
 
 def templates(of: str = PACKAGE) -> Environment:
@@ -34,24 +38,44 @@ def asset(name: str) -> str:
 
 
 def render_page(
-    template: str, *, of: str = PACKAGE, style: str = "", scripts: tuple[str, ...] = (), **values: object
+    template: str,
+    *,
+    of: str = PACKAGE,
+    style: str = "",
+    scripts: tuple[str, ...] = (),
+    replays: bool = False,
+    **values: object,
 ) -> str:
     """A page that asks nothing of the network: the template with the shared style sheet and script.
 
     ``style`` names a style sheet of its own that follows the shared one, ``scripts`` scripts likewise;
-    ``of`` is the package that the template lies in.
+    ``of`` is the package that the template lies in.  ``replays``: with the viewer of replays in 3-D, and
+    three.js as text that becomes a script, which the page's policy allows, when one is looked at.
     """
     script = "".join(map(asset, ("report.js", *scripts)))
+    sheets, also = [style] if style else [], ""
+    if replays:
+        script += f'const THREE_DEFLATED="{_three()}";\n{asset("replay.js")}'
+        sheets, also = [*sheets, "replay.css"], f"' 'sha256-{_hash(asset(THREE))}"
     return (
         templates(of)
         .get_template(template)
         .render(
-            style=Markup(asset("report.css") + (asset(style) if style else "")),
+            style=Markup("".join(map(asset, ("report.css", *sheets)))),
             script=Markup(script),
-            script_hash=base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
+            script_hash=Markup(_hash(script) + also),
             **values,
         )
     )
+
+
+@lru_cache(maxsize=1)
+def _three() -> str:
+    return deflated(asset(THREE).encode())
+
+
+def _hash(script: str) -> str:
+    return base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
 
 
 def in_words(moment: datetime) -> str:

@@ -24,6 +24,7 @@ from safety_harness.report.coverage_map import coverage_map
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.page_parts import in_words, render_page
 from safety_harness.report.path_views import path_views, shown_moment
+from safety_harness.report.replay import Replays
 from safety_harness.report.search_attribution import FaultsOfSearch
 from safety_harness.report.svg import DASHES, Ink, plain
 from safety_harness.report.words import margin_words, with_minus
@@ -93,9 +94,11 @@ def render(evidence: SearchEvidence) -> str:
     """The page as text; the same evidence gives the same bytes."""
     findings, baseline = evidence.findings, evidence.baseline
     searches = [findings] if baseline is None else [findings, baseline]
+    replays = Replays()
     return render_page(
         "search.html.j2",
         style="search.css",
+        replays=bool(evidence.shown),
         e=evidence,
         generated=in_words(evidence.generated_at),
         searches=searches,
@@ -108,7 +111,7 @@ def render(evidence: SearchEvidence) -> str:
             g.sentence for k, g in enumerate(findings.goals) if findings.tried and not findings.evidence[k]
         ],
         progress=Markup(progress_figure(searches, prefix="progress-")),
-        sections=[_section(shown, number) for number, shown in enumerate(evidence.shown, start=1)],
+        sections=[_section(shown, number, replays) for number, shown in enumerate(evidence.shown, start=1)],
         groups=[
             _group_row(findings, group)
             for claim in (*range(len(findings.goals)), None)
@@ -167,7 +170,7 @@ def _group_row(findings: Findings, group: Group) -> tuple[str, str, str, int, in
     return findings.sentence_of(group), kind, margin, group.count, group.worst.number
 
 
-def _section(shown: WrittenCounterexample, number: int) -> dict[str, object]:
+def _section(shown: WrittenCounterexample, number: int, replays: Replays) -> dict[str, object]:
     """What the page shows about one counterexample, with the commands that run it again."""
     one, evaluation, trace = shown.one, shown.one.evaluation, shown.trace_file
     found = "\u2013"
@@ -187,6 +190,8 @@ def _section(shown: WrittenCounterexample, number: int) -> dict[str, object]:
         "parts": [line for each in one.evaluations for line in _part_lines(each, 0)],
         "run": run,
         **_pictures(drawn, one.evaluations, one.complaint, f"{name}-"),
+        "replay": drawn
+        and replays.of(JudgedRun(drawn, one.evaluations, "").under(one.complaint.sentence), name),
     }
 
 

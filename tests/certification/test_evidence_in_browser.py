@@ -71,7 +71,7 @@ def test_no_request_leaves_the_page_and_nothing_is_wrong_in_the_console(browser:
 def test_markup_of_the_user_runs_nowhere(browser: Any, report: str) -> None:
     show(browser, report, width=1000)
     kinds = browser.execute_script("return [...document.scripts].map((s) => s.type)")
-    assert kinds == ["application/json", "application/json", ""]
+    assert kinds == [""]
     assert browser.execute_script("return document.querySelectorAll('b').length") == 0
 
 
@@ -130,6 +130,7 @@ def test_a_replay_plays_pauses_and_ends(browser: Any, report: str, run: JudgedRu
     figure = browser.find_elements(By.CSS_SELECTOR, "figure.replay")[0]
     play = figure.find_element(By.CSS_SELECTOR, ".play")
     to_the_beginning(browser)
+    browser.execute_script(f"{FIRST}.querySelector('.speed').value = '0.1'")  # a busy machine draws seldom
     before = float(replayed(browser, "time"))
     play.click()
     assert play.text == "Pause"

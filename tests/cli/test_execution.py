@@ -64,6 +64,7 @@ LOOKS: dict[str, tuple[str, int]] = {
     "schema": ("", AS_EXPECTED),
     "replay": (TRACE, BAD_INPUT),  # without --avoider, which names the program anew
     "judge": (TRACE, 1),
+    "view": (f"{TRACE} {TRACE} --no-open", AS_EXPECTED),
     "show": ("scenario.yaml space.yaml --draws 3", AS_EXPECTED),
     "sample": ("space.yaml --count 2", AS_EXPECTED),
     "scenario from": ("log/LOG.yaml --scenario scenario.yaml --around 50 mm --out from", AS_EXPECTED),

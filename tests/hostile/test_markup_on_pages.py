@@ -41,6 +41,7 @@ from safety_harness.report.score_page import OFF, ScoreEvidence
 from safety_harness.report.score_page import render as score_page
 from safety_harness.report.search_page import render as search_page
 from safety_harness.report.svg import standalone
+from safety_harness.report.view_page import write_view
 from safety_harness.robot.robots import arm_capsules, arm_model
 from safety_harness.scenario.robots import Robot
 from safety_harness.selftest.document import render as selftest_page
@@ -148,6 +149,12 @@ def proven() -> str:
     )
 
 
+def viewed() -> str:
+    with TemporaryDirectory() as folder:
+        write_view(Path(folder) / "view.html", [(MARKUP, spoilt(factory.violated_run()))] * 2)
+        return (Path(folder) / "view.html").read_text()
+
+
 PAGES: dict[str, Callable[[], str]] = {
     "report.html.j2": report,
     "search.html.j2": a_search,
@@ -157,6 +164,7 @@ PAGES: dict[str, Callable[[], str]] = {
     "reproduction.html.j2": reproduced,
     "arms.html.j2": arms,
     "proof.html.j2": proven,
+    "view.html.j2": viewed,
 }
 
 
@@ -227,7 +235,7 @@ def test_every_page_and_every_maker_of_xml_is_tried_here() -> None:
     package = Path(safety_harness.__file__).parent
     paper = Path(safety_harness_paper.__file__).parent
     templates = {file.name for folder in (package, paper) for file in folder.rglob("*.html.j2")}
-    assert templates == {*PAGES, "page.html.j2", "parts.html.j2"}
+    assert templates == {*PAGES, "page.html.j2", "parts.html.j2", "replay.html.j2"}
     makers = {file for file in package.rglob("*.py") if "ElementTree.tostring(" in file.read_text()}
     urdf = package / "robot" / "description.py"  # nobody's words
     assert {file.relative_to(package).as_posix() for file in makers - {urdf}} == set(XML)

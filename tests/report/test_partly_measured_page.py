@@ -16,11 +16,11 @@ from browsing import show
 from page import parse
 from partly_measured import partly_measured
 
-from safety_harness.certification.replay3d import replay_json
 from safety_harness.properties.base import Evaluation, inconclusive
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.html import render, write_report
 from safety_harness.report.machine import report_data
+from safety_harness.report.replay import replay_data
 from safety_harness.trace.known import COLUMNS_OF_A_TRACE, NOT_MEASURED, OF_DECISIONS, knowing
 from safety_harness.trace.trace import Trace
 
@@ -66,7 +66,7 @@ def test_what_stands_where_nothing_was_measured_is_shown_nowhere() -> None:
     run = partly()
     other = replace(run, trace=of_anything(run.trace))
     assert page(other) == page(run)
-    assert replay_json(other) == replay_json(run)
+    assert replay_data(other) == replay_data(run)
 
 
 def test_modes_decisions_and_limits_are_not_measured_instead_of_none() -> None:
@@ -90,7 +90,7 @@ def test_any_column_may_be_lacking(first: int) -> None:
     article = page(run).partition("<article")[2].partition("</article>")[0]
     assert len(article) > 1_000
     assert re.search(r"\bnan\b", article, re.IGNORECASE) is None
-    assert json.loads(replay_json(run))["columns"]
+    assert replay_data(run)["columns"]
 
 
 def test_decisions_of_which_something_was_not_measured_have_a_dash_there() -> None:

@@ -1,0 +1,95 @@
+"""The meshes of an arm as few triangles, for pictures only: distances are measured to its capsules."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.report.packing import packed
+from safety_harness.robot.description import ArmModel, Shape
+
+MOST_TRIANGLES = 6_000  # of an arm: some 50 kB on a page
+CELLS_M = (0.0002, 0.002, 0.004, 0.006, 0.01, 0.016, 0.025)  # corners within one cell of a grid become one
+STL = np.dtype([("normal", "<f4", (3,)), ("corners", "<f4", (3, 3)), ("_", "<u2")])
+
+Triangles = NDArray[np.float64]  # (n, 3, 3) corners [m]
+
+
+@lru_cache(maxsize=16)
+def arm_meshes(arm: ArmModel) -> dict[str, Any] | None:
+    """The triangles of all links whose meshes are binary STL or OBJ, packed; None if there are none.
+
+    What cannot be read is left out: the viewer draws the capsules of such a link.
+    """
+    by_link: dict[int, Triangles] = {}
+    for link in arm.links:
+        shapes = [shape for shape in link.collision or link.visual if shape.kind == "mesh"]
+        parts = [part for part in map(_triangles, shapes) if len(part)]
+        if parts:
+            corners = np.concatenate(parts)
+            seat = arm.transform_seat if link.index == 0 else np.eye(4)
+            by_link[link.index] = corners @ seat[:3, :3].T + seat[:3, 3]
+    for cell_m in CELLS_M:
+        meshes = {link: clustered(corners, cell_m) for link, corners in by_link.items()}
+        if sum(len(faces) for _, faces in meshes.values()) <= MOST_TRIANGLES:
+            return packed_meshes(meshes)
+    return None
+
+
+def packed_meshes(meshes: dict[int, tuple[NDArray[np.float64], NDArray[np.int64]]]) -> dict[str, Any] | None:
+    """Corners (v, 3) [m] and faces (n, 3) of each link as the viewer takes them; None without any."""
+    columns: dict[str, NDArray[Any]] = {}
+    for link, (corners, faces) in meshes.items():
+        columns |= {f"corners {link}": corners, f"faces {link}": faces}
+    return {"links": list(meshes), **packed(columns)} if meshes else None
+
+
+def clustered(corners: Triangles, cell_m: float) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Corners (v, 3) and faces (n, 3), where corners within a cell of a grid are one, in their mean."""
+    points = corners.reshape(-1, 3)
+    cells = np.floor((points - points.min(axis=0)) / cell_m)
+    keys = cells @ (1.0 + cells.max()) ** np.arange(3.0)
+    _, index, count = np.unique(keys, return_inverse=True, return_counts=True)
+    sums = np.stack([np.bincount(index, weights=axis) for axis in points.T], axis=1)
+    faces = index.reshape(-1, 3)
+    whole = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
+    first = faces[whole].argmin(axis=1)[:, None]  # a face begins at its least corner, to be told from others
+    turned = np.take_along_axis(faces[whole], (first + np.arange(3)) % 3, axis=1)
+    code = np.unique(turned @ len(count) ** np.arange(3)[::-1])
+    faces = np.stack([code // len(count) ** 2, code // len(count) % len(count), code % len(count)], axis=1)
+    return np.round(sums / count[:, None], 4), faces.astype(np.int64)
+
+
+def _triangles(shape: Shape) -> Triangles:
+    """Of a mesh's file in its link's frame; none of another kind of file, or of a broken one."""
+    file = shape.file or Path()
+    try:
+        read = {".stl": _stl, ".obj": _obj}.get(file.suffix.lower())
+        corners = np.zeros((0, 3, 3)) if read is None else read(file) * shape.size
+    except (OSError, ValueError, IndexError):
+        return np.zeros((0, 3, 3))
+    turn, shift = shape.transform_shape_to_link[:3, :3], shape.transform_shape_to_link[:3, 3]
+    return corners @ turn.T + shift if np.isfinite(corners).all() else np.zeros((0, 3, 3))
+
+
+def _stl(file: Path) -> Triangles:
+    found = np.frombuffer(file.read_bytes()[84:], STL)  # a text STL has no such length: ValueError
+    return found["corners"].astype(np.float64)
+
+
+def _obj(file: Path) -> Triangles:
+    points, faces = [], []
+    for line in file.read_text(encoding="utf-8").splitlines():
+        kind, *words = line.split() or [""]
+        if kind == "v":
+            points.append([float(word) for word in words[:3]])
+        elif kind == "f":
+            corners = [int(word.split("/")[0]) for word in words]
+            faces += [(corners[0], *pair) for pair in pairwise(corners[1:])]
+    index = np.array(faces, np.int64).reshape(-1, 3)
+    return np.array(points).reshape(-1, 3)[np.where(index > 0, index - 1, index)]

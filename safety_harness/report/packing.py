@@ -1,0 +1,44 @@
+"""Columns of numbers as short text for a page's script: fixed-point differences, deflated, in base64."""
+
+from __future__ import annotations
+
+import base64
+import json
+import zlib
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+PER_UNIT = 1e5  # a real number is kept to 1e-5 of its SI unit
+NAN, INF = -(2**31), 2**31 - 1  # what is farther than they are is as good as not there
+
+
+def packed(columns: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
+    """Arrays (n, ...) as ``unpack`` of replay.js takes them: rows, width and scale of each, and all bytes.
+
+    Whole numbers stay exact, real ones are rounded to 10 um, 10 urad or 10 us; NaN and infinity stay.
+    Consecutive values of a component differ little, and so do their bytes of one significance.
+    """
+    shapes, steps = {}, [np.zeros(0, np.int32)]
+    for name, values in columns.items():
+        scale = PER_UNIT if values.dtype.kind == "f" else 1.0
+        rows = values.reshape(len(values), int(np.prod(values.shape[1:], dtype=np.int64))).T * scale
+        there = np.isfinite(rows) & (np.abs(rows) < INF)
+        whole = np.where(there, rows, np.where(np.isposinf(rows), INF, NAN)).round().astype(np.int64)
+        shapes[name] = [len(values), len(whole), scale]
+        before = np.hstack([np.zeros((len(whole), 1), np.int64), whole[:, :-1]])
+        steps.append((whole - before).astype(np.int32).ravel())  # modulo 2^32, as the script adds them up
+    planes = np.concatenate(steps).astype("<i4").view(np.uint8).reshape(-1, 4).T
+    return {"columns": shapes, "packed": deflated(np.ascontiguousarray(planes).tobytes())}
+
+
+def deflated(plain: bytes) -> str:
+    """Bytes as text that ``inflate`` of replay.js takes."""
+    return base64.b64encode(zlib.compress(plain, 9)).decode()
+
+
+def as_attribute(found: dict[str, Any]) -> str:
+    """JSON, deflated: letters, digits, +, / and = alone."""
+    return deflated(json.dumps(found, separators=(",", ":"), allow_nan=False).encode())

@@ -1,0 +1,267 @@
+"""What the 3-D replay of a run needs, as JSON: the arm's frames, capsules, meshes, and columns of the trace.
+
+The viewer turns the joints itself, so that arm, hands and distances are those of the trace.  Long runs are
+thinned evenly, with every worst moment and every decision kept; the viewer goes straight from one kept tick
+to the next.
+"""
+
+from __future__ import annotations
+
+from math import isfinite
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.controller.records import overhead_transform_sensor_to_base
+from safety_harness.perception.camera import transform_camera_to_tcp
+from safety_harness.properties.protective_separation import times_left_s
+from safety_harness.properties.separation import WALKING_MPS, lengths
+from safety_harness.report.arm_meshes import arm_meshes
+from safety_harness.report.evidence import JudgedRun
+from safety_harness.report.packing import as_attribute, packed
+from safety_harness.report.path_views import shown_moment
+from safety_harness.report.prediction_spread import prediction_spread_m
+from safety_harness.report.svg import plain
+from safety_harness.report.timeline import LEFT_PX, MODE_INK, PANEL_PX, WIDTH_PX
+from safety_harness.report.words import (
+    MODE_WORDS,
+    OUTCOME_WORDS,
+    TRIGGER_WORDS,
+    claimed_hand_distance_m,
+    failed_words,
+)
+from safety_harness.robot.capsules import CapsuleSet
+from safety_harness.robot.description import ArmModel
+from safety_harness.robot.robots import arm_capsules, arm_model
+from safety_harness.scenario.model import Verdict
+from safety_harness.scenario.obstacles import Obstacle
+from safety_harness.settings import HandSensorKind, Object, Settings
+from safety_harness.simulation.truth import cell_capsules
+from safety_harness.trace.records import Check, DecisionOutcome, Trigger
+from safety_harness.trace.trace import Trace
+from safety_harness.trace.unmeasured import as_measured, decided, measured
+
+MOST_REPLAYS = 20  # on a page
+MOST_TICKS = 750  # more are not seen; a run of ten seconds has 1250
+ANY = 1_000_000  # no capsule: it is not known to which a hand is nearest
+
+
+class Replays:
+    """The replays of one page: no more than ``most``, and the meshes of an arm only with its first."""
+
+    def __init__(self, most: int = MOST_REPLAYS) -> None:
+        self._left = most
+        self._meshes: dict[ArmModel, str] = {}  # and in which replay they are
+
+    def of(self, run: JudgedRun, name: str, **more: object) -> dict[str, object] | None:
+        """What the macro ``replay`` takes; None of a run without ticks, or if the page has enough.
+
+        ``name`` is an id of the page, and the drawing over time has ids that begin with ``name-time-``.
+        """
+        if self._left == 0 or len(run.trace.ticks) == 0:
+            return None
+        self._left -= 1
+        moment, arm = shown_moment(run), arm_model(run.trace.scenario.robot)
+        time_s = run.trace.time_s
+        found = replay_data(run) | {"charts": f"{name}-time-"}
+        if self._meshes.setdefault(arm, name) == name:
+            found["meshes"] = arm_meshes(arm)
+        else:
+            found["meshes_of"] = f"{self._meshes[arm]}-replay"
+        return {
+            "id": f"{name}-replay",
+            "data": as_attribute(found),
+            "first_s": float(time_s[0]),
+            "last_s": float(time_s[-1]),
+            "from_s": start_s(run),
+            "step_s": run.trace.scenario.settings.clock.control_period_s,
+            "moment_s": "" if moment is None else f"{moment.time_s:.3f}",
+            "moment_name": "Nearest hand" if moment is None or moment.claim is None else "Worst moment",
+            **more,
+        }
+
+
+def replay_data(run: JudgedRun) -> dict[str, Any]:
+    """The replay of a run with at least one tick, all but the arm's meshes."""
+    trace = as_measured(run.trace)
+    settings = trace.scenario.settings
+    arm = arm_model(trace.scenario.robot)
+    kept = kept_ticks(run)
+    ticks = trace.ticks[kept]
+    hands = len(trace.scenario.hands)
+    present = measured(trace, "hand_present")[kept]
+    there = present & np.isfinite(ticks["hand_position_in_base_m"]).all(axis=2)
+    modes = {} if measured(trace, "mode").all() else {"-1": "mode not measured"}
+    nearest = np.where(measured(trace, "hand_distance_capsule")[kept], ticks["hand_distance_capsule"], ANY)
+    predicted = np.where(ticks["track_valid"][:, :, None], ticks["predicted_hand_in_base_m"], np.nan)
+    used = int(np.max(np.flatnonzero(ticks["track_valid"].any(axis=0)) + 1, initial=0))
+    return {
+        **arm_in_scene(arm, cell_capsules(arm_capsules(trace.scenario.robot), settings)),
+        "name": plain(trace.scenario.name, longest=60),
+        "hands": [plain(hand.name, longest=40) for hand in trace.scenario.hands],
+        "hand_radius_m": settings.hand.radius_m,
+        "forearm_radius_m": settings.hand.forearm_radius_m,
+        "forearm_length_m": settings.hand.forearm_length_m,
+        "critical_distance_m": settings.avoidance.critical_distance_m,
+        "table_height_m": settings.cell.table_height_m,
+        "desired_tcp_in_base_m": list(settings.cell.desired_tcp_position_in_base_m),
+        "object_in_base_m": _object(settings.object),
+        "boxes_in_base_m": [_faces(box) for box in trace.scenario.obstacles],
+        "views": _views(settings),
+        "tracks": used,
+        **({} if trace.known.whole else {"lacking": "not measured"}),
+        "modes": {str(int(mode)): words for mode, words in MODE_WORDS.items()} | modes,
+        "mode_inks": {str(int(mode)): ink.variable for mode, ink in MODE_INK.items()},
+        "decisions": _decisions(trace),
+        "worst": _worst(run),
+        "limits_m": sorted({one for e in run.evaluations if (one := claimed_hand_distance_m(e)) is not None}),
+        "chart": [LEFT_PX, PANEL_PX, WIDTH_PX, max(trace.scenario.duration_s, float(trace.time_s[-1]))],
+        **packed(
+            {
+                "time_s": ticks["time_s"],
+                "joint_position_rad": ticks["joint_position_rad"],
+                "tcp_in_base_m": ticks["transform_tcp_to_base"][:, :3, 3],
+                "hand_in_base_m": ticks["hand_position_in_base_m"][:, :hands],
+                "elbow_in_base_m": ticks["elbow_position_in_base_m"][:, :hands],
+                "hand_distance_m": np.where(present, ticks["hand_distance_m"], np.nan)[:, :hands],
+                "nearest_capsule": np.where(there, nearest, -1)[:, :hands],
+                "predicted_in_base_m": predicted[:, :used],
+                "spread_m": prediction_spread_m(trace)[kept][:, :used],
+                "separation_m": _separation_m(trace)[kept],
+                "mode": np.where(measured(trace, "mode")[kept], ticks["mode"], -1),
+                "object_visible": np.where(
+                    measured(trace, "object_visible")[kept], ticks["object_visible"], -1
+                ),
+                "faulty": (ticks["faults"] != 0) & measured(trace, "faults")[kept],
+            }
+        ),
+    }
+
+
+def arm_in_scene(arm: ArmModel, capsules: CapsuleSet) -> dict[str, Any]:
+    """Frames and capsules as the viewer takes them."""
+    return {
+        "joint_origins": [rounded(origin, 9) for origin in arm.joint_origins],
+        "joint_axes": arm.joint_axes.tolist(),
+        "flange": rounded(arm.flange, 9),
+        "capsules": [
+            {"link": int(link), "start": rounded(start), "end": rounded(end), "radius_m": float(radius)}
+            for link, start, end, radius in zip(
+                capsules.link_index,
+                capsules.start_in_link,
+                capsules.end_in_link,
+                capsules.radius_m,
+                strict=True,
+            )
+        ],
+    }
+
+
+def rounded(values: NDArray[np.float64], digits: int = 5) -> list[float]:
+    """The numbers of an array of any shape, for people's eyes only.  ``values`` (...)."""
+    return [round(float(value), digits) for value in values.ravel()]
+
+
+def kept_ticks(run: JudgedRun) -> NDArray[np.int64]:
+    """Which ticks the replay shows."""
+    count = len(run.trace.ticks)
+    step = -(-count // MOST_TICKS)
+    worst = [e.worst_time_s for e in run.evaluations if e.worst_time_s is not None]
+    at_worst = [int(np.argmin(np.abs(run.trace.time_s - time_s))) for time_s in worst if isfinite(time_s)]
+    asked = run.trace.decisions["tick"].tolist()[:MOST_TICKS] if decided(run.trace, "tick") else []
+    kept = {*range(0, count, step), count - 1, *at_worst, *asked}
+    return np.array(sorted(kept), np.int64)
+
+
+def start_s(run: JudgedRun) -> float:
+    """Where the replay stands at first: at the moment that the drawings show."""
+    moment = shown_moment(run)
+    return float(run.trace.time_s[0]) if moment is None else moment.time_s
+
+
+def _separation_m(trace: Trace) -> NDArray[np.float64]:
+    """(n,) how far a walking human has to be away by the trace's reaction and stop times; NaN if not known.
+
+    The arm is taken to come nearer at the TCP's speed; claims take that of each link.
+    """
+    speed_mps = trace.ticks["tcp_speed_mps"]
+    ticks = zip(speed_mps.tolist(), *(one.tolist() for one in times_left_s(trace)), strict=True)
+    needed = [sum(lengths(WALKING_MPS, speed, wait_s, stop_s, 0.0, 0.0)) for speed, wait_s, stop_s in ticks]
+    return np.where(measured(trace, "tcp_speed_mps"), needed, np.nan)
+
+
+def _views(settings: Settings) -> list[dict[str, Any]]:
+    """What the servoing camera sees, from the flange, and an own camera for the hands from where it hangs.
+
+    The corners of a view lie in the plane of the object as the arm sees it at its goal, or in the table's.
+    """
+    camera, sensor, cell = settings.camera, settings.hand_sensor, settings.cell
+    mount = transform_camera_to_tcp(camera, calibrated=False)
+    depth_m = cell.desired_tcp_position_in_base_m[2] - settings.object.position_in_base_m[2]
+    found = [(mount, camera, depth_m, True)]
+    if sensor.kind is HandSensorKind.OVERHEAD:
+        hung = overhead_transform_sensor_to_base(settings)
+        found.append((hung, sensor, float(hung[2, 3]) - cell.table_height_m, False))  # type: ignore[arg-type]
+    return [
+        {"on_tool": on_tool, "transform": rounded(transform), "corners": _corners(optics, depth)}
+        for transform, optics, depth, on_tool in found
+    ]
+
+
+def _corners(optics: Any, depth_m: float) -> list[list[float]]:  # a Camera or a HandSensor
+    half = 0.5 * depth_m / optics.focal_px * np.array([optics.width_px, optics.height_px])
+    return [rounded(np.array([*half * sign, depth_m])) for sign in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+
+
+def _object(shape: Object) -> list[list[float]]:
+    c, s = np.cos(shape.yaw_rad), np.sin(shape.yaw_rad)
+    corners = np.zeros((len(shape.polygon_m), 3))
+    corners[:, :2] = np.array(shape.polygon_m) @ np.array([[c, s], [-s, c]])
+    return [rounded(corner) for corner in corners + shape.position_in_base_m]
+
+
+def _faces(box: Obstacle) -> list[list[list[float]]]:
+    """The corners of its floor, its top and two walls, which have all edges."""
+    corners = [rounded(corner) for corner in box.corners_in_base_m]
+    return [[corners[k] for k in face] for face in ((0, 1, 2, 3), (4, 5, 6, 7), (0, 1, 5, 4), (2, 3, 7, 6))]
+
+
+def _worst(run: JudgedRun) -> list[dict[str, Any]]:
+    """The worst moment of each claim that has one."""
+    return [
+        {"time_s": one.worst_time_s, "violated": one.verdict is Verdict.VIOLATED}
+        for one in run.evaluations
+        if one.worst_time_s is not None and isfinite(one.worst_time_s)
+    ]
+
+
+def _decisions(trace: Trace) -> list[dict[str, Any]]:
+    """When each was made, from where, to where the way then led, and which ways were refused, as measured."""
+    if not decided(trace, "time_s"):
+        return []
+    return [_decision(trace, decision) for decision in trace.decisions]
+
+
+def _decision(trace: Trace, decision: np.void) -> dict[str, Any]:
+    def place(name: str) -> list[float] | None:
+        found = decision[f"{name}_position_in_base_m"]
+        return rounded(found) if np.isfinite(found).all() else None
+
+    words, refused = [], []
+    if decided(trace, "trigger"):
+        words.append(TRIGGER_WORDS[Trigger(decision["trigger"])])
+    if decided(trace, "outcome"):
+        words.append(OUTCOME_WORDS[DecisionOutcome(decision["outcome"])])
+    if decided(trace, "proposed_failed", "opposite_failed"):
+        failed = Check(int(decision["proposed_failed"])), Check(int(decision["opposite_failed"]))
+        names = zip(("proposed", "opposite"), failed, strict=True)
+        refused = [at for name, check in names if check and (at := place(name)) is not None]
+        words += [f"refused: {failed_words(*failed)}"] if any(failed) else []
+    return {
+        "time_s": float(decision["time_s"]),
+        "from": place("tcp"),
+        "chosen": place("chosen"),
+        "refused": refused,
+        "says": ", ".join(words),
+    }

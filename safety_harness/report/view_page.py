@@ -1,0 +1,40 @@
+"""One self-contained page that replays one stored run in 3-D, or two side by side in step."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from markupsafe import Markup
+
+from safety_harness.report.evidence import JudgedRun
+from safety_harness.report.html import claim_rows, notes
+from safety_harness.report.knowledge import measured_lines
+from safety_harness.report.page_parts import render_page
+from safety_harness.report.replay import Replays, start_s
+from safety_harness.report.timeline import timeline
+from safety_harness.whole_file import write_whole
+
+LANES = ("one", "two")
+
+
+def write_view(path: Path, runs: Sequence[tuple[str, JudgedRun]]) -> None:
+    """Write the page of one or two runs (name, run), each with at least one tick.  Raises OSError."""
+    replays = Replays()
+    lanes = LANES if len(runs) == len(LANES) else ("",)
+    sections = [
+        {
+            "id": f"view-{number}",
+            "name": name,
+            "run": run,
+            "lane": lane,
+            "replay": replays.of(run, f"view-{number}", from_s=start_s(runs[0][1])),
+            "claims": claim_rows(run),
+            "measured": measured_lines(run.trace),
+            "notes": notes(run),
+            "timeline": Markup(timeline(run, prefix=f"view-{number}-time-")),
+        }
+        for number, ((name, run), lane) in enumerate(zip(runs, lanes, strict=True), start=1)
+    ]
+    title = " beside ".join(name for name, _ in runs)
+    write_whole(path, render_page("view.html.j2", replays=True, title=title, sections=sections))
