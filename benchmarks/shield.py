@@ -71,6 +71,7 @@ SLOWLY = "deceleration: 200 mm/s2, hand acceleration: 100 mm/s2"
 KNOWN = f"{SMALL}shield: {{{WITHIN}}}\n"
 UR10E = KNOWN + "avoider: opposite pose\nrobot: {arm: shipped:ur10e, drives: {%s}}\n"
 FORGETS = KNOWN + "about: its shield knows nothing of the wrist and of what it carries\n"
+STOUT = "300 mm, forearm radius: 150 mm"
 FAULTY = KNOWN + "faults:\n  - hand sensor: "
 VIOLATED = [  # assumption, how, lines of the space
     ("none", "as it ships", ""),
@@ -80,7 +81,7 @@ VIOLATED = [  # assumption, how, lines of the space
     ("1 speed", "a bound of 100 mm/s", f"{SMALL}shield: {{{WITHIN}, hand speed: 100 mm/s}}\n"),
     ("none", "braked at 0.2 m/s2, not 1", f"{SMALL}shield: {{{WITHIN}, deceleration: 200 mm/s2}}\n"),
     ("2 acceleration", "so, and a bound of 0.1 m/s2", f"{SMALL}shield: {{{WITHIN}, {SLOWLY}}}\n"),
-    ("3 body", "a forearm of 300 mm, a bound of 60", KNOWN.replace("10 mm", "300 mm", 1)),
+    ("3 body", "a forearm 150 mm thick, a bound of 60", KNOWN.replace("10 mm", STOUT, 1)),
     ("4 sight", "the sensor sees nothing", f"{FAULTY}sees nothing\n"),
     ("5 place", "850 mm off", f"{FAULTY}is off\n    offset: [600 mm, -600 mm, 0 mm]\n"),
     ("6 time", "frozen, with new time stamps", f"{FAULTY}freezes\n    from: 100 ms\n"),
