@@ -103,6 +103,8 @@ def system_of(
     if isinstance(robot, OwnRobot):
         robot_sha256 = str(robot.urdf_sha256)
     servo, gate, perception, whole = _parts(settings)
+    if scenario.gate is not None:
+        gate = replace(gate, name=f"{gate.name}, every hand within {100.0 * scenario.gate.hands_within:g} %")
     return SystemUnderTest(
         controller=controller or servo,
         avoider=avoider if controller is None else None,
