@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from safety_harness import Move
 from safety_harness.admission.admit import Admitted, admit
 from safety_harness.admission.trial import run_kinematic
+from safety_harness.attribution.shielding import attribute_shield
 from safety_harness.controller.records import (
     CommandRecords,
     ObservationRecords,
@@ -28,6 +29,7 @@ from safety_harness.controller.records import (
 from safety_harness.controller.shield import Guard, allowed_share, guard_of, keep_apart
 from safety_harness.properties.base import Evaluation
 from safety_harness.properties.touching import NO_MOVING_PART_TOUCHES
+from safety_harness.report.shielding import slowings
 from safety_harness.robot.capsules import load_capsules
 from safety_harness.robot.distance import place_capsules
 from safety_harness.robot.kinematics import fastest_end, link_twists
@@ -123,6 +125,24 @@ def test_it_says_what_it_did_and_for_which_link() -> None:
     assert 0.2 < acted.mean() < 0.9
     assert (done["capsule"][acted] >= 0).all()
     assert (done["capsule"][~acted] == -1).all()
+
+
+def test_who_was_decisive_is_said_with_when_and_for_whom() -> None:
+    text = REACH + "shield: speed and separation\n"
+    found = attribute_shield(admit(parse_scenario(text), controller=Swings()))
+    assert found is not None
+    assert found.words == f"the shield was decisive: {swinging()[1].margin_text()} without it"
+    trace, _ = shielded()
+    stretches = slowings(trace)
+    assert stretches == slowings(found.trace)
+    slowed = np.zeros(len(trace.ticks), bool)
+    for one in stretches:
+        slowed |= (trace.time_s >= one.from_s) & (trace.time_s <= one.to_s)
+        assert one.hand == "right hand"
+        assert one.part != "before the first frame"
+    np.testing.assert_array_equal(slowed, trace.interventions["scale"] < 1.0)
+    assert min(one.least_scale for one in stretches) == 0.0
+    assert attribute_shield(admit(parse_scenario(REACH), controller=Swings())) is None
 
 
 def test_it_brakes_no_harder_than_it_says() -> None:
