@@ -13,7 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.admission.avoiders import Avoiders, folder_of, refuse_unusable
-from safety_harness.admission.checks import check_cameras, check_decision_time, check_faults, checked_view
+from safety_harness.admission.checks import (
+    check_cameras,
+    check_decision_time,
+    check_faults,
+    checked_view,
+    refuse_gate,
+)
 from safety_harness.admission.claims import property_of
 from safety_harness.admission.driving import (
     IN_PYTHON,
@@ -108,7 +114,8 @@ class Admitted(Checked):
         scenario, settings = self.scenario, self.scenario.settings
         assert self.view is not None
         robot = scenario.robot
-        gate = Gate.of(settings, inverse_kinematics(robot), arm_capsules(robot), scenario.obstacles)
+        arm = inverse_kinematics(robot), arm_capsules(robot)
+        gate = Gate.of(settings, *arm, scenario.obstacles, scenario.gate)
         cost, declared_s = settings.avoidance.decision_time, decision_time_of(self.avoider)
         if recorded is not None and cost is DecisionCost.WALL_CLOCK:
             times_s = recorded_times_s(recorded)
@@ -230,6 +237,7 @@ def _check(scenario: Scenario, *, sees_object: bool) -> Checked:
     arm = _arm_of(scenario)
     with _placed(scenario):
         check_posture(scenario, arm)
+        refuse_gate(scenario)
         check_stuck_joints(scenario, arm)
         view = None
         if sees_object:

@@ -20,6 +20,7 @@ from safety_harness.servoing.control import DesiredView
 from safety_harness.settings import (
     DecisionTimes,
     DetectorKind,
+    GateKind,
     HandSensor,
     HandSensorKind,
     ImageSource,
@@ -152,6 +153,17 @@ def check_cameras(scenario: Scenario) -> None:
     if settings.hand_sensor.kind is HandSensorKind.EYE_IN_HAND:
         _refuse_shield(scenario)
         _check_one_optics(scenario)
+
+
+def refuse_gate(scenario: Scenario) -> None:
+    """A rule of the gate needs the visual servo, which has one, and its full kind."""
+    full = scenario.settings.avoidance.gate is GateKind.FULL
+    if scenario.gate is not None and (scenario.driven or not full):
+        raise InadmissibleError(
+            place=scenario.place("gate"),
+            expected="the visual servo with its full gate, whose rule this is",
+            got="another controller" if scenario.driven else "the gate of reach alone",
+        )
 
 
 def _refuse_shield(scenario: Scenario) -> None:

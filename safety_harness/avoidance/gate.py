@@ -30,6 +30,7 @@ from safety_harness.controller.contract import Seen
 from safety_harness.robot.capsules import CapsuleSet
 from safety_harness.robot.inverse import InverseKinematics
 from safety_harness.robot.obstacles import BoxRecords, box_records, distance_from
+from safety_harness.scenario.gate import GateRule
 from safety_harness.scenario.obstacles import Obstacle
 from safety_harness.settings import GateKind, Settings
 from safety_harness.trace.records import Check, DecisionOutcome
@@ -43,7 +44,8 @@ WAY_STEP_M = 0.025  # between two samples of a way they come nearer by half of t
 class Query:
     """What is asked: where the nearest predicted hand, the TCP and the joints are, and a seed.
 
-    ``hands_in_base_m`` is every predicted hand, the nearest among them; only the gate sees it.
+    ``hands_in_base_m`` is every predicted hand, the nearest among them; only the gate sees it, and the
+    ``half_widths_m`` of the boxes about them in which they may be; None where no rule asks for them.
     ``asked_of``: the hand and the TCP (3,) of an earlier question, where a fault has its answer count.
     """
 
@@ -57,6 +59,7 @@ class Query:
     limit_s: float = WALL_LIMIT_S
     asked_of: tuple[Vector, Vector] | None = None
     seen: Seen | None = None  # when it was asked
+    half_widths_m: Vector | None = None  # (k, 3)
 
     @property
     def question(self) -> Question:
@@ -95,6 +98,7 @@ class Gate:
     capsules: CapsuleSet
     kind: GateKind = GateKind.FULL
     boxes: BoxRecords = field(default_factory=lambda: box_records(()))
+    rule_of_hands: GateRule | None = None
 
     @classmethod
     def of(
@@ -103,6 +107,7 @@ class Gate:
         kinematics: InverseKinematics,
         capsules: CapsuleSet,
         obstacles: Sequence[Obstacle] = (),
+        rule_of_hands: GateRule | None = None,
     ) -> Gate:
         """The gate of the settings, for an arm, the capsules on it, and the boxes in its cell."""
         return cls(
@@ -113,6 +118,7 @@ class Gate:
             capsules,
             settings.avoidance.gate,
             box_records(obstacles),
+            rule_of_hands,
         )
 
     def rule(self, avoider: Avoider, query: Query) -> GateDecision:
@@ -167,7 +173,7 @@ class Gate:
         way = position_in_base_m - start_in_base_m
         if position_in_base_m[2] < self.lowest_tcp_height_m:
             failed |= Check.TABLE
-        if full and not leads_away(start_in_base_m, way, query.hands_in_base_m):
+        if full and not leads_away(start_in_base_m, way, query.hands_in_base_m, query.half_widths_m):
             failed |= Check.TOWARDS_A_HAND
         target = query.transform_tcp_to_base.copy()
         target[:3, 3] = position_in_base_m
@@ -237,8 +243,13 @@ def ask_many(avoiders: Sequence[Avoider], queries: Sequence[Query]) -> list[Answ
     return answers
 
 
-def leads_away(start_in_base_m: Vector, way: Vector, hands_in_base_m: Vector) -> bool:
+def leads_away(
+    start_in_base_m: Vector, way: Vector, hands_in_base_m: Vector, half_widths_m: Vector | None = None
+) -> bool:
     """Does the straight way (3,) lead away from each of the hands (k, 3), everywhere?
+
+    With ``half_widths_m`` r (k, 3): wherever they are in such boxes, for (p - t) . (t - h) is linear in h,
+    least at a corner, and there less by sum |p - t|_i r_i.
 
     The distance from a fixed point to a straight way is convex, so it grows everywhere unless it
     falls at the start: (p - t) . (t - h) >= 0.  A way of no length leads nowhere.  False if a
@@ -246,4 +257,6 @@ def leads_away(start_in_base_m: Vector, way: Vector, hands_in_base_m: Vector) ->
     """
     if not float(np.linalg.norm(way)) > 0.0:
         return False
-    return all(float(way @ (start_in_base_m - hand)) >= 0.0 for hand in hands_in_base_m)
+    lost = np.zeros(len(hands_in_base_m)) if half_widths_m is None else half_widths_m @ np.abs(way)
+    ways = zip(hands_in_base_m, lost, strict=True)
+    return all(float(way @ (start_in_base_m - hand)) >= less for hand, less in ways)

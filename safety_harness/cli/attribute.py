@@ -11,6 +11,7 @@ from safety_harness.admission.admit import Admitted, Admitter
 from safety_harness.admission.avoiders import is_a_program, option_of, with_avoider
 from safety_harness.admission.trial import judge
 from safety_harness.attribution.attribute import Attribution, AttributionAnswer, attribute, confirmed
+from safety_harness.attribution.shielding import attribute_shield
 from safety_harness.attribution.tally import AttributionTally
 from safety_harness.cli.console import (
     AS_EXPECTED,
@@ -28,6 +29,7 @@ from safety_harness.exceptions import InputError, Place, ScenarioError, TraceErr
 from safety_harness.report.attribution_picture import draw_attributions
 from safety_harness.report.page_parts import asset
 from safety_harness.report.search_attribution import confirming_line
+from safety_harness.report.shielding import slowings
 from safety_harness.report.svg import standalone
 from safety_harness.scenario.expand import gather
 from safety_harness.scenario.kinds import FileKind, command_for, kind_of
@@ -93,11 +95,14 @@ class AttributionSession:
     def take(self, admitted: Admitted, claims: Sequence[Claim] = ()) -> None:
         """Attribute and print the violations of one run: of these claims, or of all of its own."""
         try:
-            attributions = attribute(admitted, claims)
+            attributions, shield = attribute(admitted, claims), attribute_shield(admitted)
         except Exception as error:  # one run's failure must not cost the others' answers
             self.failed = True
             say(f"error: {admitted.scenario.name} could not be run again: {described(error)}")
             return
+        if shield is not None:
+            result(f"{admitted.scenario.name}: {shield.words}")
+            result(*(f"    {one}" for one in slowings(shield.trace)))
         for one in attributions:
             self.found.append(one)
             margin = one.unit.margin_text(one.margin)

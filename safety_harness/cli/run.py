@@ -43,6 +43,7 @@ from safety_harness.report.decisions import (
     overruling_of_each,
 )
 from safety_harness.report.evidence import JudgedRun, notes_of, tallies
+from safety_harness.report.possible_hands import possible_lines
 from safety_harness.report.shielding import shield_lines
 from safety_harness.scenario.expand import gather
 from safety_harness.scenario.files import told
@@ -206,6 +207,7 @@ class RunSession:
         times = computing_time_lines(run.trace for run in self.runs)
         say(*(f"computing time: {line}" for line in times))
         say(*(f"shield: {line}" for line in shield_lines(run.trace for run in self.runs)))
+        say(*(f"gate: {line}" for line in possible_lines(run.trace for run in self.runs)))
         say(*overruling_lines(overruling_of_each(run.trace for run in self.runs)))
         verdicts = [same for one in self.runs for same in one.as_expected]
         fallback = DecisionTally.of(one.trace for one in self.runs).fallback

@@ -39,6 +39,7 @@ from safety_harness.controller.records import (
 from safety_harness.controller.shield import Guard, no_guard
 from safety_harness.controller.sight import Sight
 from safety_harness.perception.hand_filter import filter_parameters
+from safety_harness.perception.possible_hands import possible_half_widths_m
 from safety_harness.perception.tracking import no_tracks
 from safety_harness.robot.description import ArmModel
 from safety_harness.scenario.fault_table import fault_table
@@ -191,7 +192,17 @@ class AvoidingServo:
             limit_s=self._limit_s,
             asked_of=(asked_hand.copy(), asked_tcp.copy()) if question["delayed"] else None,
             seen=self._seen,
+            half_widths_m=self._half_widths_m(observation),
         )
+
+    def _half_widths_m(self, observation: NDArray[np.void]) -> NDArray[np.float64] | None:
+        """(k, 3) of each predicted hand, if the gate asks for all places where it may be."""
+        rule, r = self.gate.rule_of_hands, self.records
+        if rule is None:
+            return None
+        at_s = float(observation[0]["time_s"] + r.parameters[0]["prediction_horizon_s"])
+        pose = r.state[0]["transform_sensor_to_base"]
+        return possible_half_widths_m(r.tracks, at_s, r.filter_parameters, pose, rule.hands_within)
 
     @property
     def _recorded_words(self) -> str:

@@ -14,7 +14,7 @@ and, of a hand that cannot speed up at once (acceleration at most b, seen no fas
 from __future__ import annotations
 
 from functools import lru_cache
-from math import inf, sqrt
+from math import inf, isnan, sqrt
 from typing import Any, NamedTuple, NewType
 
 import numpy as np
@@ -164,6 +164,8 @@ def keep_apart(
             share, by = allowed_share(
                 shields, command.joint_velocity_radps, fastest_mps, period_s, observations[0].time_s
             )
+        if not stop_s < np.inf:  # something is no number, and no command that is scaled would be one
+            share, stop_s = 0.0, np.nan
     left_s = g.stop_s - period_s
     if command.protective_stop or (share < 1.0 and not share * stop_s >= left_s):
         kept = left_s / g.stop_s if left_s > 0.0 else 0.0
@@ -222,7 +224,7 @@ def clearances(
         x, y, z = point_velocity(twist, middle)
         turn = sqrt(twist[0] * twist[0] + twist[1] * twist[1] + twist[2] * twist[2])
         speed_mps = sqrt(x * x + y * y + z * z) + turn * half_m
-        if not speed_mps <= fastest_mps:
+        if speed_mps > fastest_mps or isnan(speed_mps):  # once a NaN, it stays one
             fastest_mps = speed_mps
         placed, around_m = False, half_m + capsule.radius_m
         for i in range(g.count[0]):
@@ -236,7 +238,7 @@ def clearances(
                 place_capsules(capsules[k : k + 1], transforms, g.ends)
                 placed = True
             clear_m = point_segment_distance(hand, g.ends[0, 0], g.ends[0, 1]) - capsule.radius_m
-            if not clear_m >= g.clearance_m[i]:
+            if clear_m < g.clearance_m[i] or isnan(clear_m):
                 g.clearance_m[i], g.capsule[i] = clear_m, k
     return fastest_mps
 

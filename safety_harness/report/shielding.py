@@ -1,12 +1,19 @@
-"""What the shields of runs did, in words and as data: how many ticks were slowed, and for which part."""
+"""What the shields of runs did, in words and as data: when, how much, for which part and which hand."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable
+from dataclasses import asdict, dataclass
 from typing import Any
 
+import numpy as np
+
+from safety_harness.geometry.segments import point_segment_distance
 from safety_harness.properties.true_motion import capsules_of
+from safety_harness.robot.distance import place_capsules
+from safety_harness.robot.kinematics import links_in_base
+from safety_harness.robot.robots import arm_model
 from safety_harness.trace.trace import Trace
 
 NOTHING_SEEN = "before the first frame"
@@ -19,6 +26,46 @@ def slowed_by_part(trace: Trace) -> Counter[str]:
     return Counter(names[k].replace("_", " ") if k >= 0 else NOTHING_SEEN for k in slowed)
 
 
+@dataclass(frozen=True)
+class Slowing:
+    """A stretch of ticks that a shield slowed, down to ``least_scale``, by what it did it for then."""
+
+    from_s: float
+    to_s: float
+    part: str
+    hand: str  # truly nearest to that part at the slowest tick; empty for none
+    least_scale: float
+
+    def __str__(self) -> str:
+        whose = f" from {self.hand}" if self.hand else ""
+        return (
+            f"{self.from_s:.3f} to {self.to_s:.3f} s: {self.part}{whose}, "
+            f"down to {100.0 * self.least_scale:.0f} % of the speed"
+        )
+
+
+def slowings(trace: Trace) -> list[Slowing]:
+    """Each stretch, in order of time; none without a shield."""
+    slowed = np.concatenate([[False], trace.interventions["scale"] < 1.0, [False]])
+    edges = np.flatnonzero(slowed[1:] != slowed[:-1]).reshape(-1, 2)
+    return [_slowing(trace, int(begin), int(end)) for begin, end in edges]
+
+
+def _slowing(trace: Trace, begin: int, end: int) -> Slowing:
+    done = trace.interventions[begin:end]
+    slowest = int(np.argmin(done["scale"]))
+    number, time_s, hand = int(done["capsule"][slowest]), trace.time_s, ""
+    part = capsules_of(trace).names[number].replace("_", " ") if number >= 0 else NOTHING_SEEN
+    if number >= 0 and trace.scenario.hands:
+        tick, ends_m = trace.ticks[begin + slowest], np.empty((1, 2, 3))
+        transforms = links_in_base(arm_model(trace.scenario.robot), tick["joint_position_rad"])
+        place_capsules(capsules_of(trace).records[number : number + 1], transforms, ends_m)
+        hands_m = tick["hand_position_in_base_m"][: len(trace.scenario.hands)]
+        away_m = [point_segment_distance(hand_m, *ends_m[0]) for hand_m in hands_m]
+        hand = trace.scenario.hands[int(np.argmin(away_m))].name
+    return Slowing(float(time_s[begin]), float(time_s[end - 1]), part, hand, float(done["scale"][slowest]))
+
+
 def shield_data(trace: Trace) -> dict[str, Any] | None:
     """``ticks``, ``slowed``, ``by_part`` and the ``least_scale``; None for a run without a shield."""
     if len(trace.interventions) == 0:
@@ -29,6 +76,7 @@ def shield_data(trace: Trace) -> dict[str, Any] | None:
         "slowed": by_part.total(),
         "by_part": dict(by_part.most_common()),
         "least_scale": float(trace.interventions["scale"].min()),
+        "slowings": [asdict(one) for one in slowings(trace)],
     }
 
 

@@ -31,6 +31,7 @@ from safety_harness.scenario.codec import (
     table_of,
 )
 from safety_harness.scenario.faults import Fault
+from safety_harness.scenario.gate import GateRule
 from safety_harness.scenario.moves import LONGEST_S, MOVE, REACHING_MPS, SPEEDS, TREMOR, HandMove, Tremor
 from safety_harness.scenario.obstacles import Obstacle
 from safety_harness.scenario.robots import DIGEST, AnyRobot, Robot
@@ -381,6 +382,7 @@ class Scenario:
     obstacles: tuple[Obstacle, ...] = ()
     controller: str = VISUAL_SERVO
     shield: Shield | None = None
+    gate: GateRule | None = None
     file: Path | None = field(default=None, compare=False)
     places: Mapping[str, Place] = field(default_factory=dict, compare=False)
 

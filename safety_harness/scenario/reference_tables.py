@@ -9,6 +9,7 @@ from safety_harness.scenario.codec import Below, FreeKeys, Key, KeyTable, Quanti
 from safety_harness.scenario.compose import LONGEST_CHAIN, MOST_COMBINATIONS
 from safety_harness.scenario.faults import MOST_FAULTS, fault_tables
 from safety_harness.scenario.fields import Field
+from safety_harness.scenario.gate import GATE
 from safety_harness.scenario.model import DEFAULT_AVOIDER, HANDS, LARGEST_SEED, START, VISUAL_SERVO, Verdict
 from safety_harness.scenario.moves import LASTING, LONGEST_S
 from safety_harness.scenario.obstacles import OBSTACLES
@@ -152,6 +153,15 @@ TOP = KeyTable(
             "speed and separation",
             "none",
             attribute="shield",
+            fallback=None,
+        ),
+        Key(
+            "gate",
+            Below(tables=(GATE,)),
+            "what the gate asks for beside its checks ([gate](avoiders.md#the-gate))",
+            "{every hand within: 99 %}",
+            "nothing",
+            attribute="gate",
             fallback=None,
         ),
         Key(

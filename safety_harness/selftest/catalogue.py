@@ -8,7 +8,16 @@ from safety_harness.selftest.harmless import HARMLESS
 from safety_harness.selftest.motion_faults import MOTION_FAULTS
 from safety_harness.selftest.perception_faults import PERCEPTION_FAULTS
 from safety_harness.selftest.servoing_faults import SERVOING_FAULTS
+from safety_harness.selftest.shield_faults import SHIELD_FAULTS
 from safety_harness.selftest.timing_faults import TIMING_FAULTS
 
-FAULTS = (*AVOIDER_FAULTS, *GATE_FAULTS, *PERCEPTION_FAULTS, *SERVOING_FAULTS, *MOTION_FAULTS, *TIMING_FAULTS)
+FAULTS = (
+    *AVOIDER_FAULTS,
+    *GATE_FAULTS,
+    *PERCEPTION_FAULTS,
+    *SERVOING_FAULTS,
+    *MOTION_FAULTS,
+    *SHIELD_FAULTS,
+    *TIMING_FAULTS,
+)
 EVERY = (*FAULTS, *HARMLESS)

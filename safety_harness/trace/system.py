@@ -103,6 +103,8 @@ def system_of(
     if isinstance(robot, OwnRobot):
         robot_sha256 = str(robot.urdf_sha256)
     servo, gate, perception, whole = _parts(settings)
+    if scenario.gate is not None:
+        gate = replace(gate, name=f"{gate.name}, every hand within {100.0 * scenario.gate.hands_within:g} %")
     return SystemUnderTest(
         controller=controller or servo,
         avoider=avoider if controller is None else None,
@@ -145,8 +147,14 @@ def _parts(settings: Settings) -> tuple[Component, Component, Component, Compone
 
 def _of(settings: Settings, *names: str) -> str:
     """The hash of some of the settings: of their exact values, in the order of their names."""
-    values = {name: asdict(getattr(settings, name)) for name in names}
-    return hashlib.sha256(json.dumps(values, sort_keys=True, default=_plain).encode()).hexdigest()
+    values = ", ".join(f'"{name}": {_text(getattr(settings, name))}' for name in sorted(names))
+    return hashlib.sha256(f"{{{values}}}".encode()).hexdigest()
+
+
+@lru_cache(maxsize=256)
+def _text(part: Any) -> str:
+    """A part of the settings as JSON: few of a space's draws have another."""
+    return json.dumps(asdict(part), sort_keys=True, default=_plain)
 
 
 def _plain(value: Any) -> Any:

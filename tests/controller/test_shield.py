@@ -13,16 +13,28 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from safety_harness import Move
-from safety_harness.admission.admit import admit
+from safety_harness.admission.admit import Admitted, admit
 from safety_harness.admission.trial import run_kinematic
-from safety_harness.controller.shield import allowed_share, guard_of
+from safety_harness.attribution.shielding import attribute_shield
+from safety_harness.controller.records import (
+    CommandRecords,
+    ObservationRecords,
+    ParameterRecords,
+    StateRecords,
+    command_dtype,
+    initial_state,
+    observation_dtype,
+    parameters_dtype,
+)
+from safety_harness.controller.shield import Guard, allowed_share, guard_of, keep_apart
 from safety_harness.properties.base import Evaluation
 from safety_harness.properties.touching import NO_MOVING_PART_TOUCHES
+from safety_harness.report.shielding import slowings
 from safety_harness.robot.capsules import load_capsules
 from safety_harness.robot.distance import place_capsules
 from safety_harness.robot.kinematics import fastest_end, link_twists
 from safety_harness.robot.robots import arm_model
-from safety_harness.scenario.model import Verdict
+from safety_harness.scenario.model import HAND_SLOTS, Verdict
 from safety_harness.scenario.read import parse_scenario
 from safety_harness.scenario.robots import Robot
 from safety_harness.scenario.shield import Shield
@@ -115,6 +127,24 @@ def test_it_says_what_it_did_and_for_which_link() -> None:
     assert (done["capsule"][~acted] == -1).all()
 
 
+def test_who_was_decisive_is_said_with_when_and_for_whom() -> None:
+    text = REACH + "shield: speed and separation\n"
+    found = attribute_shield(admit(parse_scenario(text), controller=Swings()))
+    assert found is not None
+    assert found.words == f"the shield was decisive: {swinging()[1].margin_text()} without it"
+    trace, _ = shielded()
+    stretches = slowings(trace)
+    assert stretches == slowings(found.trace)
+    slowed = np.zeros(len(trace.ticks), bool)
+    for one in stretches:
+        slowed |= (trace.time_s >= one.from_s) & (trace.time_s <= one.to_s)
+        assert one.hand == "right hand"
+        assert one.part != "before the first frame"
+    np.testing.assert_array_equal(slowed, trace.interventions["scale"] < 1.0)
+    assert min(one.least_scale for one in stretches) == 0.0
+    assert attribute_shield(admit(parse_scenario(REACH), controller=Swings())) is None
+
+
 def test_it_brakes_no_harder_than_it_says() -> None:
     trace, _ = shielded()
     rates = trace.ticks["demanded_joint_velocity_radps"]
@@ -167,8 +197,9 @@ BROKEN = {
     + "robot: {arm: shipped:ur10e, drives: {dead time: 100 ms}}\n",
     "drives brake as they are told": f"{UR10E}robot: {{arm: shipped:ur10e, drives: {{lag: 200 ms}}}}\n",
 }
+ONLY_THE_ARM = f"{SMALL}shield: {{{WITHIN}}}\n"
 KEPT = {
-    "a small hand": f"{SMALL}shield: {{{WITHIN}}}\n",
+    "a small hand": ONLY_THE_ARM,
     "measured speed": f"{SMALL}shield: {{{WITHIN}, hand acceleration: 10 m/s2}}\n",
     "a UR10e": f"{UR10E}robot: {{arm: shipped:ur10e}}\n",
     "a dead time that is known": UR10E.replace(WITHIN, f"{WITHIN}, reaction time: 100 ms")
@@ -183,6 +214,21 @@ KEPT = {
 @pytest.mark.parametrize("assumption", BROKEN)
 def test_each_assumption_is_needed(assumption: str) -> None:
     _, said = swinging(BROKEN[assumption])
+    assert said.verdict is Verdict.VIOLATED
+
+
+class Forgets(Admitted):
+    """Its shield knows nothing of the forearm and of what it carries: capsules that enclose no link."""
+
+    def guard(self) -> Guard:
+        guard = super().guard()
+        guard.capsules["radius_m"][guard.capsules["link_index"] >= 3] = -10.0
+        return guard
+
+
+def test_capsules_have_to_enclose_the_links() -> None:
+    forgetful = Forgets(**vars(admit(parse_scenario(REACH + ONLY_THE_ARM), controller=Swings())))
+    said = NO_MOVING_PART_TOUCHES.prop.evaluate(run_kinematic(forgetful))
     assert said.verdict is Verdict.VIOLATED
 
 
@@ -227,6 +273,33 @@ def axis_distance(point: np.ndarray, ends: np.ndarray) -> np.ndarray:
     t = np.clip(((point - ends[:, 0]) * along).sum(axis=1) / length, 0.0, 1.0)
     found: np.ndarray = np.linalg.norm(ends[:, 0] + t[:, None] * along - point, axis=1)
     return found
+
+
+@pytest.mark.parametrize(
+    "what", ["a hand", "a frame's time", "a joint", "a velocity", "the braking", "nothing"]
+)
+@pytest.mark.parametrize("hands", [0, 1])
+def test_whatever_is_no_number_stops_the_arm(what: str, hands: int) -> None:
+    q, rates, nan = np.array([-0.22, -1.27, 1.98, -2.27, -1.57, -1.79]), np.full(6, 0.01), np.nan
+    deceleration = nan if what == "the braking" else 1.0
+    guard = guard_of(Shield(deceleration_mps2=deceleration), DEFAULTS, UR10, CAPSULES, 1)
+    parameters, state = np.zeros(1, parameters_dtype(6)), initial_state()
+    parameters["control_period_s"], parameters["chain"] = PERIOD_S, UR10.chain
+    if what == "a joint":
+        q[-1] = nan
+    if what == "a velocity":
+        rates[-1] = nan
+    state["link_transforms"] = transforms_of(UR10, q)
+    guard.shield["taken_s"][0, 0] = nan if what == "a frame's time" else 0.0
+    guard.shield["count"][0, 0], guard.shield["hand_in_base_m"][0, 0, 0] = hands, (3.0, 3.0, 1.0)
+    if what == "a hand":
+        guard.shield["hand_in_base_m"][0, 0, 0, 1] = nan
+    command, observation = np.zeros(1, command_dtype(6)), np.zeros(1, observation_dtype(HAND_SLOTS[0]))
+    command["joint_velocity_radps"] = rates
+    arm = ParameterRecords(parameters), StateRecords(state)
+    keep_apart(*arm, *guard, ObservationRecords(observation), CommandRecords(command), 0)
+    goes = what == "nothing" or (hands == 0 and what == "a hand")  # which is then none
+    np.testing.assert_array_equal(command["joint_velocity_radps"][0], rates if goes else np.zeros(6))
 
 
 ANGLE, RATE = st.floats(-3.0, 3.0), st.floats(-1.0, 1.0)

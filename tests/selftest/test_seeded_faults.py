@@ -34,6 +34,8 @@ WHERE = {  # the scenarios that show a fault of each part, and what is tried the
     "lost object not noticed": "fault-camera-blind",
     "overspeed": "network-certain",
     "stop that does not stop": "nothing-reachable",
+    "shield looks elsewhere": "second-hand",
+    "shield forgets links": "second-hand",
     "late commands": "hand-visits-and-leaves",
 }
 BIT_FOR_BIT = {
