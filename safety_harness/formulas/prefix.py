@@ -106,12 +106,14 @@ class Prefix:
         self._reach = reach_ticks(self.formula, period_s)
         self._kept_ticks = self._reach + revisable  # beside the latest, and one that is let go
         self._program = _Program(self.formula, period_s, columns)
-        self._values = np.empty((len(self._program.code), 2, 2 * self._kept_ticks + 4))
+        # a row for each node, and one for what an outermost "always" or "whenever" asks at each tick
+        self._values = np.empty((len(self._program.code) + 1, 2, 2 * self._kept_ticks + 4))
         self._begin = self._end = 0
         self._asks = _asks_every_tick(self.formula)
-        alone = self._asks and sum(map(is_endless, self.formula.nodes())) == 1
-        side = _Running if alone else _Side
-        self._low, self._high = side(self.formula, 1), side(self.formula, -1)
+        self._earlier = np.inf, np.inf  # the least of what it asked at ticks that are gone
+        self._sides: tuple[_Side, _Side] | None = None
+        if not self._asks or sum(map(is_endless, self.formula.nodes())) > 1:
+            self._sides = _Side(self.formula, 1), _Side(self.formula, -1)
 
     def step(self, bounds: Bounds, revised: Sequence[Bounds] = ()) -> None:
         """The next tick: the least and largest margin there of every comparison and truth.
@@ -150,20 +152,31 @@ class Prefix:
         self._end += 1
 
     def _judge(self, seen: NDArray[np.float64]) -> None:
-        own = self._program
-        _evaluate(own.code, own.reading, own.limits, seen, self._values, self._begin, self._end)
-        tree = Stands(own, self._values, len(own.code) - 1, self._begin)
-        self.least, self.most = self._low.now(tree), -self._high.now(tree)
-        passed = self._end - self._begin - 1 - self._reach
-        if passed >= 0 and self._asks:
-            self.latest = _asked(tree, 1, passed), -_asked(tree, -1, passed)
+        own, begin, end = self._program, self._begin, self._end
+        _evaluate(own.code, own.reading, own.limits, seen, self._values, begin, end)
+        if self._sides is None:
+            least, most = self._values[-2, :, begin].tolist()
+            self.least, self.most = min(self._earlier[0], least), min(self._earlier[1], most)
+        else:
+            low, high = self._sides
+            self.least, self.most = low.now(self._tree), -high.now(self._tree)
+        if self._asks and begin + self._reach < end:
+            low, high = self._values[-1, :, end - 1 - self._reach].tolist()
+            self.latest = low, high
 
     def _let_go(self) -> None:
         if self._end - self._begin - 1 > self._kept_ticks:
-            tree = Stands(self._program, self._values, len(self._program.code) - 1, self._begin)
-            self._low.forget(tree)
-            self._high.forget(tree)
+            if self._sides is None:
+                low, high = self._values[-1, :, self._begin].tolist()
+                self._earlier = min(self._earlier[0], low), min(self._earlier[1], high)
+            else:
+                for side in self._sides:
+                    side.forget(self._tree)
             self._begin += 1
+
+    @property
+    def _tree(self) -> Stands:
+        return Stands(self._program, self._values, len(self._program.code) - 1, self._begin)
 
 
 class _Program:
@@ -241,27 +254,11 @@ def _asks_every_tick(formula: Formula) -> bool:
     return isinstance(formula, Globally) or (isinstance(formula, Always) and formula.span is None)
 
 
-class _Running:
+class _Side:
     """The least margin of a formula at the first tick, or of its negation (``sign`` -1).
 
-    Of an "always" or a "whenever" that is the only operator without a window: that of all ticks so far.
+    By the polynomial of the operators without a window.
     """
-
-    def __init__(self, formula: Formula, sign: int) -> None:
-        self._sign, self._gravest = sign, min if sign > 0 else max
-        self._earlier = sign * np.inf
-
-    def now(self, tree: Stands) -> float:
-        """By the ticks that are kept, and those before them."""
-        return self._gravest(self._earlier, _of(tree, self._sign, 0))
-
-    def forget(self, tree: Stands) -> None:
-        """Let the oldest tick that is kept go, whose windows have passed."""
-        self._earlier = self._gravest(self._earlier, _asked(tree, self._sign, 0))
-
-
-class _Side:
-    """The same of any formula: by the polynomial of the operators without a window."""
 
     def __init__(self, formula: Formula, sign: int) -> None:
         self._sign = sign
@@ -334,29 +331,20 @@ def _of(tree: Stands, sign: int, tick: int) -> float:
     return tree.at(tick, 0) if sign > 0 else -tree.at(tick, 1)
 
 
-def _asked(tree: Stands, sign: int, tick: int) -> float:
-    """What an "always" or a "whenever" that stands outermost asks at a tick, as ``where_triggered`` says."""
-    if isinstance(tree.formula, Globally):
-        trigger, response = tree.parts
-        if trigger.at(tick, 1) < 0.0 if sign > 0 else not trigger.at(tick, 0) >= 0.0:
-            return sign * np.inf
-        return _of(response, sign, tick)
-    return _of(tree.parts[0], sign, tick)
-
-
 @compiled
 def _evaluate(
     code: NDArray[np.int64],  # (k, 5)
     reading: NDArray[np.int64],  # (a, 5)
     limits: NDArray[np.float64],  # (a, 2)
     seen: NDArray[np.float64],  # (m, signals, c) of the latest ticks
-    values: NDArray[np.float64],  # (k, 2, room), written
+    values: NDArray[np.float64],  # (k + 1, 2, room), written
     first: int,
     after: int,
 ) -> None:
     """The margins of every node from tick ``first`` to before ``after``, as ``semantics.margins`` has them.
 
-    A truth has limit 0.5 and an end of infinity.
+    A truth has limit 0.5 and an end of infinity.  The last row is what is asked at each tick, if the whole is
+    an "always" or a "whenever".
     """
     told = seen.shape[0]
     for a in range(reading.shape[0]):
@@ -385,6 +373,8 @@ def _evaluate(
             elif operator == OR:
                 out[:] = np.maximum(x, y)
             elif operator == ALWAYS:
+                if i + 1 == code.shape[0]:
+                    values[i + 1, side, first:after] = x
                 out[:] = least_from_here(x) if begin < 0 else least_in_window(x, begin, end, beyond)
             elif operator == EVENTUALLY:
                 out[:] = -(least_from_here(-x) if begin < 0 else least_in_window(-x, begin, end, -beyond))
@@ -399,7 +389,8 @@ def _evaluate(
                         out[:] = np.minimum(out, least_in_window(x, 0, begin - 1, beyond))
                     out[:] = np.minimum(out, comes)
             elif operator == GLOBALLY:
-                asked = y.copy()
+                asked = values[i + 1, side, first:after]
+                asked[:] = y
                 for k in range(after - first):
                     low, high = values[one, 0, first + k], values[one, 1, first + k]
                     if (side == 0 and high < 0.0) or (side == 1 and not low >= 0.0):
