@@ -91,9 +91,9 @@ def refuse_endless(formula: Formula, period_s: float) -> None:
 class Prefix:
     """The ``least`` and largest (``most``) margin of ``formula`` at the first tick, so far.
 
-    The latest tick and ``revisable`` ones before it may be known better later.  Ticks are told of with ``step``,
-    or with ``see``: then ``columns`` say of a comparison or truth which signal it reads, and where its low and
-    its high stand among the numbers of one.  FormulaError as of ``refuse_endless``.
+    The latest tick and ``revisable`` ones before it may be known better later.  Ticks are told of with
+    ``step``, or with ``see``: then ``columns`` say of a comparison or truth which signal it reads, and where
+    its low and its high stand among the numbers of one.  FormulaError as of ``refuse_endless``.
     """
 
     def __init__(
@@ -132,7 +132,7 @@ class Prefix:
         self._let_go()
 
     def see(self, seen: NDArray[np.float64], *, grown: bool) -> None:
-        """More is known of the latest ticks, ``seen`` (m, signals, c); with ``grown`` the last of them is new."""
+        """More is known of the latest ticks, ``seen`` (m, signals, c); with ``grown`` the last one is new."""
         if grown:
             self._grow()
         self._judge(seen)
@@ -182,7 +182,8 @@ class Prefix:
 class _Program:
     """A formula as numbers, for ``_evaluate``: its nodes (k, 5), each after its parts, the whole one last.
 
-    ``reading`` (a, 5) are its atoms by their nodes, their signals and the columns of these, ``limits`` (a, 2).
+    ``reading`` (a, 5) are its atoms by their nodes, their signals and the columns of these, with their
+    ``limits`` (a, 2).
     """
 
     def __init__(self, formula: Formula, period_s: float, columns: Columns | None) -> None:
@@ -238,6 +239,7 @@ class Stands(NamedTuple):
 
     @property
     def formula(self) -> Formula:
+        """Whose they are."""
         return self.program.formulas[self.index]
 
     @property
@@ -292,9 +294,8 @@ class _Side:
         if isinstance(formula, Not):
             return self._by_the_next(parts[0], -sign)
         body = self._by_the_next(parts[-1], sign)
-        if isinstance(formula, Globally):
-            if parts[0].at(0, 1) < 0.0 if sign > 0 else not parts[0].at(0, 0) >= 0.0:
-                body = self._constant(sign * np.inf)
+        if isinstance(formula, Globally) and not _triggered(parts[0], sign, 0):
+            body = self._constant(sign * np.inf)
         least = isinstance(formula, And | Always | Globally) == (sign > 0)
         both, either = (_least, np.maximum) if least else (np.maximum, _least)
         if isinstance(formula, And | Or):
@@ -325,6 +326,11 @@ def _endless_in(tree: Stands, sign: int) -> Iterator[tuple[Stands, int]]:
         yield tree, sign
     for part in tree.parts:
         yield from _endless_in(part, -sign if isinstance(tree.formula, Not) else sign)
+
+
+def _triggered(trigger: Stands, sign: int, tick: int) -> bool:
+    """Is a response asked, as ``where_triggered`` says?"""
+    return trigger.at(tick, 1) >= 0.0 if sign > 0 else trigger.at(tick, 0) >= 0.0
 
 
 def _of(tree: Stands, sign: int, tick: int) -> float:

@@ -1,15 +1,15 @@
 """From joints and hands at a tick to the signals, with bounds of what they can have been, as of a log.
 
-What ``formulas.signals`` and ``formulas.measured`` compute of a whole trace, here of the latest ticks and of the
-ways between them, for each tick and hand with the uncertainty that it has then, in compiled code: a cell that
-runs has 8 ms for a tick.
+What ``formulas.signals`` and ``formulas.measured`` compute of a whole trace, here of the latest ticks and of
+the ways between them, for each tick and hand with the uncertainty that it has then, in compiled code: a cell
+that runs has 8 ms for a tick.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import inf, isnan, nan
+from math import isnan, nan
 from typing import NamedTuple
 
 import numpy as np
@@ -38,8 +38,8 @@ from safety_harness.simulation.truth import cell_capsules
 
 MEASURED = (hand_distance, nearest_hand_to_tcp, tcp_speed, tcp_height, joint_speed, elapsed_time)
 APART, NEAR, TCP_SPEED, HEIGHT, JOINT_SPEED, ELAPSED = range(6)  # in ``MEASURED``
-# What is known of a signal at a tick: what was measured, NaN for nothing; the least and the largest that it can
-# have been, there and from there to the next tick; and 1 if it certainly exercises a claim, else 0.
+# What is known of a signal at a tick: what was measured, NaN for nothing; the least and the largest that it
+# can have been, there and from there to the next tick; and 1 if it certainly exercises a claim, else 0.
 VALUE, LOW, HIGH, CELL_LOW, CELL_HIGH, TRIED = range(6)
 Values = NDArray[np.float64]
 
@@ -48,9 +48,9 @@ Values = NDArray[np.float64]
 class TickSeen:
     """A tick, and what is known of it now.
 
-    Joints and their speeds (n,), what both may be off, NaN if nothing is known, hands and elbows (h, 2, 3) [m]
-    in base and what these may be off (h, 2), NaN if that is not known; a hand without a forearm has its elbow
-    where it is.  ``signals`` (signals, 6) follow.
+    Joints and their speeds (n,), what both may be off, NaN if nothing is known, hands and elbows (h, 2, 3)
+    [m] in base and what these may be off (h, 2), NaN if that is not known; a hand without a forearm has its
+    elbow where it is.  ``signals`` (signals, 6) follow.
     """
 
     tick: int
@@ -88,8 +88,10 @@ class Sensing:
         size, critical_m = settings.hand, settings.avoidance.critical_distance_m
         self._sizes = size.radius_m, size.forearm_radius_m, critical_m, cell.period_s
 
-    def see(self, moments: Sequence[TickSeen], fresh: int, off: Sequence[tuple[float, float] | None]) -> Values:
-        """(m, signals, 6) of moments that follow each other, of which those from ``fresh`` on are known better.
+    def see(
+        self, moments: Sequence[TickSeen], fresh: int, off: Sequence[tuple[float, float] | None]
+    ) -> Values:
+        """(m, signals, 6) of moments in a row, of which those from ``fresh`` on are known better.
 
         Joints and their speeds are ``off`` by so much there, None: lost.
         """
@@ -127,8 +129,11 @@ class Sensing:
                 moment.bodies_m[k, 1], moment.bodies_off_m[k, 1] = other
 
     def _corners(self, first: int, last: int) -> tuple[NDArray[np.int64], Values, Values]:
-        """When samples of hands came between two ticks: (c, 2) tick after ``first``, and hand; (c,) parts of a
-        period; (c, 2, 3) the places of hand and elbow then."""
+        """The samples of hands between two ticks.
+
+        Their ticks after ``first``, and hands (c, 2), parts of a period (c,), and places (c, 2, 3) of hand
+        and elbow then.
+        """
         found = []
         for k, (hand, elbow) in enumerate(self._hands):
             other, begin_ns, end_ns = elbow or hand, first * self._period_ns, last * self._period_ns
@@ -165,7 +170,7 @@ def _sense(
     period_s: float,
     found: NDArray[np.float64],  # (m, signals, 6), written
 ) -> None:
-    """As ``Sensing.see``: the ticks, each as if the run ended there, and then the ways from one to the next."""
+    """As ``Sensing.see``: the ticks, each as if the run ended there, then the ways from one to the next."""
     count, hands, n = joints_rad.shape[0], bodies_m.shape[1], joints_rad.shape[1]
     reach_m = arm.reach_m.sum()
     transforms = np.empty((n + 2, 4, 4))
@@ -239,7 +244,10 @@ def _sense(
             turned_m += step * arm.reach_m[j]
             bend_m += abs(rates_radps[k + 1, j] - rates_radps[k, j]) * arm.reach_m[j] * period_s / 4.0
         _set_cell(known[JOINT_SPEED], slowest - by_radps, fastest + by_radps, mean - MOVING > by_radps)
-        low, high = min(speed_mps[k], speed_mps[k + 1], mean_mps), max(speed_mps[k], speed_mps[k + 1], mean_mps)
+        low, high = (
+            min(speed_mps[k], speed_mps[k + 1], mean_mps),
+            max(speed_mps[k], speed_mps[k + 1], mean_mps),
+        )
         _set_cell(known[TCP_SPEED], low - by_mps, high + by_mps, mean_mps - MOVING > by_mps)
         low, high = _tent(tcp_m[k, 2], tcp_m[k + 1, 2], way_m)
         _set_cell(known[HEIGHT], low - between_m, high + between_m, False)
@@ -289,9 +297,14 @@ def _sense(
             for at in (k, k + 1):
                 own_m = _moved_m(off_m[at], off[at, 1], bodies_off_m[at, h], reach_m, period_s)
                 moved_m = max(moved_m, own_m)
-                beside_m = max(beside_m, own_m + max(bodies_off_m[at, h, 0], bodies_off_m[at, h, 1]) + off_m[at])
+                beside_m = max(
+                    beside_m, own_m + max(bodies_off_m[at, h, 0], bodies_off_m[at, h, 1]) + off_m[at]
+                )
             low = min(apart_m[k, h], bound_m - bend_m) - moved_m
-            least_m[APART], most_m[APART] = min(least_m[APART], low), min(most_m[APART], far_m + bend_m + beside_m)
+            least_m[APART], most_m[APART] = (
+                min(least_m[APART], low),
+                min(most_m[APART], far_m + bend_m + beside_m),
+            )
         if hands:
             for signal in (APART, NEAR):
                 _set_cell(known[signal], least_m[signal], most_m[signal], False)
@@ -299,7 +312,7 @@ def _sense(
 
 @inlined
 def _farther_m(reach_m: NDArray[np.float64], joint: int) -> float:
-    """As far as what a joint turns moves, link after link: with ``reach_m`` (n,), the sum of the lesser reaches."""
+    """How far what a joint turns reaches, link after link; ``reach_m`` (n,)."""
     total = 0.0
     for k in range(reach_m.shape[0]):
         total += reach_m[max(k, joint)]

@@ -99,8 +99,8 @@ class WatchedPart:
         def prefix(formula: Formula, least: int, most: int) -> Prefix:
             """A comparison's columns, as the formula's ``least`` and ``most`` are asked of ticks or cells.
 
-            A formula's least margin is of what may be from tick to tick, its largest of the ticks alone; the low
-            of a comparison decides the one, or the other if it stands below a "not" or in a trigger.
+            A formula's least margin is of what may be from tick to tick, its largest of the ticks alone; the
+            low of a comparison decides the one, or the other if it stands below a "not" or in a trigger.
             """
 
             def columns(atom: Comparison | Truth) -> tuple[int, int, int]:
@@ -155,7 +155,7 @@ class WatchedPart:
         return self._asked and not self._untried
 
     def reason(self, now: Values) -> str:
-        """What is measured of its signals at the latest tick, ``now`` (signals, 6), and what it still lacks."""
+        """What is measured of its signals at the latest tick, ``now`` (signals, 6), and what it lacks."""
         words = ", ".join(_told(signal, now[k]) for k, signal in zip(self._read, self._signals, strict=True))
         if self.verdict is Verdict.INCONCLUSIVE and self._least.least >= 0.0:
             return f"never exercised yet: {words}"

@@ -127,8 +127,8 @@ USUAL = "opposite pose"
 def usual_cell(log: CellLog, desired_tcp_in_base_m: Vector3 | None = None) -> Scenario:
     """A scenario of the log's arm, obstacles and settings, where nobody has one: what else it needs is usual.
 
-    The desired TCP, if it is not given, is where the log ends, and the object lies under it as by default; the
-    avoider is ``USUAL``.
+    The desired TCP, if it is not given, is where the log ends, and the object lies under it as by default;
+    the avoider is ``USUAL``.
     """
     trace = trace_of(log).trace
     own, end_m = trace.scenario, trace.ticks["transform_tcp_to_base"][-1, :3, 3]
