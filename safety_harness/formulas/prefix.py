@@ -234,22 +234,22 @@ class Stands(NamedTuple):
 
     program: _Program
     values: NDArray[np.float64]  # (k, 2, room)
-    index: int
+    node: int
     begin: int
 
     @property
     def formula(self) -> Formula:
         """Whose they are."""
-        return self.program.formulas[self.index]
+        return self.program.formulas[self.node]
 
     @property
     def parts(self) -> tuple[Stands, ...]:
         """Those of its parts."""
-        return tuple(self._replace(index=index) for index in self.program.parts[self.index])
+        return tuple(self._replace(node=part) for part in self.program.parts[self.node])
 
     def at(self, tick: int, side: int) -> float:
         """The low (side 0) or the high (1) at a tick, counted from the oldest."""
-        return float(self.values[self.index, side, self.begin + tick])
+        return float(self.values[self.node, side, self.begin + tick])
 
 
 def _asks_every_tick(formula: Formula) -> bool:
