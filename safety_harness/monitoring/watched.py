@@ -123,7 +123,7 @@ class WatchedPart:
         self._asked = False
 
     def see(self, seen: Values, first: int, *, grown: bool) -> None:
-        """As ``WatchedClaim.see``."""
+        """As ``WatchedClaim.see``; ``seen`` (m, signals, 6)."""
         for prefix in self._prefixes:
             prefix.see(seen, grown=grown)
         self._exercise(seen, first)
