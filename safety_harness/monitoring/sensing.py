@@ -321,7 +321,7 @@ def _farther_m(reach_m: NDArray[np.float64], joint: int) -> float:
 
 @inlined
 def _set_known(known: NDArray[np.float64], value: float, off: float, between: float, tried: bool) -> None:
-    """Of a signal (6,) at a tick; from there to the next is the tick, as far as that is known."""
+    """Of a signal, ``known`` (6,), at a tick; from there to the next is the tick, as far as that is known."""
     known[VALUE], known[TRIED] = value, 1.0 if tried else 0.0
     known[LOW], known[HIGH] = value - off, value + off
     known[CELL_LOW], known[CELL_HIGH] = value - between, value + between
@@ -329,7 +329,7 @@ def _set_known(known: NDArray[np.float64], value: float, off: float, between: fl
 
 @inlined
 def _set_cell(known: NDArray[np.float64], low: float, high: float, tried: bool) -> None:
-    """Of a signal (6,) to the next tick; what is not known at the tick is not known after it either."""
+    """Of a signal, ``known`` (6,), to the next tick; what is not known at the tick is not known after it either."""
     unknown = np.isnan(known[VALUE])
     known[CELL_LOW], known[CELL_HIGH] = -np.inf if unknown else low, np.inf if unknown else high
     if tried:
@@ -338,7 +338,7 @@ def _set_cell(known: NDArray[np.float64], low: float, high: float, tried: bool) 
 
 @inlined
 def _nearer(known: NDArray[np.float64], value: float, off: float, more: float) -> None:
-    """Of the nearest hand (6,), if another one may be it."""
+    """Of the nearest hand, ``known`` (6,), if another one may be it."""
     first = np.isnan(known[VALUE])
     known[VALUE] = value if first else min(known[VALUE], value)
     known[LOW] = value - off if first else min(known[LOW], value - off)
@@ -359,7 +359,8 @@ def _moved_m(
     off_m: float, rates_off_radps: float, body_off_m: NDArray[np.float64], reach_m: float, period_s: float
 ) -> float:
     """As ``distance_moved_m`` between the ticks; ``body_off_m`` (2,)."""
-    return max(body_off_m[0], body_off_m[1]) + off_m + period_s / 2.0 * rates_off_radps * reach_m
+    own_m: float = max(body_off_m[0], body_off_m[1]) + off_m
+    return own_m + period_s / 2.0 * rates_off_radps * reach_m
 
 
 @inlined
@@ -368,7 +369,7 @@ def _place_between_m(
 ) -> float:
     """As ``formulas.measured.of_place``; ``off_m`` and ``off_mps`` (m,)."""
     at = max(off_m[one], off_m[other])
-    return at + 0.5 * max(max(off_mps[one], off_mps[other]) * period_s, 2.0 * at)
+    return float(at + 0.5 * max(max(off_mps[one], off_mps[other]) * period_s, 2.0 * at))
 
 
 @inlined
@@ -376,7 +377,7 @@ def _speed_between(
     speed: NDArray[np.float64], place: NDArray[np.float64], one: int, other: int, period_s: float
 ) -> float:
     """As ``formulas.measured.of_speed``; ``speed`` and ``place`` (m,)."""
-    return max(speed[one], speed[other], 2.0 * max(place[one], place[other]) / period_s)
+    return float(max(speed[one], speed[other], 2.0 * max(place[one], place[other]) / period_s))
 
 
 @inlined
