@@ -329,7 +329,7 @@ def _set_known(known: NDArray[np.float64], value: float, off: float, between: fl
 
 @inlined
 def _set_cell(known: NDArray[np.float64], low: float, high: float, tried: bool) -> None:
-    """Of a signal, ``known`` (6,), to the next tick; what is not known at the tick is not known after it either."""
+    """Of a signal, ``known`` (6,), to the next tick; unknown if it is not known at the tick."""
     unknown = np.isnan(known[VALUE])
     known[CELL_LOW], known[CELL_HIGH] = -np.inf if unknown else low, np.inf if unknown else high
     if tried:
