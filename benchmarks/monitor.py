@@ -29,10 +29,9 @@ sys.path[:0] = [str(ROOT / "tests" / "logs"), str(ROOT / "tests" / "monitoring")
 from cells import cell, recorded, said  # noqa: E402
 from stream_lines import lines  # noqa: E402
 
-from safety_harness.formulas.signals import hand_distance  # noqa: E402
 from safety_harness.monitoring.cell import read_cell  # noqa: E402
 from safety_harness.monitoring.monitor import Monitor  # noqa: E402
-from safety_harness.monitoring.sensing import MEASURED, Known, TickSeen  # noqa: E402
+from safety_harness.monitoring.sensing import APART, MEASURED  # noqa: E402
 from safety_harness.monitoring.watched import WatchedClaim  # noqa: E402
 
 with warnings.catch_warnings():
@@ -41,7 +40,6 @@ with warnings.catch_warnings():
 
 SECONDS = 40.0
 PERIOD_S = 0.008
-NOTHING = np.zeros(6)
 FIRST = 200  # ticks that are not counted
 LOOP = 3_000  # steps of the loop of a fixed length
 KINDS = (
@@ -110,10 +108,10 @@ def formulas(count: int, stream: list[list[bytes]]) -> Iterator[Callable[[], obj
     distances = np.random.default_rng(2).uniform(0.1, 1.0, len(stream))
 
     def work(tick: int) -> Callable[[], object]:
-        low, high = float(distances[tick]) - 0.05, float(distances[tick]) + 0.05
-        moment = TickSeen(tick, tick * PERIOD_S, NOTHING, NOTHING)
-        moment.signals[hand_distance] = Known(distances[tick], low, high, low, high)
-        return lambda: [claim.see([moment], grown=True) for claim in watched]
+        low, high = distances[tick] - 0.05, distances[tick] + 0.05
+        seen = np.zeros((1, len(MEASURED), 6))
+        seen[0, APART] = distances[tick], low, high, low, high, 1.0
+        return lambda: [claim.see(seen, tick, grown=True) for claim in watched]
 
     yield from map(work, range(len(stream)))
 

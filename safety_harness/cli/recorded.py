@@ -81,6 +81,13 @@ def scenario_from(
     ] = None,
     from_: From = None,
     to: To = None,
+    desired_tcp: Annotated[
+        str | None,
+        Option(
+            help="Where the task ends, without --scenario: '700 mm, 0 mm, 350 mm'; else where the log ends.",
+            metavar="POINT",
+        ),
+    ] = None,
     elbow_towards: ElbowTowards = None,
     out: Annotated[
         Path | None, Option(help="Folder for the files; without it from-NAME of the log.", metavar="FOLDER")
@@ -89,7 +96,8 @@ def scenario_from(
     """Make a scenario of a log, and a space around it: an incident becomes a regression test and a search.
 
     Writes NAME.yaml and the hands' recordings, and with --around or --speed NAME-around.yaml, which run, fuzz
-    and pytest take as they are. Comments in the files say what is the log's and what is the scenario's. Every
+    and pytest take as they are. Comments in the files say what is the log's and what is the scenario's.
+    Without --scenario the avoider is the opposite pose, and what else no log says is the default. Every
     claim is expected to hold: run ends with 1 as long as the incident happens again.
     Hands keep their samples; a gap longer than LOG.yaml says is refused, and --from and --to choose another
     part. Nothing is executed, and nothing overwritten.
@@ -99,7 +107,14 @@ def scenario_from(
     from safety_harness.admission.avoiders import as_seen_from
     from safety_harness.admission.spaces import draw_admissible
     from safety_harness.compiled import without_compiling
-    from safety_harness.recorded.scenario import Around, scenario_text, space_text, write_all
+    from safety_harness.recorded.scenario import (
+        USUAL,
+        Around,
+        scenario_text,
+        space_text,
+        usual_cell,
+        write_all,
+    )
     from safety_harness.recorded.scenario import scenario_from as make
     from safety_harness.scenario.files import told
     from safety_harness.scenario.read import read_scenario
@@ -107,8 +122,18 @@ def scenario_from(
 
     neighbourhood = Around(shift_m=_length(around), speeds=_speeds(speed))
     folder = out or Path(f"from-{log.stem}")
-    cell = as_seen_from(folder, _cell(scenario))
-    found, named = _part(log, from_, to), str(told(Path(str(scenario))))
+    if scenario is not None and desired_tcp is not None:
+        raise LogError.of_option("--desired-tcp", "what --scenario says, which has it too", desired_tcp)
+    given = None if scenario is None else _cell(scenario)
+    found, desired_m = _part(log, from_, to), _point(desired_tcp, "--desired-tcp")
+    if given is None:
+        end = "as --desired-tcp says" if desired_m is not None else "where the log ends"
+        named = f"the defaults (desired TCP {end}, avoider {USUAL})"
+        given = usual_cell(found, desired_m)
+        say(f"note: no --scenario: {named}")
+    else:
+        named = str(told(Path(str(scenario))))
+    cell = as_seen_from(folder, given)
     made = make(found, cell, elbow_towards_in_base_m=_point(elbow_towards))
     file, space = folder / f"{found.name}.yaml", folder / f"{found.name}-around.yaml"
     files = {folder / one.name: one.data for one in made.hands}
@@ -173,7 +198,7 @@ def _speeds(text: str | None) -> tuple[float, float] | None:
     return low, high
 
 
-def _point(text: str | None) -> Vector3 | None:
+def _point(text: str | None, option: str = "--elbow-towards") -> Vector3 | None:
     from safety_harness.scenario.codec import POINT
     from safety_harness.scenario.fields import Field
     from safety_harness.scenario.nodes import Scalar, Sequence
@@ -181,7 +206,7 @@ def _point(text: str | None) -> Vector3 | None:
     if text is None:
         return None
     items = Sequence(tuple(Scalar(one.strip(), 1) for one in text.split(",")), 1)
-    return POINT.read(Field(items, None, path="--elbow-towards", line=1))
+    return POINT.read(Field(items, None, path=option, line=1))
 
 
 @command(

@@ -98,8 +98,19 @@ def out_of_knowledge(trace: Trace, signal: Signal) -> NDArray[np.bool_]:
 
 
 def in_mode(mode: Mode) -> Sample:
-    """Whether the controller is in ``mode``."""
-    return lambda trace: truth(trace.ticks["mode"] == mode)
+    """Whether the controller is in ``mode``; where it was either of some others, it is not."""
+
+    def sample(trace: Trace) -> Sampled:
+        found, gone = truth(trace.ticks["mode"] == mode), lost(trace, ["mode"])
+        if not gone.any():
+            return found
+        value = found.value.copy()
+        for gap in trace.known.of("mode").gaps:
+            if gap.either and mode not in gap.either:
+                value[gap.first : gap.after], gone[gap.first : gap.after] = 0.0, False
+        return replace(at_ticks(np.where(gone, np.nan, value)), lost=gone)
+
+    return sample
 
 
 def truth(true: NDArray[np.bool_] | np.bool_) -> Sampled:

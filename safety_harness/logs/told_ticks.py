@@ -32,7 +32,10 @@ def with_told(trace: Trace, log: CellLog, columns: dict[str, Measurement]) -> Tr
         if stream is not None:
             stand = _standing(stream, log)
             ticks[name] = stream.values[stand.at, 0]
-            columns[name] = Measurement(source=Source.LOG, gaps=stand.gaps(stand.same(stream.values)))
+            gaps = stand.gaps(stand.same(stream.values))
+            if name == "mode":
+                gaps = stand.between(stream.values)
+            columns[name] = Measurement(source=Source.LOG, gaps=gaps)
     if told.commands is not None:
         stand, name = _standing(told.commands, log), "demanded_joint_velocity_radps"
         ticks[name] = told.commands.values[stand.at]
@@ -75,6 +78,15 @@ class _Standing:
     def gaps(self, known: Truths) -> tuple[Gap, ...]:
         """Where it is not ``known`` (n,)."""
         return tuple(Gap(first=int(a), after=int(b)) for a, b in zip(*runs_of(~known), strict=True))
+
+    def between(self, words: Floats) -> tuple[Gap, ...]:
+        """The gaps of ``words`` (k, 1): where none stands, and where either of several may."""
+        found = [Gap(first=gap.first, after=gap.after) for gap in self.gaps(self.known)]
+        for gap in self.gaps(self.same(words) | ~self.known):
+            ticks = slice(gap.first, gap.after)
+            may = words[self.first[ticks].min() : self.last[ticks].max() + 1, 0]
+            found.append(replace(gap, either=tuple(int(one) for one in np.unique(may))))
+        return tuple(sorted(found, key=lambda gap: gap.first))
 
 
 def _standing(stream: ToldStream, log: CellLog) -> _Standing:

@@ -283,8 +283,7 @@ class Monitor:
             self._moments.append(TickSeen(tick, elapsed_s, position, rates))
             self._next, self.counts.ticks = tick + 1, self.counts.ticks + 1
             yield from self._judge_again(grown=True)
-            newest = self._moments[-1]
-            self.counts.lost += newest.arm is None or None in newest.hands
+            self.counts.lost += self._moments[-1].lost
 
     def _judge_again(self, *, grown: bool = False) -> Iterator[VerdictLine]:
         """The ticks of which more is known."""
@@ -293,15 +292,13 @@ class Monitor:
             return
         assert self._origin_ns is not None
         self.time_s = (self._origin_ns + moments[-1].tick * self.cell.period_ns) / NS
-        for one in moments:
-            self._sensing.see(one, self._joints.off(one.tick))
+        off = [self._joints.off(one.tick) for one in moments]
         first = len(self._moments) - len(moments)
-        for k in range(max(first - 1, 0), len(self._moments) - 1):
-            self._sensing.between(self._moments[k], self._moments[k + 1])
         if first > 0:
             moments.insert(0, self._moments[first - 1])
+        seen = self._sensing.see(moments, len(moments) - len(off), off)
         for claim in self.claims:
-            claim.see(moments, grown=grown)
+            claim.see(seen, moments[0].tick, grown=grown)
         self._stale = self._next
         self._forget(self._moments[0].tick)
         yield from self._changes()
@@ -333,7 +330,7 @@ class Monitor:
         """A claim's words at the latest tick; with ``silence`` nothing is known since then."""
         part = claim.deciding
         verdict, latest = _said(claim, silence)
-        signals = self._moments[-1].signals if self._moments else {}
+        signals = self._moments[-1].signals if self._moments else None
         return VerdictLine(
             time_s=self.time_s,
             claim=claim.sentence,
@@ -341,7 +338,7 @@ class Monitor:
             latest=latest,
             margin=None if part.margin is None else part.margin * part.unit.per_si,
             unit=part.unit.symbol,
-            reason=silence or (part.reason(signals) if signals else "nothing came yet"),
+            reason=silence or (part.reason(signals) if signals is not None else "nothing came yet"),
         )
 
 

@@ -1,23 +1,22 @@
 """From joints and hands at a tick to the signals, with bounds of what they can have been, as of a log.
 
-What ``formulas.signals`` and ``formulas.measured`` compute of a whole trace, here of one tick, and of the way
-from one to the next, for each tick and hand with the uncertainty that it has then.
+What ``formulas.signals`` and ``formulas.measured`` compute of a whole trace, here of the latest ticks and of
+the ways between them, for each tick and hand with the uncertainty that it has then, in compiled code: a cell
+that runs has 8 ms for a tick.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from math import inf, isnan, nan
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import isnan, nan
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.compiled import compiled
-from safety_harness.formulas.formula import Comparison, Relation, Truth
-from safety_harness.formulas.semantics import LEAST
-from safety_harness.formulas.signal import MOVING, Signal
+from safety_harness.compiled import compiled, inlined
+from safety_harness.formulas.signal import MOVING
 from safety_harness.formulas.signals import (
     elapsed_time,
     hand_distance,
@@ -38,61 +37,36 @@ from safety_harness.robot.robots import arm_capsules
 from safety_harness.simulation.truth import cell_capsules
 
 MEASURED = (hand_distance, nearest_hand_to_tcp, tcp_speed, tcp_height, joint_speed, elapsed_time)
+APART, NEAR, TCP_SPEED, HEIGHT, JOINT_SPEED, ELAPSED = range(6)  # in ``MEASURED``
+# What is known of a signal at a tick: what was measured, NaN for nothing; the least and the largest that it
+# can have been, there and from there to the next tick; and 1 if it certainly exercises a claim, else 0.
+VALUE, LOW, HIGH, CELL_LOW, CELL_HIGH, TRIED = range(6)
 Values = NDArray[np.float64]
-
-
-class Known(NamedTuple):
-    """A signal at a tick, and from it to the next one: the least and the largest that it can have been.
-
-    ``value`` is what was measured, NaN for nothing; ``tried`` says whether it certainly exercises a claim.
-    """
-
-    value: float
-    low: float
-    high: float
-    cell_low: float
-    cell_high: float
-    tried: bool = True
-
-
-UNKNOWN = Known(nan, -inf, inf, -inf, inf, False)
-Signals = Mapping[Signal, Known]
-
-
-class ArmAt(NamedTuple):
-    """The arm at a tick: joints (n,), TCP and its speed, and what they, and points of the arm, may be off."""
-
-    joints_rad: Values
-    rates_radps: Values
-    tcp_m: Values  # (3,)
-    tcp_mps: float
-    joints_off_rad: float
-    rates_off_radps: float
-    off_m: float
-    off_mps: float
-
-
-class HandAt(NamedTuple):
-    """A hand that is seen: hand and elbow (2, 3) [m] in base, what they may be off, and its distances."""
-
-    bodies_m: Values
-    hand_off_m: float
-    off_m: float  # of hand and elbow
-    distance_m: float
-    to_tcp_m: float
 
 
 @dataclass(eq=False)
 class TickSeen:
-    """A tick, what is known of it now, and the signals that follow."""
+    """A tick, and what is known of it now.
+
+    Joints and their speeds (n,), what both may be off, NaN if nothing is known, hands and elbows (h, 2, 3)
+    [m] in base and what these may be off (h, 2), NaN if that is not known; a hand without a forearm has its
+    elbow where it is.  ``signals`` (signals, 6) follow.
+    """
 
     tick: int
     elapsed_s: float
     joints_rad: Values
     rates_radps: Values
-    arm: ArmAt | None = None
-    hands: tuple[HandAt | None, ...] = ()
-    signals: dict[Signal, Known] = field(default_factory=dict)
+    off: tuple[float, float] = (nan, nan)
+    bodies_m: Values | None = None
+    bodies_off_m: Values | None = None
+    signals: Values | None = None
+
+    @property
+    def lost(self) -> bool:
+        """Is the arm or a hand not known?"""
+        assert self.bodies_off_m is not None
+        return isnan(self.off[0]) or bool(np.isnan(self.bodies_off_m[:, 0]).any())
 
 
 class HandTracks(NamedTuple):
@@ -106,229 +80,308 @@ class Sensing:
     """The signals of one cell."""
 
     def __init__(self, cell: WatchedCell, hands: Sequence[HandTracks]) -> None:
-        self._settings, self._hands = cell.scenario.settings, hands
-        self._period_ns, self._period_s = cell.period_ns, cell.period_s
-        self._arm = arm_with(cell.arm, cell_capsules(arm_capsules(cell.scenario.robot), self._settings))
-        self._reach_m = np.asarray(self._arm.reach_m)
-        joints = np.arange(len(self._reach_m))
-        self._farther_m = np.array([self._reach_m[np.maximum(joints, j)].sum() for j in joints])
-        self._ends = np.empty((len(self._arm.capsules), 2, 3))
-        self._room = np.empty((MAX_BISECTIONS + 1, len(self._arm.capsules), 2, 3))
+        settings, self._hands = cell.scenario.settings, hands
+        self._period_ns = cell.period_ns
+        self._arm = arm_with(cell.arm, cell_capsules(arm_capsules(cell.scenario.robot), settings))
+        count = len(self._arm.capsules)
+        self._room = np.empty((MAX_BISECTIONS + 1, count, 2, 3))
+        size, critical_m = settings.hand, settings.avoidance.critical_distance_m
+        self._sizes = size.radius_m, size.forearm_radius_m, critical_m, cell.period_s
 
-    def see(self, moment: TickSeen, off: tuple[float, float] | None) -> None:
-        """What is known at a tick, by now; joints and their speeds are ``off`` by so much, None: lost."""
-        moment.arm, moment.hands = None, ()
-        if off is not None:
-            tcp_m, reach_m = np.empty(3), float(self._reach_m.sum())
-            speed = _arm_at(self._arm, moment.joints_rad, moment.rates_radps, self._ends, tcp_m)
-            off_mps = off[1] * reach_m + off[0] * float(np.abs(moment.rates_radps) @ self._farther_m)
-            position, rates = moment.joints_rad, moment.rates_radps
-            moment.arm = ArmAt(position, rates, tcp_m, speed, *off, off[0] * reach_m, off_mps)
-            moment.hands = tuple(self._hand(tracks, moment.tick, tcp_m) for tracks in self._hands)
-        self._at_tick(moment)
+    def see(
+        self, moments: Sequence[TickSeen], fresh: int, off: Sequence[tuple[float, float] | None]
+    ) -> Values:
+        """(m, signals, 6) of moments in a row, of which those from ``fresh`` on are known better.
 
-    def _hand(self, tracks: HandTracks, tick: int, tcp_m: Values) -> HandAt | None:
-        hand = tracks.hand.at(tick)
-        if hand is None:
-            return None
-        elbow = None if tracks.elbow is None else tracks.elbow.at(tick)
-        to_tcp_m = float(np.linalg.norm(hand[0] - tcp_m))
-        if elbow is None:
-            return HandAt(np.array([hand[0], hand[0]]), hand[1], nan, nan, to_tcp_m)
-        size = self._settings.hand
-        distance_m, _ = distance_between(
-            self._arm.capsules, self._ends, hand[0], elbow[0], size.radius_m, size.forearm_radius_m
+        Joints and their speeds are ``off`` by so much there, None: lost.
+        """
+        for moment, own in zip(moments[fresh:], off, strict=True):
+            moment.off = own or (nan, nan)
+            self._place_hands(moment)
+        first = moments[0].tick
+        found = np.empty((len(moments), len(MEASURED), 6))
+        _sense(
+            self._arm,
+            self._room,
+            np.array([one.elapsed_s for one in moments]),
+            np.array([one.joints_rad for one in moments]),
+            np.array([one.rates_radps for one in moments]),
+            np.array([one.off for one in moments]),
+            np.array([one.bodies_m for one in moments]),
+            np.array([one.bodies_off_m for one in moments]),
+            *self._corners(first, first + len(moments) - 1),
+            *self._sizes,
+            found,
         )
-        off_m = max(hand[1], elbow[1])
-        return HandAt(np.array([hand[0], elbow[0]]), hand[1], off_m, distance_m, to_tcp_m)
+        for moment, signals in zip(moments, found, strict=True):
+            moment.signals = signals
+        return found
 
-    def _at_tick(self, moment: TickSeen) -> None:
-        """As if the run ended there: from the tick to the next is the tick."""
-        found = moment.signals
-        found.update(dict.fromkeys(MEASURED, UNKNOWN))
-        elapsed_s = moment.elapsed_s
-        found[elapsed_time] = Known(elapsed_s, elapsed_s, elapsed_s, elapsed_s, elapsed_s)
-        arm = moment.arm
-        if arm is None:
-            return
-        between_m = self._place_between_m(arm, arm)
-        found[tcp_height] = _known(float(arm.tcp_m[2]), arm.off_m, between_m, True)
-        fastest = float(np.abs(arm.rates_radps).max())
-        by_mps, by_radps = self._speeds_between(arm, arm)
-        found[tcp_speed] = _known(arm.tcp_mps, arm.off_mps, by_mps, arm.tcp_mps - MOVING > by_mps)
-        found[joint_speed] = _known(fastest, arm.rates_off_radps, by_radps, fastest - MOVING > by_radps)
-        near = [
-            (hand.to_tcp_m, arm.off_m + hand.hand_off_m, between_m + 2.0 * hand.hand_off_m)
-            for hand in moment.hands
-            if hand is not None
-        ]
-        apart = [
-            (hand.distance_m, hand.off_m + arm.off_m, self._moved_m(arm, hand))
-            for hand in moment.hands
-            if hand is not None and not isnan(hand.distance_m)
-        ]
-        for signal, seen in ((nearest_hand_to_tcp, near), (hand_distance, apart)):
-            if seen:
-                lost = len(seen) < len(moment.hands)
-                value = min(own for own, _, _ in seen)
-                low, cell_low = (
-                    -inf if lost else min(own - bounds[at] for own, *bounds in seen) for at in (0, 1)
-                )
-                high = min(own + off for own, off, _ in seen)
-                beyond = min(own + off + more for own, off, more in seen)
-                tried = self._settings.avoidance.critical_distance_m - high > 0.0
-                found[signal] = Known(value, low, high, cell_low, beyond, tried)
-
-    def between(self, before: TickSeen, now: TickSeen) -> None:
-        """From one tick to the next: what ``before`` has of that."""
-        found, one, other = before.signals, before.arm, now.arm
-        for signal in (*MEASURED,):
-            known = found[signal]
-            if signal is elapsed_time:
-                low, high = known.low, now.elapsed_s
-            elif one is None or other is None:
-                low, high = -inf, inf
-            else:
+    def _place_hands(self, moment: TickSeen) -> None:
+        count = len(self._hands)
+        moment.bodies_m, moment.bodies_off_m = np.zeros((count, 2, 3)), np.full((count, 2), nan)
+        for k, (hand, elbow) in enumerate(self._hands):
+            if (own := hand.at(moment.tick)) is None:
                 continue
-            found[signal] = known._replace(cell_low=low, cell_high=high)
-        if one is None or other is None:
-            return
-        period_s = self._period_s
-        moved_m = float(np.linalg.norm(other.tcp_m - one.tcp_m))
-        way_m = max(max(one.tcp_mps, other.tcp_mps) * period_s, moved_m)
-        between_m, (by_mps, by_radps) = self._place_between_m(one, other), self._speeds_between(one, other)
-        steps = np.abs(other.joints_rad - one.joints_rad) / period_s
-        sides = np.abs(np.array([one.rates_radps, other.rates_radps]))
-        least, most = np.minimum(sides.min(axis=0), steps), np.maximum(sides.max(axis=0), steps)
-        self._set(found, joint_speed, float(least.max()) - by_radps, float(most.max()) + by_radps)
-        found[joint_speed] = _trying(found[joint_speed], float(steps.max()) - MOVING > by_radps)
-        speeds, mean = (one.tcp_mps, other.tcp_mps), moved_m / period_s
-        self._set(found, tcp_speed, min(*speeds, mean) - by_mps, max(*speeds, mean) + by_mps)
-        found[tcp_speed] = _trying(found[tcp_speed], mean - MOVING > by_mps)
-        low, high = _tent(float(one.tcp_m[2]), float(other.tcp_m[2]), way_m)
-        self._set(found, tcp_height, low - between_m, high + between_m)
-        ways = [
-            self._hand_between(index, before, now, way_m, between_m) for index in range(len(before.hands))
-        ]
-        for at, signal in enumerate((hand_distance, nearest_hand_to_tcp) if ways else ()):
-            low, high = min(way[at][0] for way in ways), min(way[at][1] for way in ways)
-            self._set(found, signal, low, high)
+            other = own if elbow is hand else None if elbow is None else elbow.at(moment.tick)
+            moment.bodies_m[k], moment.bodies_off_m[k, 0] = own[0], own[1]
+            if other is not None:
+                moment.bodies_m[k, 1], moment.bodies_off_m[k, 1] = other
 
-    def _set(self, found: dict[Signal, Known], signal: Signal, low: float, high: float) -> None:
-        """Bounds from a tick to the next; what is not known at the tick is not known after it either."""
-        known = found[signal]
-        if isnan(known.value):
-            low, high = -inf, inf
-        found[signal] = known._replace(cell_low=low, cell_high=high)
+    def _corners(self, first: int, last: int) -> tuple[NDArray[np.int64], Values, Values]:
+        """The samples of hands between two ticks.
 
-    def _hand_between(
-        self, index: int, before: TickSeen, now: TickSeen, way_m: float, between_m: float
-    ) -> tuple[tuple[float, float], tuple[float, float]]:
-        """Of one hand: bounds of its distance from the arm, and of its centre's from the TCP."""
-        one, other, arm, later = before.hands[index], now.hands[index], before.arm, now.arm
-        nothing = -inf, inf
-        if one is None or other is None or arm is None or later is None:
-            return nothing, nothing
-        shares, bodies = self._corners(index, before.tick, one, other)
-        steps_m = np.linalg.norm(np.diff(bodies, axis=0), axis=2).sum(axis=0)
-        low, high = _tent(one.to_tcp_m, other.to_tcp_m, way_m + float(steps_m[0]))
-        off_m = between_m + 2.0 * max(one.hand_off_m, other.hand_off_m)
-        to_tcp = low - off_m, high + off_m
-        if isnan(one.distance_m) or isnan(other.distance_m):
-            return nothing, to_tcp
-        size, turned = self._settings.hand, later.joints_rad - arm.joints_rad
-        joints = [arm.joints_rad, *(arm.joints_rad + share * turned for share in shares), later.joints_rad]
-        bound = inf
-        for k in range(len(bodies) - 1):
-            least, _, _ = closest_approach_between(
-                self._arm,
-                self._room,
-                joints[k],
-                joints[k + 1],
-                bodies[k, 0],
-                bodies[k + 1, 0],
-                bodies[k, 1],
-                bodies[k + 1, 1],
-                size.radius_m,
-                size.forearm_radius_m,
-                RESOLUTION_M,
-                inf,
-            )
-            bound = min(bound, least)
-        bend_m = float(np.abs(later.rates_radps - arm.rates_radps) @ self._reach_m) * self._period_s / 4.0
-        _, far_m = _tent(
-            one.distance_m, other.distance_m, float(np.abs(turned) @ self._reach_m) + float(steps_m.max())
+        Their ticks after ``first``, and hands (c, 2), parts of a period (c,), and places (c, 2, 3) of hand
+        and elbow then.
+        """
+        found = []
+        for k, (hand, elbow) in enumerate(self._hands):
+            other, begin_ns, end_ns = elbow or hand, first * self._period_ns, last * self._period_ns
+            times = hand.corners(begin_ns, end_ns)
+            if other is not hand:
+                times = sorted({*times, *other.corners(begin_ns, end_ns)})
+            for time_ns in sorted(times):
+                tick, since_ns = divmod(time_ns, self._period_ns)
+                if since_ns:
+                    places = hand.between(time_ns), other.between(time_ns)
+                    found.append(((tick - first, k), since_ns / self._period_ns, places))
+        if not found:
+            return np.empty((0, 2), np.int64), np.empty(0), np.empty((0, 2, 3))
+        which, share, places_m = zip(*found, strict=True)
+        return np.array(which), np.array(share), np.array(places_m)
+
+
+@compiled
+def _sense(
+    arm: Arm,
+    room: NDArray[np.float64],  # (MAX_BISECTIONS + 1, c, 2, 3), overwritten
+    elapsed_s: NDArray[np.float64],  # (m,)
+    joints_rad: NDArray[np.float64],  # (m, n)
+    rates_radps: NDArray[np.float64],  # (m, n)
+    off: NDArray[np.float64],  # (m, 2)
+    bodies_m: NDArray[np.float64],  # (m, h, 2, 3)
+    bodies_off_m: NDArray[np.float64],  # (m, h, 2)
+    corner: NDArray[np.int64],  # (c, 2)
+    corner_at: NDArray[np.float64],  # (c,)
+    corners_m: NDArray[np.float64],  # (c, 2, 3)
+    radius_m: float,
+    forearm_radius_m: float,
+    critical_m: float,
+    period_s: float,
+    found: NDArray[np.float64],  # (m, signals, 6), written
+) -> None:
+    """As ``Sensing.see``: the ticks, each as if the run ended there, then the ways from one to the next."""
+    count, hands, n = joints_rad.shape[0], bodies_m.shape[1], joints_rad.shape[1]
+    reach_m = arm.reach_m.sum()
+    transforms = np.empty((n + 2, 4, 4))
+    ends_m = np.empty((arm.capsules.shape[0], 2, 3))
+    tcp_m, speed_mps = np.empty((count, 3)), np.empty(count)
+    off_m, off_mps = off[:, 0] * reach_m, np.empty(count)
+    to_tcp_m, apart_m = np.empty((count, hands)), np.full((count, hands), np.nan)
+    for k in range(count):
+        known = found[k]
+        known[:, VALUE], known[:, TRIED] = np.nan, 0.0
+        known[:, LOW], known[:, CELL_LOW] = -np.inf, -np.inf
+        known[:, HIGH], known[:, CELL_HIGH] = np.inf, np.inf
+        known[ELAPSED, :], known[ELAPSED, TRIED] = elapsed_s[k], 1.0
+        if np.isnan(off[k, 0]):
+            continue
+        forward_kinematics(arm.chain[0], joints_rad[k], transforms)
+        place_capsules(arm.capsules, transforms, ends_m)
+        tcp_m[k] = transforms[n + 1, :3, 3]
+        x, y, z = tcp_velocity(arm.chain[0].joint_axes, transforms, rates_radps[k])
+        speed_mps[k] = np.sqrt(x * x + y * y + z * z)
+        moved_mps, fastest_radps = 0.0, 0.0
+        for j in range(n):
+            moved_mps += abs(rates_radps[k, j]) * _farther_m(arm.reach_m, j)
+            fastest_radps = max(fastest_radps, abs(rates_radps[k, j]))
+        off_mps[k] = off[k, 1] * reach_m + off[k, 0] * moved_mps
+        between_m = _place_between_m(off_m, off_mps, k, k, period_s)
+        by_mps = _speed_between(off_mps, off_m, k, k, period_s)
+        by_radps = _speed_between(off[:, 1], off[:, 0], k, k, period_s)
+        _set_known(known[HEIGHT], tcp_m[k, 2], off_m[k], between_m, True)
+        _set_known(known[TCP_SPEED], speed_mps[k], off_mps[k], by_mps, speed_mps[k] - MOVING > by_mps)
+        _set_known(known[JOINT_SPEED], fastest_radps, off[k, 1], by_radps, fastest_radps - MOVING > by_radps)
+        unseen, unmeasured = 0, 0
+        for h in range(hands):
+            hand_off_m, elbow_off_m = bodies_off_m[k, h, 0], bodies_off_m[k, h, 1]
+            if np.isnan(hand_off_m):
+                unseen, unmeasured = unseen + 1, unmeasured + 1
+                continue
+            to_tcp_m[k, h] = _distance_m(bodies_m[k, h, 0], tcp_m[k])
+            more_m = between_m + 2.0 * hand_off_m
+            _nearer(known[NEAR], to_tcp_m[k, h], off_m[k] + hand_off_m, more_m)
+            if np.isnan(elbow_off_m):
+                unmeasured += 1
+                continue
+            hand, elbow = bodies_m[k, h, 0], bodies_m[k, h, 1]
+            apart_m[k, h], _ = distance_between(arm.capsules, ends_m, hand, elbow, radius_m, forearm_radius_m)
+            moved_m = _moved_m(off_m[k], off[k, 1], bodies_off_m[k, h], reach_m, period_s)
+            at_m = max(hand_off_m, elbow_off_m) + off_m[k]
+            _nearer(known[APART], apart_m[k, h], at_m, moved_m)
+        for signal in (APART, NEAR):
+            if not np.isnan(known[signal, VALUE]):
+                known[signal, TRIED] = 1.0 if critical_m - known[signal, HIGH] > 0.0 else 0.0
+                if (unmeasured if signal == APART else unseen) > 0:
+                    known[signal, LOW] = known[signal, CELL_LOW] = -np.inf
+    for k in range(count - 1):
+        known = found[k]
+        known[ELAPSED, CELL_HIGH] = elapsed_s[k + 1]
+        if np.isnan(off[k, 0]) or np.isnan(off[k + 1, 0]):
+            known[:ELAPSED, CELL_LOW], known[:ELAPSED, CELL_HIGH] = -np.inf, np.inf
+            continue
+        between_m = _place_between_m(off_m, off_mps, k, k + 1, period_s)
+        by_mps = _speed_between(off_mps, off_m, k, k + 1, period_s)
+        by_radps = _speed_between(off[:, 1], off[:, 0], k, k + 1, period_s)
+        step_m = _distance_m(tcp_m[k], tcp_m[k + 1])
+        way_m, mean_mps = max(max(speed_mps[k], speed_mps[k + 1]) * period_s, step_m), step_m / period_s
+        slowest, fastest, mean, bend_m, turned_m = 0.0, 0.0, 0.0, 0.0, 0.0
+        for j in range(n):
+            step = abs(joints_rad[k + 1, j] - joints_rad[k, j])
+            one, other = abs(rates_radps[k, j]), abs(rates_radps[k + 1, j])
+            slowest = max(slowest, min(one, other, step / period_s))
+            fastest, mean = max(fastest, one, other, step / period_s), max(mean, step / period_s)
+            turned_m += step * arm.reach_m[j]
+            bend_m += abs(rates_radps[k + 1, j] - rates_radps[k, j]) * arm.reach_m[j] * period_s / 4.0
+        _set_cell(known[JOINT_SPEED], slowest - by_radps, fastest + by_radps, mean - MOVING > by_radps)
+        low, high = (
+            min(speed_mps[k], speed_mps[k + 1], mean_mps),
+            max(speed_mps[k], speed_mps[k + 1], mean_mps),
         )
-        moved = [(self._moved_m(a, h), h.off_m + a.off_m) for a, h in ((arm, one), (later, other))]
-        low = min(one.distance_m, bound - bend_m) - max(below for below, _ in moved)
-        return (low, far_m + bend_m + max(below + at for below, at in moved)), to_tcp
+        _set_cell(known[TCP_SPEED], low - by_mps, high + by_mps, mean_mps - MOVING > by_mps)
+        low, high = _tent(tcp_m[k, 2], tcp_m[k + 1, 2], way_m)
+        _set_cell(known[HEIGHT], low - between_m, high + between_m, False)
+        least_m, most_m = np.full(2, np.inf), np.full(2, np.inf)
+        for h in range(hands):
+            if np.isnan(bodies_off_m[k, h, 0]) or np.isnan(bodies_off_m[k + 1, h, 0]):
+                least_m[:] = -np.inf
+                continue
+            measured = not (np.isnan(apart_m[k, h]) or np.isnan(apart_m[k + 1, h]))
+            bound_m, hand_m, elbow_m = np.inf, 0.0, 0.0
+            before, begin = bodies_m[k, h], joints_rad[k]
+            for c in range(corner.shape[0] + 1):
+                if c == corner.shape[0]:
+                    after, end = bodies_m[k + 1, h], joints_rad[k + 1]
+                elif corner[c, 0] == k and corner[c, 1] == h:
+                    after = corners_m[c]
+                    end = joints_rad[k] + corner_at[c] * (joints_rad[k + 1] - joints_rad[k])
+                else:
+                    continue
+                hand_m += _distance_m(before[0], after[0])
+                elbow_m += _distance_m(before[1], after[1])
+                if measured:
+                    own_m, _, _ = closest_approach_between(
+                        arm,
+                        room,
+                        begin,
+                        end,
+                        before[0],
+                        after[0],
+                        before[1],
+                        after[1],
+                        radius_m,
+                        forearm_radius_m,
+                        RESOLUTION_M,
+                        np.inf,
+                    )
+                    bound_m = min(bound_m, own_m)
+                before, begin = after, end
+            low, high = _tent(to_tcp_m[k, h], to_tcp_m[k + 1, h], way_m + hand_m)
+            by_m = between_m + 2.0 * max(bodies_off_m[k, h, 0], bodies_off_m[k + 1, h, 0])
+            least_m[NEAR], most_m[NEAR] = min(least_m[NEAR], low - by_m), min(most_m[NEAR], high + by_m)
+            if not measured:
+                least_m[APART] = -np.inf
+                continue
+            _, far_m = _tent(apart_m[k, h], apart_m[k + 1, h], turned_m + max(hand_m, elbow_m))
+            moved_m, beside_m = 0.0, 0.0
+            for at in (k, k + 1):
+                own_m = _moved_m(off_m[at], off[at, 1], bodies_off_m[at, h], reach_m, period_s)
+                moved_m = max(moved_m, own_m)
+                beside_m = max(
+                    beside_m, own_m + max(bodies_off_m[at, h, 0], bodies_off_m[at, h, 1]) + off_m[at]
+                )
+            low = min(apart_m[k, h], bound_m - bend_m) - moved_m
+            least_m[APART], most_m[APART] = (
+                min(least_m[APART], low),
+                min(most_m[APART], far_m + bend_m + beside_m),
+            )
+        if hands:
+            for signal in (APART, NEAR):
+                _set_cell(known[signal], least_m[signal], most_m[signal], False)
 
-    def _corners(self, index: int, tick: int, one: HandAt, other: HandAt) -> tuple[list[float], Values]:
-        """When samples of a hand came between two ticks, in parts of a period; (m, 2, 3) all its places."""
-        hand, elbow = self._hands[index]
-        begin_ns, end_ns = tick * self._period_ns, (tick + 1) * self._period_ns
-        times = sorted({*hand.corners(begin_ns, end_ns), *(elbow or hand).corners(begin_ns, end_ns)})
-        places = [np.array([hand.between(t), (elbow or hand).between(t)]) for t in times]
-        shares = [(t - begin_ns) / self._period_ns for t in times]
-        return shares, np.array([one.bodies_m, *places, other.bodies_m])
 
-    def _moved_m(self, arm: ArmAt, hand: HandAt) -> float:
-        """As ``distance_moved_m`` between the ticks."""
-        bend_m = self._period_s / 2.0 * arm.rates_off_radps * float(self._reach_m.sum())
-        return hand.off_m + arm.off_m + bend_m
-
-    def _place_between_m(self, one: ArmAt, other: ArmAt) -> float:
-        """As ``formulas.measured.of_place``."""
-        at, speed = max(one.off_m, other.off_m), max(one.off_mps, other.off_mps)
-        return at + 0.5 * max(speed * self._period_s, 2.0 * at)
-
-    def _speeds_between(self, one: ArmAt, other: ArmAt) -> tuple[float, float]:
-        """As ``formulas.measured.of_speed``, of TCP and joints."""
-        place, turned = max(one.off_m, other.off_m), max(one.joints_off_rad, other.joints_off_rad)
-        speed, rate = max(one.off_mps, other.off_mps), max(one.rates_off_radps, other.rates_off_radps)
-        return max(speed, 2.0 * place / self._period_s), max(rate, 2.0 * turned / self._period_s)
+@inlined
+def _farther_m(reach_m: NDArray[np.float64], joint: int) -> float:
+    """How far what a joint turns reaches, link after link; ``reach_m`` (n,)."""
+    total = 0.0
+    for k in range(reach_m.shape[0]):
+        total += reach_m[max(k, joint)]
+    return total
 
 
-def _known(value: float, off: float, between: float, tried: bool) -> Known:
-    return Known(value, value - off, value + off, value - between, value + between, tried)
+@inlined
+def _set_known(known: NDArray[np.float64], value: float, off: float, between: float, tried: bool) -> None:
+    """Of a signal, ``known`` (6,), at a tick; from there to the next is the tick, as far as that is known."""
+    known[VALUE], known[TRIED] = value, 1.0 if tried else 0.0
+    known[LOW], known[HIGH] = value - off, value + off
+    known[CELL_LOW], known[CELL_HIGH] = value - between, value + between
 
 
-def _trying(known: Known, tried: bool) -> Known:
-    return known._replace(tried=known.tried or tried)
+@inlined
+def _set_cell(known: NDArray[np.float64], low: float, high: float, tried: bool) -> None:
+    """Of a signal, ``known`` (6,), to the next tick; unknown if it is not known at the tick."""
+    unknown = np.isnan(known[VALUE])
+    known[CELL_LOW], known[CELL_HIGH] = -np.inf if unknown else low, np.inf if unknown else high
+    if tried:
+        known[TRIED] = 1.0
 
 
+@inlined
+def _nearer(known: NDArray[np.float64], value: float, off: float, more: float) -> None:
+    """Of the nearest hand, ``known`` (6,), if another one may be it."""
+    first = np.isnan(known[VALUE])
+    known[VALUE] = value if first else min(known[VALUE], value)
+    known[LOW] = value - off if first else min(known[LOW], value - off)
+    known[CELL_LOW] = value - more if first else min(known[CELL_LOW], value - more)
+    known[HIGH] = min(known[HIGH], value + off)
+    known[CELL_HIGH] = min(known[CELL_HIGH], value + off + more)
+
+
+@inlined
+def _distance_m(one: NDArray[np.float64], other: NDArray[np.float64]) -> float:
+    """From ``one`` (3,) to the ``other`` (3,)."""
+    x, y, z = other[0] - one[0], other[1] - one[1], other[2] - one[2]
+    return float(np.sqrt(x * x + y * y + z * z))
+
+
+@inlined
+def _moved_m(
+    off_m: float, rates_off_radps: float, body_off_m: NDArray[np.float64], reach_m: float, period_s: float
+) -> float:
+    """As ``distance_moved_m`` between the ticks; ``body_off_m`` (2,)."""
+    own_m: float = max(body_off_m[0], body_off_m[1]) + off_m
+    return own_m + period_s / 2.0 * rates_off_radps * reach_m
+
+
+@inlined
+def _place_between_m(
+    off_m: NDArray[np.float64], off_mps: NDArray[np.float64], one: int, other: int, period_s: float
+) -> float:
+    """As ``formulas.measured.of_place``; ``off_m`` and ``off_mps`` (m,)."""
+    at = max(off_m[one], off_m[other])
+    return float(at + 0.5 * max(max(off_mps[one], off_mps[other]) * period_s, 2.0 * at))
+
+
+@inlined
+def _speed_between(
+    speed: NDArray[np.float64], place: NDArray[np.float64], one: int, other: int, period_s: float
+) -> float:
+    """As ``formulas.measured.of_speed``; ``speed`` and ``place`` (m,)."""
+    return float(max(speed[one], speed[other], 2.0 * max(place[one], place[other]) / period_s))
+
+
+@inlined
 def _tent(first: float, second: float, way: float) -> tuple[float, float]:
     """As ``formulas.signal.tent``."""
     low = min(0.5 * (first + second - way), min(first, second))
     return low, max(0.5 * (first + second + way), max(first, second))
-
-
-@compiled
-def _arm_at(
-    arm: Arm,
-    joints_rad: NDArray[np.float64],  # (n,)
-    rates_radps: NDArray[np.float64],  # (n,)
-    ends_m: NDArray[np.float64],  # (c, 2, 3), written: the capsules' ends in base
-    tcp_m: NDArray[np.float64],  # (3,), written
-) -> float:
-    """The TCP's speed [m/s]."""
-    n = joints_rad.shape[0]
-    transforms = np.empty((n + 2, 4, 4))
-    forward_kinematics(arm.chain[0], joints_rad, transforms)
-    place_capsules(arm.capsules, transforms, ends_m)
-    for i in range(3):
-        tcp_m[i] = transforms[n + 1, i, 3]
-    x, y, z = tcp_velocity(arm.chain[0].joint_axes, transforms, rates_radps)
-    return float(np.sqrt(x * x + y * y + z * z))
-
-
-def margin_at(atom: Comparison | Truth, signals: Signals, *, cell: bool) -> tuple[float, float]:
-    """The least and largest margin of a comparison, at the tick or from it to the next."""
-    assert isinstance(atom, Comparison)
-    known = signals[atom.signal]
-    low, high = (known.cell_low, known.cell_high) if cell else (known.low, known.high)
-    limit, relation = atom.limit.value, atom.relation
-    above = relation in (Relation.ABOVE, Relation.AT_LEAST)
-    at_limit = -LEAST if relation in (Relation.ABOVE, Relation.BELOW) else LEAST
-    least, most = (low - limit, high - limit) if above else (limit - high, limit - low)
-    return least or at_limit, most or at_limit

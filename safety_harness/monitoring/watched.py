@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from functools import partial
 from math import inf, isnan
+
+import numpy as np
 
 from safety_harness.formulas.claim import GRAVEST
 from safety_harness.formulas.formula import (
@@ -13,6 +14,7 @@ from safety_harness.formulas.formula import (
     Globally,
     Initially,
     Not,
+    Relation,
     Truth,
     Until,
     parts_of,
@@ -24,9 +26,20 @@ from safety_harness.formulas.parse import parse_formula
 from safety_harness.formulas.prefix import Prefix
 from safety_harness.formulas.quantities import formula_error
 from safety_harness.formulas.signal import Signal
-from safety_harness.monitoring.sensing import Known, Signals, TickSeen, margin_at
+from safety_harness.monitoring.sensing import (
+    CELL_HIGH,
+    CELL_LOW,
+    HIGH,
+    LOW,
+    MEASURED,
+    TRIED,
+    VALUE,
+    Values,
+)
 from safety_harness.properties.base import Unit
 from safety_harness.scenario.model import Verdict
+
+AT_TICK, CELL = 0, 1
 
 
 class WatchedClaim:
@@ -44,10 +57,13 @@ class WatchedClaim:
         self.sentence = str(formula)
         self.parts = [WatchedPart(part, period_s, revisable) for part in parts_of(formula)]
 
-    def see(self, moments: Sequence[TickSeen], *, grown: bool) -> None:
-        """Of the latest ticks, the last of them last, more is known now; with ``grown`` that one is new."""
+    def see(self, seen: Values, first: int, *, grown: bool) -> None:
+        """Of the latest ticks, from ``first`` on, more is known now, ``seen`` (m, signals, 6).
+
+        With ``grown`` the last one is new.
+        """
         for part in self.parts:
-            part.see(moments, grown=grown)
+            part.see(seen, first, grown=grown)
 
     @property
     def verdict(self) -> Verdict:
@@ -78,37 +94,39 @@ class WatchedPart:
         self.margin: float | None = None
         ways = _ways(part)
         single = all(len(one) == 1 for one in ways.values())
-        atoms = [node for node in part.nodes() if isinstance(node, Comparison | Truth)]
-        self._rising = {id(atom) for atom in atoms if 1 in ways[atom]}
-        self._least = Prefix(part, period_s, revisable)
-        self._most = self._least if single else Prefix(part, period_s, revisable)
-        self._end = Prefix(part.second, period_s, revisable) if isinstance(part, Until) else None
+        rising = {atom for atom in ways if 1 in ways[atom]}
+
+        def prefix(formula: Formula, least: int, most: int) -> Prefix:
+            """A comparison's columns, as the formula's ``least`` and ``most`` are asked of ticks or cells.
+
+            A formula's least margin is of what may be from tick to tick, its largest of the ticks alone; the
+            low of a comparison decides the one, or the other if it stands below a "not" or in a trigger.
+            """
+
+            def columns(atom: Comparison | Truth) -> tuple[int, int, int]:
+                low, high = (least, most) if atom in rising else (most, least)
+                if isinstance(atom, Comparison) and atom.relation in (Relation.BELOW, Relation.AT_MOST):
+                    low, high = high, low
+                return MEASURED.index(atom.signal), (LOW, CELL_LOW)[low], (HIGH, CELL_HIGH)[high]
+
+            return Prefix(formula, period_s, revisable, columns)
+
+        self._least = prefix(part, CELL, AT_TICK if single else CELL)
+        self._most = self._least if single else prefix(part, AT_TICK, AT_TICK)
+        self._end = prefix(part.second, AT_TICK, AT_TICK) if isinstance(part, Until) else None
+        asked = dict.fromkeys((self._least, self._most, self._end))
+        self._prefixes = [prefix for prefix in asked if prefix is not None]
         self._signals = signals_of(part)
-        self._untried = set(self._signals)  # yet
-        if isinstance(part, Globally):
-            self._untried -= set(signals_of(part.trigger))
+        self._read = [MEASURED.index(signal) for signal in self._signals]
+        triggers = signals_of(part.trigger) if isinstance(part, Globally) else ()
+        self._untried = {k for k, one in zip(self._read, self._signals, strict=True) if one not in triggers}
         self._asked = False
 
-    def see(self, moments: Sequence[TickSeen], *, grown: bool) -> None:
-        """As ``WatchedClaim.see``."""
-        signals = [moment.signals for moment in moments]
-        at_ticks = [partial(self._margin, one, (False, False)) for one in signals]
-        asked = [(self._least, [partial(self._margin, one, (True, True)) for one in signals])]
-        if self._most is self._least:
-            asked = [(self._least, [partial(self._margin, one, (True, False)) for one in signals])]
-        else:
-            asked.append((self._most, at_ticks))
-        if self._end is not None:
-            asked.append((self._end, at_ticks))
-        for prefix, bounds in asked:
-            if grown:
-                prefix.step(bounds[-1], bounds[:-1])
-            else:
-                prefix.revise(bounds)
-        for moment in moments:
-            self._exercise(moment)
-        if isinstance(self.part, Globally):
-            self._asked |= bool((self._most.tree.parts[0].bounds.low >= 0.0).any())
+    def see(self, seen: Values, first: int, *, grown: bool) -> None:
+        """As ``WatchedClaim.see``; ``seen`` (m, signals, 6)."""
+        for prefix in self._prefixes:
+            prefix.see(seen, grown=grown)
+        self._exercise(seen, first)
         least, most = self._least.least, self._most.most
         self.verdict = _verdict(least, most)
         if self.verdict is Verdict.HOLDS and not self.exercised:
@@ -119,26 +137,15 @@ class WatchedPart:
         if self._least.latest is not None and self._most.latest is not None:
             self.latest = _verdict(self._least.latest[0], self._most.latest[1])
 
-    def _margin(
-        self, signals: Signals, cells: tuple[bool, bool], atom: Comparison | Truth
-    ) -> tuple[float, float]:
-        """A comparison's least and largest margin, as the formula's least and largest are asked of ``cells``.
-
-        A formula's least margin is of what may be from tick to tick, its largest of the ticks alone; the low
-        of a comparison decides the one, or the other if it stands below a "not" or in a trigger.
-        """
-        low, high = cells if id(atom) in self._rising else cells[::-1]
-        if low is high:
-            return margin_at(atom, signals, cell=low)
-        return margin_at(atom, signals, cell=low)[0], margin_at(atom, signals, cell=high)[1]
-
-    def _exercise(self, moment: TickSeen) -> None:
+    def _exercise(self, seen: Values, first: int) -> None:
         """As ``formulas.claim`` counts it."""
-        if not isinstance(self.part, Globally | Initially) or (
-            isinstance(self.part, Initially) and moment.tick == 0
-        ):
-            self._asked |= not any(isnan(moment.signals[signal].value) for signal in self._signals)
-        self._untried -= {signal for signal in self._untried if moment.signals[signal].tried}
+        if not self._asked and isinstance(self.part, Globally):
+            self._asked = self._most.triggered
+        elif not self._asked and (first == 0 or not isinstance(self.part, Initially)):
+            asked = seen[:1] if isinstance(self.part, Initially) else seen
+            self._asked = not bool(np.isnan(asked[:, self._read, VALUE]).any(axis=1).all())
+        if self._untried:
+            self._untried -= {k for k in self._untried if seen[:, k, TRIED].any()}
 
     @property
     def exercised(self) -> bool:
@@ -147,9 +154,9 @@ class WatchedPart:
             return False
         return self._asked and not self._untried
 
-    def reason(self, now: Signals) -> str:
-        """What is measured of its signals at the latest tick, and what keeps a verdict from being one."""
-        words = ", ".join(_told(signal, now[signal]) for signal in self._signals)
+    def reason(self, now: Values) -> str:
+        """What is measured of its signals at the latest tick, ``now`` (signals, 6), and what it lacks."""
+        words = ", ".join(_told(signal, now[k]) for k, signal in zip(self._read, self._signals, strict=True))
         if self.verdict is Verdict.INCONCLUSIVE and self._least.least >= 0.0:
             return f"never exercised yet: {words}"
         return words
@@ -180,10 +187,10 @@ def _verdict(least: float, most: float) -> Verdict:
     return Verdict.HOLDS if least >= 0.0 else Verdict.INCONCLUSIVE
 
 
-def _told(signal: Signal, known: Known) -> str:
-    """A signal's value in words, with its bounds if they are not it."""
-    if known.low == -inf or isnan(known.value):
+def _told(signal: Signal, known: Values) -> str:
+    """A signal's value in words, with its bounds (6,) if they are not it."""
+    if known[LOW] == -inf or isnan(known[VALUE]):
         return f"{signal.words} not known"
     unit: Unit = shown_in(signal.dimension)
-    low, high = (f"{side * unit.per_si:.4g}" for side in (known.low, known.high))
+    low, high = (f"{float(side) * unit.per_si:.4g}" for side in known[[LOW, HIGH]])
     return f"{signal.words} {low if low == high else f'{low} to {high}'} {unit.symbol}".rstrip()

@@ -121,6 +121,27 @@ def scenario_from(log: CellLog, cell: Scenario, *, elbow_towards_in_base_m: Vect
     return FromLog(log=log, trace=found.trace, cell=cell, scenario=scenario, hands=hands, notes=tuple(notes))
 
 
+USUAL = "opposite pose"
+
+
+def usual_cell(log: CellLog, desired_tcp_in_base_m: Vector3 | None = None) -> Scenario:
+    """A scenario of the log's arm, obstacles and settings, where nobody has one: what else it needs is usual.
+
+    The desired TCP, if it is not given, is where the log ends, and the object lies under it as by default;
+    the avoider is ``USUAL``.
+    """
+    trace = trace_of(log).trace
+    own, end_m = trace.scenario, trace.ticks["transform_tcp_to_base"][-1, :3, 3]
+    x, y, z = desired_tcp_in_base_m or tuple(round(float(one), 4) for one in end_m)
+    place, lies = own.settings.cell, own.settings.object
+    by_x, by_y = x - place.desired_tcp_position_in_base_m[0], y - place.desired_tcp_position_in_base_m[1]
+    object_x, object_y, object_z = lies.position_in_base_m
+    lies = replace(lies, position_in_base_m=(round(object_x + by_x, 4), round(object_y + by_y, 4), object_z))
+    place = replace(place, desired_tcp_position_in_base_m=(x, y, z))
+    settings = replace(own.settings, cell=place, object=lies)
+    return replace(own, settings=settings, avoider=USUAL, hands=(), places={})
+
+
 def _elbow_towards(cell: Scenario, name: str) -> Vector3 | None:
     """Of the cell's hand of this name, or of its only one."""
     hands = [one for one in cell.hands if one.name == name] or list(cell.hands)

@@ -50,12 +50,13 @@ class Gap:
     """Ticks from ``first`` to the one before ``after`` in which a column was not measured.
 
     Of one ``hand``, counted from 0, or of all that the column holds.  A gap of ``hand_present`` says that a
-    hand is not known to be absent.
+    hand is not known to be absent.  Of a mode it was ``either`` of these, at each of the ticks; none: any.
     """
 
     first: int
     after: int
     hand: int | None = None
+    either: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -214,6 +215,8 @@ def _refuse_impossible(name: str, one: Measurement) -> None:
             raise refuse("gaps of ticks, each from one to a later one", str(gap))
         if gap.hand is not None and (gap.hand < 0 or name not in PER_HAND):
             raise refuse("gaps of one hand, counted from 0, only in columns of hands", str(gap))
+        if gap.either and name != "mode":
+            raise refuse("gaps in which it was either of some, only of the mode", str(gap))
 
 
 LEVELS = 1.1  # an uncertainty by tick is rounded up to the next of a geometric series, for few spans

@@ -384,6 +384,10 @@ def _asked(made: NDArray[np.int64], acted: NDArray[np.int64], faults: Sequence[F
 
 def _whole(measurement: Any) -> Any:
     """With what earlier files do not say of a column."""
-    return (
-        {"closer": [], "at_most_per_s": None} | measurement if isinstance(measurement, dict) else measurement
-    )
+    if not isinstance(measurement, dict):
+        return measurement
+    gaps = measurement.get("gaps")
+    if isinstance(gaps, list):
+        gaps = [{"either": []} | gap if isinstance(gap, dict) else gap for gap in gaps]
+        measurement = measurement | {"gaps": gaps}
+    return {"closer": [], "at_most_per_s": None} | measurement

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import page
 import pytest
-from made_up_evidence import HOSTILE, evidence
+from made_up_comparison import cell
+from made_up_evidence import evidence
 from typer.testing import CliRunner
 
 from safety_harness.certification.argument import DONE, DOUBT, argument_of
@@ -17,56 +18,8 @@ from safety_harness.certification.findings import of_worlds
 from safety_harness.certification.page import render
 from safety_harness.certification.tools import HarnessTrials, RecordedCell, read_cell
 from safety_harness.cli.main import app
-from safety_harness.compiled import source_hash
-from safety_harness.recorded.apart import DelayFit, Difference, Estimate
-from safety_harness.recorded.compare import CellComparison, ClaimOfBoth, ClosestHand, WorldBeside, as_json
+from safety_harness.recorded.compare import as_json
 from safety_harness.scenario.model import Verdict
-
-AN_ESTIMATE = Estimate(value=0.002, low=0.001, high=0.003)
-A_DIFFERENCE = Difference(
-    what="elbow_joint", unit="rad", samples=900, mean=AN_ESTIMATE, usually=0.004, largest=0.005, at_s=2.0,
-    recorded_within=1e-4,
-)  # fmt: skip
-
-
-def cell(simulated: Verdict = Verdict.HOLDS, *, present: bool = True) -> RecordedCell:
-    claim = ClaimOfBoth(
-        sentence="hand distance never below 50 mm",
-        recorded=Verdict.HOLDS,
-        recorded_margin="+10.0 mm",
-        simulated=simulated,
-        simulated_margin="+12.0 mm",
-    )
-    world = WorldBeside(
-        world="kinematic",
-        joints=(A_DIFFERENCE,),
-        tcp=None,
-        distances=(),
-        closest=(ClosestHand(hand=HOSTILE, simulated_m=0.07, recorded_least_m=None, recorded_most_m=0.08),),
-        fit=DelayFit(late=None, why="the joints stand", offsets=(AN_ESTIMATE,), before=0.003, left=0.001),
-        claims=(claim,),
-        absent=(),
-    )
-    found = CellComparison(
-        log="LOG.yaml",
-        title=HOSTILE,
-        scenario="cell",
-        tested="mc-dropout",
-        duration_s=7.2,
-        joint_samples=901,
-        confidence=0.95,
-        blocks=10,
-        usually=0.95,
-        worlds=(world,),
-        notes=(),
-        package_version="0",
-        source_hash=source_hash() if present else "0123456789abcdef",
-        python="3",
-        platform="any",
-        libraries=(),
-        files=(("joints.csv", "0" * 64),),
-    )
-    return RecordedCell(comparison=found, sha256="f" * 64, present=present)
 
 
 def with_cells(*cells: RecordedCell) -> Evidence:

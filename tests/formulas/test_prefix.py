@@ -101,7 +101,7 @@ def test_what_is_remembered_does_not_grow() -> None:
     sizes = set()
     for tick in range(2_000):
         prefix.step(lambda _, tick=tick: (float(tick % 10) - 1.0,) * 2)
-        sizes.add(sum(kept.size for kept in prefix._kept.values()))
+        sizes.add(prefix._values.size)
     assert len(sizes) == 1
     assert prefix.latest == (8.0, 8.0)
 

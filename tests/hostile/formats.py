@@ -33,6 +33,7 @@ from safety_harness.certification.folder import read_manifest
 from safety_harness.certification.tools import read_oracles, read_selftest
 from safety_harness.learning.dataset import generate, space_named
 from safety_harness.learning.manifest import ARRAYS, MANIFEST, load_dataset, save_dataset
+from safety_harness.recorded.compare import as_json, read_comparison
 from safety_harness.scenario.expand import gather
 from safety_harness.scenario.read import read_scenario
 from safety_harness.selftest.document import document
@@ -41,6 +42,7 @@ from safety_harness.space.read import read_space
 from safety_harness.statistics.sample import EpisodeOutcome
 from safety_harness.trace.store import load_trace, save_trace
 from tests.campaign.plans import PLAN, ledger_in, plan_in
+from tests.certification.made_up_comparison import cell
 from tests.certification.made_up_evidence import evidence
 from tests.hostile.readers import checkpoint_bytes, checkpoint_read, kept_read, onnx_read
 from tests.search.short_space import TEXT as SHORT
@@ -325,6 +327,12 @@ FORMATS = [
     Format("evidence", "evidence.json", lambda: as_text(evidence()).encode(), read_evidence),
     Format("trial of the harness", "selftest.json", selftest_bytes, read_selftest),
     Format("table of oracles", "oracles.json", (ROOT / "plans" / "oracles.json").read_bytes, read_oracles),
+    Format(
+        "worlds beside a cell",
+        "compare-worlds.json",
+        lambda: as_json(cell().comparison).encode(),
+        read_comparison,
+    ),
     Format(
         "manifest of a report",
         MANIFEST_OF_REPORT,

@@ -249,3 +249,35 @@ def test_numbers_that_cannot_be_are_refused_with_their_line(
         with pytest.raises(LogError) as refused:
             read_log(log_file(replace(streams, words=words), tmp_path))
         assert says in str(refused.value)
+
+
+@pytest.mark.parametrize("halts", [False, True])
+def test_formulas_on_modes_are_judged_where_a_mode_was_one_of_two(
+    synthetic: tuple[Streams, Words, Words], halts: bool, tmp_path: Path
+) -> None:
+    """Stamps that are off by 2 ms leave open which of two there was where it changed, but no third one."""
+    streams, good, _ = synthetic
+    change = next(k for k in range(1, len(good.mode)) if good.mode[k] != good.mode[k - 1])
+    mode = ["HALT" if halts and k == change else one for k, one in enumerate(good.mode)]
+    file = log_file(
+        replace(streams, words=replace(good, mode=mode)),
+        tmp_path,
+        (
+            "RUN: servoing, RETREAT: repulsing}, known to: 0 ms",
+            "RUN: servoing, RETREAT: repulsing, HALT: stopped}, known to: 2 ms",
+        ),
+        ("log: {", "log: {from: 10 ms, "),
+        ("claims:\n", "claims:\n  - always not stopped\n  - always not object lost\n  - always servoing\n"),
+    )
+    logged = trace_of(read_log(file))
+    trace = logged.trace
+    assert any(len(gap.either) > 1 for gap in trace.known.of("mode").gaps)
+    save_trace(trace, tmp_path / "a.trace", recordings=logged.recordings)
+    assert load_trace(tmp_path / "a.trace").known.of("mode") == trace.known.of("mode")
+    found = {one.sentence: one.verdict for one in judge(trace)}
+    if halts:
+        assert found["always not stopped"] is not Verdict.HOLDS
+    else:
+        assert found["always not stopped"] is Verdict.HOLDS
+    assert found["always not object lost"] is Verdict.HOLDS
+    assert found["always servoing"] is Verdict.VIOLATED

@@ -6,9 +6,14 @@ import subprocess
 import sys
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
-from types import SimpleNamespace
+from types import ModuleType, SimpleNamespace
+from typing import Any
 
 import msgspec
+import numpy as np
+import pytest
+from cells import cell, recorded
+from log_formats import STORE, joint_messages, poses
 
 from safety_harness.monitoring.cell import read_cell
 from safety_harness.monitoring.monitor import Monitor
@@ -35,12 +40,63 @@ def test_a_log_as_it_ran_has_the_verdict_of_judge() -> None:
     assert (own.counts.refused, own.counts.late, own.counts.ticks) == (0, 0, 375)
 
 
-def test_lines_of_the_ros_2_node_are_lines_of_a_stream() -> None:
+def the_node() -> Any:
     spec = spec_from_file_location("ros2_node", EXAMPLES / "monitor" / "ros2_node.py")
     assert spec is not None
     assert spec.loader is not None
     node = module_from_spec(spec)
     spec.loader.exec_module(node)
+    return node
+
+
+def test_the_ros_2_node_tells_of_every_message_that_it_takes(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """With messages of the types of ROS, and a middleware that stands in for its own."""
+    streams = recorded(cell(np.random.default_rng(1)), np.random.default_rng(1), seconds=0.2)
+    sent = sorted([*joint_messages(streams), *poses(streams)], key=lambda one: one[0])
+    *_, elsewhere = (message for _, topic, _, message in sent if topic == "/elbow")
+    elsewhere.header.frame_id = "camera"  # that one is left out, with the hand of its time
+    heard: dict[str, tuple[Any, Any]] = {}
+    warned: list[str] = []
+
+    def spin(_: object) -> None:
+        for _, topic, kind, message in sent:
+            wanted, callback = heard[topic]
+            assert wanted is STORE.types[kind]
+            callback(message)
+
+    logger = SimpleNamespace(warning=lambda text, **_: warned.append(text))
+    node = SimpleNamespace(
+        create_subscription=lambda kind, topic, callback, _: heard.update({topic: (kind, callback)}),
+        get_logger=lambda: logger,
+        destroy_node=lambda: None,
+    )
+    ros = {"init": lambda: None, "create_node": lambda _: node, "spin": spin, "try_shutdown": lambda: None}
+    for name, members in {
+        "rclpy": ros,
+        "rclpy.qos": {"qos_profile_sensor_data": 10},
+        "sensor_msgs.msg": {"JointState": STORE.types["sensor_msgs/msg/JointState"]},
+        "geometry_msgs.msg": {"PoseStamped": STORE.types["geometry_msgs/msg/PoseStamped"]},
+    }.items():
+        module = ModuleType(name)
+        vars(module).update(members)
+        monkeypatch.setitem(sys.modules, name, module)
+    the_node().main()
+    samples = [
+        read_sample(line.encode(), k, joints=6, hands=["hand"], speeds=False)
+        for k, line in enumerate(capsys.readouterr().out.splitlines())
+    ]
+    joints = [one.joint_position_rad for one in samples if one.joint_position_rad is not None]
+    np.testing.assert_allclose(joints, streams.joints_rad)
+    hands = [one.hands["hand"] for one in samples if one.hands]
+    np.testing.assert_allclose([one.hand_position_in_base_m for one in hands], streams.hand_m[:-1])
+    np.testing.assert_allclose([one.elbow_position_in_base_m for one in hands], streams.elbow_m[:-1])
+    assert warned == ["elbow in camera, not base_link"]
+
+
+def test_lines_of_the_ros_2_node_are_lines_of_a_stream() -> None:
+    node = the_node()
     header = SimpleNamespace(stamp=SimpleNamespace(sec=12, nanosec=344_000_000), frame_id="base_link")
     order = [*reversed(node.JOINTS), "finger_joint"]
     joints = SimpleNamespace(header=header, name=order, position=[float(k) for k in range(7)])

@@ -107,8 +107,30 @@ def test_comments_say_what_is_the_logs_and_what_is_not(folder: Path) -> None:
     assert f"LOG.yaml expects violated: {NEAR}" in text
 
 
-def test_what_no_log_says_is_asked_for(log: Path) -> None:
-    found = made(log, None)
+def test_without_a_scenario_the_task_ends_where_the_log_does_or_is_said_to(
+    happened: Trace, log: Path, tmp_path: Path
+) -> None:
+    found = made(log, None, "--around", "50", "mm")
+    assert found.exit_code == 0, found.output
+    assert "desired TCP where the log ends, avoider opposite pose" in found.output
+    settings = read_scenario(tmp_path / "made" / "LOG.yaml").settings
+    end_m = happened.ticks["transform_tcp_to_base"][-1, :3, 3]
+    np.testing.assert_allclose(settings.cell.desired_tcp_position_in_base_m, end_m, atol=2e-4)
+    given = made(log, None, "--desired-tcp", "720 mm, 20 mm, 340 mm", out="other")
+    assert given.exit_code == 0, given.output
+    settings = read_scenario(tmp_path / "other" / "LOG.yaml").settings
+    assert settings.cell.desired_tcp_position_in_base_m == (0.72, 0.02, 0.34)
+    assert settings.object.position_in_base_m == (0.72, 0.065, -0.3)
+
+
+def test_two_desired_tcps_are_one_too_many(log: Path, cell: Path) -> None:
+    found = made(log, cell, "--desired-tcp", "720 mm, 20 mm, 340 mm")
+    assert found.exit_code == 2
+    assert "--desired-tcp" in found.output
+
+
+def test_worlds_are_compared_with_a_scenario_of_the_cell_alone(log: Path) -> None:
+    found = CliRunner().invoke(app, ["compare-worlds", str(log)])
     assert found.exit_code == 2
     assert "--scenario" in found.output
     assert "a scenario of the cell" in found.output
