@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from safety_harness.avoidance.candidates import continuous_optimum
 from safety_harness.avoidance.learned import LearnedAvoider
-from safety_harness.avoidance.perceptron_kernel import fold_perceptron
+from safety_harness.proof.network import network_of
 from safety_harness.proof.box_kernel import PROVEN
 from safety_harness.proof.certificate import Proof, write_certificate
 from safety_harness.proof.check import check
@@ -127,7 +127,7 @@ def time_is_up(end_s: float) -> bool:
 
 def rows(plan: ProofPlan, seconds: float) -> Iterator[str]:
     """A line of the table for each claim."""
-    network, avoider = fold_perceptron(plan.model), LearnedAvoider.of(plan.model)
+    network, avoider = network_of(plan.model), LearnedAvoider.of(plan.model)
     rng, first = np.random.default_rng(0), fresh(plan)[0]
     work(first.tree, network, first.planned.claim, first.planned.region, halvings=1, until_s=np.inf)
     for proof in fresh(plan):

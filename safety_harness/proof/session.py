@@ -10,10 +10,10 @@ from itertools import chain
 import numpy as np
 
 from safety_harness.avoidance.learned import LearnedAvoider
-from safety_harness.avoidance.perceptron_kernel import fold_perceptron
 from safety_harness.proof.box_kernel import REFUTED, UNDECIDED
 from safety_harness.proof.certificate import Proof, WrongQuestion
 from safety_harness.proof.claims import margins_of, threshold_m
+from safety_harness.proof.network import network_of
 from safety_harness.proof.plan import PlannedProof, ProofPlan
 from safety_harness.proof.tree import BoxTree, Over, work
 
@@ -41,7 +41,7 @@ class Effort:
 
 def carry_on(plan: ProofPlan, proofs: list[Proof], effort: Effort) -> Iterator[Proof]:
     """Each of the proofs, gone on with; what time one does not need, those after it have."""
-    network, avoider = fold_perceptron(plan.model), LearnedAvoider.of(plan.model)
+    network, avoider = network_of(plan.model), LearnedAvoider.of(plan.model)
     end_s = time.monotonic() + effort.seconds
     for number, proof in enumerate(proofs):
         now_s = time.monotonic()
