@@ -22,12 +22,10 @@ from numba import njit
 from numpy.typing import NDArray
 
 from safety_harness.avoidance.candidates import continuous_optimum
-from safety_harness.avoidance.learned import LearnedAvoider
-from safety_harness.proof.network import network_of
 from safety_harness.proof.box_kernel import PROVEN
 from safety_harness.proof.certificate import Proof, write_certificate
 from safety_harness.proof.check import check
-from safety_harness.proof.claims import ClaimKind, DecisionClaim
+from safety_harness.proof.claims import Answering, ClaimKind, DecisionClaim
 from safety_harness.proof.plan import ProofPlan, ProofRegion, read_proof_plan
 from safety_harness.proof.session import fresh
 from safety_harness.proof.tree import BoxTree, work
@@ -77,7 +75,7 @@ def codes_of(
         found[n] = codes[box]
 
 
-def wrong(proof: Proof, avoider: LearnedAvoider, asked: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+def wrong(proof: Proof, avoider: Answering, asked: Floats) -> tuple[Floats, NDArray[np.bool_]]:
     """Margins (n,) of questions (n, 6), and which are apart as the claim says."""
     hands, tcps = asked[:, :3], asked[:, 3:]
     answers, _ = avoider.propose_many(hands, tcps, np.zeros(len(asked), np.uint64))
@@ -85,7 +83,7 @@ def wrong(proof: Proof, avoider: LearnedAvoider, asked: Floats) -> tuple[Floats,
     return proof.planned.claim.margins(hands, tcps, answers), (apart_m >= near_m) & (apart_m <= far_m)
 
 
-def tried(proof: Proof, avoider: LearnedAvoider, rng: np.random.Generator) -> tuple[int, int, float, int]:
+def tried(proof: Proof, avoider: Answering, rng: np.random.Generator) -> tuple[int, int, float, int]:
     """Random questions in proven boxes, guided ones, the least margin of both, and how many contradict."""
     low, high = proof.planned.region.corners()
     tree = flat(proof.tree)
@@ -127,7 +125,7 @@ def time_is_up(end_s: float) -> bool:
 
 def rows(plan: ProofPlan, seconds: float) -> Iterator[str]:
     """A line of the table for each claim."""
-    network, avoider = network_of(plan.model), LearnedAvoider.of(plan.model)
+    network, avoider = plan.network, plan.asked
     rng, first = np.random.default_rng(0), fresh(plan)[0]
     work(first.tree, network, first.planned.claim, first.planned.region, halvings=1, until_s=np.inf)
     for proof in fresh(plan):
@@ -154,7 +152,7 @@ def rows(plan: ProofPlan, seconds: float) -> Iterator[str]:
 
 def where(plan: ProofPlan, near: ProofRegion) -> Iterator[str]:
     """A line of the table of angles, and the shares of regions, of PAIRS near hands."""
-    rng, avoider = np.random.default_rng(1), LearnedAvoider.of(plan.model)
+    rng, avoider = np.random.default_rng(1), plan.asked
     low, high = near.corners()
     x, (near_m, far_m) = np.empty((0, 6)), near.apart_m
     while len(x) < PAIRS:

@@ -55,6 +55,10 @@ def of_onnx(data: bytes) -> Steps:
     import onnx
     from onnx.reference import ReferenceEvaluator
 
+    def reference(node: Any, feed: dict[str, Array]) -> Array:
+        found: Any = ReferenceEvaluator(node).run(None, feed)
+        return np.asarray(found[0])
+
     model: Any = onnx.load_from_string(data)
     graph = model.graph
     if model.opset_import[0].version < 9 or any(one.external_data for one in graph.initializer):
@@ -68,18 +72,18 @@ def of_onnx(data: bytes) -> Steps:
         legal = not node.domain and all(one.i in LEGAL.get(one.name, (one.i,)) for one in node.attribute)
         alone = sum(forms) == 1 and (forms[0] or op == "Mul")
         if op == "Constant":
-            known[out] = np.asarray(ReferenceEvaluator(node).run(None, {})[0], float)
+            known[out] = np.asarray(reference(node, {}), float)
         elif op == "Relu" and own:
             steps.append((out, own))
             widths[out] = widths[own[0]]
         elif legal and own and (op in SUMS or (alone and op in (*AFFINE, NORM))):
             ends = np.cumsum([0] + [widths[name] for name in own])
             rows = np.eye(ends[-1] + 1, ends[-1], k=-1)  # 0, then unit vectors
-            feed: dict[str, Any] = {name: rows[:, a:b] for name, a, b in zip(own, ends[:-1], ends[1:], strict=True)}
+            feed: Any = {name: rows[:, a:b] for name, a, b in zip(own, ends[:-1], ends[1:], strict=True)}
             feed |= {name: known[name] for name in node.input if name in known}
             if len(feed) < len(set(node.input)):
                 continue  # of something that was left out
-            found = ReferenceEvaluator(node).run(None, feed)[0]
+            found = reference(node, feed)
             if found.ndim != 2 or len(found) != len(rows):
                 raise ValueError(f"{op} is not of rows")
             weight, bias = found[1:] - found[0], found[0]

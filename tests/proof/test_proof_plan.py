@@ -19,8 +19,8 @@ def test_claims_and_regions_are_as_written(tmp_path: Path) -> None:
     steps, near = plan.proofs
     assert steps.claim == DecisionClaim(ClaimKind.AT_MOST, 0.15)
     assert (steps.region.hand_low_m, steps.region.tcp_high_m) == (
-        plan.model.seen.hand_low_m,
-        plan.model.seen.tcp_high_m,
+        plan.asked.model.seen.hand_low_m,
+        plan.asked.model.seen.tcp_high_m,
     )
     assert near.claim == DecisionClaim(ClaimKind.OPTIMUM, 0.04)
     assert near.region.tcp_low_m == (0.65, -0.14, 0.26)
