@@ -2,7 +2,8 @@
 
 Run: python benchmarks/proof_questions.py [FOLDER] [--table] (half an hour of processor time).
 
-FOLDER, or reports/proof-questions, keeps the certificate of the first start, and counts.json after each batch: started again, it goes on.
+FOLDER, or reports/proof-questions, keeps the certificate of the first start, and counts.json after each
+batch: started again, it goes on.
 ``--table`` only writes PROOF_QUESTIONS.md from the counts so far, which the end does as well.  A question is
 random within a box that is random among the proven ones of its claim, by volume; the guided ones are the
 corner of its box to which the gradient of the claim's margin points, and from there the next, four times.

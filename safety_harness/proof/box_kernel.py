@@ -36,7 +36,7 @@ FARTHEST_M = 100.0
 MOST = 1e8  # of a unit: beyond it nothing is decided
 MARGIN = 2e-9
 NEAREST_M = 1e-6  # of a direction's length: nearer to 0 it has none
-AT_MOST, AT_LEAST, OPTIMUM, AWAY, UNSURE, DOUBT = 0, 1, 2, 3, 4, 5
+AT_MOST, AT_LEAST, OPTIMUM, AWAY, UNSURE = 0, 1, 2, 3, 4
 OF_RELUS, OF_AXES, OF_CURVES = 2.5, 0.4, 3.0  # tried: how much each counts where to halve
 Z, SLACK, SIZE, SLOPE = range(4)  # rows of ``units``
 
@@ -450,8 +450,7 @@ def examine(
 
     ``low``, ``high`` (n, 6) are boxes of hands and TCPs in the base frame [m]; OUTSIDE are those in which
     every hand is nearer than ``near_m`` to the TCP, or farther than ``far_m``.  ``optimum`` (10,) is of
-    ``optimum_constants``; DOUBT is whether the spread is at least ``limit_m``, and with UNSURE a spread above
-    ``doubt_m`` will do as well.
+    ``optimum_constants``; with UNSURE a spread above ``doubt_m`` will do as well.
     """
     members, columns = network.weight.shape[0], PERCEPTRON_INPUTS + network.bias.shape[1]
     most = columns - OUTPUTS  # symbols of a member: the axes, and one a ReLU
@@ -493,8 +492,6 @@ def examine(
             decided = (
                 _off_optimum(optimum, centre, half, p, g, count, slack, scratch, found, weight) and decided
             )
-        elif kind == DOUBT:
-            found[0], found[1] = spread[0], spread[1]
         elif kind == AWAY:
             _away(centre, half, p, g, count, slack, found, weight)
         else:
@@ -504,7 +501,7 @@ def examine(
             _lengths(scratch[0], g[:count], slack, scratch[5:8], found)
             for i in range(6):
                 weight[i] += abs(g[i, 0]) + abs(g[i, 1]) + abs(g[i, 2])
-        at_least = kind in (AT_LEAST, AWAY, DOUBT)
+        at_least = kind in (AT_LEAST, AWAY)
         proven = found[0] >= limit_m + MARGIN if at_least else found[1] <= limit_m - MARGIN
         refuted = found[1] <= limit_m - MARGIN if at_least else found[0] >= limit_m + MARGIN
         if kind == UNSURE:

@@ -2,7 +2,7 @@
 
 A layer is z = b + sum_s W_s a_s, a = relu(z), where a_s are the question (s = 0) or earlier layers, *as the
 program computed them*; the last is the answer, without a ReLU.  Whatever lies between two ReLUs (batch norm,
-residual sums, normalisation, dropout's factors) is part of W.  ``Form`` carries with each W an error bound E:
+residual sums, normalisation) is part of W.  ``Form`` carries with each W an error bound E:
 what the program computes is off by E_s |a_s| at most.  ReLU rounds nothing, so that errors do not add up
 over layers here; the kernel that bounds the network takes them as slack.
 
@@ -20,20 +20,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.avoidance.masks import masks
-from safety_harness.avoidance.model_file import (
-    BLOCKS,
-    PERCEPTRON,
-    PERCEPTRON_INPUTS,
-    PLACES,
-    STAGE_LAYERS,
-    STAGES,
-    WIDTH,
-    Dropout,
-    Model,
-)
+from safety_harness.avoidance.model_file import PERCEPTRON_INPUTS, Model
 from safety_harness.avoidance.perceptron_kernel import fold_perceptron
-from safety_harness.avoidance.resnet_kernel import fold
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -41,7 +29,7 @@ Indices = NDArray[np.int64]
 CONSTANT, QUESTION = -1, 0  # sources; layers count from 1
 SINGLE, DOUBLE = 2.0**-24, 2.0**-53
 GUARD, TINY = 16, 1e-30  # terms; what products below float32's least number lose together
-LARGEST = 1e12  # of a coefficient: with units below 1e20 no float32 sum overflows
+LARGEST = 1e12  # of a coefficient: with units below 1e8 no float32 sum overflows
 
 
 class ReluNetwork(NamedTuple):
@@ -180,15 +168,8 @@ def packed(members: Sequence[Sequence[Form]]) -> ReluNetwork:
     )
 
 
-def network_of(model: Model, seed: int = 0) -> ReluNetwork:
-    """Of a model file; with dropout it is that of the decision with ``seed``, a member for each pass."""
-    if model.kind == PERCEPTRON:
-        return _of_perceptron(model)
-    return _of_resnet(model, seed)
-
-
-def _of_perceptron(model: Model) -> ReluNetwork:
-    """Its rounding is that of bounds in float64, of which ``ReluNetwork.rounding`` takes four times."""
+def network_of(model: Model) -> ReluNetwork:
+    """Of a perceptron's file: it rounds as bounds in float64 do, of which ``rounding`` is four times."""
     folded = fold_perceptron(model)
     members = []
     for m in range(model.members):
@@ -203,46 +184,4 @@ def _of_perceptron(model: Model) -> ReluNetwork:
                 for k, (w, b) in enumerate(parts)
             ]
         )
-    return packed(members)
-
-
-def _of_resnet(model: Model, seed: int) -> ReluNetwork:
-    """As ``resnet_kernel`` computes it: batch norm folded, float32 between normalised in- and outputs."""
-    net = fold(model)
-    places = PLACES[model.dropout]
-    kept = masks(np.uint64(seed), net.passes, places, WIDTH, net.probability) if places else None
-    keep = 1.0 / (1.0 - net.probability)
-    members = []
-    for member, row in [(m, r) for m in range(len(net.weight)) for r in range(net.passes if places else 1)]:
-
-        def dropped(form: Form, place: int, row: int = row) -> Form:
-            return form if kept is None else form.scaled(keep * kept[row, place][: form.width], SINGLE)
-
-        def connect(form: Form, layer: int, member: int = member) -> Form:
-            if model.dropout is Dropout.FULL:
-                form = dropped(form, layer)
-            weight = net.weight[member, layer].astype(np.float64)[: form.width]
-            return form.linear(weight, net.bias[member, layer].astype(np.float64), SINGLE)
-
-        layers = Layers()
-        one = Form({CONSTANT: np.ones((1, 1))}, {CONSTANT: np.zeros((1, 1))})
-        scale = 1.0 / net.input_std
-        x = joined([question().linear(np.diag(scale), -net.input_mean * scale, SINGLE), one])
-        for stage in range(STAGES):
-            for block in range(BLOCKS):
-                layer = stage * STAGE_LAYERS + 3 * block + (block > 0)
-                h = layers.relu(connect(x, layer))
-                h = connect(layers.relu(connect(h, layer + 1)), layer + 2)
-                x = layers.relu(h.plus(connect(x, layer + 3) if block == 0 else x, SINGLE))
-            if model.dropout is Dropout.INTER:
-                x = dropped(x, stage)
-        scale, shift = (part[member].astype(np.float64) for part in (net.scale_out, net.shift_out))
-        x = x.linear(np.diag(scale), shift, SINGLE)
-        if model.dropout is Dropout.FULL:
-            x = dropped(x, STAGES * STAGE_LAYERS)
-        x = x.linear(
-            net.weight_out[member].astype(np.float64), net.bias_out[member].astype(np.float64), SINGLE
-        )
-        x = x.linear(np.diag(net.target_std), net.target_mean, DOUBLE)
-        members.append([*layers.found, x])
     return packed(members)
