@@ -38,7 +38,7 @@ def test_a_network_of_ones_own_is_sought_beside_the_plan(tmp_path: Path) -> None
     ("was", "now", "place", "told"),
     [
         ("avoider: student", "avoider: optimum", ":2: avoider", "regression resnet"),
-        ("avoider: student", "avoider: mine.onnx", ":2: avoider", "FILE.safetensors"),
+        ("avoider: student", "avoider: mine.pt", ":2: avoider", "FILE.safetensors or FILE.onnx"),
         ("avoider: student", "avoider: opposite pose", ":2: avoider", "a network"),
         ("steps at most 150 mm", "steps at most 150", "claims[0].claim", "mm"),
         ("steps at most 150 mm", "steps at most 0 mm", "claims[0].claim", "above 0"),
