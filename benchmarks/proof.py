@@ -1,10 +1,9 @@
-"""What ``prove`` proves of the student, and whether questions of the real network contradict it.
+"""What ``prove`` proves of the student; whether questions contradict it: ``proof_questions.py``.
 
 Run: python benchmarks/proof.py [MINUTES a claim] (ten minutes of processor time): PROOF.md.
 
-Each claim is worked on alone, in one process.  Then the network is asked random questions of proven boxes,
-and those in the corners to which its own gradient points: is any box proven wrongly?  Where ``leads away`` is
-false is told by the angle from the optimum's way to that of the hand, of random pairs at 100 to 400 mm.
+Each claim is worked on alone, in one process.  Where ``leads away`` is false is told by the angle from the
+optimum's way to that of the hand, of random pairs at 100 to 400 mm.
 """
 
 from __future__ import annotations
@@ -18,106 +17,26 @@ from itertools import chain, pairwise
 from pathlib import Path
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from safety_harness.avoidance.candidates import continuous_optimum
-from safety_harness.avoidance.learned import LearnedAvoider
-from safety_harness.avoidance.perceptron_kernel import fold_perceptron
-from safety_harness.proof.box_kernel import PROVEN
-from safety_harness.proof.certificate import Proof, write_certificate
+from safety_harness.proof.certificate import write_certificate
 from safety_harness.proof.check import check
 from safety_harness.proof.claims import ClaimKind, DecisionClaim
 from safety_harness.proof.plan import ProofPlan, ProofRegion, read_proof_plan
 from safety_harness.proof.session import fresh
-from safety_harness.proof.tree import BoxTree, work
+from safety_harness.proof.tree import work
 from safety_harness.settings import DEFAULTS
 
 ROOT = Path(__file__).parents[1]
 PLAN, PAGE = ROOT / "plans" / "student-proofs.yaml", Path(__file__).with_name("PROOF.md")
-RANDOM, GUIDED, STEPS, AT_ONCE = 8_000_000, 60_000, 4, 500_000  # questions a claim; 4 steps each
+AT_ONCE = 500_000
 PAIRS, ANGLES = 1_000_000, (0.0, 60.0, 75.0, 90.0, 120.0, 180.0)
 COLUMNS = (
     *("claim", "region", "proven", "refuted", "undecided"),
-    *("took", "boxes", "check", "asked", "contradict", "margin"),
+    *("took", "boxes", "check"),
 )
 Floats = NDArray[np.float64]
-
-
-def flat(tree: BoxTree) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
-    """All codes (n,), and where the first half of each box that is halved stands among them."""
-    first, start = [], 0
-    for codes in tree.levels:
-        start += len(codes)
-        first.append(start + 2 * (np.cumsum(codes < PROVEN) - 1))
-    return np.concatenate(tree.levels), np.concatenate(first)
-
-
-@njit
-def codes_of(
-    codes: NDArray[np.uint8],
-    first: NDArray[np.int64],
-    asked: Floats,
-    lows: Floats,
-    highs: Floats,
-    found: NDArray[np.uint8],
-) -> None:
-    """Fill the code (n,) of the leaf that holds each question (n, 6), whose corners become lows to highs."""
-    for n in range(asked.shape[0]):
-        box = 0
-        while codes[box] < 6:
-            axis = codes[box]
-            middle = (lows[n, axis] + highs[n, axis]) / 2.0
-            box = first[box]
-            if asked[n, axis] > middle:
-                box += 1
-                lows[n, axis] = middle
-            else:
-                highs[n, axis] = middle
-        found[n] = codes[box]
-
-
-def wrong(proof: Proof, avoider: LearnedAvoider, asked: Floats) -> tuple[Floats, NDArray[np.bool_]]:
-    """Margins (n,) of questions (n, 6), and which are apart as the claim says."""
-    hands, tcps = asked[:, :3], asked[:, 3:]
-    answers, _ = avoider.propose_many(hands, tcps, np.zeros(len(asked), np.uint64))
-    apart_m, (near_m, far_m) = np.linalg.norm(hands - tcps, axis=1), proof.planned.region.apart_m
-    return proof.planned.claim.margins(hands, tcps, answers), (apart_m >= near_m) & (apart_m <= far_m)
-
-
-def tried(proof: Proof, avoider: LearnedAvoider, rng: np.random.Generator) -> tuple[int, int, float, int]:
-    """Random questions in proven boxes, guided ones, the least margin of both, and how many contradict."""
-    low, high = proof.planned.region.corners()
-    tree = flat(proof.tree)
-    asked = guided = against = 0
-    least = np.inf
-    few = proof.planned.region.apart_m[0] > 0.0  # most questions of such a region are not counted
-    for _ in range(RANDOM // AT_ONCE // (4 if few else 1)):
-        x = rng.uniform(low, high, (AT_ONCE, 6))
-        lows, highs = np.tile(low, (AT_ONCE, 1)), np.tile(high, (AT_ONCE, 1))
-        codes = np.empty(AT_ONCE, np.uint8)
-        codes_of(*tree, x, lows, highs, codes)
-        margins, counted = wrong(proof, avoider, x)
-        proven = (codes == PROVEN) & counted
-        asked += int(proven.sum())
-        against += int((margins[proven] < 0.0).sum())
-        least = min(least, float(margins[proven].min(initial=np.inf)))
-        if guided >= GUIDED * STEPS:
-            continue
-        x, lows, highs = (part[codes == PROVEN][:GUIDED] for part in (x, lows, highs))
-        for _ in range(STEPS):  # to the corner that the gradient points to, then from there
-            slope = np.empty_like(x)
-            margins, _ = wrong(proof, avoider, x)
-            for axis in range(6):
-                moved = x.copy()
-                moved[:, axis] += 1e-7
-                slope[:, axis] = wrong(proof, avoider, moved)[0] - margins
-            x = np.where(slope > 0.0, lows, highs)
-            margins, counted = wrong(proof, avoider, x)
-            guided += len(x)
-            against += int((margins[counted] < 0.0).sum())
-            least = min(least, float(margins[counted].min(initial=np.inf)))
-    return asked, guided, least, against
 
 
 def time_is_up(end_s: float) -> bool:
@@ -127,8 +46,7 @@ def time_is_up(end_s: float) -> bool:
 
 def rows(plan: ProofPlan, seconds: float) -> Iterator[str]:
     """A line of the table for each claim."""
-    network, avoider = fold_perceptron(plan.model), LearnedAvoider.of(plan.model)
-    rng, first = np.random.default_rng(0), fresh(plan)[0]
+    network, first = plan.network, fresh(plan)[0]
     work(first.tree, network, first.planned.claim, first.planned.region, halvings=1, until_s=np.inf)
     for proof in fresh(plan):
         claim, region = proof.planned.claim, proof.planned.region
@@ -142,19 +60,16 @@ def rows(plan: ProofPlan, seconds: float) -> Iterator[str]:
         start_s = time.process_time()
         check(path.read_bytes(), plan.model_file.read_bytes())
         check_s = time.process_time() - start_s
-        asked, guided, least, against = tried(proof, avoider, rng)
-        unit = "m2" if claim.sentence == "leads away" else "m"
         cells = (
             *(claim.sentence, region.name, f"{proven:.4%}", f"{refuted:.4%}", f"{undecided:.4%}"),
             *(f"{took_s:.1f} s", f"{sum(map(len, proof.tree.levels)):,}", f"{check_s:.0f} s"),
-            *(f"{asked:,} + {guided:,}", str(against), f"{least:.1e} {unit}"),
         )
         yield f"| {' | '.join(cells)} |"
 
 
 def where(plan: ProofPlan, near: ProofRegion) -> Iterator[str]:
     """A line of the table of angles, and the shares of regions, of PAIRS near hands."""
-    rng, avoider = np.random.default_rng(1), LearnedAvoider.of(plan.model)
+    rng, avoider = np.random.default_rng(1), plan.asked
     low, high = near.corners()
     x, (near_m, far_m) = np.empty((0, 6)), near.apart_m
     while len(x) < PAIRS:
@@ -210,8 +125,7 @@ def main() -> None:
         "# What is proven of the student\n",
         f"Written by `python benchmarks/proof.py` at {revision}: `plans/student-proofs.yaml`, one process,",
         f"at most {seconds:.0f} s of processor time a claim, on a machine with two cores. Proven is",
-        "at least, undecided at most, of the pairs that the claim is about. Asked are random questions",
-        "within proven boxes, and those in the corners to which its gradient points; none may contradict.\n",
+        "at least, undecided at most, of the pairs that the claim is about.\n",
         f"| {' | '.join(COLUMNS)} |",
         "|---" * len(COLUMNS) + "|",
     ]

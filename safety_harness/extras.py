@@ -79,7 +79,7 @@ IMAGES = Extra(
     package="opencv-python-headless",
     instead="exact and raster images need none",
 )
-ONNX = Extra("onnx", ("onnxruntime",), "avoiders in FILE.onnx")
+ONNX = Extra("onnx", ("onnxruntime", "onnx"), "avoiders in FILE.onnx, and proofs about them")
 LEARNING = Extra("learning", ("torch", "onnx", "onnxscript"), "safety-harness train and export")
 FITTING = Extra("fitting", ("trimesh", "collada"), "safety-harness robot fit")
 EXPORT = Extra("export", ("pyarrow",), "campaigns as Parquet files", instead="a .csv needs none")

@@ -146,8 +146,9 @@ def _write_question(plan: ProofPlan, proof: Proof, path: Path) -> str | None:
     """Its name, if a run can begin with the question."""
     import numpy as np
 
-    from safety_harness.avoidance.learned import LearnedAvoider
+    from safety_harness.avoidance.shipped import SHIPPED
     from safety_harness.proof.claims import ClaimKind
+    from safety_harness.proof.onnx_file import OnnxFunction
     from safety_harness.scoring.question_file import question_file
     from safety_harness.whole_file import write_text
 
@@ -158,8 +159,8 @@ def _write_question(plan: ProofPlan, proof: Proof, path: Path) -> str | None:
     }.get(proof.planned.claim.kind, "trace finite and monotone")
     made = question_file(
         path,
-        plan.avoider,
-        LearnedAvoider.of(plan.model),
+        plan.avoider if plan.avoider in SHIPPED else str(plan.model_file),
+        plan.asked.avoider if isinstance(plan.asked, OnnxFunction) else plan.asked,
         np.array(proof.question.hand_in_base_m),
         np.array(proof.question.tcp_in_base_m),
         0,

@@ -1,18 +1,19 @@
-"""What holds for every question of a box, compiled: affine forms through the perceptron, then the claim.
+"""What holds for every question of a box, compiled: affine forms through a ReLU network, then the claim.
 
 A unit's value is c + sum_k g_k e_k + r e', every e in [-1, 1]: the first six e are the place in the box
 (hand, then TCP), the others what ReLUs may add; r is its slack.  An affine map keeps the form.  For l <= z <=
 u with l < 0 < u and any s in [0, 1], relu(z) - s z lies in [0, 2 m], 2 m = max(-s l, (1 - s) u): with s = u /
 (u - l) this is the least such band (Singh et al. 2018, DeepZ).
 
-**Rounding.**  The bounds are of what the *program* computes (``avoidance.perceptron_kernel``, float64).  A
-sum of n products is off by gamma (|b| + sum |w| |x|) at most in any order, with or without fused operations,
-gamma = n u / (1 - n u), u = 2^-53, n <= 33 (Higham 2002, 3.1).  The same holds of the centre computed here,
-and of the symbols and slacks, whose magnitudes are part of |x| <= size.  ``GAMMA`` is four times the sum of
-these, and goes into the slack; ``UP`` is above the rounding of every sum of magnitudes.  After the network
-come some 500 operations on numbers below ``FARTHEST_M`` (or the box is not decided), with vectors of length
-1: at most 500 x 100 m x 100 m x u = 6e-10.  A bound counts as kept only if it keeps ``MARGIN`` = 2e-9 (m, or
-m2) more than the claim says.
+**Rounding.**  The bounds are of what the *program* computes: what that rounds is ``network.error``, or in
+float64 (``avoidance.perceptron_kernel``) as little as here.  A sum of n products is off by gamma (|b| + sum
+|w| |x|) at most in any order, with or without fused operations, gamma = n u / (1 - n u), u = 2^-53 (Higham
+2002, 3.1).  The same holds of the centre computed here, and of the symbols and slacks, whose magnitudes are
+part of |x| <= size.  ``network.rounding`` is four times the sum of these, and goes into the slack; ``UP`` is
+above the rounding of every sum of magnitudes, of up to 30,000 terms.  After the network come some 500
+operations on numbers below ``FARTHEST_M`` (or the box is not decided), with vectors of length 1: at most 500
+x 100 m x 100 m x u = 6e-10.  A bound counts as kept only if it keeps ``MARGIN`` = 2e-9 (m, or m2) more than
+the claim says.
 """
 
 from __future__ import annotations
@@ -22,150 +23,171 @@ from math import log1p, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.avoidance.model_file import OUTPUTS, PERCEPTRON_INPUTS, WIDTH
-from safety_harness.avoidance.perceptron_kernel import Perceptron
+from safety_harness.avoidance.model_file import OUTPUTS, PERCEPTRON_INPUTS
 from safety_harness.compiled import compiled, njit_no_nrt
+from safety_harness.proof.network import ReluNetwork
 
 Floats = NDArray[np.float64]
 Codes = NDArray[np.uint8]
 
 PROVEN, REFUTED, UNDECIDED, OUTSIDE = 6, 7, 8, 9  # codes of a leaf; below: the axis along which it was halved
-GAMMA = 4.0 * 4.0 * 40.0 * 2.0**-53
-UP = 1.0 + 1e-12
+UP = 1.0 + 4e-12
 FARTHEST_M = 100.0
+MOST = 1e8  # of a unit: beyond it nothing is decided
 MARGIN = 2e-9
 NEAREST_M = 1e-6  # of a direction's length: nearer to 0 it has none
 AT_MOST, AT_LEAST, OPTIMUM, AWAY, UNSURE = 0, 1, 2, 3, 4
 OF_RELUS, OF_AXES, OF_CURVES = 2.5, 0.4, 3.0  # tried: how much each counts where to halve
-MOST_SYMBOLS = PERCEPTRON_INPUTS + 2 * WIDTH
+Z, SLACK, SIZE, SLOPE = range(4)  # rows of ``units``
 
 
 @njit_no_nrt
-def _rectify(z: Floats, g: Floats, slack: Floats, added: Floats, radius: Floats) -> None:
-    """ReLU of forms in place; ``added`` is what it may add, 0 if nothing.
+def _rectify(
+    network: ReluNetwork,
+    units: Floats,
+    g: Floats,
+    count: int,
+    of_symbol: NDArray[np.int64],
+    share: Floats,
+    first: int,
+    last: int,
+) -> int:
+    """ReLU of the units from ``first`` to before ``last``, in place; returns the count of symbols after it.
 
-    ``z`` (n,), ``g`` (k, n), ``slack`` (n,), ``added`` (n,), ``radius`` (n,): of z before it.
+    ``units`` (4, n), ``g`` (k, n), ``share`` (6, n), ``of_symbol`` (k,); ``share`` is filled with how much of
+    a unit's width each axis causes.
     """
-    for j in range(z.shape[0]):
-        r = 0.0
-        for k in range(g.shape[0]):
-            r += abs(g[k, j])
-        r = (r + slack[j]) * UP
-        radius[j] = r
-        low, high = z[j] - r, z[j] + r
-        added[j] = 0.0
+    rounding, before = network.rounding, count
+    width, sizes = last - first, units[SIZE, first:last]
+    sizes[:] = 0.0
+    for k in range(before):
+        row = g[k, first:last]
+        for q in range(width):
+            sizes[q] += abs(row[q])
+    for j in range(first, last):
+        z, r = units[Z, j], (units[SIZE, j] + units[SLACK, j]) * UP
+        low, high = z - r, z + r
+        units[SLOPE, j], units[SIZE, j] = 1.0, abs(z) + r
         if low >= 0.0 or high != high:  # NaN stays NaN, and decides nothing
             continue
         slope = high / (high - low) if high > 0.0 else 0.0
         half = max(-slope * low, (1.0 - slope) * high) / 2.0 if high > 0.0 else 0.0
-        z[j] = slope * z[j] + half
-        slack[j] = (slope * slack[j] + GAMMA * (abs(z[j]) + slope * r + half)) * UP if high > 0.0 else 0.0
-        added[j] = half * UP
-        for k in range(g.shape[0]):
-            g[k, j] *= slope
+        z = slope * z + half
+        size = abs(z) + slope * r + half
+        units[Z, j], units[SLOPE, j], units[SIZE, j] = z, slope, size
+        units[SLACK, j] = (slope * units[SLACK, j] + rounding * size) * UP if high > 0.0 else 0.0
+        if half > 0.0:
+            for i in range(PERCEPTRON_INPUTS):  # only a hint
+                share[i, j] = abs(g[i, j]) / r * (1.0 if first == PERCEPTRON_INPUTS else slope)
+            g[count, :last] = 0.0
+            g[count, j] = half * UP
+            of_symbol[count] = j
+            count += 1
+    slopes = units[SLOPE, first:last]
+    for k in range(before):
+        row = g[k, first:last]
+        for q in range(width):
+            row[q] *= slopes[q]
+    return count
 
 
 @njit_no_nrt
 def _answer(
-    network: Perceptron,
+    network: ReluNetwork,
     member: int,
     centre: Floats,
     half: Floats,
-    g1: Floats,
-    g2: Floats,
     units: Floats,
-    of_unit: NDArray[np.int64],
-    p: Floats,
     g: Floats,
-    slack: Floats,
+    of_symbol: NDArray[np.int64],
+    share: Floats,
     weight: Floats,
 ) -> int:
-    """Fill ``p`` (3,), ``g`` (MOST_SYMBOLS, 3), ``slack`` (3,) of a member's answer; returns their count.
+    """Fill ``units`` (4, n) and ``g`` (k, n) of a member in a box; returns the count of symbols.
 
-    ``centre``, ``half`` (6,) are the box.  ``weight`` (6,) is filled with how much of what ReLUs add each of
-    its axes causes [m].  Scratch: ``g1`` (6, WIDTH), ``g2`` (MOST_SYMBOLS, WIDTH), ``units`` (8, WIDTH),
-    ``of_unit``.
+    Columns are the question's six, those of all ReLUs, then the answer's.  ``centre``, ``half`` (6,) are the
+    box.  ``weight`` (6,) is filled with how much of what ReLUs add each of its axes causes [m].  Scratch:
+    ``of_symbol`` (k,), ``share`` (6, n).
     """
-    z1, s1, a1, r1 = units[0], units[1], units[2], units[3]
-    z2, s2, a2, r2 = units[4], units[5], units[6], units[7]
-    w1, w2, w3 = network.weight1[member], network.weight2[member], network.weight3[member]
-    for j in range(WIDTH):
-        z, size = network.bias1[member, j], abs(network.bias1[member, j])
-        for i in range(PERCEPTRON_INPUTS):
-            z += centre[i] * w1[i, j]
-            size += (abs(centre[i]) + half[i]) * abs(w1[i, j])
-            g1[i, j] = half[i] * w1[i, j]
-        z1[j], s1[j] = z, GAMMA * size * UP
-    _rectify(z1, g1, s1, a1, r1)
-    count = PERCEPTRON_INPUTS
-    for k in range(WIDTH):
-        z2[k], s2[k] = network.bias2[member, k], GAMMA * abs(network.bias2[member, k])
-    g2[:PERCEPTRON_INPUTS] = 0.0
-    for j in range(WIDTH):
-        size = abs(z1[j]) + s1[j] + a1[j]
-        for i in range(PERCEPTRON_INPUTS):
-            size += abs(g1[i, j])
-        if size == 0.0:
-            continue
-        spread = (s1[j] + GAMMA * size) * UP
-        for k in range(WIDTH):
-            z2[k] += z1[j] * w2[j, k]
-            s2[k] += spread * abs(w2[j, k])
-        for i in range(PERCEPTRON_INPUTS):
-            for k in range(WIDTH):
-                g2[i, k] += g1[i, j] * w2[j, k]
-        if a1[j] > 0.0:
-            for k in range(WIDTH):
-                g2[count, k] = a1[j] * w2[j, k]
-            of_unit[count] = j
-            count += 1
-    first = count
-    for k in range(WIDTH):
-        s2[k] *= UP
-    _rectify(z2, g2[:first], s2, a2, r2)
-    for o in range(OUTPUTS):
-        p[o], slack[o] = network.bias3[member, o], GAMMA * abs(network.bias3[member, o])
-    g[:first] = 0.0
-    for k in range(WIDTH):
-        size = abs(z2[k]) + s2[k] + a2[k]
-        for m in range(first):
-            size += abs(g2[m, k])
-        if size == 0.0:
-            continue
-        spread = (s2[k] + GAMMA * size) * UP
-        for o in range(OUTPUTS):
-            p[o] += z2[k] * w3[k, o]
-            slack[o] += spread * abs(w3[k, o])
-            for m in range(first):
-                g[m, o] += g2[m, k] * w3[k, o]
-        if a2[k] > 0.0:
-            for o in range(OUTPUTS):
-                g[count, o] = a2[k] * w3[k, o]
-            of_unit[count] = k
-            count += 1
-    for o in range(OUTPUTS):
-        slack[o] *= UP
+    widths, blocks, rounding = network.widths, network.blocks, network.rounding
+    weights, errors = network.weight[member], network.error[member]
+    bias, bias_error = network.bias[member], network.bias_error[member]
+    inexact = errors.shape[0] > 0
+    count, first, at = PERCEPTRON_INPUTS, PERCEPTRON_INPUTS, 0
+    for i in range(PERCEPTRON_INPUTS):
+        units[Z, i], units[SLACK, i], units[SIZE, i] = centre[i], 0.0, abs(centre[i]) + half[i]
+        for k in range(PERCEPTRON_INPUTS):
+            g[k, i] = half[i] if k == i else 0.0
+    for layer in range(widths.shape[0]):
+        width = widths[layer]
+        last = first + width
+        z, slack = units[Z, first:last], units[SLACK, first:last]
+        for q in range(width):
+            z[q] = bias[first + q - PERCEPTRON_INPUTS]
+            slack[q] = bias_error[first + q - PERCEPTRON_INPUTS] + rounding * abs(z[q])
+        g[:count, first:last] = 0.0
+        while at < blocks.shape[0] and blocks[at, 0] == layer:
+            source, start = blocks[at, 1], blocks[at, 2]
+            column, inputs = 0, PERCEPTRON_INPUTS
+            if source > 0:
+                column, inputs = PERCEPTRON_INPUTS, widths[source - 1]
+                for before in range(source - 1):
+                    column += widths[before]
+            w = weights[start : start + inputs * width].reshape((inputs, width))
+            for j in range(inputs):
+                x, size = units[Z, column + j], units[SIZE, column + j]
+                if size == 0.0:
+                    continue
+                spread = (units[SLACK, column + j] + rounding * size) * UP
+                for q in range(width):
+                    z[q] += x * w[j, q]
+                    slack[q] += spread * abs(w[j, q])
+                if inexact:
+                    e = errors[start + j * width : start + (j + 1) * width]
+                    for q in range(width):
+                        slack[q] += size * e[q]
+            for k in range(count):
+                low, high = 0, inputs
+                if k >= PERCEPTRON_INPUTS and of_symbol[k] >= column:  # of this layer, or of a later one
+                    low, high = of_symbol[k] - column, min(inputs, of_symbol[k] - column + 1)
+                parts, to = g[k, column : column + inputs], g[k, first:last]
+                if width == OUTPUTS:
+                    for j in range(low, high):
+                        for o in range(OUTPUTS):
+                            to[o] += parts[j] * w[j, o]
+                    continue
+                for j in range(low, high):
+                    part = parts[j]
+                    if part != 0.0:
+                        for q in range(width):
+                            to[q] += part * w[j, q]
+            at += 1
+        for q in range(width):
+            slack[q] *= UP
+        if layer + 1 < widths.shape[0]:
+            count = _rectify(network, units, g, count, of_symbol, share, first, last)
+            for j in range(first, last):
+                if not units[SIZE, j] < MOST:
+                    units[Z, j] = np.nan
+        first = last
     weight[:] = 0.0
+    answer = first - OUTPUTS
     for m in range(PERCEPTRON_INPUTS, count):
-        length = abs(g[m, 0]) + abs(g[m, 1]) + abs(g[m, 2])
-        unit = of_unit[m]
-        for i in range(PERCEPTRON_INPUTS):  # rows of g1 and g2 were scaled by their slopes: only a hint
-            share = abs(half[i] * w1[i, unit]) / r1[unit] if m < first else abs(g2[i, unit]) / r2[unit]
-            weight[i] += OF_RELUS * length * share
+        length = abs(g[m, answer]) + abs(g[m, answer + 1]) + abs(g[m, answer + 2])
+        for i in range(PERCEPTRON_INPUTS):
+            weight[i] += OF_RELUS * length * share[i, of_symbol[m]]
     return count
 
 
 @njit_no_nrt
 def _mean_answer(
-    network: Perceptron,
+    network: ReluNetwork,
     centre: Floats,
     half: Floats,
-    g1: Floats,
-    g2: Floats,
     units: Floats,
-    of_unit: NDArray[np.int64],
     own: Floats,
-    own_slack: Floats,
+    of_symbol: NDArray[np.int64],
+    share: Floats,
     own_weight: Floats,
     each_p: Floats,
     each_g: Floats,
@@ -175,36 +197,36 @@ def _mean_answer(
     slack: Floats,
     weight: Floats,
 ) -> int:
-    """As ``_answer``, of the mean over m members: the six axes' symbols are theirs in common.
+    """Fill ``p`` (3,), ``g`` (n, 3), ``slack`` (3,) of the mean over m members; returns the count of symbols.
 
-    ``each_p`` (m, 3), ``each_g`` (m, 6, 3) and ``each_r`` (m, 3) are filled with the members' forms, all
-    other symbols and the slack in the last.  Scratch: ``own`` (MOST_SYMBOLS, 3), ``own_slack`` (3,),
-    ``own_weight`` (6,), and as ``_answer``.  ``centre``, ``half``, ``weight`` (6,), ``g1`` (6, WIDTH), ``g2``
-    (MOST_SYMBOLS, WIDTH), ``units`` (8, WIDTH), ``p``, ``slack`` (3,), ``g`` (n, 3).
+    The six axes' symbols are theirs in common.  ``each_p`` (m, 3), ``each_g`` (m, 6, 3) and ``each_r`` (m, 3)
+    are filled with the members' forms, all other symbols and the slack in the last.  ``centre``, ``half``,
+    ``weight`` (6,).  Scratch: ``own_weight`` (6,), and as ``_answer``: ``units`` (4, n), ``own`` (k, n),
+    ``share`` (6, n).
     """
     members, count = each_p.shape[0], PERCEPTRON_INPUTS
+    answer = units.shape[1] - OUTPUTS
     p[:], slack[:], weight[:] = 0.0, 0.0, 0.0
     g[:PERCEPTRON_INPUTS] = 0.0
     for member in range(members):
-        many = _answer(
-            network, member, centre, half, g1, g2, units, of_unit, each_p[member], own, own_slack, own_weight
-        )
+        many = _answer(network, member, centre, half, units, own, of_symbol, share, own_weight)
         for i in range(PERCEPTRON_INPUTS):
             weight[i] += own_weight[i] / members
         for o in range(OUTPUTS):
+            each_p[member, o] = units[Z, answer + o]
             p[o] += each_p[member, o] / members
-            rest = own_slack[o]
+            rest = units[SLACK, answer + o]
             for m in range(PERCEPTRON_INPUTS):
-                each_g[member, m, o] = own[m, o]
-                g[m, o] += own[m, o] / members
+                each_g[member, m, o] = own[m, answer + o]
+                g[m, o] += own[m, answer + o] / members
             for m in range(PERCEPTRON_INPUTS, many):
-                g[count + m - PERCEPTRON_INPUTS, o] = own[m, o] / members
-                rest += abs(own[m, o])
+                g[count + m - PERCEPTRON_INPUTS, o] = own[m, answer + o] / members
+                rest += abs(own[m, answer + o])
             each_r[member, o] = rest * UP
             size = abs(each_p[member, o]) + rest
             for m in range(PERCEPTRON_INPUTS):
-                size += abs(own[m, o])
-            slack[o] += (own_slack[o] + GAMMA * size) / members * UP
+                size += abs(own[m, answer + o])
+            slack[o] += (units[SLACK, answer + o] + network.rounding * size) / members * UP
         count += many - PERCEPTRON_INPUTS
     return count
 
@@ -298,7 +320,7 @@ def _off_optimum(
     the diagonal of the TCP's box.  Where the box may be on either side of the cone, both have to keep the
     claim.
 
-    ``optimum`` (10,), ``centre`` (6,), ``half`` (6,), ``p`` (3,), ``g`` (MOST_SYMBOLS, 3), ``slack`` (3,),
+    ``optimum`` (10,), ``centre`` (6,), ``half`` (6,), ``p`` (3,), ``g`` (n, 3), ``slack`` (3,),
     ``scratch`` (8, 3), ``weight`` (6,).
     """
     axis, radius, cos, sin, pull = optimum[3:6], optimum[6], optimum[7], optimum[8], optimum[9]
@@ -374,7 +396,7 @@ def _away(
     Both factors are forms of the same six symbols: q = c + sum g_i e_i + ..., w = w0 + sum h_i e_i.  A square
     e_i^2 is in [0, 1], any other product in [-1, 1].
 
-    ``centre`` (6,), ``half`` (6,), ``p`` (3,), ``g`` (MOST_SYMBOLS, 3), ``slack`` (3,).
+    ``centre`` (6,), ``half`` (6,), ``p`` (3,), ``g`` (n, 3), ``slack`` (3,).
     """
     middle, radius, norm = 0.0, 0.0, 0.0
     for o in range(3):
@@ -413,7 +435,7 @@ def _away(
 
 @compiled
 def examine(
-    network: Perceptron,
+    network: ReluNetwork,
     optimum: Floats,
     kind: int,
     limit_m: float,
@@ -430,17 +452,16 @@ def examine(
     every hand is nearer than ``near_m`` to the TCP, or farther than ``far_m``.  ``optimum`` (10,) is of
     ``optimum_constants``; with UNSURE a spread above ``doubt_m`` will do as well.
     """
-    members = network.weight1.shape[0]
-    symbols = PERCEPTRON_INPUTS + members * (MOST_SYMBOLS - PERCEPTRON_INPUTS)
-    own, own_slack, own_weight = np.empty((MOST_SYMBOLS, 3)), np.empty(3), np.empty(6)
+    members, columns = network.weight.shape[0], PERCEPTRON_INPUTS + network.bias.shape[1]
+    most = columns - OUTPUTS  # symbols of a member: the axes, and one a ReLU
+    symbols = PERCEPTRON_INPUTS + members * (most - PERCEPTRON_INPUTS)
+    units, own = np.empty((4, columns)), np.empty((most, columns))
+    of_symbol, share = np.empty(most, np.int64), np.empty((PERCEPTRON_INPUTS, columns))
     each_p = np.empty((members, 3))
     each_g, each_r = np.empty((members, PERCEPTRON_INPUTS, 3)), np.empty((members, 3))
-    spread = np.empty(2)
-    centre, half, weight = np.empty(6), np.empty(6), np.empty(6)
-    g1, g2 = np.empty((PERCEPTRON_INPUTS, WIDTH)), np.empty((MOST_SYMBOLS, WIDTH))
+    centre, half, weight, own_weight = np.empty(6), np.empty(6), np.empty(6), np.empty(6)
     g = np.empty((symbols + PERCEPTRON_INPUTS, 3))
-    units, of_unit = np.empty((8, WIDTH)), np.empty(MOST_SYMBOLS, np.int64)
-    p, slack, scratch, found = np.empty(3), np.empty(3), np.empty((8, 3)), np.empty(2)
+    p, slack, scratch, found, spread = np.empty(3), np.empty(3), np.empty((8, 3)), np.empty(2), np.empty(2)
     for n in range(low.shape[0]):
         nearest, farthest = 0.0, 0.0
         for i in range(6):
@@ -457,7 +478,7 @@ def examine(
             continue
         whole = nearest >= near_m + MARGIN and farthest <= far_m - MARGIN
         count = _mean_answer(
-            *(network, centre, half, g1, g2, units, of_unit, own, own_slack, own_weight),
+            *(network, centre, half, units, own, of_symbol, share, own_weight),
             *(each_p, each_g, each_r, p, g, slack, weight),
         )
         _spreads(each_p, each_g, each_r, p, g, spread)

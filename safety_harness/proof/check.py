@@ -1,13 +1,13 @@
-"""An independent check of a certificate of ``prove``: numpy and nothing of this package.
+"""An independent check of a certificate of ``prove``: numpy and ``check_network.py`` beside it, no more.
 
-Run: python check.py CERTIFICATE MODEL.safetensors.  It bounds the answers p to hands h and TCPs t (base
-frame) in each box that is called proven or refuted, and refuses what it cannot confirm.  Bounds are forms
-(centre, symbols, slack); a ReLU of l < 0 < u is s z + b +- b, s = u / (u - l), b = -s l / 2.  Sums of 40
-terms are off by less than 1e-14 of their magnitudes, here and in the program: the slack takes ROUNDING of
-them, and a claim has to be kept by MARGIN more (m, m2), 100 times what is left.  The optimum is t_opt + 0.05
-(t - h), t_opt = t + 0.1 u, u the direction of DESIRED - t or the nearest to it on the rim of the cone of 60
-degrees about the way from NOMINAL to DESIRED.  The direction f of v has the derivative (1 - f f^T) / |v|, and
-a second one of at most 2 / (sqrt(3) |v|^2).
+Run: python check.py CERTIFICATE MODEL.  It bounds the answers p to hands h and TCPs t (base frame) in each
+box that is called proven or refuted, and refuses what it cannot confirm.  Bounds are forms (centre, symbols,
+slack); a ReLU of l < 0 < u is s z + b +- b, s = u / (u - l), b = -s l / 2.  A sum of n terms is off by less
+than (n + 17) u of their magnitudes, here and in the program: slack takes that, u above 2^-24 for ONNX files,
+2^-53 for others; a claim has to be kept by MARGIN more (m, m2), 100 times what is left.  The optimum is t_opt
++ 0.05 (t - h), t_opt = t + 0.1 d, d the direction of DESIRED - t or the nearest to it on the rim of the cone
+of 60 degrees about the way from NOMINAL to DESIRED.  The direction f of v has the derivative (1 - f f^T) /
+|v|, and a second one of at most 2 / (sqrt(3) |v|^2).
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import base64
 import hashlib
 import json
 import math
+import runpy
 import sys
 import zlib
 from pathlib import Path
@@ -25,15 +26,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-Network = tuple[list[list[tuple[Array, Array]]], float]
-
+Steps = list[Any]  # (name, of which, weight, bias, its size), or (name, of which) for a ReLU
+Network = tuple[list[Steps], float, float]  # members, unit roundoff, threshold of their spread
 DESIRED, NOMINAL = np.array([0.7, 0.0, 0.35]), np.array([0.84, -0.35, 0.005])
 RADIUS, CONE, PULL = 0.1, math.pi / 3.0, 0.05
 NAMES = {6: "proven", 7: "refuted", 8: "undecided", 9: "outside"}
 PROVEN, REFUTED, UNDECIDED, OUTSIDE = NAMES
 KINDS = ("at most", "at least", "optimum", "away", "unsure")
-PARTS = ("weight", "bias")
-MARGIN, ROUNDING, FARTHEST, AT_ONCE, MOST = 1e-9, 1e-13, 100.0, 2048, 2**28
+HAND, TCP, ANSWER = "hand_position_in_base_m", "tcp_position_in_base_m", "position_in_base_m"
+MARGIN, FARTHEST, AT_ONCE, MOST, LARGE, DOUBLE = 1e-9, 100.0, 2048, 2**28, 1e8, 2e-15
 
 
 def need(held: bool | np.bool_, what: str) -> None:
@@ -42,50 +43,39 @@ def need(held: bool | np.bool_, what: str) -> None:
         raise ValueError(what)
 
 
-def network_of(data: bytes) -> Network:
-    """Of a safetensors file: each member's three layers in metres, and the threshold of their spread."""
-    size = int.from_bytes(data[:8], "little")
-    header = json.loads(data[8 : 8 + size])
-    about = json.loads(header.pop("__metadata__")["safety_harness"])
-    need(about["kind"] == "relu perceptron" and about["members"] >= 1, "the network is no perceptron")
-
-    def tensor(name: str) -> Array:
-        (begin, end), shape = header[name]["data_offsets"], header[name]["shape"]
-        return np.frombuffer(data[8 + size + begin : 8 + size + end], "<f4").astype(float).reshape(shape)
-
-    mean, std, to, by = (np.array(about[k]) for k in ("input_mean", "input_std", "target_mean", "target_std"))
-    members = []
-    for k in range(about["members"]):
-        w1, w2, w3, b1, b2, b3 = (tensor(f"{k}/fc{n}.{part}") for part in PARTS for n in ("1", "2", "_out"))
-        first, last = w1 / std, w3 * by[:, None]
-        members.append([(first.T, b1 - first @ mean), (w2.T, b2), (last.T, to + by * b3)])
-    return members, (about["calibration"] or {}).get("spread_threshold_m", math.nan)
-
-
-def answers(layers: list[tuple[Array, Array]], centre: Array, half: Array) -> tuple[Array, Array, Array]:
+def answers(steps: Steps, u: float, centre: Array, half: Array) -> tuple[Array, ...]:
     """Forms in boxes ``centre`` +- ``half`` (n, 6): answers, symbols (n, k, 3), first the 6 axes', slack."""
-    z, g, r = centre, half[:, :, None] * np.eye(6), np.zeros_like(centre)
-    for number, (weight, bias) in enumerate(layers):
-        size = np.abs(z) + np.abs(g).sum(axis=1) + r
-        r = r @ np.abs(weight) + ROUNDING * (size @ np.abs(weight) + np.abs(bias))
-        z, g = z @ weight + bias, g @ weight
-        if number < 2:
-            low, high = z - (radius := np.abs(g).sum(axis=1) + r), z + radius
-            bent = (low < 0.0) & (high > 0.0)
-            slope = np.where(bent, high / np.where(bent, high - low, 1.0), (high > 0.0).astype(float))
-            add = np.where(bent, -slope * low / 2.0, 0.0)
-            z, g = slope * z + add, g * slope[:, None]
-            r = slope * r + ROUNDING * (np.abs(z) + slope * radius + add)
-            g = np.concatenate([g, (add[:, :, None] * np.eye(add.shape[1]))[:, add.any(axis=0)]], axis=1)
-    return z, g, r
+    g, count = half[:, :, None] * np.eye(6), 6
+    whole = centre, g, u * (u > DOUBLE) * (np.abs(centre) + half)  # which float32 may round
+    forms = {name: tuple(x[..., p] for x in whole) for name, p in ((HAND, slice(3)), (TCP, slice(3, 6)))}
+    for out, own, *affine in steps:
+        wide = ((0, 0), (0, count), (0, 0))
+        parts = [(z, np.pad(g, wide)[:, :count], r) for z, g, r in (forms[name] for name in own)]
+        z, g, r = (np.concatenate(part, axis=-1) for part in zip(*parts, strict=True))
+        size = np.abs(z) + (radius := np.abs(g).sum(axis=1) + r)
+        need((size < LARGE).all(), "a unit may be out of all bounds")
+        if affine:
+            weight, bias, most = affine
+            r = r @ np.abs(weight) + u * (len(weight) + 17.0) * (size @ np.abs(weight) + most) + 1e-30
+            forms[out] = z @ weight + bias, g @ weight, r
+            continue
+        low, high = z - radius, z + radius
+        bent = (low < 0.0) & (high > 0.0)
+        slope = np.where(bent, high / np.where(bent, high - low, 1.0), (high > 0.0).astype(float))
+        add = np.where(bent, -slope * low / 2.0, 0.0)
+        fresh = (add[:, :, None] * np.eye(add.shape[1]))[:, add.any(axis=0)]
+        r = slope * r + 50.0 * DOUBLE * (slope * size + 2.0 * add)
+        forms[out] = slope * z + add, np.concatenate([g * slope[:, None], fresh], axis=1), r
+        count = forms[out][1].shape[1]
+    return forms[ANSWER]
 
 
-def mean_answers(members: list[list[tuple[Array, Array]]], centre: Array, half: Array) -> tuple[Array, ...]:
+def mean_answers(members: list[Steps], u: float, centre: Array, half: Array) -> tuple[Array, ...]:
     """As ``answers``, ``centre`` and ``half`` (n, 6), of the mean; bounds (n,) of the largest spread."""
-    forms, part = [answers(layers, centre, half) for layers in members], 1.0 / len(members)
+    forms, part = [answers(steps, u, centre, half) for steps in members], 1.0 / len(members)
     z, own = (part * np.sum(x, axis=0) for x in ([z for z, _, _ in forms], [g[:, :6] for _, g, _ in forms]))
     rests = [np.abs(g[:, 6:]).sum(axis=1) + r for _, g, r in forms]
-    slack = part * sum(r + ROUNDING * (np.abs(c) + np.abs(g).sum(axis=1) + r) for c, g, r in forms)
+    slack = part * sum(r + 50.0 * DOUBLE * (np.abs(c) + np.abs(g).sum(axis=1) + r) for c, g, r in forms)
     low = high = np.zeros(centre[:, :3].shape)
     for (middle, g, _), rest in zip(forms, rests, strict=True):
         far, off = np.abs(middle - z), np.abs(g[:, :6] - own).sum(axis=1) + rest + part * sum(rests)
@@ -166,7 +156,7 @@ def confirm(network: Network, claim: dict[str, Any], low: Array, high: Array, co
     if code == OUTSIDE:
         need(((farthest < near - MARGIN) | (nearest > far + MARGIN)).all(), "a box is not outside")
         return
-    z, g, r, least_spread, most_spread = mean_answers(network[0], centre, half)
+    z, g, r, least_spread, most_spread = mean_answers(*network[:2], centre, half)
     need((np.abs(z) + np.abs(g).sum(axis=1) + r < FARTHEST).all(), "an answer may be out of all bounds")
     if kind < 2:
         g[:, 3:6] -= half[:, 3:, None] * np.eye(3)
@@ -175,10 +165,8 @@ def confirm(network: Network, claim: dict[str, Any], low: Array, high: Array, co
         least, most = (away if kind == 3 else off_optimum)(centre, half, z, g, r)
     kept, broken = (least - limit, limit - most) if kind in (1, 3) else (limit - most, least - limit)
     if kind == 4:  # a spread above the threshold will do as well
-        kept, broken = (
-            np.maximum(kept, least_spread - network[1]),
-            np.minimum(broken, network[1] - most_spread),
-        )
+        kept = np.maximum(kept, least_spread - network[2])
+        broken = np.minimum(broken, network[2] - most_spread)
     fits = kept >= MARGIN if code == PROVEN else (broken >= MARGIN) & (nearest >= near) & (farthest <= far)
     need(fits.all(), f"a box is not {NAMES[code]}")
 
@@ -225,7 +213,9 @@ def check(certificate: bytes, model: bytes) -> list[str]:
     found = json.loads(certificate)
     need(found["format"] == "safety-harness certificate 1" and found["claims"] != [], "no certificate")
     need(found["model_sha256"] == hashlib.sha256(model).hexdigest(), "it is of another network")
-    return [check_claim(network_of(model), claim) for claim in found["claims"]]
+    reader = runpy.run_path(str(Path(__file__).with_name("check_network.py")))
+    network = reader["network_of"](model)
+    return [check_claim(network, claim) for claim in found["claims"]]
 
 
 if __name__ == "__main__":

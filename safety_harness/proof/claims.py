@@ -16,12 +16,12 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.avoidance.candidates import CandidateCap, continuous_optimum
-from safety_harness.avoidance.learned import LearnedAvoider
 from safety_harness.avoidance.model_file import Model
 from safety_harness.geometry.arrays import ArrayNx3
 from safety_harness.scenario.fields import Field
@@ -82,17 +82,30 @@ class DecisionClaim:
         return -below if self.kind is ClaimKind.AT_LEAST else below
 
 
-def margins_of(avoider: LearnedAvoider, claim: DecisionClaim, questions: Floats) -> Floats:
+class Answering(Protocol):
+    """What can be asked many questions; ``model`` is None for a function without a file of our own."""
+
+    @property
+    def model(self) -> Model | None:
+        """What its file holds."""
+
+    def propose_many(
+        self, hands_in_base_m: ArrayNx3, tcps_in_base_m: ArrayNx3, seeds: NDArray[np.uint64]
+    ) -> tuple[ArrayNx3, ArrayNx3]:
+        """Positions and spreads (n, 3) [m] for hands (n, 3), TCPs (n, 3) and seeds (n,)."""
+
+
+def margins_of(avoider: Answering, claim: DecisionClaim, questions: Floats) -> Floats:
     """(n,) margins of what the network itself answers to ``questions`` (n, 6), hands and TCPs."""
     hands, tcps = questions[:, :3], questions[:, 3:]
     answers, spreads = avoider.propose_many(hands, tcps, np.zeros(len(questions), np.uint64))
     return claim.margins(hands, tcps, answers, spreads.max(axis=1) - threshold_m(avoider.model))
 
 
-def threshold_m(model: Model) -> float:
+def threshold_m(model: Model | None) -> float:
     """The largest spread with which the gate takes an answer; NaN for a network without one."""
-    threshold = model.spread_threshold_m
-    return np.nan if threshold is None or model.members == 1 else threshold
+    threshold = None if model is None or model.members == 1 else model.spread_threshold_m
+    return np.nan if threshold is None else threshold
 
 
 def read_claim(field: Field) -> DecisionClaim:

@@ -9,17 +9,21 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from safety_harness.avoidance.model_file import PERCEPTRON, Model, SeenSpace, load_model
+from safety_harness.avoidance.learned import LearnedAvoider
+from safety_harness.avoidance.model_file import PERCEPTRON, SeenSpace, load_model
 from safety_harness.avoidance.shipped import SHIPPED, shipped_model
 from safety_harness.proof.claims import ClaimKind, DecisionClaim, read_claim, threshold_m
+from safety_harness.proof.network import ReluNetwork, network_of
+from safety_harness.proof.onnx_file import OnnxFunction, read_onnx
 from safety_harness.scenario.compose import Library
 from safety_harness.scenario.fields import LARGEST_COORDINATE_M, Field
 from safety_harness.scenario.files import as_path
 from safety_harness.scenario.kinds import FileKind, refuse_other_kind
-from safety_harness.scenario.references import MODEL_SUFFIX
+from safety_harness.scenario.references import MODEL_SUFFIX, ONNX_SUFFIX
 from safety_harness.scenario.units import FRACTION, LENGTH
 from safety_harness.settings import Vector3
 from safety_harness.shipped.contents import located
+from safety_harness.space.regions import exported_use
 
 KEYS = ("proof", "about", "avoider", "regions", "claims", "distribution")
 OF_LOOPS = ("space", "scenario", "run", "runs", "trace", "log", "campaign")
@@ -30,8 +34,10 @@ SEEN = "seen"
 MOST_CLAIMS, MOST_REGIONS = 64, 64
 STEPS = 150
 MOST_SAMPLES = 10_000_000
+ANY_APART_M = 0.0, 4.0 * LARGEST_COORDINATE_M  # more than any pair
 LEAST_INSIDE = 1e-3  # of a normal axis, within each region
 
+Asked = LearnedAvoider | OnnxFunction
 Normal = tuple[float, float]  # mean and standard deviation [m]
 
 
@@ -44,7 +50,7 @@ class ProofRegion:
     hand_high_m: Vector3
     tcp_low_m: Vector3
     tcp_high_m: Vector3
-    apart_m: tuple[float, float] = (0.0, 4.0 * LARGEST_COORDINATE_M)  # more than any pair
+    apart_m: tuple[float, float] = ANY_APART_M
 
     def corners(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """(1, 6) twice: the lowest hand and TCP, and the highest."""
@@ -97,14 +103,20 @@ class QuestionLaw:
 
 @dataclass(frozen=True, eq=False)
 class ProofPlan:
-    """Made by ``read_proof_plan``; ``model`` is what the file ``model_file`` holds."""
+    """Made by ``read_proof_plan``; ``network`` and what is ``asked`` are of the file ``model_file``."""
 
     title: str
     avoider: str
     model_file: Path
-    model: Model
+    network: ReluNetwork
+    asked: Asked
     proofs: tuple[PlannedProof, ...]
     questions: QuestionLaw | None = None
+
+    @property
+    def doubt_m(self) -> float:
+        """The largest spread with which the gate takes an answer; NaN for a network without one."""
+        return threshold_m(self.asked.model)
 
 
 def read_proof_plan(path: str | Path) -> ProofPlan:
@@ -117,33 +129,45 @@ def read_proof_plan(path: str | Path) -> ProofPlan:
         about.prose("why", lines=True)
     avoider = given.required("avoider")
     name = avoider.sentence("a network")
-    if name not in SHIPPED and not name.endswith(MODEL_SUFFIX):
-        raise avoider.error(f"a network: one that ships, or FILE{MODEL_SUFFIX}")
+    if name not in SHIPPED and not name.endswith((MODEL_SUFFIX, ONNX_SUFFIX)):
+        raise avoider.error(f"a network: one that ships, FILE{MODEL_SUFFIX} or FILE{ONNX_SUFFIX}")
     file = shipped_model(name) if name in SHIPPED else located(path.parent / Path(name).expanduser())
-    model = load_model(file)
-    if model.kind != PERCEPTRON:
-        raise avoider.error(f"a {PERCEPTRON}", got=f"{name}: a {model.kind}, {model.members} member(s)")
-    regions = {SEEN: seen_region(model.seen)}
+    network, asked, seen = _network(avoider, name, file)
+    regions = {} if seen is None else {SEEN: seen_region(seen)}
     if at := given.optional("regions"):
         for key, item in at.entries("regions by name")[:MOST_REGIONS]:
             if key in regions:
                 raise item.error(f"a name other than {', '.join(regions)}", got=key)
-            regions[key] = _region(key, item, regions[SEEN])
+            regions[key] = _region(key, item, regions.get(SEEN))
     proofs: list[PlannedProof] = []
     for item in given.required("claims").items("a list of claims", least=1, most=MOST_CLAIMS):
         fields = item.fields(("claim", "in"))
         where = fields.optional("in")
-        proof = PlannedProof(
-            read_claim(fields.required("claim")), where.one_of(regions) if where else regions[SEEN]
-        )
-        if proof.claim.kind is ClaimKind.UNSURE and not threshold_m(model) >= 0.0:
+        if where is None and SEEN not in regions:
+            raise item.error("a region, since the network's file does not say what it has seen")
+        region = where.one_of(regions) if where else regions[SEEN]
+        proof = PlannedProof(read_claim(fields.required("claim")), region)
+        if proof.claim.kind is ClaimKind.UNSURE and not threshold_m(asked.model) >= 0.0:
             raise item.error("a network with a spread and its threshold for such a claim", got=name)
         if proof in proofs:
             raise item.error("each claim once in a region", got=proof.sentence)
         proofs.append(proof)
     at = given.optional("distribution")
     questions = None if at is None else _questions(at, [proof.region for proof in proofs])
-    return ProofPlan(title, name, file, model, tuple(proofs), questions)
+    return ProofPlan(title, name, file, network, asked, tuple(proofs), questions)
+
+
+def _network(
+    at: Field, name: str, file: Path
+) -> tuple[ReluNetwork, LearnedAvoider | OnnxFunction, SeenSpace | None]:
+    """Its layers, what answers, and what it has seen, if its file says so."""
+    if file.suffix == ONNX_SUFFIX:
+        use = exported_use(file)
+        return *read_onnx(file), None if use is None else use.seen
+    model = load_model(file)
+    if model.kind != PERCEPTRON:
+        raise at.error(f"a {PERCEPTRON}", got=f"{name}: a {model.kind}, {model.members} member(s)")
+    return network_of(model), LearnedAvoider.of(model), model.seen
 
 
 def seen_region(seen: SeenSpace) -> ProofRegion:
@@ -157,17 +181,21 @@ def seen_region(seen: SeenSpace) -> ProofRegion:
     )
 
 
-def _region(name: str, at: Field, seen: ProofRegion) -> ProofRegion:
+def _region(name: str, at: Field, seen: ProofRegion | None) -> ProofRegion:
     """Boxes and distance of one region; what it does not say is as in ``seen``."""
     given = at.fields(("hand", "tcp", "apart"))
     hand, tcp, apart = (given.optional(key) for key in ("hand", "tcp", "apart"))
-    hands = _box(hand) if hand else (seen.hand_low_m, seen.hand_high_m)
-    tcps = _box(tcp) if tcp else (seen.tcp_low_m, seen.tcp_high_m)
-    apart_m = seen.apart_m
+    hands, tcps = _box(hand) if hand else None, _box(tcp) if tcp else None
+    if seen is not None:
+        hands = hands or (seen.hand_low_m, seen.hand_high_m)
+        tcps = tcps or (seen.tcp_low_m, seen.tcp_high_m)
+    if hands is None or tcps is None:
+        raise at.error("boxes of hands and of TCPs, since the network's file does not say what it has seen")
+    apart_m = ANY_APART_M
     if apart:
         near, far = apart.items("two lengths such as [100 mm, 400 mm]", count=2)
         near_m = near.quantity(LENGTH, least=0.0)
-        apart_m = near_m, far.quantity(LENGTH, above=near_m, most=seen.apart_m[1])
+        apart_m = near_m, far.quantity(LENGTH, above=near_m, most=ANY_APART_M[1])
     return ProofRegion(
         name=name,
         hand_low_m=hands[0],

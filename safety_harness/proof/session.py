@@ -9,13 +9,11 @@ from itertools import chain
 
 import numpy as np
 
-from safety_harness.avoidance.learned import LearnedAvoider
-from safety_harness.avoidance.perceptron_kernel import fold_perceptron
 from safety_harness.proof.box_kernel import REFUTED, UNDECIDED
 from safety_harness.proof.certificate import Proof, WrongQuestion
-from safety_harness.proof.claims import margins_of, threshold_m
-from safety_harness.proof.plan import PlannedProof, ProofPlan
-from safety_harness.proof.tree import BoxTree, Over, work
+from safety_harness.proof.claims import ClaimKind, margins_of, optimum_constants
+from safety_harness.proof.plan import ProofPlan
+from safety_harness.proof.tree import BoxTree, Over, examined, work
 
 MOST_ASKED = 200_000  # questions at the centres of leaves
 WRONG_BY = 1e-8  # m or m2, beyond all rounding
@@ -41,7 +39,6 @@ class Effort:
 
 def carry_on(plan: ProofPlan, proofs: list[Proof], effort: Effort) -> Iterator[Proof]:
     """Each of the proofs, gone on with; what time one does not need, those after it have."""
-    network, avoider = fold_perceptron(plan.model), LearnedAvoider.of(plan.model)
     end_s = time.monotonic() + effort.seconds
     for number, proof in enumerate(proofs):
         now_s = time.monotonic()
@@ -53,18 +50,18 @@ def carry_on(plan: ProofPlan, proofs: list[Proof], effort: Effort) -> Iterator[P
 
         work(
             proof.tree,
-            network,
+            plan.network,
             proof.planned.claim,
             proof.planned.region,
             halvings=effort.halvings,
-            doubt_m=threshold_m(plan.model),
+            doubt_m=plan.doubt_m,
             until_s=now_s + share_s,
             over=effort.over,
             at_once=effort.at_once,
             told=told,
             stopped=effort.stopped,
         )
-        yield replace(proof, question=proof.question or wrong_question(avoider, proof.planned, proof.tree))
+        yield replace(proof, question=proof.question or wrong_question(plan, proof))
 
 
 def fresh(plan: ProofPlan) -> list[Proof]:
@@ -72,16 +69,29 @@ def fresh(plan: ProofPlan) -> list[Proof]:
     return [Proof(planned, BoxTree()) for planned in plan.proofs]
 
 
-def wrong_question(avoider: LearnedAvoider, planned: PlannedProof, tree: BoxTree) -> WrongQuestion | None:
-    """The worst question in the middle of a leaf that is not proven; None if all are answered well."""
+def wrong_question(plan: ProofPlan, proof: Proof) -> WrongQuestion | None:
+    """The worst question in the middle of a leaf that is not proven; None if all are answered well.
+
+    It is wrong by twice what its bounds are wide, so that a check by other bounds refutes it too.
+    """
+    planned, tree = proof.planned, proof.tree
     leaves = chain(*(tree.leaves(planned.region, code) for code in (REFUTED, UNDECIDED)))
     middles = [(low + high) / 2.0 for low, high in leaves if len(low)]
     asked = np.concatenate([np.empty((0, 6)), *middles])[:MOST_ASKED]
     near_m, far_m = planned.region.apart_m
     apart_m = np.linalg.norm(asked[:, :3] - asked[:, 3:], axis=1)
     asked = asked[(apart_m > near_m + WRONG_BY) & (apart_m < far_m - WRONG_BY)]
-    margins = margins_of(avoider, planned.claim, asked)
-    if not len(margins) or not margins.min() < -WRONG_BY:
+    if not len(asked):
         return None
-    x = asked[margins.argmin()].tolist()
-    return WrongQuestion((x[0], x[1], x[2]), (x[3], x[4], x[5]))
+    margins = margins_of(plan.asked, planned.claim, asked)
+    if not margins.min() < -WRONG_BY:
+        return None
+    half_m = (
+        margins.min() / 2.0 * (1.0 if planned.claim.kind in (ClaimKind.AT_LEAST, ClaimKind.AWAY) else -1.0)
+    )
+    harder = replace(planned.claim, limit_m=planned.claim.limit_m + half_m)
+    worst = asked[margins.argmin() :][:1]
+    point = worst.copy(), worst.copy()
+    (code,) = examined(plan.network, optimum_constants(), harder, planned.region, point, plan.doubt_m)
+    x = worst[0].tolist()
+    return WrongQuestion((x[0], x[1], x[2]), (x[3], x[4], x[5])) if code == REFUTED else None

@@ -21,10 +21,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
 
-from safety_harness.avoidance.learned import LearnedAvoider
 from safety_harness.proof.box_kernel import REFUTED, UNDECIDED
 from safety_harness.proof.certificate import Proof
-from safety_harness.proof.claims import margins_of
+from safety_harness.proof.claims import Answering, margins_of
 from safety_harness.proof.plan import Normal, PlannedProof, ProofPlan, ProofRegion, QuestionLaw
 from safety_harness.proof.tree import BoxTree
 from safety_harness.proportions import upper_bound
@@ -122,7 +121,7 @@ def joint_bound(
 
 def joint_bounds(plan: ProofPlan, proofs: list[Proof]) -> list[JointBound]:
     """One for each claim, all of which hold together with the plan's confidence; none without questions."""
-    questions, avoider = plan.questions, LearnedAvoider.of(plan.model)
+    questions, avoider = plan.questions, plan.asked
     if questions is None:
         return []
     return [
@@ -138,7 +137,7 @@ def joint_bounds(plan: ProofPlan, proofs: list[Proof]) -> list[JointBound]:
     ]
 
 
-def answered_wrongly(avoider: LearnedAvoider, planned: PlannedProof, asked: Floats) -> NDArray[np.bool_]:
+def answered_wrongly(avoider: Answering, planned: PlannedProof, asked: Floats) -> NDArray[np.bool_]:
     """(n,) which of ``asked`` (n, 6) the claim is about and the network answers otherwise, or nearly so."""
     apart_m, (near_m, far_m) = np.linalg.norm(asked[:, :3] - asked[:, 3:], axis=1), planned.region.apart_m
     found: NDArray[np.bool_] = (apart_m >= near_m) & (apart_m <= far_m)

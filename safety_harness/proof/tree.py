@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.avoidance.perceptron_kernel import Perceptron
 from safety_harness.proof.box_kernel import OUTSIDE, PROVEN, REFUTED, UNDECIDED, examine
 from safety_harness.proof.claims import DecisionClaim, optimum_constants
+from safety_harness.proof.network import ReluNetwork
 from safety_harness.proof.plan import ProofRegion
 
 Floats = NDArray[np.float64]
@@ -68,7 +68,7 @@ Over = Callable[[Callable[[Boxes], Codes], Iterable[Boxes]], Iterable[Codes]]
 
 
 def examined(
-    network: Perceptron,
+    network: ReluNetwork,
     constants: Floats,
     claim: DecisionClaim,
     region: ProofRegion,
@@ -84,7 +84,7 @@ def examined(
 
 def work(
     tree: BoxTree,
-    network: Perceptron,
+    network: ReluNetwork,
     claim: DecisionClaim,
     region: ProofRegion,
     *,

@@ -10,7 +10,6 @@ from avoidance.random_models import random_perceptron
 
 from safety_harness.avoidance.learned import LearnedAvoider
 from safety_harness.avoidance.model_file import Model, load_model
-from safety_harness.avoidance.perceptron_kernel import fold_perceptron
 from safety_harness.avoidance.shipped import shipped_model
 from safety_harness.proof.box_kernel import MARGIN, OUTSIDE, PROVEN, REFUTED
 from safety_harness.proof.claims import (
@@ -20,6 +19,7 @@ from safety_harness.proof.claims import (
     optimum_constants,
     threshold_m,
 )
+from safety_harness.proof.network import network_of
 from safety_harness.proof.plan import ProofRegion
 from safety_harness.proof.tree import Boxes, Codes, examined
 from tests.proof.regions import SEEN_REGION, random_boxes
@@ -49,7 +49,7 @@ def random_ensemble(seed: int) -> Model:
 
 
 def codes_of(model: Model, claim: DecisionClaim, region: ProofRegion, boxes: Boxes) -> Codes:
-    return examined(fold_perceptron(model), optimum_constants(), claim, region, boxes, threshold_m(model))
+    return examined(network_of(model), optimum_constants(), claim, region, boxes, threshold_m(model))
 
 
 def contradicted(
@@ -131,8 +131,8 @@ def test_a_single_question_is_decided_as_the_network_answers_it(claim: DecisionC
 
 @pytest.mark.parametrize("scale", [np.nan, 1e30, 1e300])
 def test_answers_that_may_be_anything_decide_nothing(scale: float) -> None:
-    network = fold_perceptron(load_model(shipped_model("student")))
-    broken = network._replace(weight2=network.weight2 * scale)
+    network = network_of(load_model(shipped_model("student")))
+    broken = network._replace(weight=network.weight * scale)
     boxes = random_boxes(SEEN_REGION, 50, 0.01, seed=3)
     for claim in CLAIMS:
         assert (examined(broken, optimum_constants(), claim, SEEN_REGION, boxes) < PROVEN).all()

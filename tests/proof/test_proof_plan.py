@@ -19,8 +19,8 @@ def test_claims_and_regions_are_as_written(tmp_path: Path) -> None:
     steps, near = plan.proofs
     assert steps.claim == DecisionClaim(ClaimKind.AT_MOST, 0.15)
     assert (steps.region.hand_low_m, steps.region.tcp_high_m) == (
-        plan.model.seen.hand_low_m,
-        plan.model.seen.tcp_high_m,
+        plan.asked.model.seen.hand_low_m,
+        plan.asked.model.seen.tcp_high_m,
     )
     assert near.claim == DecisionClaim(ClaimKind.OPTIMUM, 0.04)
     assert near.region.tcp_low_m == (0.65, -0.14, 0.26)
@@ -38,7 +38,7 @@ def test_a_network_of_ones_own_is_sought_beside_the_plan(tmp_path: Path) -> None
     ("was", "now", "place", "told"),
     [
         ("avoider: student", "avoider: optimum", ":2: avoider", "regression resnet"),
-        ("avoider: student", "avoider: mine.onnx", ":2: avoider", "FILE.safetensors"),
+        ("avoider: student", "avoider: mine.pt", ":2: avoider", "FILE.safetensors or FILE.onnx"),
         ("avoider: student", "avoider: opposite pose", ":2: avoider", "a network"),
         ("steps at most 150 mm", "steps at most 150", "claims[0].claim", "mm"),
         ("steps at most 150 mm", "steps at most 0 mm", "claims[0].claim", "above 0"),

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from safety_harness.avoidance.model_file import load_model
-from safety_harness.avoidance.perceptron_kernel import Perceptron, fold_perceptron
 from safety_harness.avoidance.shipped import shipped_model
 from safety_harness.proof import tree as module
 from safety_harness.proof.box_kernel import PROVEN, UNDECIDED
 from safety_harness.proof.claims import ClaimKind, DecisionClaim
+from safety_harness.proof.network import ReluNetwork, network_of
 from safety_harness.proof.tree import LEAVES, BoxTree, work
 from tests.proof.regions import SEEN_REGION
 
@@ -20,22 +20,22 @@ CLAIM = DecisionClaim(ClaimKind.AT_MOST, 0.15)
 
 
 @pytest.fixture(scope="module")
-def network() -> Perceptron:
-    return fold_perceptron(load_model(shipped_model("student")))
+def network() -> ReluNetwork:
+    return network_of(load_model(shipped_model("student")))
 
 
-def worked(network: Perceptron, tree: BoxTree, halvings: int, **more: object) -> BoxTree:
+def worked(network: ReluNetwork, tree: BoxTree, halvings: int, **more: object) -> BoxTree:
     until_s = time.monotonic() + 60.0
     work(tree, network, CLAIM, SEEN_REGION, halvings=halvings, **({"until_s": until_s} | more))  # type: ignore[arg-type]
     return tree
 
 
-def test_a_step_is_proven_in_all_of_the_seen_space(network: Perceptron) -> None:
+def test_a_step_is_proven_in_all_of_the_seen_space(network: ReluNetwork) -> None:
     shares = worked(network, BoxTree(), 40).shares()
     assert shares == {"proven": 1.0, "refuted": 0.0, "undecided": 0.0, "outside": 0.0}
 
 
-def test_leaves_fill_the_region_and_do_not_overlap(network: Perceptron) -> None:
+def test_leaves_fill_the_region_and_do_not_overlap(network: ReluNetwork) -> None:
     tree = worked(network, BoxTree(), 12)
     leaves = [box for code in LEAVES for box in tree.leaves(SEEN_REGION, code)]
     low, high = (np.concatenate([leaf[side] for leaf in leaves]) for side in (0, 1))
@@ -47,13 +47,13 @@ def test_leaves_fill_the_region_and_do_not_overlap(network: Perceptron) -> None:
     assert sum(tree.shares().values()) == 1.0
 
 
-def test_without_time_nothing_is_decided(network: Perceptron) -> None:
+def test_without_time_nothing_is_decided(network: ReluNetwork) -> None:
     assert worked(network, BoxTree(), 40, until_s=0.0).shares()["undecided"] == 1.0
     assert worked(network, BoxTree(), 40, stopped=lambda: True).shares()["undecided"] == 1.0
 
 
 def test_work_that_was_ended_anywhere_comes_to_the_same_end(
-    network: Perceptron, monkeypatch: pytest.MonkeyPatch
+    network: ReluNetwork, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     at_once = worked(network, BoxTree(), 16)
     monkeypatch.setattr(module, "AT_ONCE", 7)
@@ -67,7 +67,7 @@ def test_work_that_was_ended_anywhere_comes_to_the_same_end(
 
 
 def test_how_many_batches_go_at_once_changes_nothing(
-    network: Perceptron, monkeypatch: pytest.MonkeyPatch
+    network: ReluNetwork, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     alone = worked(network, BoxTree(), 14)
     monkeypatch.setattr(module, "AT_ONCE", 64)

@@ -1,0 +1,187 @@
+"""Any ReLU network as layers of affine maps of earlier layers, each with a bound of what its program rounds.
+
+A layer is z = b + sum_s W_s a_s, a = relu(z), where a_s are the question (s = 0) or earlier layers, *as the
+program computed them*; the last is the answer, without a ReLU.  Whatever lies between two ReLUs (batch norm,
+residual sums, normalisation) is part of W.  ``Form`` carries with each W an error bound E:
+what the program computes is off by E_s |a_s| at most.  ReLU rounds nothing, so that errors do not add up
+over layers here; the kernel that bounds the network takes them as slack.
+
+A program's operation on n terms with the unit roundoff u is off by gamma = n u / (1 - n u) of the terms'
+magnitudes, in any order, fused or not (Higham 2002, 3.1); ``GUARD`` more terms stand for what a runtime may
+fold into weights beforehand, and for the rounding of W and E here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.avoidance.model_file import PERCEPTRON_INPUTS, Model
+from safety_harness.avoidance.perceptron_kernel import fold_perceptron
+
+Floats = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+CONSTANT, QUESTION = -1, 0  # sources; layers count from 1
+SINGLE, DOUBLE = 2.0**-24, 2.0**-53
+GUARD, TINY = 16, 1e-30  # terms; what products below float32's least number lose together
+LARGEST = 1e12  # of a coefficient: with units below 1e8 no float32 sum overflows
+
+
+class ReluNetwork(NamedTuple):
+    """Contiguous arrays, for compiled code, of m members of the same shape.
+
+    Block i of ``blocks`` (n, 3) is (layer, source, start): its matrix (inputs, outputs) of the layer, row by
+    row, is in ``weight`` and ``error`` (m, N) from start on; no ``error`` is 0.  Layers count from 0, sources
+    from 1; 0 is the question.  ``rounding`` times magnitudes is what bounds in float64 may lose.
+    """
+
+    widths: Indices  # (layers,), the last of them OUTPUTS
+    blocks: Indices
+    weight: Floats
+    error: Floats
+    bias: Floats  # (m, units)
+    bias_error: Floats
+    rounding: float
+
+
+@dataclass(frozen=True, eq=False)
+class Form:
+    """What a program computes as ``value`` of ``CONSTANT``, question and layers: (inputs, width) by source.
+
+    Off by ``error``, of the same shape, times the sources' magnitudes.
+    """
+
+    value: Mapping[int, Floats]
+    error: Mapping[int, Floats]
+
+    def __post_init__(self) -> None:
+        if not all(
+            np.abs(one).max(initial=0.0) <= LARGEST for one in (self.sizes | dict(self.error)).values()
+        ):
+            raise ValueError(f"coefficients of at most {LARGEST:g}")
+
+    @property
+    def width(self) -> int:
+        """How many numbers it has."""
+        return int(next(iter(self.value.values())).shape[1])
+
+    @property
+    def sizes(self) -> dict[int, Floats]:
+        """(inputs, width) by source: of what magnitude it is, with its error."""
+        return {s: np.abs(value) + self.error[s] for s, value in self.value.items()}
+
+    def linear(self, weight: Floats, bias: Floats, unit: float) -> Form:
+        """``weight`` (width, outputs) and ``bias`` (outputs,), computed with the unit roundoff ``unit``."""
+        size = np.abs(weight)
+        part = gamma(len(weight) + 1, unit)
+        value = {s: own @ weight for s, own in self.value.items()}
+        error = {s: self.error[s] @ size + part * (own @ size) for s, own in self.sizes.items()}
+        value[CONSTANT] = value.get(CONSTANT, 0.0) + bias[None]
+        error[CONSTANT] = error.get(CONSTANT, 0.0) + part * np.abs(bias)[None] + TINY
+        return Form(value, error)
+
+    def scaled(self, factors: Floats, unit: float) -> Form:
+        """Times ``factors`` (width,)."""
+        return self.linear(np.diag(factors), np.zeros(len(factors)), unit)
+
+    def plus(self, other: Form, unit: float) -> Form:
+        """The sum of two of the same width."""
+        part, value, error = gamma(2, unit), dict(self.value), dict(self.error)
+        for s, own in self.sizes.items():
+            error[s] = error[s] + part * own
+        for s, own in other.sizes.items():
+            value[s] = value.get(s, 0.0) + other.value[s]
+            error[s] = error.get(s, 0.0) + other.error[s] + part * own
+        return Form(value, error)
+
+
+def gamma(terms: int, unit: float) -> float:
+    """How much of its magnitudes a sum of so many products may be off; twice what a check takes."""
+    part = 2.0 * (terms + GUARD) * unit
+    return part / (1.0 - part)
+
+
+def joined(forms: Sequence[Form]) -> Form:
+    """One beside the other."""
+    sources = dict.fromkeys(s for form in forms for s in form.value)
+    height = {s: len(form.value[s]) for form in forms for s in form.value}
+
+    def side_by_side(parts: Sequence[Mapping[int, Floats]]) -> dict[int, Floats]:
+        return {
+            s: np.hstack(
+                [p.get(s, np.zeros((height[s], f.width))) for p, f in zip(parts, forms, strict=True)]
+            )
+            for s in sources
+        }
+
+    return Form(side_by_side([f.value for f in forms]), side_by_side([f.error for f in forms]))
+
+
+def question(unit: float = 0.0) -> Form:
+    """Hand and TCP [m], each rounded to numbers with the unit roundoff ``unit``."""
+    return Form({QUESTION: np.eye(PERCEPTRON_INPUTS)}, {QUESTION: unit * np.eye(PERCEPTRON_INPUTS)})
+
+
+@dataclass(eq=False)
+class Layers:
+    """The ReLU layers of a network so far."""
+
+    found: list[Form] = field(default_factory=list)
+
+    def relu(self, form: Form) -> Form:
+        """One more."""
+        self.found.append(form)
+        own = np.eye(form.width)
+        return Form({len(self.found): own}, {len(self.found): 0.0 * own})
+
+
+def packed(members: Sequence[Sequence[Form]]) -> ReluNetwork:
+    """Of each member its layers, the last of them the answer [m]; all have the same widths and sources."""
+    first = members[0]
+    widths = [form.width for form in first]
+    pairs = [(k, s) for k, form in enumerate(first) for s in sorted(form.value) if s != CONSTANT]
+    sizes = [first[k].value[s].size for k, s in pairs]
+    starts = np.cumsum([0, *sizes])[:-1]
+
+    def flat(name: str) -> Floats:
+        return np.array([np.concatenate([getattr(m[k], name)[s].ravel() for k, s in pairs]) for m in members])
+
+    def constants(name: str) -> Floats:
+        rows = [[getattr(f, name).get(CONSTANT, np.zeros((1, f.width)))[0] for f in m] for m in members]
+        return np.array([np.concatenate(row) for row in rows])
+
+    terms = max(sum(len(form.value[s]) for s in form.value if s != CONSTANT) for form in first)
+    error = flat("error")
+    return ReluNetwork(
+        widths=np.array(widths, np.int64),
+        blocks=np.array([(k, s, at) for (k, s), at in zip(pairs, starts, strict=True)], np.int64),
+        weight=flat("value"),
+        error=error if error.any() else np.empty((len(members), 0)),
+        bias=constants("value"),
+        bias_error=constants("error"),
+        rounding=16.0 * (terms + 8) * DOUBLE,
+    )
+
+
+def network_of(model: Model) -> ReluNetwork:
+    """Of a perceptron's file: it rounds as bounds in float64 do, of which ``rounding`` is four times."""
+    folded = fold_perceptron(model)
+    members = []
+    for m in range(model.members):
+        parts = (
+            (folded.weight1[m], folded.bias1[m]),
+            (folded.weight2[m], folded.bias2[m]),
+            (folded.weight3[m], folded.bias3[m]),
+        )
+        members.append(
+            [
+                Form({CONSTANT: b[None], k: w}, {CONSTANT: 0.0 * b[None], k: 0.0 * w})
+                for k, (w, b) in enumerate(parts)
+            ]
+        )
+    return packed(members)
