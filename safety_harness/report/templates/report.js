@@ -46,7 +46,7 @@ for (const table of document.querySelectorAll("table[data-filter]")) {
   const headings = [...table.tHead.rows[0].cells];
   const values = new Map(rows.map((row) => [row, []]));
   const value = (row, column) => values.get(row)[column] ??= (({ cells: { [column]: cell } }) =>
-    cell.dataset.value ?? (cell.querySelector("a") ?? cell).textContent.trim())(row);
+    cell.dataset.value ?? (cell.querySelector("a, .claim > :last-child") ?? cell).textContent.trim())(row);
   const texts = new Map();
   const text = (row) => texts.get(row) ?? texts.set(row, row.textContent.toLowerCase()).get(row);
   const form = document.createElement("form"), count = document.createElement("output"), number = forms.push(form);
