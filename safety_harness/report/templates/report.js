@@ -38,7 +38,7 @@ for (const table of document.querySelectorAll("table.sortable")) {
 // in the address after "#", where a page that is a file may write.  Only rows that are shown are in the document, and of
 // more than MOST_ROWS the first; a browser that has to lay out ten thousand does not keep up with typing.
 const narrow = matchMedia("(max-width: 56rem)");
-const MOST_ROWS = narrow.matches ? 40 : 200, FEWEST_ROWS = 6;
+const MOST_ROWS = narrow.matches ? 40 : 100, FEWEST_ROWS = 6;
 const forms = [];
 for (const table of document.querySelectorAll("table[data-filter]")) {
   const rows = rowsOf(table), body = table.tBodies[0];
@@ -103,6 +103,7 @@ for (const table of document.querySelectorAll("table[data-filter]")) {
   form.addEventListener("reset", () => setTimeout(() => { show(); told(); find.focus(); }));
   form.addEventListener("submit", (event) => event.preventDefault());
   addEventListener("hashchange", read);
+  table.classList.add("ready");  // until then a long table is not laid out beyond its first rows
   show();
   read();
 }
