@@ -418,7 +418,10 @@ def _strokes(x: Floats, y: Floats, *, closed: bool = False) -> str:
     drawn = []
     for run in np.split(np.arange(len(good)), np.flatnonzero(np.diff(good)) + 1):
         if len(run) and good[run[0]]:
-            drawn.append(_path_words(places[run]) + ("z" if closed else "h0" if len(run) == 1 else ""))
+            drawn.append(
+                _path_words(np.asarray(places[run], np.float64))
+                + ("z" if closed else "h0" if len(run) == 1 else "")
+            )
     return "".join(drawn)
 
 
