@@ -17,6 +17,7 @@ from safety_harness.cli.console import BAD_INPUT, NARROW, columns_of, explain, g
 from safety_harness.cli.evaluate import commands as of_scoring
 from safety_harness.cli.fuzz import commands as of_search
 from safety_harness.cli.hands import commands as of_hands
+from safety_harness.cli.history import commands as of_history
 from safety_harness.cli.learning import commands as of_learning
 from safety_harness.cli.log import commands as of_logs
 from safety_harness.cli.machine import commands as of_machine
@@ -47,6 +48,7 @@ for group in (
     of_scoring,
     of_proofs,
     of_reports,
+    of_history,
     of_selftest,
     of_recorded,
     of_shipped,

@@ -7,6 +7,7 @@ marks and words whose place is outside are left out.
 
 from __future__ import annotations
 
+import re
 import unicodedata
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
@@ -20,6 +21,8 @@ from safety_harness.report.words import with_minus
 
 FONT_PX = 11.0
 _FAR_PX, _LARGEST = 9e4, 1e300  # what is farther is drawn there
+_MOST_PLACES = 20  # of a path that says each; a longer one says its steps
+_LEADING_ZERO = re.compile(r"(^|[ -])0(?=\.)")
 _ROUND = (1.0, 2.0, 2.5, 5.0, 10.0)
 _HALF_DIAGONAL = 0.5 * 2.0**0.5
 _SHAPES = {  # strokes from point to point, in sizes of the mark
@@ -416,9 +419,19 @@ def _strokes(x: Floats, y: Floats, *, closed: bool = False) -> str:
     drawn = []
     for run in np.split(np.arange(len(good)), np.flatnonzero(np.diff(good)) + 1):
         if len(run) and good[run[0]]:
-            words = "M" + " ".join([f"{a:g} {b:g}" for a, b in places[run].tolist()])
-            drawn.append(words + ("z" if closed else "h0" if len(run) == 1 else ""))
+            drawn.append(
+                _path_words(np.asarray(places[run], np.float64))
+                + ("z" if closed else "h0" if len(run) == 1 else "")
+            )
     return "".join(drawn)
+
+
+def _path_words(places: Floats) -> str:
+    """The path through ``places`` (n, 2) [px]; a long one by its steps, which have fewer digits."""
+    if len(places) <= _MOST_PLACES:
+        return "M" + " ".join([f"{a:g} {b:g}" for a, b in places.tolist()])
+    steps = " ".join([f"{step:g}" for step in np.round(np.diff(places, axis=0), 1).ravel() + 0.0])
+    return f"M{places[0, 0]:g} {places[0, 1]:g}l" + _LEADING_ZERO.sub(r"\1", steps).replace(" -", "-")
 
 
 def _mark(shape: str, size: float, x: float, y: float) -> str:

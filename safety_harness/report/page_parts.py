@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import hashlib
+import re
 from datetime import datetime
 from functools import lru_cache
 from importlib.resources import files
@@ -15,6 +16,7 @@ from safety_harness.report.packing import deflated
 
 PACKAGE = "safety_harness.report"
 THREE = "three.js"
+MOST_OPEN = 5  # parts of a page that need not be unfolded
 
 
 def templates(of: str = PACKAGE) -> Environment:
@@ -22,7 +24,7 @@ def templates(of: str = PACKAGE) -> Environment:
 
     ``of`` is a package with templates of its own beside ours.
     """
-    return Environment(
+    environment = Environment(
         loader=ChoiceLoader([PackageLoader(name) for name in dict.fromkeys((of, PACKAGE))]),
         autoescape=True,
         undefined=StrictUndefined,
@@ -30,6 +32,14 @@ def templates(of: str = PACKAGE) -> Environment:
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
+    environment.filters |= {"headings": _headings, "in_words": in_words}
+    return environment
+
+
+def _headings(page: str) -> list[tuple[str, Markup]]:
+    """The id and the words of each part of a page, for its contents; articles are left out."""
+    found = re.findall(r'<h2 id="([^"]+)"(?: tabindex="-1")?>(.*?)</h2>', page)
+    return [(name, Markup(words)) for name, words in found if not name.endswith("-heading")]
 
 
 def asset(name: str) -> str:

@@ -77,6 +77,7 @@ LOOKS: dict[str, tuple[str, int]] = {
     "robot enclose": ("scenario.yaml", BAD_INPUT),
     "verify": ("report --runs 0", AS_EXPECTED),
     "verify as it is": ("report", BAD_INPUT),  # without --execute-programs
+    "history": ("log", BAD_INPUT),  # no two reports
     "certify declare": ("plan.yaml", AS_EXPECTED),
     "certify seal": ("report", AS_EXPECTED),
     "campaign status": ("report/ledger.sqlite", AS_EXPECTED),

@@ -140,3 +140,17 @@ def test_the_same_plot_is_the_same_text() -> None:
         axes.line(np.linspace(0.0, 1.0, 50), np.sin(np.linspace(0.0, 9.0, 50)), Ink.TCP)
         texts.append(picture.svg(prefix="p-", title="t", description="d"))
     assert texts[0] == texts[1]
+
+
+def test_a_long_line_goes_through_the_places_that_a_short_one_names() -> None:
+    x, y = np.linspace(0.0, 10.0, 40), 3.0 * np.sin(np.arange(40.0))
+
+    def places(upto: int) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
+        picture, axes = new()
+        axes.x.show(0.0, 10.0)
+        axes.y.show(-4.0, 4.0)
+        axes.line(x[:upto], y[:upto], Ink.TCP)
+        (found,) = strokes(picture, Ink.TCP)
+        return np.array(found)
+
+    assert np.allclose(np.cumsum(places(40), axis=0)[:15], places(15), atol=1e-6)
