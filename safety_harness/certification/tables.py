@@ -16,6 +16,7 @@ from safety_harness.certification.evidence import (
     OverrulingResult,
     by_gravity,
 )
+from safety_harness.certification.standards import STANDARDS
 from safety_harness.certification.stored import cells_of
 from safety_harness.certification.tools import (
     Credibility,
@@ -191,6 +192,51 @@ def quantiles(claim: ClaimEvidence) -> CellTable:
             "Margin of at least": lambda one: number(
                 at_least_words(one[1].at_least_si, claim), one[1].at_least_si
             ),
+        },
+    )
+
+
+def standards(evidence: Evidence) -> CellTable:
+    """The documents with their status, and which claims are traced to which of their terms."""
+    claims: dict[tuple[str, str], list[int]] = {}
+    for claim in evidence.claims:
+        for term in claim.terms:
+            claims.setdefault((term.standard, term.term), []).append(claim.number)
+
+    def traced_to(name: str) -> str:
+        found = {term: numbers for (standard, term), numbers in claims.items() if standard == name}
+        return "; ".join(
+            f"{term}: {'claim' if len(numbers) == 1 else 'claims'} {', '.join(map(str, numbers))}"
+            for term, numbers in found.items()
+        )
+
+    return _table(
+        f"Status as last looked up in {STANDARDS.checked}. Terms, so that an assessor finds the way; no statement "
+        "of conformity.",
+        STANDARDS.standards,
+        {
+            "Document": lambda one: words(one.name, note=one.about),
+            "Status": lambda one: words(one.status),
+            "Known from": lambda one: words(one.source),
+            "Traced to it": lambda one: words(traced_to(one.name) or DASH),
+        },
+    )
+
+
+def requirements(_: Evidence) -> CellTable:
+    """By standard, what this report speaks to, and what is missing."""
+    rows = [(standard, one) for standard in STANDARDS.standards for one in standard.requirements]
+    return _table(
+        f"{sum(not one.here for _, one in rows)} of {len(rows)} are not covered here. A part of this report that "
+        "speaks to one does not fulfil it.",
+        rows,
+        {
+            "Document": lambda one: words(one[0].name),
+            "Asks": lambda one: words(one[1].asks),
+            "Here": lambda one: words("see " + one[1].here.replace("-", " "), href=one[1].here)
+            if one[1].here
+            else TableCell(text="not covered here", state="inconclusive"),
+            "What it says, or what would cover it": lambda one: words(one[1].means),
         },
     )
 
@@ -408,6 +454,8 @@ _EVERY: tuple[Callable[..., object], ...] = (
         verdicts,
         results,
         quantiles,
+        standards,
+        requirements,
         strata,
         overruling,
         separation,

@@ -41,7 +41,7 @@ def explain_claims(words: Sequence[str]) -> int:
     """
     from safety_harness.formulas.signals import SIGNALS
     from safety_harness.properties.catalogue import CATALOGUE  # slow to import
-    from safety_harness.properties.entry import told
+    from safety_harness.certification.standards import told_with_standards as told
 
     asked = " ".join(" ".join(words).split())
     examples = [entry.example for entry in CATALOGUE]
@@ -72,7 +72,7 @@ def _explain(
 
 
 def _claim_lines(entry: CatalogueEntry) -> Iterator[str]:
-    from safety_harness.properties.entry import told
+    from safety_harness.certification.standards import told_with_standards as told
 
     yield entry.example
     columns = min(columns_of(sys.stdout) or WIDTH, WIDTH)

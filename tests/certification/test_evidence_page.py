@@ -179,3 +179,10 @@ def test_a_search_that_was_asked_for_and_is_not_there_is_not_passed_over() -> No
     assert "The plan asks for a search of 2000 runs, of which nothing is known" in missing.text
     none = page.parse(render(replace(whole, search=None, plan=replace(whole.plan, search_runs=0)), {}))
     assert "The plan asks for no search." in none.text
+
+
+def test_it_lists_by_standard_what_is_missing(document: page.Node) -> None:
+    standards = document.text[document.text.index("Standards, and what is missing") :]
+    assert "ISO 13849-1:2023a rate of dangerous failures an hour" in standards
+    for words in ("not covered here", "superseded in content by ISO 10218-2:2025", "applies from 20 January 2027"):
+        assert words in standards
