@@ -5,8 +5,8 @@ axe-core (MPL-2.0) is not part of this repository:
     npm install --prefix /tmp/axe axe-core
     python benchmarks/accessibility.py /tmp/axe/node_modules/axe-core/axe.min.js [PAGE]...
 
-Each page is asked at two widths, light and dark, as it opens and with all that folds unfolded.  Exit code 1 if
-axe-core names a violation, or cannot decide something that a person has not.
+Each page is asked at two widths, light and dark, as it opens and with all that folds unfolded.  Exit code 1
+if axe-core names a violation, or cannot decide what `contrast.js` does not decide either.
 """
 
 from __future__ import annotations
@@ -36,35 +36,10 @@ axe.run(document, { resultTypes: ["violations", "incomplete"] }).then((found) =>
   ["violations", "incomplete"].map((kind) => found[kind].flatMap((rule) => rule.nodes.map((node) => [
     rule.id, rule.help, node.target.join(" "), (node.any[0] ?? node.all[0] ?? node.none[0])?.message ?? ""
   ])))));"""
-# What axe-core leaves open about contrast is decided here: text against what is painted behind it, which for a
-# drawing's letters is their halo.  Letters that are transparent on purpose are for screen readers only.
-CONTRAST = """
-const rgba = (text) => { const found = text.match(/[\\d.]+/g)?.map(Number) ?? []; return found.length < 3 ? null : found; };
-const bright = ([r, g, b]) => [r, g, b].map((v) => v / 255).map((v) => v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4)
-  .reduce((sum, v, k) => sum + v * [0.2126, 0.7152, 0.0722][k], 0);
-const ratio = (a, b) => { const [x, y] = [bright(a), bright(b)].sort((p, q) => q - p); return (x + 0.05) / (y + 0.05); };
-const behind = (one) => {
-  for (let at = one; at; at = at.parentElement) {
-    const style = getComputedStyle(at), found = rgba(style.backgroundColor);
-    const ends = (style.backgroundImage.match(/rgba?\\([^)]*\\)/g) ?? []).map(rgba).filter((c) => (c[3] ?? 1) === 1);
-    if (found && (found[3] ?? 1) > 0) return [found, ...ends];
-    if (ends.length) return [...ends, rgba(getComputedStyle(document.body).backgroundColor)];
-  }
-  return [[255, 255, 255]];
-};
-const legible = (one) => {
-  const style = getComputedStyle(one), drawn = one instanceof SVGElement, text = rgba(drawn ? style.fill : style.color);
-  if (!text || (text[3] ?? 1) === 0) return !drawn;
-  const halo = drawn && style.paintOrder.startsWith("stroke") && parseFloat(style.strokeWidth) >= 2 && rgba(style.stroke);
-  const size = parseFloat(style.fontSize), large = size >= 24 || (size >= 18.66 && style.fontWeight >= 700);
-  return (halo ? [halo] : behind(one)).every((back) => ratio(text, back) >= (large ? 3 : 4.5));
-};
-const open_ = arguments[0].filter(([rule, , target]) =>
-  rule !== "color-contrast" || !legible(document.querySelector(target)));
-return open_;
-"""
-STOPS = """return [...document.querySelectorAll("a[href], button, input, select, textarea, summary, [tabindex]")]
-  .filter((one) => one.tabIndex >= 0 && !one.disabled && one.checkVisibility({ visibilityProperty: true })).length"""
+CONTRAST = (ROOT / "benchmarks" / "contrast.js").read_text(encoding="utf-8")
+STOPS = """const all = "a[href], button, input, select, textarea, summary, [tabindex]";
+return [...document.querySelectorAll(all)].filter((one) => one.tabIndex >= 0 && !one.disabled
+  && one.checkVisibility({ visibilityProperty: true })).length"""
 
 
 def asked(browser: Any, page: Path, axe: str) -> Iterator[tuple[str, list[str], str]]:
@@ -128,11 +103,11 @@ def table(rows: list[tuple[str, int, int, int, int]], version: str) -> str:
     lines = [
         "# Accessibility of the pages",
         "",
-        f"axe-core {version} on the pages of `reports/sample`, at {' and '.join(map(str, WIDTHS_PX))} px, light and",
-        "dark, as they open and unfolded: nodes that it calls a violation, and nodes that it cannot decide (of those of",
-        "contrast the script decides by the colours: 4.5 to 1, for large letters 3 to 1). Tab stops",
-        f"as a page opens, at 1280 px; printed pages as Chromium prints it. Revision {revision}, source",
-        f"{provenance('').source_hash}. Again: `python benchmarks/accessibility.py AXE`.",
+        f"axe-core {version} on the pages of `reports/sample`, at {' and '.join(map(str, WIDTHS_PX))} px, light",
+        "and dark, as they open and unfolded: nodes that it calls a violation, and nodes that it cannot decide (of",
+        "those of contrast `contrast.js` decides by the colours: 4.5 to 1, for large letters 3 to 1). Tab stops as a",
+        f"page opens, at 1280 px; printed pages as Chromium prints it. Revision {revision}, source",
+        f"{provenance('').source_hash}. Again: `make accessibility AXE=.../axe.min.js`.",
         "",
         "| page | violations | undecided | tab stops | printed pages |",
         "|---|---:|---:|---:|---:|",

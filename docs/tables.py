@@ -44,7 +44,12 @@ def with_tables(text: str) -> str:
 def markdown_of_standards() -> str:
     """What of each document a report speaks to, as ``standards.yaml`` has it."""
     rows = [
-        (f"{one.name}, {one.about}" if one is not None else "", asked.asks, asked.here or "**not covered**", asked.means)
+        (
+            f"{one.name}, {one.about}" if one is not None else "",
+            asked.asks,
+            asked.here or "**not covered**",
+            asked.means,
+        )
         for standard in STANDARDS.standards
         for one, asked in zip((standard, *[None] * 9), standard.requirements, strict=False)
     ]

@@ -55,7 +55,9 @@ class StandardsTable:
         return next(one for one in self.standards if one.id == key)
 
 
-STANDARDS = typed(YAML(typ="safe", pure=True).load(TABLE.read_text("utf-8")), StandardsTable, TABLE, defaults=True)
+STANDARDS = typed(
+    YAML(typ="safe", pure=True).load(TABLE.read_text("utf-8")), StandardsTable, TABLE, defaults=True
+)
 CELL, ROBOT, RISK = (STANDARDS[key].name for key in ("cell", "robot", "risk"))
 FORMERLY = STANDARDS["contact"].name  # its content is within the cell's standard now
 

@@ -223,20 +223,33 @@ def standards(evidence: Evidence) -> CellTable:
     )
 
 
-def requirements(_: Evidence) -> CellTable:
-    """By standard, what this report speaks to, and what is missing."""
-    rows = [(standard, one) for standard in STANDARDS.standards for one in standard.requirements]
+_ASKED = [(standard.name, one) for standard in STANDARDS.standards for one in standard.requirements]
+
+
+def missing(_: Evidence) -> CellTable:
+    """By standard, what nothing in this report speaks to."""
+    rows = [(name, one) for name, one in _ASKED if not one.here]
     return _table(
-        f"{sum(not one.here for _, one in rows)} of {len(rows)} are not covered here. A part of this report that "
-        "speaks to one does not fulfil it.",
+        f"{len(rows)} of {len(_ASKED)} are not covered here.",
         rows,
         {
-            "Document": lambda one: words(one[0].name),
+            "Document": lambda one: words(one[0]),
             "Asks": lambda one: words(one[1].asks),
-            "Here": lambda one: words("see " + one[1].here.replace("-", " "), href=one[1].here)
-            if one[1].here
-            else TableCell(text="not covered here", state="inconclusive"),
-            "What it says, or what would cover it": lambda one: words(one[1].means),
+            "What would cover it": lambda one: words(one[1].means),
+        },
+    )
+
+
+def spoken_to(_: Evidence) -> CellTable:
+    """By standard, which part of this report speaks to what."""
+    return _table(
+        "A part of this report that speaks to a requirement does not fulfil it.",
+        [(name, one) for name, one in _ASKED if one.here],
+        {
+            "Document": lambda one: words(one[0]),
+            "Asks": lambda one: words(one[1].asks),
+            "Here": lambda one: words(one[1].here, href=one[1].here),
+            "What it says": lambda one: words(one[1].means),
         },
     )
 
@@ -455,7 +468,8 @@ _EVERY: tuple[Callable[..., object], ...] = (
         results,
         quantiles,
         standards,
-        requirements,
+        missing,
+        spoken_to,
         strata,
         overruling,
         separation,

@@ -266,8 +266,7 @@ GIVES_WAY_TO_TRUE_HAND = replace(
     make=lambda match, _, place: GivesWayToTrueHand(within_s=quantity(match[1], TIME, place)),
     rationale="a hand that is not seen, or seen elsewhere, is as much in danger as one that is: every claim "
     "about predictions passes it over",
-    source="the project's own; the reaction time T_r, from the hand and not from what is "
-    "known of it",
+    source="the project's own; the reaction time T_r, from the hand and not from what is known of it",
     margin="the time allowed less the longest for which a true hand was near and the arm neither gave way "
     "nor was stopped",
     exercised="a true hand comes within the critical distance of the TCP",

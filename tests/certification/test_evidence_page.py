@@ -53,14 +53,16 @@ def test_the_page_leads_with_the_gravest_findings_and_folds_the_rest() -> None:
     whole = evidence()
     shown = page.parse(render(replace(whole, findings=(*many, *whole.findings)), {}))
     lead = shown.text[shown.text.index("Gravest findings") : shown.text.index("Not shown here")]
-    assert lead.index("is refuted in 3 strata") < lead.index("never put to the test") < lead.index("finding 0")
+    assert (
+        lead.index("is refuted in 3 strata") < lead.index("never put to the test") < lead.index("finding 0")
+    )
     assert lead.index("finding 0") < lead.index("8 more open findings") < lead.index("finding 1")
 
 
 def test_every_number_of_the_first_page_leads_to_its_rows(document: page.Node) -> None:
     (table,) = document.all("table", "verdicts")
     numbers = [cell for cell in table.all("td", "number") if cell.text not in ("0", "\u2013", "not bounded")]
-    targets = [cell.all("a")[0].attributes["href"][1:] for cell in numbers if "0.2 %" != cell.text]
+    targets = [cell.all("a")[0].attributes["href"][1:] for cell in numbers if cell.text != "0.2 %"]
     assert len(targets) == 12
     for target in targets:
         row = document.one(target)
@@ -184,5 +186,9 @@ def test_a_search_that_was_asked_for_and_is_not_there_is_not_passed_over() -> No
 def test_it_lists_by_standard_what_is_missing(document: page.Node) -> None:
     standards = document.text[document.text.index("Standards, and what is missing") :]
     assert "ISO 13849-1:2023a rate of dangerous failures an hour" in standards
-    for words in ("not covered here", "superseded in content by ISO 10218-2:2025", "applies from 20 January 2027"):
+    for words in (
+        "not covered here",
+        "superseded in content by ISO 10218-2:2025",
+        "applies from 20 January 2027",
+    ):
         assert words in standards
