@@ -44,17 +44,12 @@ def with_tables(text: str) -> str:
 def markdown_of_standards() -> str:
     """What of each document a report speaks to, as ``standards.yaml`` has it."""
     rows = [
-        (
-            f"{one.name}, {one.about}" if one is not None else "",
-            asked.asks,
-            asked.here or "**not covered**",
-            asked.means,
-        )
-        for standard in STANDARDS.standards
-        for one, asked in zip((standard, *[None] * 9), standard.requirements, strict=False)
+        (one.name, asked.asks, asked.here or "**not covered**", asked.means)
+        for one in STANDARDS.standards
+        for asked in one.requirements
     ]
     head = ("document", "asks", "part of the report", "what it says, or what would cover it")
-    documents = [(one.name, one.status, one.source) for one in STANDARDS.standards]
+    documents = [(f"{one.name}, {one.about}", one.status, one.source) for one in STANDARDS.standards]
     return (
         f"Last looked up in {STANDARDS.checked}.\n\n"
         + "\n".join(table_of(("document", "status", "known from"), documents))
