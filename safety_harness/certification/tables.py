@@ -104,8 +104,8 @@ def at_least_words(margin_si: float, claim: ClaimEvidence) -> str:
 def verdicts(evidence: Evidence) -> CellTable:
     """The first page: every claim with its verdict, bound, how often it was exercised, and its hazard."""
     return _table(
-        "The gravest claim first, over all strata of the plan: the largest upper bound, and the counts of all "
-        "strata together; each number leads to its rows. Performance level: none claimed.",
+        "The gravest claim first, over all strata of the plan: the largest upper bound, and the counts of "
+        "all strata together; each number leads to its rows. Performance level: none claimed.",
         by_gravity(evidence.claims),
         {
             "Claim": lambda one: words(
@@ -211,8 +211,8 @@ def standards(evidence: Evidence) -> CellTable:
         )
 
     return _table(
-        f"Status as last looked up in {STANDARDS.checked}. Terms, so that an assessor finds the way; no statement "
-        "of conformity.",
+        f"Status as last looked up in {STANDARDS.checked}. Terms, so that an assessor finds the way; no "
+        "statement of conformity.",
         STANDARDS.standards,
         {
             "Document": lambda one: words(one.name, note=one.about),
