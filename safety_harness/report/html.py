@@ -36,7 +36,7 @@ from safety_harness.report.decisions import (
 from safety_harness.report.evidence import JudgedRun, answer, notes_of, tallies
 from safety_harness.report.knowledge import measured_rows
 from safety_harness.report.machine import refused_data
-from safety_harness.report.page_parts import in_words, render_page
+from safety_harness.report.page_parts import MOST_OPEN, render_page
 from safety_harness.report.path_views import MOST_NUMBERS, path_views, shown_moment
 from safety_harness.report.shielding import shield_lines
 from safety_harness.report.timeline import thinning, timeline
@@ -61,7 +61,6 @@ from safety_harness.whole_file import write_whole
 
 Row = dict[str, Any]
 MOST_IN_FULL = 20  # runs that are drawn; a page of a thousand has to open at once
-MOST_OPEN = 5  # runs that need not be unfolded
 
 
 def write_report(
@@ -124,9 +123,7 @@ def render(
     return render_page(
         "report.html.j2",
         title=f"{title}; {fallback}" if fallback else title,
-        command=command,
-        generated=in_words(generated_at),
-        generated_iso=generated_at.isoformat(),
+        made=(generated_at, command),
         summary=summary,
         sections=[
             _section(run, number, full=full)

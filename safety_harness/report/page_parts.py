@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import hashlib
+import re
 from datetime import datetime
 from importlib.resources import files
 
@@ -11,6 +12,7 @@ from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 PACKAGE = "safety_harness.report"
+MOST_OPEN = 5  # parts of a page that need not be unfolded
 
 
 def templates(of: str = PACKAGE) -> Environment:
@@ -18,7 +20,7 @@ def templates(of: str = PACKAGE) -> Environment:
 
     ``of`` is a package with templates of its own beside ours.
     """
-    return Environment(
+    environment = Environment(
         loader=ChoiceLoader([PackageLoader(name) for name in dict.fromkeys((of, PACKAGE))]),
         autoescape=True,
         undefined=StrictUndefined,
@@ -26,6 +28,14 @@ def templates(of: str = PACKAGE) -> Environment:
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
+    environment.filters |= {"headings": _headings, "in_words": in_words}
+    return environment
+
+
+def _headings(page: str) -> list[tuple[str, Markup]]:
+    """The id and the words of each part of a page, for its table of contents; those of articles are left out."""
+    found = re.findall(r'<h2 id="([^"]+)"(?: tabindex="-1")?>(.*?)</h2>', page)
+    return [(name, Markup(words)) for name, words in found if not name.endswith("-heading")]
 
 
 def asset(name: str) -> str:

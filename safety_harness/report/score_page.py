@@ -15,7 +15,7 @@ from markupsafe import Markup
 from safety_harness.avoidance.measures import gained_m, off_m, optimum_in_base_m
 from safety_harness.compiled import source_hash
 from safety_harness.geometry.arrays import ArrayNx3
-from safety_harness.report.page_parts import in_words, render_page
+from safety_harness.report.page_parts import MOST_OPEN, render_page
 from safety_harness.report.question_maps import VIEWS, Scale, key_of, question_map
 from safety_harness.report.score_document import sentence
 from safety_harness.report.score_tables import (
@@ -64,7 +64,7 @@ def render(evidence: ScoreEvidence) -> str:
         e=evidence,
         s=scored,
         answer=sentence(scored),
-        generated=in_words(evidence.generated_at),
+        most_open=MOST_OPEN,
         columns=COLUMNS,
         details_columns=DETAILS,
         sections=[_section(evidence, one, number) for number, one in enumerate(scored.avoiders, start=1)],

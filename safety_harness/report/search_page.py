@@ -22,7 +22,7 @@ from safety_harness.report.attribution_picture import draw_attributions
 from safety_harness.report.axes import Axes, Picture, stairs
 from safety_harness.report.coverage_map import coverage_map
 from safety_harness.report.evidence import JudgedRun
-from safety_harness.report.page_parts import in_words, render_page
+from safety_harness.report.page_parts import MOST_OPEN, render_page
 from safety_harness.report.path_views import path_views, shown_moment
 from safety_harness.report.search_attribution import FaultsOfSearch
 from safety_harness.report.svg import DASHES, Ink, plain
@@ -97,7 +97,6 @@ def render(evidence: SearchEvidence) -> str:
         "search.html.j2",
         style="search.css",
         e=evidence,
-        generated=in_words(evidence.generated_at),
         searches=searches,
         claims=[
             (goal.sentence, [_claim_line(one, k) for one in searches])
@@ -135,6 +134,7 @@ def render(evidence: SearchEvidence) -> str:
         share=share_words,
         minus=with_minus,
         draws=DRAWS,
+        most_open=MOST_OPEN,
         searched=KINEMATIC,
         confirming=PYBULLET,
     )

@@ -109,7 +109,7 @@ def render(outcomes: Sequence[FaultOutcome], about: SelfTestRun) -> str:
         bad=bad(outcomes),
         faults=[(one, row(one)) for one in faults],
         harmless=[(one, harmless_row(one)) for one in harmless],
-        head=HEAD,
-        harmless_head=HARMLESS_HEAD,
+        names=HEAD,
+        harmless_names=HARMLESS_HEAD,
         state_class=STATE_CLASS,
     )

@@ -2,7 +2,13 @@
 for (const heading of document.querySelectorAll(".again > th")) {  // the name of the row above, which a filter may hide
   heading.append(...[...heading.parentElement.previousElementSibling.cells[0].childNodes].map((one) => one.cloneNode(true)));
 }
+const rows = new Map();  // of each table, also those that are not shown
+const rowsOf = (table) => rows.get(table) ?? rows.set(table, [...table.tBodies[0].rows]).get(table);
+// A number as people write it, with its unit or another number after it; "" where there is none.
+const amount = (text) => text.replace("\u2212", "-").replace(/,/g, "").match(/^[-+]?[\d.]+/)?.[0] ?? "";
+const shows = new Map();  // what lays out the rows of a table again
 for (const table of document.querySelectorAll("table.sortable")) {
+  shows.set(table, () => table.tBodies[0].append(...rowsOf(table)));
   const headings = [...table.tHead.rows[0].cells];
   headings.forEach((heading, column) => {
     const button = document.createElement("button");
@@ -15,36 +21,40 @@ for (const table of document.querySelectorAll("table.sortable")) {
       headings.forEach((other) => other.removeAttribute("aria-sort"));
       heading.setAttribute("aria-sort", down ? "descending" : "ascending");
       table.classList.add("sorted");
-      const key = ({ cells: { [column]: cell } }) => cell.dataset.sort ?? cell.dataset.value ?? cell.textContent.trim();
+      const number = heading.classList.contains("number");
+      const key = ({ cells: { [column]: cell } }) => cell.dataset.sort ?? cell.dataset.value ?? (number ? amount : String)(cell.textContent.trim());
       const compare = (a, b) => {
         const x = key(a), y = key(b);
         if (x === "" || y === "") return (x === "") - (y === "");
         const order = isNaN(x) || isNaN(y) ? x.localeCompare(y) : x - y;
         return down ? -order : order;
       };
-      const body = table.tBodies[0];
-      body.append(...[...body.rows].sort(compare));
-      table.dispatchEvent(new Event("sorted"));
+      rowsOf(table).sort(compare);
+      shows.get(table)();
     });
   });
 }
 // A filter before each table that asks for one: a text, and a value of each column whose heading asks for it.  It stands
-// in the address after "#", where a page that is a file may write.  More than MOST_ROWS are laid out only when asked for.
+// in the address after "#", where a page that is a file may write.  Only rows that are shown are in the document, and of
+// more than MOST_ROWS the first; a browser that has to lay out ten thousand does not keep up with typing.
 const narrow = matchMedia("(max-width: 56rem)");
-const MOST_ROWS = narrow.matches ? 40 : 400;
+const MOST_ROWS = narrow.matches ? 40 : 200, FEWEST_ROWS = 6;
+const forms = [];
 for (const table of document.querySelectorAll("table[data-filter]")) {
+  const rows = rowsOf(table), body = table.tBodies[0];
+  if (rows.length < FEWEST_ROWS) continue;
   const headings = [...table.tHead.rows[0].cells];
-  let rows = [...table.tBodies[0].rows];
-  const value = (row, column) => {
-    const cell = row.cells[column];
-    return cell.dataset.value ?? (cell.querySelector("a") ?? cell).textContent.trim();
-  };
-  const form = document.createElement("form"), count = document.createElement("output");
+  const values = new Map(rows.map((row) => [row, []]));
+  const value = (row, column) => values.get(row)[column] ??= (({ cells: { [column]: cell } }) =>
+    cell.dataset.value ?? (cell.querySelector("a") ?? cell).textContent.trim())(row);
+  const texts = new Map();
+  const text = (row) => texts.get(row) ?? texts.set(row, row.textContent.toLowerCase()).get(row);
+  const form = document.createElement("form"), count = document.createElement("output"), number = forms.push(form);
   form.className = "filter";
-  form.setAttribute("aria-label", "Filter");
+  form.setAttribute("aria-label", `Filter: ${table.caption.textContent.split(/[.:]/)[0]}`);
   const field = (name, control) => {
     const label = document.createElement("label");
-    control.name = name.toLowerCase();
+    control.name = name.toLowerCase() + (number > 1 ? `-${number}` : "");
     label.append(name, control);
     form.append(label);
     return control;
@@ -62,27 +72,22 @@ for (const table of document.querySelectorAll("table[data-filter]")) {
   table.before(form);
   table.after(more);
   more.className = "more copy-button";
-  let texts, values, most = MOST_ROWS;
+  let most = MOST_ROWS;
   const show = () => {
     const words = find.value.toLowerCase().split(/\s+/).filter(Boolean);
-    const wanted = choices.map(([select]) => select.value);
-    if (words.length) texts ??= rows.map((row) => row.textContent.toLowerCase());
-    if (wanted.some(Boolean)) values ??= choices.map(([, column]) => rows.map((row) => value(row, column)));
-    let found = 0;
-    rows.forEach((row, k) => {
-      const is = wanted.every((one, c) => !one || values[c][k] === one) && words.every((word) => texts[k].includes(word));
-      found += is;
-      const hidden = !is || found > most;
-      if (row.hidden !== hidden) row.hidden = hidden;
-    });
-    const all = found === rows.length;
+    const wanted = choices.filter(([select]) => select.value).map(([select, column]) => [column, select.value]);
+    const found = rows.filter((row) => wanted.every(([column, one]) => value(row, column) === one)
+      && words.every((word) => text(row).includes(word)));
+    const all = found.length === rows.length;
+    body.replaceChildren(...found.slice(0, most));
     table.classList.toggle("filtered", !all);
     clear.disabled = all && !find.value;
-    more.hidden = found <= most;
-    count.textContent = (all ? `${found} rows` : `${found} of ${rows.length} rows`) + (found > most ? `, the first ${most} shown` : "");
+    more.hidden = found.length <= most;
+    count.textContent = (all ? `${rows.length} rows` : `${found.length} of ${rows.length} rows`)
+      + (found.length > most ? `, the first ${most} shown` : "");
   };
   const told = () => {
-    const asked = new URLSearchParams([...new FormData(form)].filter(([, one]) => one)).toString();
+    const asked = new URLSearchParams(forms.flatMap((one) => [...new FormData(one)]).filter(([, one]) => one)).toString();
     history.replaceState(null, "", asked ? `#${asked}` : location.pathname + location.search);
   };
   const read = () => {
@@ -93,19 +98,19 @@ for (const table of document.querySelectorAll("table[data-filter]")) {
   };
   form.addEventListener("input", () => { show(); told(); });
   more.addEventListener("click", () => { most = Infinity; show(); });
-  table.addEventListener("sorted", () => { rows = [...table.tBodies[0].rows]; texts = values = undefined; show(); });
+  shows.set(table, show);
   addEventListener("beforeprint", () => { most = Infinity; show(); });
   form.addEventListener("reset", () => setTimeout(() => { show(); told(); find.focus(); }));
   form.addEventListener("submit", (event) => event.preventDefault());
   addEventListener("hashchange", read);
-  addEventListener("keydown", (event) => {
-    if (event.key !== "/" || event.target.closest("input, select, textarea, [role=application]")) return;
-    event.preventDefault();
-    find.focus();
-  });
   show();
   read();
 }
+addEventListener("keydown", (event) => {
+  if (event.key !== "/" || !forms.length || event.target.closest("input, select, textarea, [role=application]")) return;
+  event.preventDefault();
+  forms[0].elements.find.focus();
+});
 // On a narrow screen rows become cards: then each cell says its heading, and what a table's parts are is said too.
 const label = () => {
   if (!narrow.matches) return;
@@ -114,7 +119,7 @@ const label = () => {
     const names = [...table.tHead.rows[0].cells].map((heading) => heading.textContent);
     table.setAttribute("role", "table");
     for (const part of [table.tHead, ...table.tBodies]) part.setAttribute("role", "rowgroup");
-    for (const row of table.rows) {
+    for (const row of [table.tHead.rows[0], ...rowsOf(table)]) {
       row.setAttribute("role", "row");
       [...row.cells].forEach((cell, column) => {
         cell.setAttribute("role", cell.tagName === "TD" ? "cell" : cell.scope === "col" ? "columnheader" : "rowheader");
