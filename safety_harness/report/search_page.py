@@ -96,6 +96,7 @@ def render(evidence: SearchEvidence) -> str:
     return render_page(
         "search.html.j2",
         style="search.css",
+        scripts=("coverage.js",),
         e=evidence,
         searches=searches,
         claims=[
