@@ -230,7 +230,8 @@ def missing(_: Evidence) -> CellTable:
     """By standard, what nothing in this report speaks to."""
     rows = [(name, one) for name, one in _ASKED if not one.here]
     return _table(
-        f"{len(rows)} of {len(_ASKED)} points are not covered here. The list has what could be sourced, no more.",
+        f"{len(rows)} of {len(_ASKED)} points are not covered here. "
+        "The list has what could be sourced, no more.",
         rows,
         {
             "Document": lambda one: words(one[0]),
