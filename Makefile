@@ -7,7 +7,7 @@ BIN := $(VENV)/bin
 INSTALL := -m pip install --quiet --disable-pip-version-check
 HERE := $(BIN)/python $(INSTALL) --constraint requirements.lock
 
-.PHONY: demo test suite long shield-all warm check sample paper bench bench-all others docs wheel oracles mutation mutants bounds release setup clean
+.PHONY: demo test suite long shield-all warm check accessibility sample paper bench bench-all others docs wheel oracles mutation mutants bounds release setup clean
 
 demo: $(VENV)/installed
 	$(BIN)/safety-harness run scenarios --out reports/demo
@@ -81,6 +81,11 @@ oracles: $(VENV)/tested
 	$(BIN)/python -m pytest -q tests/robot tests/perception tests/servoing tests/formulas tests/learning \
 		tests/avoidance/test_resnet_kernel.py tests/test_proportions.py --oracles plans/oracles.json
 	$(BIN)/python docs/tables.py
+
+# axe-core is not ours (MPL-2.0): npm install --prefix /tmp/axe axe-core
+accessibility: AXE := /tmp/axe/node_modules/axe-core/axe.min.js
+accessibility: $(VENV)/tested
+	$(BIN)/python benchmarks/accessibility.py $(AXE)
 
 # One small page of each kind, into reports/sample/.
 sample: $(VENV)/installed

@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 from safety_harness.certification.evidence import schema as evidence_schema
+from safety_harness.certification.standards import STANDARDS, told_with_standards
 from safety_harness.formulas.signals import markdown_of_signals
 from safety_harness.properties.catalogue import CATALOGUE
 from safety_harness.properties.entry import markdown_of_claims
@@ -31,12 +32,31 @@ def with_tables(text: str) -> str:
     """A page with every marked table as it should be; KeyError for a table that there is not."""
     tables = {table.name: markdown(table) for table in every_table()}
     tables["moves"] = markdown_of_moves(MOVES)
-    tables["claims"] = markdown_of_claims(CATALOGUE)
+    tables["claims"] = markdown_of_claims(CATALOGUE, told_with_standards)
+    tables["standards"] = markdown_of_standards()
     tables["signals"] = markdown_of_signals()
     tables["oracles"] = markdown_of_oracles()
     tables["kills"], tables["harmless"] = markdown_of_kills()
     tables["mutants"], tables["mutants that survived"] = markdown_of_mutants()
     return _MARKED.sub(lambda found: found[1] + tables[found[2]] + found[3], text)
+
+
+def markdown_of_standards() -> str:
+    """What of each document a report speaks to, as ``standards.yaml`` has it."""
+    rows = [
+        (one.name, asked.asks, asked.here or "**not covered**", asked.means)
+        for one in STANDARDS.standards
+        for asked in one.requirements
+    ]
+    head = ("document", "asks", "part of the report", "what it says, or what would cover it")
+    documents = [(f"{one.name}, {one.about}", one.status, one.source) for one in STANDARDS.standards]
+    return (
+        f"Last looked up in {STANDARDS.checked}.\n\n"
+        + "\n".join(table_of(("document", "status", "known from"), documents))
+        + "\n\n"
+        + "\n".join(table_of(head, rows))
+        + "\n"
+    )
 
 
 def markdown_of_kills() -> tuple[str, str]:

@@ -20,7 +20,7 @@ from html import escape
 
 from markupsafe import Markup
 
-from safety_harness.certification.evidence import ClaimEvidence, ClaimStatus, Evidence
+from safety_harness.certification.evidence import ClaimEvidence, ClaimStatus, Evidence, by_gravity
 from safety_harness.certification.verdicts import percent
 from safety_harness.report.page_parts import templates
 from safety_harness.report.svg import plain
@@ -79,7 +79,7 @@ def argument_of(evidence: Evidence) -> Element:
         "By claim and stratum, with exact bounds from independent runs",
         "results",
         beside=(Element(ElementKind.CONTEXT, sure, "plan"),),
-        below=tuple(map(_of_claim, evidence.claims)),
+        below=tuple(map(_of_claim, by_gravity(evidence.claims))),
     )
     means = (
         ("Ways to violate a claim are known and explained", "counterexamples", DOUBT, _hunt),
@@ -179,7 +179,6 @@ class _Box:
         self.element, self.x, self.y, self.width = element, x, y, WIDTH
         lines = textwrap.wrap(plain(element.text, longest=140), LETTERS) or [""]
         self.lines = [Markup(escape(line)) for line in (f"{element.key} \u00b7 {kind}", *lines)]
-        self.label = Markup(escape(f"{element.key}, {kind}: {element.text}"))
         self.height = 2 * PAD + LINE * len(self.lines)
         self.middle, self.bottom = x + WIDTH / 2.0, y + self.height
 
@@ -207,8 +206,7 @@ class _Layout:
 
     def _place(self, element: Element, left: float, top: float) -> tuple[_Box, float]:
         """Put ``element`` and all below it; returns its box and how far down all of it goes."""
-        span = _width(element)
-        box = self._box(element, left + (span - _own_width(element)) / 2.0, top)
+        box = self._box(element, left, top)  # it begins where a narrow screen does
         bottom = max(self._to_the_right(box, element.beside, "ring") - 8.0, box.bottom)
         if element.kind is ElementKind.STRATEGY:
             return box, self._rows(box, left, bottom + GAP_Y * 0.6)

@@ -9,6 +9,7 @@ known is None or an empty tuple, never a number that looks well.
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
@@ -392,6 +393,19 @@ class Evidence:
         decisions = [pair for stratum in self.strata for pair in stratum.decisions]
         unanswered = sum(count for what, count in decisions if what == UNANSWERED)
         return fallback_words(unanswered, sum(count for what, count in decisions if what != UNANSWERED))
+
+    @property
+    def full(self) -> bool:
+        """Was all of it asked for on paper?"""
+        return "--full" in self.provenance.command.split()
+
+
+SEVERITY = list(ClaimStatus)
+
+
+def by_gravity(claims: Iterable[ClaimEvidence]) -> list[ClaimEvidence]:
+    """The gravest first; those that stand alike as the plan has them."""
+    return sorted(claims, key=lambda one: -SEVERITY.index(one.standing))
 
 
 def as_text(evidence: Evidence) -> str:

@@ -22,7 +22,7 @@ _PLAIN = {
     ClaimStatus.INCOMPLETE: "has runs missing",
     ClaimStatus.NOT_SHOWN: "is not shown",
     ClaimStatus.DOUBTED: "is shown with doubt only",
-    ClaimStatus.ESTIMATED: "is estimated only: the plan sets no target",
+    ClaimStatus.ESTIMATED: "is estimated only",
 }
 
 

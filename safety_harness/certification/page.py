@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Mapping
 from pathlib import Path
 
 from markupsafe import Markup
 
+from safety_harness.campaign.session import LEDGER
 from safety_harness.certification.argument import STATE, argument_of, argument_svg
 from safety_harness.certification.evidence import (
+    SEVERITY,
     CertifiedClaim,
+    ClaimEvidence,
     ClaimStatus,
     CounterexampleEvidence,
     Evidence,
+    OpenFinding,
+    by_gravity,
 )
 from safety_harness.certification.figures import bounds_figure, margins_figure, separation_figure
 from safety_harness.certification.stored import cells_of
-from safety_harness.certification.tables import TABLES
+from safety_harness.certification.tables import TABLES, confidence_alone
 from safety_harness.certification.verdicts import confidence_words, percent
 from safety_harness.report.attribution_picture import draw_attributions
 from safety_harness.report.coverage_map import coverage_map
@@ -41,6 +47,11 @@ MEANINGS = {
     ClaimStatus.INCOMPLETE: "declared runs are missing, so there is no bound yet",
 }
 
+MOST_LED = 3  # findings before the rest folds
+MOST_OPEN = 2  # counterexamples that are drawn as the page opens
+# Without --full a printed page has so many of each, the gravest first.
+MOST_PRINTED, MOST_PRINTED_CLAIMS, MOST_PRINTED_ROWS = 3, 4, 25
+
 
 def write_page(path: Path, evidence: Evidence, runs: Mapping[int, JudgedRun]) -> None:
     """Write the page whole or not at all; it asks nothing of the network.  Raises OSError."""
@@ -63,11 +74,23 @@ def render(evidence: Evidence, runs: Mapping[int, JudgedRun]) -> str:
     return render_page(
         "evidence.html.j2",
         style="evidence.css",
-        scripts=("evidence.js",),
+        scripts=("evidence.js", "coverage.js"),
         replays=any(view["run"] for view in views),
         evidence=evidence,
         state=STATE,
         counts=_counts(evidence),
+        answer=_answer(evidence),
+        claims=by_gravity(evidence.claims),
+        findings=_by_gravity(evidence),
+        alone=confidence_alone(evidence),
+        query=lambda claim: shlex.join(
+            ["safety-harness", "campaign", "query", LEDGER, "--claim", claim, "--outcome", "violated"]
+        ),
+        most_led=MOST_LED,
+        most_open=MOST_OPEN,
+        most_printed=MOST_PRINTED,
+        most_printed_claims=MOST_PRINTED_CLAIMS,
+        most_printed_rows=MOST_PRINTED_ROWS,
         meanings=_meanings(evidence),
         tables=TABLES,
         bounds_figure=bounds_figure,
@@ -91,16 +114,33 @@ def render(evidence: Evidence, runs: Mapping[int, JudgedRun]) -> str:
     )
 
 
-def _counts(evidence: Evidence) -> list[tuple[str, str, int]]:
+def _counts(evidence: Evidence) -> list[tuple[str, str, list[ClaimEvidence]]]:
     """(words, class, claims) for the four numbers at the top."""
-    standings = [claim.standing for claim in evidence.claims]
     open_ones = (ClaimStatus.NOT_SHOWN, ClaimStatus.INCOMPLETE, ClaimStatus.ESTIMATED, ClaimStatus.DOUBTED)
     return [
-        ("shown", "holds", standings.count(ClaimStatus.SHOWN)),
-        ("refuted", "violated", standings.count(ClaimStatus.REFUTED)),
-        ("open", "inconclusive", sum(standings.count(one) for one in open_ones)),
-        ("never tested", "violated", standings.count(ClaimStatus.UNTESTED)),
+        (words, css, [claim for claim in by_gravity(evidence.claims) if claim.standing in which])
+        for words, css, which in (
+            ("shown", "holds", (ClaimStatus.SHOWN,)),
+            ("refuted", "violated", (ClaimStatus.REFUTED,)),
+            ("open", "inconclusive", open_ones),
+            ("never tested", "violated", (ClaimStatus.UNTESTED,)),
+        )
     ]
+
+
+def _answer(evidence: Evidence) -> str:
+    """In one sentence, the gravest first; the worst claim decides."""
+    standings = [claim.standing for claim in evidence.claims]
+    words = (f"{standings.count(one)} {one.value}" for one in reversed(SEVERITY) if one in standings)
+    claims = "the plan's one claim" if len(standings) == 1 else f"{len(standings)} claims"
+    return f"Of {claims}: {', '.join(words)}. The plan as a whole stands as its gravest claim does."
+
+
+def _by_gravity(evidence: Evidence) -> list[OpenFinding]:
+    """The gravest first: whatever is open beside the claims comes after those that are not shown."""
+    grave = {f"claim-{one.number}": SEVERITY.index(one.standing) for one in evidence.claims}
+    beside = SEVERITY.index(ClaimStatus.NOT_SHOWN) - 0.5
+    return sorted(evidence.findings, key=lambda one: -grave.get(one.place, beside))
 
 
 def _proven(evidence: Evidence) -> list[tuple[CertifiedClaim, str, list[tuple[str, Markup]]]]:

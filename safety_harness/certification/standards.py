@@ -1,20 +1,65 @@
 """Which hazard a claim of the catalogue is about, and the terms of the standards that it is traced to.
 
 Terms only: a claim speaks the standards' language so that an assessor finds the way, which is no statement
-of conformity.  Clauses are named where this package's own formulas come from them.
+of conformity.  The standards, their editions, and what of them this report speaks to are ``standards.yaml``.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
+
+from ruamel.yaml import YAML
 
 from safety_harness.certification.evidence import StandardTerm
 from safety_harness.properties.catalogue import CATALOGUE
-from safety_harness.properties.entry import CatalogueEntry
+from safety_harness.properties.entry import CatalogueEntry, told
+from safety_harness.scenario.typed_json import typed
 
-CELL = "ISO 10218-2:2025"
-ROBOT = "ISO 10218-1:2025"
-COLLABORATION = "ISO/TS 15066"
+TABLE = Path(__file__).with_name("standards.yaml")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Requirement:
+    """What a standard ``asks``; ``here`` is the id of the part of the page that speaks to it, or empty.
+
+    ``means`` is what that part says of it, or what it would take where nothing here speaks to it.
+    """
+
+    asks: str
+    means: str
+    here: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Standard:
+    """A document with its edition in its ``name``, what it is ``about``, and where that is known from."""
+
+    id: str
+    name: str
+    about: str
+    status: str
+    source: str
+    requirements: tuple[Requirement, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class StandardsTable:
+    """``checked``: year and month in which each status was last looked up."""
+
+    checked: str
+    standards: tuple[Standard, ...]
+
+    def __getitem__(self, key: str) -> Standard:
+        return next(one for one in self.standards if one.id == key)
+
+
+STANDARDS = typed(
+    YAML(typ="safe", pure=True).load(TABLE.read_text("utf-8")), StandardsTable, TABLE, defaults=True
+)
+CELL, ROBOT, RISK = (STANDARDS[key].name for key in ("cell", "robot", "risk"))
+FORMERLY = STANDARDS["contact"].name  # its content is within the cell's standard now
 
 
 @dataclass(frozen=True)
@@ -33,22 +78,22 @@ MONITORING = (CELL, "collaborative application, speed and separation monitoring"
 SEPARATION = _traced(
     "impact, crushing or trapping of a hand or forearm by the moving arm",
     MONITORING,
-    (COLLABORATION, "protective separation distance S_p (5.5.4)"),
+    (CELL, f"protective separation distance S_p ({FORMERLY}, 5.5.4)"),
 )
 DISTANCE = _traced(
     "impact, crushing or trapping of a hand or forearm by the arm",
     MONITORING,
-    (COLLABORATION, "protective separation distance, held to a constant"),
+    (CELL, "protective separation distance, held to a constant"),
 )
 REACTION = _traced(
     "the arm notices a hand, but gives way or stops too late",
     MONITORING,
-    (COLLABORATION, "reaction time T_r"),
+    (CELL, "reaction time T_r"),
 )
 UNNOTICED = _traced(
     "a hand is near, and the arm does not notice it or notices it too late",
     MONITORING,
-    (COLLABORATION, "reaction time T_r, and position uncertainty of the human, Z_d"),
+    (CELL, "reaction time T_r, and position uncertainty of the human, Z_d"),
 )
 LEARNED = _traced(
     "a learned proposal is followed where it should not be trusted",
@@ -66,20 +111,20 @@ SPACE = _traced(
 SPEED = _traced(
     "the arm moves faster than separation and stopping distances allow for",
     (ROBOT, "reduced speed, monitored speed"),
-    (COLLABORATION, "robot speed v_r of the protective separation distance"),
+    (CELL, "robot speed v_r of the protective separation distance"),
 )
 STOPPING = _traced(
     "the arm does not come to rest in the time that the distances allow for",
     (ROBOT, "protective stop, stopping time and stopping distance"),
-    (COLLABORATION, "stopping time T_s"),
+    (CELL, "stopping time T_s"),
 )
 AVAILABILITY = _traced(
     "work is disturbed in vain, so that people come to bypass the safeguard",
-    ("ISO 12100", "reasonably foreseeable misuse: defeating a safeguard"),
+    (RISK, "reasonably foreseeable misuse: defeating a safeguard"),
 )
 TASK = _traced("none of its own: the task, without which staying clear is no merit")
 MEASUREMENT = _traced(
-    "hands are taken to be where they are not", (COLLABORATION, "position uncertainty of the human, Z_d")
+    "hands are taken to be where they are not", (CELL, "position uncertainty of the human, Z_d")
 )
 
 TRACED = {  # by the example in the entry of the catalogue
@@ -141,6 +186,13 @@ ASSUMPTIONS = (
     "the model of the arm is that of its URDF; its capsules enclose every triangle of its meshes",
     "runs are independent: each has seeds of its own, from the plan's seed and its number",
 )
+
+
+def told_with_standards(entry: CatalogueEntry) -> Iterator[tuple[str, str]]:
+    """(name, text) of everything that an entry says for people, and the standards that it is traced to."""
+    yield from told(entry)
+    terms = TRACED[entry.example].terms
+    yield "standards", "; ".join(f"{one.standard}: {one.term}" for one in terms) or "none"
 
 
 def entry_of(sentence: str) -> CatalogueEntry | None:

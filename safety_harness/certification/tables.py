@@ -14,7 +14,9 @@ from safety_harness.certification.evidence import (
     ClaimStatus,
     Evidence,
     OverrulingResult,
+    by_gravity,
 )
+from safety_harness.certification.standards import STANDARDS
 from safety_harness.certification.stored import cells_of
 from safety_harness.certification.tools import (
     Credibility,
@@ -36,7 +38,10 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, kw_only=True)
 class TableCell:
-    """One cell: ``sort`` is what a sorted column compares, ``state`` the class and icon of a verdict."""
+    """One cell: ``sort`` is what a sorted column compares, ``state`` the class and icon of a verdict.
+
+    ``href`` leads from it, ``row`` is the id of the row that it begins.
+    """
 
     text: str
     sort: str = ""
@@ -44,6 +49,7 @@ class TableCell:
     state: str = ""
     href: str = ""
     note: str = ""
+    row: str = ""
 
 
 @dataclass(frozen=True)
@@ -61,19 +67,19 @@ def _table(caption: str, things: Iterable[T], columns: Mapping[str, Callable[[T]
     return CellTable(caption, tuple(columns), rows)
 
 
-def words(text: str, *, href: str = "", note: str = "") -> TableCell:
+def words(text: str, *, href: str = "", note: str = "", row: str = "") -> TableCell:
     """A cell of words."""
-    return TableCell(text=text, href=href, note=note)
+    return TableCell(text=text, href=href, note=note, row=row)
 
 
-def number(text: str, sort: float | None = None) -> TableCell:
-    """A cell of a number, sorted by ``sort``."""
-    return TableCell(text=text, number=True, sort="" if sort is None else repr(float(sort)))
+def number(text: str, sort: float | None = None, href: str = "") -> TableCell:
+    """A cell of a number, sorted by ``sort``, that leads to what it counts."""
+    return TableCell(text=text, number=True, sort="" if sort is None else repr(float(sort)), href=href)
 
 
-def count(value: int) -> TableCell:
-    """A cell of a whole number."""
-    return number(f"{value:,}".replace(",", "\u202f"), value)
+def count(value: int, href: str = "") -> TableCell:
+    """A cell of a whole number; zero leads nowhere."""
+    return number(f"{value:,}".replace(",", "\u202f"), value, href if value else "")
 
 
 def standing(value: ClaimStatus) -> TableCell:
@@ -96,60 +102,77 @@ def at_least_words(margin_si: float, claim: ClaimEvidence) -> str:
 
 
 def verdicts(evidence: Evidence) -> CellTable:
-    """The first page: every claim with its verdict, bound and how often it was exercised."""
+    """The first page: every claim with its verdict, bound, how often it was exercised, and its hazard."""
     return _table(
-        "One row for each claim over all strata of the plan: the largest upper bound, and the counts "
-        "of all strata together; each in full under the claim.",
-        evidence.claims,
+        "The gravest claim first, over all strata of the plan: the largest upper bound, and the counts of "
+        "all strata together; each number leads to its rows. Performance level: none claimed.",
+        by_gravity(evidence.claims),
         {
-            "Claim": lambda one: words(one.sentence, href=f"claim-{one.number}"),
+            "Claim": lambda one: words(
+                one.sentence, href=f"claim-{one.number}", row=f"claim-row-{one.number}"
+            ),
             "Verdict": lambda one: standing(one.standing),
             "May be violated in up to": _upper,
             "Target": lambda one: number(DASH if one.target is None else percent(one.target), one.target),
             "Put to the test": _tested,
-            "Without verdict": lambda one: count(sum(o.inconclusive + o.failed for o in one.outcomes)),
-            "Why": lambda one: words(one.why),
+            "Without verdict": lambda one: count(
+                sum(o.inconclusive + o.failed for o in one.outcomes), _row(one, 0)
+            ),
+            "Hazard": lambda one: words(
+                one.hazard, note="in the plan's own words" if one.hazard_is_authors else ""
+            ),
         },
     )
+
+
+def _row(claim: ClaimEvidence, stratum: int) -> str:
+    """The id of a claim's row of a stratum among the results."""
+    return f"row-{claim.number}-{stratum + 1}"
 
 
 def _upper(claim: ClaimEvidence) -> TableCell:
     uppers = [outcome.bound.upper for outcome in claim.outcomes if outcome.bound is not None]
     if not uppers or len(uppers) < len(claim.outcomes):
         return number("not bounded")
-    return number(at_most(max(uppers)), max(uppers))
+    return number(at_most(max(uppers)), max(uppers), _row(claim, uppers.index(max(uppers))))
 
 
 def _tested(claim: ClaimEvidence) -> TableCell:
     tested = sum(outcome.tested for outcome in claim.outcomes)
-    return number(f"{tested} of {sum(outcome.runs for outcome in claim.outcomes)} runs", tested)
+    runs = sum(outcome.runs for outcome in claim.outcomes)
+    return number(f"{tested} of {runs} runs", tested, _row(claim, 0) if runs else "")
 
 
-def outcomes(claim: ClaimEvidence) -> CellTable:
-    """One claim by stratum."""
+def results(evidence: Evidence) -> CellTable:
+    """Every claim in every stratum, the gravest claim first."""
+    known = confidence_alone(evidence)
+    rows = [(one, k, what) for one in by_gravity(evidence.claims) for k, what in enumerate(one.outcomes)]
     return _table(
         "Trials are the runs that put the claim to the test. The upper bound counts runs without a "
         "verdict and runs that could not be carried on as violations, the lower bound counts none of them."
-        + (f" Each interval holds with {known} confidence alone." if (known := _confidence(claim)) else ""),
-        claim.outcomes,
+        + (f" Each interval holds with {known} confidence alone." if known else ""),
+        rows,
         {
-            "Stratum": lambda one: words(one.stratum),
-            "Verdict": lambda one: standing(one.standing),
-            "Runs": lambda one: count(one.runs),
-            "Trials": lambda one: count(one.tested),
-            "Violated": lambda one: count(one.violated),
-            "No verdict": lambda one: count(one.inconclusive),
-            "Could not run": lambda one: count(one.failed),
-            "Untested": lambda one: count(one.untested),
-            "Bounds": _bounds,
-            "Least margin": lambda one: number(margin_words(one.least_margin_si, claim), one.least_margin_si),
+            "Claim": lambda one: words(one[0].sentence, row=_row(one[0], one[1])),
+            "Stratum": lambda one: words(one[2].stratum),
+            "Verdict": lambda one: standing(one[2].standing),
+            "Runs": lambda one: count(one[2].runs),
+            "Trials": lambda one: count(one[2].tested),
+            "Violated": lambda one: count(one[2].violated, f"claim-{one[0].number}"),
+            "No verdict": lambda one: count(one[2].inconclusive),
+            "Could not run": lambda one: count(one[2].failed),
+            "Bounds": lambda one: _bounds(one[2]),
+            "Least margin": lambda one: number(
+                margin_words(one[2].least_margin_si, one[0]), one[2].least_margin_si
+            ),
         },
     )
 
 
-def _confidence(claim: ClaimEvidence) -> str:
-    """Of each interval of the claim alone: the error is shared equally."""
-    return next((confidence_words(one.bound.confidence) for one in claim.outcomes if one.bound), "")
+def confidence_alone(evidence: Evidence) -> str:
+    """Of each interval alone: the error is shared equally."""
+    bounds = (outcome.bound for claim in evidence.claims for outcome in claim.outcomes)
+    return next((confidence_words(one.confidence) for one in bounds if one), "")
 
 
 def _bounds(outcome: ClaimResult | OverrulingResult) -> TableCell:
@@ -161,9 +184,7 @@ def _bounds(outcome: ClaimResult | OverrulingResult) -> TableCell:
 def quantiles(claim: ClaimEvidence) -> CellTable:
     """How much at least most runs keep."""
     return _table(
-        "At least this share of the runs that test the claim keeps at least this margin (order "
-        f"statistics, whatever the distribution). Each line holds with {_confidence(claim)} confidence "
-        "alone; none is among the bounds that hold together.",
+        "Margins that most runs keep.",
         [(outcome.stratum, quantile) for outcome in claim.outcomes for quantile in outcome.quantiles],
         {
             "Stratum": lambda one: words(one[0]),
@@ -175,21 +196,61 @@ def quantiles(claim: ClaimEvidence) -> CellTable:
     )
 
 
-def hazards(evidence: Evidence) -> CellTable:
-    """What each claim is about, in the terms of the standards."""
+def standards(evidence: Evidence) -> CellTable:
+    """The documents with their status, and which claims are traced to which of their terms."""
+    claims: dict[tuple[str, str], list[int]] = {}
+    for claim in evidence.claims:
+        for term in claim.terms:
+            claims.setdefault((term.standard, term.term), []).append(claim.number)
+
+    def traced_to(name: str) -> str:
+        found = {term: numbers for (standard, term), numbers in claims.items() if standard == name}
+        return "; ".join(
+            f"{term}: {'claim' if len(numbers) == 1 else 'claims'} {', '.join(map(str, numbers))}"
+            for term, numbers in found.items()
+        )
+
     return _table(
-        "Terms of the standards, so that an assessor finds the way; no statement of conformity. The "
-        "performance level that ISO 13849-1 would ask of a safety function is claimed for none of them.",
-        evidence.claims,
+        f"Status as last looked up in {STANDARDS.checked}. Terms, so that an assessor finds the way; no "
+        "statement of conformity.",
+        STANDARDS.standards,
         {
-            "Claim": lambda one: words(one.sentence, href=f"claim-{one.number}"),
-            "Hazard": lambda one: words(
-                one.hazard, note="in the plan's own words" if one.hazard_is_authors else ""
-            ),
-            "Traced to": lambda one: words(
-                "; ".join(f"{term.standard}: {term.term}" for term in one.terms) or "nothing"
-            ),
-            "Performance level": lambda one: words("none claimed"),
+            "Document": lambda one: words(one.name, note=one.about),
+            "Status": lambda one: words(one.status),
+            "Known from": lambda one: words(one.source),
+            "Traced to it": lambda one: words(traced_to(one.name) or DASH),
+        },
+    )
+
+
+_ASKED = [(standard.name, one) for standard in STANDARDS.standards for one in standard.requirements]
+
+
+def missing(_: Evidence) -> CellTable:
+    """By standard, what nothing in this report speaks to."""
+    rows = [(name, one) for name, one in _ASKED if not one.here]
+    return _table(
+        f"{len(rows)} of {len(_ASKED)} points are not covered here. "
+        "The list has what could be sourced, no more.",
+        rows,
+        {
+            "Document": lambda one: words(one[0]),
+            "Asks": lambda one: words(one[1].asks),
+            "What would cover it": lambda one: words(one[1].means),
+        },
+    )
+
+
+def spoken_to(_: Evidence) -> CellTable:
+    """By standard, which part of this report speaks to what."""
+    return _table(
+        "A part of this report that speaks to a requirement does not fulfil it.",
+        [(name, one) for name, one in _ASKED if one.here],
+        {
+            "Document": lambda one: words(one[0]),
+            "Asks": lambda one: words(one[1].asks),
+            "Here": lambda one: words(one[1].here, href=one[1].here),
+            "What it says": lambda one: words(one[1].means),
         },
     )
 
@@ -391,7 +452,7 @@ def kills(test: SelfTest) -> CellTable:
     return _table(
         f"Faults seeded into the system, profile {test.profile}: {test.caught} of {len(test.faults)} "
         f"caught{'' if test.whole else '; not every fault of the catalogue was tried'}.",
-        test.faults,
+        sorted(test.faults, key=lambda one: bool(one.caught_by)),
         {
             "Fault": lambda one: words(one.name),
             "Part": lambda one: words(one.part),
@@ -405,9 +466,11 @@ def kills(test: SelfTest) -> CellTable:
 _EVERY: tuple[Callable[..., object], ...] = (
     *(
         verdicts,
-        outcomes,
+        results,
         quantiles,
-        hazards,
+        standards,
+        missing,
+        spoken_to,
         strata,
         overruling,
         separation,

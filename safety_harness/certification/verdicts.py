@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from safety_harness.certification.evidence import Bound, ClaimResult, ClaimStatus, OverrulingResult
+from safety_harness.certification.evidence import SEVERITY, Bound, ClaimResult, ClaimStatus, OverrulingResult
 from safety_harness.report.words import rounded_down, rounded_up
 from safety_harness.simulation.worlds import WorldEntry
 
@@ -71,7 +71,7 @@ def standing_of(
 
 def gravest(standings: Iterable[ClaimStatus]) -> ClaimStatus:
     """The one that a reader has to know first; UNTESTED of nothing at all."""
-    return max(standings, key=list(ClaimStatus).index, default=ClaimStatus.UNTESTED)
+    return max(standings, key=SEVERITY.index, default=ClaimStatus.UNTESTED)
 
 
 def overall(outcomes: Sequence[ClaimResult]) -> tuple[ClaimStatus, str]:

@@ -49,6 +49,9 @@ def certify(
     pdf: Annotated[
         bool, Option("--pdf", help="Also print the page to evidence.pdf, with an installed Chromium.")
     ] = False,
+    full: Annotated[
+        bool, Option("--full", help="On paper have all of the page, and not the gravest of each kind.")
+    ] = False,
     workers: Workers = None,
     selftest: Annotated[
         Path | None, Option(help="selftest.json of safety-harness selftest, to be part of the report.")
@@ -110,7 +113,7 @@ def certify(
     for name, value in files.items():
         words += [name, str(told(value))] if value else []
     words += [word for one in cell for word in ("--cell", str(told(one)))]
-    again = shlex.join(words + ["--pdf"] * pdf)
+    again = shlex.join(words + ["--pdf"] * pdf + ["--full"] * full)
     job = Certification.of(
         plan,
         out,

@@ -39,9 +39,9 @@ def explain_claims(words: Sequence[str]) -> int:
 
     The words may be a whole sentence with a limit of one's own: what understands it is explained.
     """
+    from safety_harness.certification.standards import told_with_standards as told
     from safety_harness.formulas.signals import SIGNALS
     from safety_harness.properties.catalogue import CATALOGUE  # slow to import
-    from safety_harness.properties.entry import told
 
     asked = " ".join(" ".join(words).split())
     examples = [entry.example for entry in CATALOGUE]
@@ -72,7 +72,7 @@ def _explain(
 
 
 def _claim_lines(entry: CatalogueEntry) -> Iterator[str]:
-    from safety_harness.properties.entry import told
+    from safety_harness.certification.standards import told_with_standards as told
 
     yield entry.example
     columns = min(columns_of(sys.stdout) or WIDTH, WIDTH)

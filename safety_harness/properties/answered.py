@@ -198,7 +198,7 @@ DECISION_TIME = CatalogueEntry(
     make=lambda match, _, place: DecisionTime(within_s=quantity(match[1], TIME, place)),
     rationale="the hand moves on while the avoider thinks. What a decision costs is declared, or measured in "
     "a profile: whether the avoider keeps to it on the robot's own computer is not shown by any run here",
-    source="the reaction time T_r of ISO/TS 15066, in which all has to fit",
+    source="the reaction time T_r, in which all has to fit",
     margin="the limit less the longest simulated time from a question to the tick at which its answer "
     "counts; one control period over the limit, at least, for an answer that was given up on",
     parameters="the limit; the decision time and the decision deadline of the settings",

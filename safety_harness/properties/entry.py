@@ -6,7 +6,7 @@ Pages are written from the entries, so that they say what the code knows.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 from safety_harness.exceptions import InadmissibleError, Place
@@ -127,8 +127,11 @@ def _unit_words(entry: CatalogueEntry) -> str:
     return entry.unit.symbol or "a number"
 
 
-def markdown_of_claims(entries: Sequence[CatalogueEntry]) -> str:
-    """A table of all sentences, then each with everything that its entry says."""
+def markdown_of_claims(
+    entries: Sequence[CatalogueEntry],
+    told: Callable[[CatalogueEntry], Iterable[tuple[str, str]]] = told,
+) -> str:
+    """A table of all sentences, then each with everything that is ``told`` of it."""
     rows = ["| sentence | margin in | exercised when |", "|---|---|---|"]
     rows += [f"| `{e.example}` | {_unit_words(e)} | {e.exercised} |" for e in entries]
     sections = []

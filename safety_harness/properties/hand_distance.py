@@ -338,7 +338,7 @@ HAND_DISTANCE = CatalogueEntry(
         minimum_m=quantity(match[1], LENGTH, place), near_m=scenario.settings.avoidance.critical_distance_m
     ),
     rationale="contact with a moving robot is the hazard itself",
-    source="ISO/TS 15066, the protective separation distance as a constant",
+    source="the protective separation distance as a constant",
     margin="least distance, surface to surface, of any hand or forearm from any link, less the limit; a "
     "certified bound between ticks",
     parameters="the limit; the hands' sizes and the critical distance of the settings",

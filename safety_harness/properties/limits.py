@@ -226,7 +226,7 @@ TCP_SPEED = CatalogueEntry(
     pattern=r"TCP speed never above (.+)",
     make=lambda match, _, place: TcpSpeedLimit(maximum_mps=quantity(match[1], SPEED, place)),
     rationale="a person beside the robot can still step back from one that moves at reduced speed",
-    source="ISO 10218-1, reduced speed",
+    source="the reduced speed at which a person may be near",
     margin="speed left to the limit, least over time; the mean speed between ticks counts too",
     parameters="the limit",
     exercised="the arm moves",

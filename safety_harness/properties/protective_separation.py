@@ -286,7 +286,7 @@ PROTECTIVE_SEPARATION = CatalogueEntry(
     prop=ProtectiveSeparation(),
     rationale="a constant distance knows nothing of how long the arm takes to stop, nor of how fast "
     "either comes: this is the distance at which stopping still helps",
-    source="ISO/TS 15066, 5.5.4 (now in ISO 10218-2:2025): S_p = S_h + S_r + S_s + C + Z_d + Z_r",
+    source="S_p = S_h + S_r + S_s + C + Z_d + Z_r, as NIST's overview has it (PMC5117641)",
     margin=_MARGIN,
     parameters=f"v_h = 1.6 m/s; {_TIMES}",
     exercised="a hand comes as near to the moving arm as S_p can be for an arm at its speed limit",

@@ -252,7 +252,7 @@ GIVES_WAY = CatalogueEntry(
     make=lambda match, _, place: GivesWay(within_s=quantity(match[1], TIME, place)),
     rationale="every later step takes it for granted that the arm reacts within the time that its separation "
     "allows for",
-    source="the paper, section 3.3; the reaction time T_r of ISO/TS 15066",
+    source="the paper, section 3.3; the reaction time T_r",
     margin="the time allowed less the longest for which a predicted hand was near and the arm neither gave "
     "way nor was stopped",
     parameters="the time; the critical distance of the settings",
@@ -267,8 +267,7 @@ GIVES_WAY_TO_TRUE_HAND = replace(
     make=lambda match, _, place: GivesWayToTrueHand(within_s=quantity(match[1], TIME, place)),
     rationale="a hand that is not seen, or seen elsewhere, is as much in danger as one that is: every claim "
     "about predictions passes it over",
-    source="the project's own; the reaction time T_r of ISO/TS 15066, from the hand and not from what is "
-    "known of it",
+    source="the project's own; the reaction time T_r, from the hand and not from what is known of it",
     margin="the time allowed less the longest for which a true hand was near and the arm neither gave way "
     "nor was stopped",
     exercised="a true hand comes within the critical distance of the TCP",

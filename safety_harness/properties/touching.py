@@ -153,7 +153,7 @@ NO_MOVING_PART_TOUCHES = CatalogueEntry(
         near_m=scenario.settings.avoidance.critical_distance_m
     ),
     rationale="a person may always touch an arm, even run into it; what hurts is an arm that moves",
-    source="ISO 10218-2:2025, speed and separation monitoring: the arm stops before a person is there",
+    source="speed and separation monitoring: the arm stops before a person is there",
     margin="least distance, surface to surface, of any hand or forearm from any part of the arm, over the "
     "ticks in which that part moves; a certified bound between ticks",
     parameters="the hands' sizes and the critical distance of the settings; a part stands whose joints turn "

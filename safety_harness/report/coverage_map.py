@@ -24,11 +24,10 @@ from safety_harness.search.coverage import (
     CoverageCell,
 )
 
-CELL_PX, LEFT_PX, TOP_PX, RIGHT_PX, BELOW_PX = 12, 152, 76, 54, 118
+CELL_PX, LEFT_PX, TOP_PX, RIGHT_PX, BELOW_PX = 12, 152, 158, 54, 94
 GAPS_PX = {"direction": 7, "distance": 10, "seen": 3}  # before each group but the first
 SIZES_PX = (3, 5, 7, 9, 11)  # of squares, by decades
 CLASSES = ("1", "2 to 9", "10 to 99", "100 to 999", "1,000 and more")
-LETTERS = dict(zip(OUTCOMES, ("n", "p", "o", "s"), strict=True))
 NOTHING: Mapping[CoverageCell, int] = {}
 
 
@@ -79,6 +78,7 @@ def coverage_map(
     for cell, count in sorted(coverage.counts.items()):
         if count > 0:
             _draw_cell(root, cell, count, violations.get(cell, 0))
+    _name_axes(root)
     _name_rows(root, coverage)
     _name_columns(root, coverage)
     _draw_key(root, BOTTOM_PX + 66)
@@ -118,6 +118,14 @@ def _draw_square(parent: Element, size_px: int, where: tuple[int, int], *, viola
         SubElement(parent, "rect", {**frame, "fill": "none", "stroke": ink, "stroke-width": "1.2"})
 
 
+def _name_axes(root: Element) -> None:
+    """Before the first column and above the first row."""
+    for y, words in ((14, "Least distance"), (34, "In the training data"), (TOP_PX - 60, "Gravest decision")):
+        _label(root, LEFT_PX - 8, y, words, text_anchor="end")
+    _label(root, 0, TOP_PX - 8, "Hand comes from")
+    _label(root, LEFT_PX - 8, TOP_PX - 8, "Its speed", text_anchor="end")
+
+
 def _name_rows(root: Element, coverage: Coverage) -> None:
     speeds = coverage.table("direction", "speed")
     for direction, runs in coverage.along("direction").items():
@@ -141,17 +149,13 @@ def _name_columns(root: Element, coverage: Coverage) -> None:
             for line, word in enumerate(seen.split()):
                 _label(root, X_PX[distance, seen, OUTCOMES[0]], 34 + 12 * line, word)
             for outcome in OUTCOMES:
-                middle = X_PX[distance, seen, outcome] + CELL_PX / 2
-                letter = LETTERS[outcome]
-                _label(root, middle, TOP_PX - 10, letter, text_anchor="middle")
+                _upright(root, X_PX[distance, seen, outcome], TOP_PX - 8, outcome)
     totals: Counter[tuple[str, str, str]] = Counter()
     for cell, count in coverage.counts.items():
         totals[cell.distance, cell.seen, cell.outcome] += count
     for column, left in X_PX.items():
         if totals[column]:
-            turn = f"rotate(-90 {left + 10} {BOTTOM_PX + 8})"
-            total = f"{totals[column]:,}"
-            _label(root, left + 10, BOTTOM_PX + 8, total, text_anchor="end", transform=turn)
+            _upright(root, left, BOTTOM_PX + 8, f"{totals[column]:,}", text_anchor="end")
 
 
 def _draw_key(root: Element, top: int) -> None:
@@ -163,9 +167,6 @@ def _draw_key(root: Element, top: int) -> None:
         left += 36 + 7 * len(words)
     _draw_square(root, 7, (left + 10, top), violated=True)
     _text(root, left + 27, top + 10, "violations among them")
-    letters = ",  ".join(f"{letter} {outcome}" for outcome, letter in LETTERS.items())
-    _text(root, 0, top + 34, "Gravest decision:", ink=Ink.MUTED)
-    _text(root, LEFT_PX, top + 34, letters)
 
 
 def _text(
@@ -179,6 +180,11 @@ def _text(
 
 def _label(parent: Element, x: float, y: float, words: str, **others: str) -> None:
     _text(parent, x, y, words, Ink.MUTED, 10, **others)
+
+
+def _upright(parent: Element, left: float, y: float, words: str, **others: str) -> None:
+    """In a column, read from below."""
+    _label(parent, left + 10, y, words, transform=f"rotate(-90 {left + 10:g} {y:g})", **others)
 
 
 def _runs(count: int) -> str:

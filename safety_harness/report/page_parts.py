@@ -37,7 +37,7 @@ def templates(of: str = PACKAGE) -> Environment:
 
 
 def _headings(page: str) -> list[tuple[str, Markup]]:
-    """The id and the words of each part of a page, for its contents; articles are left out."""
+    """The id and the words of each part of a page, for its table of contents; without those of articles."""
     found = re.findall(r'<h2 id="([^"]+)"(?: tabindex="-1")?>(.*?)</h2>', page)
     return [(name, Markup(words)) for name, words in found if not name.endswith("-heading")]
 

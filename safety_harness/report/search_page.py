@@ -98,6 +98,7 @@ def render(evidence: SearchEvidence) -> str:
     return render_page(
         "search.html.j2",
         style="search.css",
+        scripts=("coverage.js",),
         replays=bool(evidence.shown),
         e=evidence,
         searches=searches,

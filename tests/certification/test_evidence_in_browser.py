@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -250,6 +251,67 @@ def test_in_print_all_is_unfolded_and_no_table_is_cut(browser: Any, report: str)
     )
     assert cut == []
     assert browser.execute_script(f"return getComputedStyle({FIRST}).display") == "none"
+
+
+def test_the_page_leads_within_two_screens_and_has_few_stops_for_the_keyboard(
+    browser: Any, report: str
+) -> None:
+    show(browser, report, width=1280)
+    led = browser.execute_script("return document.querySelector('.verdicts').getBoundingClientRect().bottom")
+    assert led <= 2 * 800
+    stops = browser.execute_script(
+        """return [...document.querySelectorAll("a[href], button, input, select, summary, [tabindex]")]
+             .filter((e) => e.tabIndex >= 0 && !e.disabled && e.checkVisibility()).length"""
+    )
+    assert 40 < stops <= 140
+
+
+def test_the_argument_begins_on_a_phone_s_screen(browser: Any, report: str) -> None:
+    show(browser, report, width=390)
+    box = "document.querySelector('.gsn a').getBoundingClientRect()"
+    left, right = browser.execute_script(f"return [{box}.left, {box}.right]")
+    assert 0 <= left < right <= 390
+
+
+def test_a_printed_page_has_25_sheets_at_most_and_all_of_it_if_asked(
+    browser: Any, run: JudgedRun, tmp_path: Path
+) -> None:
+    """More counterexamples and faults than fit."""
+    whole = evidence()
+    examples = tuple(replace(whole.counterexamples[0], number=number) for number in range(1, 31))
+    assert whole.selftest is not None
+    trial = replace(whole.selftest, faults=whole.selftest.faults * 40)
+    full = replace(whole.provenance, command="safety-harness certify plan.yaml --full")
+    sheets = []
+    for provenance in (whole.provenance, full):
+        many = replace(whole, counterexamples=examples, selftest=trial, provenance=provenance)
+        write_page(tmp_path / "evidence.html", many, {number: run for number in range(1, 31)})
+        show(browser, (tmp_path / "evidence.html").as_uri(), width=1280, media="print")
+        printed = browser.execute_cdp_cmd("Page.printToPDF", {"preferCSSPageSize": True})["data"]
+        sheets.append(len(re.findall(rb"/Type\s*/Page\b(?!s)", base64.b64decode(printed))))
+    assert 10 < sheets[0] <= 25
+    assert sheets[1] > 40
+
+
+def test_the_coverage_map_tells_what_a_cell_counts_under_the_pointer_and_from_the_keyboard(
+    browser: Any, report: str
+) -> None:
+    from selenium.webdriver.common.by import By
+    from selenium.webdriver.common.keys import Keys
+
+    show(browser, report, width=1280)
+    walk = browser.find_element(By.CSS_SELECTOR, ".cells input")
+    says = browser.find_element(By.CSS_SELECTOR, ".cells output")
+    first = says.text
+    assert first == "above, above 1 m/s, to 50 mm, hand unseen, protective stop: 19 runs, 4 with a violation"
+    walk.send_keys(Keys.ARROW_RIGHT)
+    assert says.text == "right, to 1 m/s, to 200 mm, seen, proposed position: 41 runs"
+    assert walk.get_attribute("aria-valuetext") == says.text
+    browser.execute_script(
+        """document.querySelector("svg g:has(> title) rect")
+             .dispatchEvent(new PointerEvent("pointerover", { bubbles: true }))"""
+    )
+    assert says.text == first
 
 
 def test_it_opens_quickly_enough_to_be_read(browser: Any, report: str) -> None:

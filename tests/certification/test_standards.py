@@ -1,6 +1,14 @@
 from __future__ import annotations
 
-from safety_harness.certification.standards import EXCLUSIONS, OWN, TRACED, entry_of, traced
+from safety_harness.certification.standards import (
+    EXCLUSIONS,
+    OWN,
+    STANDARDS,
+    TRACED,
+    entry_of,
+    told_with_standards,
+    traced,
+)
 from safety_harness.properties.catalogue import CATALOGUE
 
 
@@ -27,3 +35,24 @@ def test_no_performance_level_is_claimed_and_what_is_left_out_is_named() -> None
     for left_out in ("contact forces", "fingers", "torso and head", "whom no scenario has", "real sensors"):
         assert left_out in text
     assert "no performance level" in text
+
+
+def test_every_term_is_of_a_document_of_the_table_and_none_of_one_that_is_history() -> None:
+    current = {one.name for one in STANDARDS.standards if not one.status.startswith("history")}
+    assert {term.standard for tracing in TRACED.values() for term in tracing.terms} <= current
+    assert "ISO/TS 15066:2016" not in current
+
+
+def test_of_each_requirement_it_says_what_speaks_to_it_or_what_would() -> None:
+    asked = [one for standard in STANDARDS.standards for one in standard.requirements]
+    assert all(one.means and one.asks for one in asked)
+    covered = {bool(one.here) for one in asked}
+    assert covered == {True, False}
+    assert len({standard.id for standard in STANDARDS.standards}) == len(STANDARDS.standards)
+
+
+def test_the_words_of_a_claim_name_their_documents_from_the_table_alone() -> None:
+    for entry in CATALOGUE:
+        assert "ISO" not in entry.source
+        terms = traced(entry.example).terms
+        assert dict(told_with_standards(entry))["standards"].count("ISO ") >= len(terms)
