@@ -178,16 +178,16 @@ def test_a_worker_without_memory_is_replaced_and_its_episode_not_blamed(
 def test_a_run_in_company_that_breaks_costs_the_others_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    whole = trial.run_many
+    whole = trial._runs
     plan = plan_in(tmp_path)
     expected = list(EpisodeRunner(plan).run(0, range(3)))
 
-    def breaks(admitted: list[object], **options: object) -> object:
+    def breaks(admitted: list[object], *options: object) -> object:
         if any(one.scenario.name == "short#1" for one in admitted):  # type: ignore[attr-defined]
             raise RuntimeError("a bad one")
-        return whole(admitted, **options)  # type: ignore[arg-type]
+        return whole(admitted, *options)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(trial, "run_many", breaks)
+    monkeypatch.setattr(trial, "_runs", breaks)
     rows = list(EpisodeRunner(plan).run(0, range(3)))
     assert [bool(row.failure) for row in rows] == [False, True, False]
     assert without_place(rows[2]) == without_place(expected[2])
