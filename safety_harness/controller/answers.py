@@ -21,7 +21,7 @@ Floats = NDArray[np.float64]
 NOT_REPORTED = -1
 
 
-class Answers:
+class LaneAnswers:
     """What each of n controllers wants of its arm until the next tick, as ``obey`` takes it.
 
     ``twists`` (n, 6) of the TCP, or ``joints`` (n, j) where it is ``by_joints`` (n,), or a ``stop`` (n,);
@@ -147,7 +147,7 @@ def ask_together(
     rows: Floats,
     period_s: float,
     layout: SeenLayout,
-    answers: Answers,
+    answers: LaneAnswers,
     sendable: Any = None,
     file: str | None = None,
 ) -> dict[int, str]:

@@ -14,7 +14,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.controller.answers import Answers, in_act, numbers
+from safety_harness.controller.answers import LaneAnswers, in_act, numbers
 from safety_harness.controller.contract import (
     DECISIONS,
     DOUBT,
@@ -96,7 +96,7 @@ class DrivenController:
         records = driven_records(settings, arm, view, hand_slots)
         self._decision = decision_dtype(joints)
         self._decisions: list[NDArray[np.void]] = []
-        self.answers = Answers(1, joints, self.reports)
+        self.answers = LaneAnswers(1, joints, self.reports)
         self.period_s = settings.clock.control_period_s
         self.layout = SeenLayout(hand_slots, joints, self.sees)
         self.lie_in(records, QuestionRecords(np.zeros(1, QUESTION)))

@@ -2,7 +2,7 @@
 
 A layer is z = b + sum_s W_s a_s, a = relu(z), where a_s are the question (s = 0) or earlier layers, *as the
 program computed them*; the last is the answer, without a ReLU.  Whatever lies between two ReLUs (batch norm,
-residual sums, normalisation) is part of W.  ``Form`` carries with each W an error bound E:
+residual sums, normalisation) is part of W.  ``AffineForm`` carries with each W an error bound E:
 what the program computes is off by E_s |a_s| at most.  ReLU rounds nothing, so that errors do not add up
 over layers here; the kernel that bounds the network takes them as slack.
 
@@ -50,7 +50,7 @@ class ReluNetwork(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Form:
+class AffineForm:
     """What a program computes as ``value`` of ``CONSTANT``, question and layers: (inputs, width) by source.
 
     Off by ``error``, of the same shape, times the sources' magnitudes.
@@ -75,7 +75,7 @@ class Form:
         """(inputs, width) by source: of what magnitude it is, with its error."""
         return {s: np.abs(value) + self.error[s] for s, value in self.value.items()}
 
-    def linear(self, weight: Floats, bias: Floats, unit: float) -> Form:
+    def linear(self, weight: Floats, bias: Floats, unit: float) -> AffineForm:
         """``weight`` (width, outputs) and ``bias`` (outputs,), computed with the unit roundoff ``unit``."""
         size = np.abs(weight)
         part = gamma(len(weight) + 1, unit)
@@ -83,13 +83,13 @@ class Form:
         error = {s: self.error[s] @ size + part * (own @ size) for s, own in self.sizes.items()}
         value[CONSTANT] = value.get(CONSTANT, 0.0) + bias[None]
         error[CONSTANT] = error.get(CONSTANT, 0.0) + part * np.abs(bias)[None] + TINY
-        return Form(value, error)
+        return AffineForm(value, error)
 
-    def scaled(self, factors: Floats, unit: float) -> Form:
+    def scaled(self, factors: Floats, unit: float) -> AffineForm:
         """Times ``factors`` (width,)."""
         return self.linear(np.diag(factors), np.zeros(len(factors)), unit)
 
-    def plus(self, other: Form, unit: float) -> Form:
+    def plus(self, other: AffineForm, unit: float) -> AffineForm:
         """The sum of two of the same width."""
         part, value, error = gamma(2, unit), dict(self.value), dict(self.error)
         for s, own in self.sizes.items():
@@ -97,7 +97,7 @@ class Form:
         for s, own in other.sizes.items():
             value[s] = value.get(s, 0.0) + other.value[s]
             error[s] = error.get(s, 0.0) + other.error[s] + part * own
-        return Form(value, error)
+        return AffineForm(value, error)
 
 
 def gamma(terms: int, unit: float) -> float:
@@ -106,7 +106,7 @@ def gamma(terms: int, unit: float) -> float:
     return part / (1.0 - part)
 
 
-def joined(forms: Sequence[Form]) -> Form:
+def joined(forms: Sequence[AffineForm]) -> AffineForm:
     """One beside the other."""
     sources = dict.fromkeys(s for form in forms for s in form.value)
     height = {s: len(form.value[s]) for form in forms for s in form.value}
@@ -119,28 +119,28 @@ def joined(forms: Sequence[Form]) -> Form:
             for s in sources
         }
 
-    return Form(side_by_side([f.value for f in forms]), side_by_side([f.error for f in forms]))
+    return AffineForm(side_by_side([f.value for f in forms]), side_by_side([f.error for f in forms]))
 
 
-def question(unit: float = 0.0) -> Form:
+def question(unit: float = 0.0) -> AffineForm:
     """Hand and TCP [m], each rounded to numbers with the unit roundoff ``unit``."""
-    return Form({QUESTION: np.eye(PERCEPTRON_INPUTS)}, {QUESTION: unit * np.eye(PERCEPTRON_INPUTS)})
+    return AffineForm({QUESTION: np.eye(PERCEPTRON_INPUTS)}, {QUESTION: unit * np.eye(PERCEPTRON_INPUTS)})
 
 
 @dataclass(eq=False)
 class Layers:
     """The ReLU layers of a network so far."""
 
-    found: list[Form] = field(default_factory=list)
+    found: list[AffineForm] = field(default_factory=list)
 
-    def relu(self, form: Form) -> Form:
+    def relu(self, form: AffineForm) -> AffineForm:
         """One more."""
         self.found.append(form)
         own = np.eye(form.width)
-        return Form({len(self.found): own}, {len(self.found): 0.0 * own})
+        return AffineForm({len(self.found): own}, {len(self.found): 0.0 * own})
 
 
-def packed(members: Sequence[Sequence[Form]]) -> ReluNetwork:
+def packed(members: Sequence[Sequence[AffineForm]]) -> ReluNetwork:
     """Of each member its layers, the last of them the answer [m]; all have the same widths and sources."""
     first = members[0]
     widths = [form.width for form in first]
@@ -180,7 +180,7 @@ def network_of(model: Model) -> ReluNetwork:
         )
         members.append(
             [
-                Form({CONSTANT: b[None], k: w}, {CONSTANT: 0.0 * b[None], k: 0.0 * w})
+                AffineForm({CONSTANT: b[None], k: w}, {CONSTANT: 0.0 * b[None], k: 0.0 * w})
                 for k, (w, b) in enumerate(parts)
             ]
         )

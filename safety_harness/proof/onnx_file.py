@@ -20,7 +20,16 @@ from safety_harness.avoidance.isolation.isolated import IsolatedAvoider, isolate
 from safety_harness.avoidance.model_file import OUTPUTS, PERCEPTRON_INPUTS, onnx_bytes, refuse
 from safety_harness.avoidance.onnx_model import HAND, POSITION, TCP
 from safety_harness.extras import ONNX
-from safety_harness.proof.network import QUESTION, SINGLE, Form, Layers, ReluNetwork, joined, packed, question
+from safety_harness.proof.network import (
+    QUESTION,
+    SINGLE,
+    AffineForm,
+    Layers,
+    ReluNetwork,
+    joined,
+    packed,
+    question,
+)
 from safety_harness.settings import DEFAULTS
 
 Floats = NDArray[np.float64]
@@ -59,7 +68,7 @@ def read_onnx(path: Path) -> tuple[ReluNetwork, OnnxFunction]:
     return network, OnnxFunction(isolated_onnx(path, DEFAULTS))
 
 
-def _layers(path: Path, data: bytes) -> list[Form]:
+def _layers(path: Path, data: bytes) -> list[AffineForm]:
     import onnx
 
     try:
@@ -76,8 +85,8 @@ def _layers(path: Path, data: bytes) -> list[Form]:
         constants[one.name] = onnx.numpy_helper.to_array(one).astype(np.float64)
     layers = Layers()
     whole = question(SINGLE)
-    forms: dict[str, Form] = {
-        name: Form({QUESTION: whole.value[QUESTION][:, p]}, {QUESTION: whole.error[QUESTION][:, p]})
+    forms: dict[str, AffineForm] = {
+        name: AffineForm({QUESTION: whole.value[QUESTION][:, p]}, {QUESTION: whole.error[QUESTION][:, p]})
         for name, p in ((HAND, slice(0, 3)), (TCP, slice(3, PERCEPTRON_INPUTS)))
     }
     wanted, nodes = {POSITION}, []
@@ -105,12 +114,12 @@ def _layers(path: Path, data: bytes) -> list[Form]:
     return [*layers.found, forms[POSITION]]
 
 
-def _computed(operator: str, given: list[Any], more: Mapping[str, Any], layers: Layers) -> Form:
+def _computed(operator: str, given: list[Any], more: Mapping[str, Any], layers: Layers) -> AffineForm:
     """What an operator makes of ``given``, forms and constants; ValueError says what was expected."""
-    shown = [isinstance(one, Form) for one in given]
+    shown = [isinstance(one, AffineForm) for one in given]
     if not any(shown[:2]) or any(one is None for one in given):
         raise ValueError("operands that follow from hand and TCP, and constants of the file")
-    first: Form = given[0] if shown[0] else given[1]
+    first: AffineForm = given[0] if shown[0] else given[1]
     rest = given[1:] if shown[0] else given[:1]
     alone = shown[0] and not any(shown[1:])
     if operator == "Relu" and len(given) == 1:

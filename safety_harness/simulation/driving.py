@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.controller.answers import Answers, ask_together, lanes_of
+from safety_harness.controller.answers import LaneAnswers, ask_together, lanes_of
 from safety_harness.controller.cycle import QUESTION
 from safety_harness.controller.driven import DrivenController, entry_of
 from safety_harness.controller.out_of_process.remote import RemoteController
@@ -58,7 +58,7 @@ def drive(lanes: Sequence[Lane], on_tick: Callable[[int], None] | None = None) -
     own = lanes[0].ticks
     room = own[None] if n == 1 else np.zeros((n, most), own.dtype)
     ticks, lasts = as_compiled(room), np.array([len(lane.ticks) - 1 for lane in lanes])
-    answers = first.answers if n == 1 else Answers(n, first.answers.joints.shape[1], first.reports)
+    answers = first.answers if n == 1 else LaneAnswers(n, first.answers.joints.shape[1], first.reports)
     finite, modes = np.zeros(n, np.bool_), answers.modes
     rows = room.view(np.uint8).reshape(n, most, own.dtype.itemsize)
     of_truth = worlds.truth.view(np.uint8).reshape(n, own.dtype.itemsize)
@@ -98,7 +98,7 @@ def drive(lanes: Sequence[Lane], on_tick: Callable[[int], None] | None = None) -
 
 
 def _refuse(
-    lanes: Sequence[Lane], finite: NDArray[np.bool_], answers: Answers, lasts: NDArray[np.int64], k: int
+    lanes: Sequence[Lane], finite: NDArray[np.bool_], answers: LaneAnswers, lasts: NDArray[np.int64], k: int
 ) -> None:
     """The lanes whose action is not finite; ``finite`` (lanes,), ``lasts`` (lanes,)."""
     for lane in lanes_of(~finite & (lasts >= k)):
@@ -114,7 +114,7 @@ def _refuse(
 class _Asking:
     """The controllers of many lanes, asked together."""
 
-    def __init__(self, lanes: Sequence[Lane], controllers: DrivenRecords, answers: Answers) -> None:
+    def __init__(self, lanes: Sequence[Lane], controllers: DrivenRecords, answers: LaneAnswers) -> None:
         self._lanes, self._answers = lanes, answers
         self._users = [lane.controller.user for lane in lanes]
         first = lanes[0].controller

@@ -14,7 +14,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from safety_harness.controller.answers import Answers, ask_together
+from safety_harness.controller.answers import LaneAnswers, ask_together
 from safety_harness.controller.contract import (
     DECISIONS,
     IMAGE,
@@ -33,7 +33,7 @@ from safety_harness.controller.out_of_process.messages import (
     ActOnRow,
     ActOnRows,
     Failed,
-    Made,
+    MadeController,
     MakeController,
     NoController,
     Ready,
@@ -70,7 +70,7 @@ def main(question_fd: int, answer_fd: int) -> None:
         controller, another = _controller(path, made.source, asked.get("attribute"))
         sees, reports = sees_of(controller), reports_of(controller)
         many = another is not None and IMAGE not in sees and DECISIONS not in reports
-        said = Made(PROTOCOL, controller.name, sees, reports, many)
+        said = MadeController(PROTOCOL, controller.name, sees, reports, many)
     except InputError as error:
         ends.write(as_binary(NoController(*map(printable, (error.expected, error.got, error.hint)))))
         return
@@ -100,11 +100,13 @@ def _controller(path: Path, source: bytes, attribute: str | None) -> tuple[UserC
 class _Answering:
     """A controller for each lane, episode after episode."""
 
-    def __init__(self, controller: UserController, another: Another | None, made: Made, file: str) -> None:
+    def __init__(
+        self, controller: UserController, another: Another | None, made: MadeController, file: str
+    ) -> None:
         self._lanes, self._another, self._made, self._file = [controller], another, made, file
         self._period_s, self._joints = np.nan, 0
         self._layout = SeenLayout(1, 1, ())
-        self._answers = Answers(1, 1, ())
+        self._answers = LaneAnswers(1, 1, ())
         self._image: Image | None = None
 
     def answer(self, told: Told) -> bytes:
@@ -144,7 +146,7 @@ class _Answering:
         layout, own, n = self._seen_by(told.hand_slots), told.lanes, len(told.lanes)
         answers = self._answers
         if len(answers.joints) != len(self._lanes) or answers.joints.shape[1] != self._joints:
-            answers = self._answers = Answers(len(self._lanes), self._joints, self._made.reports)
+            answers = self._answers = LaneAnswers(len(self._lanes), self._joints, self._made.reports)
         rows = np.frombuffer(told.rows).reshape(n, layout.wanted)
         controllers = [self._lanes[lane] for lane in own]
         why = ask_together(controllers, own, rows, self._period_s, layout, answers, _sendable, self._file)

@@ -102,7 +102,7 @@ class Welcome(Struct, tag="hello", tag_field="say", forbid_unknown_fields=True):
     reports: tuple[str, ...] = ()
 
 
-class Made(Welcome, tag="made", tag_field="say", forbid_unknown_fields=True):
+class MadeController(Welcome, tag="made", tag_field="say", forbid_unknown_fields=True):
     """That of a process of ours; ``many``: it can make a controller for each of many lanes."""
 
     many: bool = False
@@ -145,7 +145,7 @@ class SaidStop(Struct, tag="stop", tag_field="say", forbid_unknown_fields=True):
 
 
 class SaidRows(Struct, tag="rows", tag_field="say", forbid_unknown_fields=True):
-    """The answers of all lanes that were asked at that tick: the columns of ``Answers``, a row each.
+    """The answers of all lanes that were asked at that tick: the columns of ``LaneAnswers``, a row each.
 
     ``why`` has the lanes that cannot go on.
     """
@@ -170,7 +170,7 @@ class NoController(Struct, tag="none", tag_field="say"):
 
 
 SaidByProgram = Ready | Welcome | SaidMove | SaidStop | Failed | NoController
-Said = SaidByProgram | Made | SaidRows
+Said = SaidByProgram | MadeController | SaidRows
 Told = MakeController | Reset | ActOnRow | ActOnRows
 json_said: msgspec.json.Decoder[SaidByProgram] = msgspec.json.Decoder(SaidByProgram)
 binary_said: msgspec.msgpack.Decoder[Said] = msgspec.msgpack.Decoder(Said)

@@ -11,12 +11,12 @@ from copy import copy
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.controller.answers import Answers
+from safety_harness.controller.answers import LaneAnswers
 from safety_harness.controller.contract import Action, DrivenArm, Seen, Start
 from safety_harness.controller.out_of_process.lines import FileLine, Line, RefusedControllerError
 from safety_harness.controller.out_of_process.messages import (
     Failed,
-    Made,
+    MadeController,
     Ready,
     Reset,
     Said,
@@ -50,7 +50,7 @@ class RemoteController:
     @property
     def another(self) -> Callable[[], RemoteController] | None:
         """What makes one more in the same process, for an episode beside; None if there can be none."""
-        return self._another if isinstance(self._said, Made) and self._said.many else None
+        return self._another if isinstance(self._said, MadeController) and self._said.many else None
 
     def _another(self) -> RemoteController:
         other = copy(self)
@@ -98,7 +98,7 @@ class RemoteController:
         tick: int,
         hand_slots: int,
         rows: NDArray[np.float64],
-        answers: Answers,
+        answers: LaneAnswers,
     ) -> dict[int, str]:
         """As ``ask_together``, in one turn to the process of all of ``others`` (n,), this one among them."""
         there, line = [one._lane for one in others], self._line

@@ -51,7 +51,8 @@ for (const table of document.querySelectorAll("table[data-filter]")) {
   const text = (row) => texts.get(row) ?? texts.set(row, row.textContent.toLowerCase()).get(row);
   const form = document.createElement("form"), count = document.createElement("output"), number = forms.push(form);
   form.className = "filter";
-  form.setAttribute("aria-label", `Filter: ${table.caption.textContent.split(/[.:]/)[0]}`);
+  const part = table.closest("article")?.querySelector("h2, h3");
+  form.setAttribute("aria-label", `Filter: ${table.caption.textContent.split(/[.:]/)[0]}${part ? `, ${part.textContent.trim()}` : ""}`);
   const field = (name, control) => {
     const label = document.createElement("label");
     control.name = name.toLowerCase() + (number > 1 ? `-${number}` : "");
