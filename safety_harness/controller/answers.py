@@ -153,7 +153,7 @@ def ask_together(
 ) -> dict[int, str]:
     """Ask the controller of each of ``lanes`` (n,); why a lane cannot go on, of those that cannot.
 
-    ``rows`` (n, layout.wanted), read-only, are what they see, and ``controllers`` (n,) theirs; the answers
+    ``rows`` (n, wanted), read-only, are what they see, and ``controllers`` (n,) theirs; the answers
     go to the ``lanes`` of ``answers``.  ``sendable`` is applied to each action, ``file`` is the user's.
     Whatever an ``act_many`` raises, or returns amiss, is raised.
     """
@@ -180,7 +180,7 @@ def in_act(error: ControllerError) -> str:
 
 
 def columns_of(rows: Floats, period_s: float, layout: SeenLayout) -> Arrays:
-    """What ``act_many`` sees of ``rows`` (n, layout.wanted)."""
+    """What ``act_many`` sees of ``rows`` (n, wanted)."""
     dtype = seen_dtype(layout.hand_slots, layout.joints)
     whole = np.zeros((len(rows), dtype.itemsize // 8))
     whole[:, : rows.shape[1]] = rows

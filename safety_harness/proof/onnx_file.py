@@ -51,7 +51,10 @@ class OnnxFunction:
     def propose_many(
         self, hands_in_base_m: Floats, tcps_in_base_m: Floats, seeds: NDArray[np.uint64]
     ) -> tuple[Floats, Floats]:
-        """Positions and spreads (n, 3) [m] for hands (n, 3), TCPs (n, 3), seeds (n,); NaN for no answer."""
+        """Positions and spreads (n, 3) [m], NaN for no answer.
+
+        For ``hands_in_base_m`` (n, 3), ``tcps_in_base_m`` (n, 3) and seeds (n,).
+        """
         asked = [
             Question(hand, tcp, int(seed))
             for hand, tcp, seed in zip(hands_in_base_m, tcps_in_base_m, seeds, strict=True)

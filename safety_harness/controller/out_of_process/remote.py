@@ -100,7 +100,10 @@ class RemoteController:
         rows: NDArray[np.float64],
         answers: LaneAnswers,
     ) -> dict[int, str]:
-        """As ``ask_together``, in one turn to the process of all of ``others`` (n,), this one among them."""
+        """As ``ask_together``, in one turn to the process of all of ``others`` (n,), this one among them.
+
+        ``rows`` (n, wanted) are what they see.
+        """
         there, line = [one._lane for one in others], self._line
         assert isinstance(line, FileLine)
         limit_s = sum(one._limit_s for one in others)
