@@ -68,10 +68,10 @@ def _add_linked_files(source: Path, target: Path) -> None:
         up = "../" * (len(page.relative_to(source).parts) - 1)
         for link, path in _outside(page, text, source):
             wanted.add(path)
-            text = re.sub(rf"\]\({re.escape(link)}(?=[)#])", f"]({up}{_page(path)}", text)
+            text = re.sub(rf"\]\({re.escape(link)}(?=[)#])", f"]({up}{_place(path)}", text)
         (target / page.relative_to(source)).write_text(text, encoding="utf-8")
     for path in sorted(wanted):
-        place = target / _page(path)
+        place = target / _place(path)
         place.parent.mkdir(parents=True, exist_ok=True)
         place.write_text(_shown(path), encoding="utf-8")
 
@@ -85,12 +85,15 @@ def _outside(page: Path, text: str, docs: Path) -> Iterator[tuple[str, Path]]:
             yield match[1], path
 
 
-def _page(path: Path) -> str:
-    return f"repository/{path.relative_to(ROOT)}.md"
+def _place(path: Path) -> str:
+    """Of its page; a report is its own."""
+    return f"repository/{path.relative_to(ROOT)}" + ("" if path.suffix == ".html" else ".md")
 
 
 def _shown(path: Path) -> str:
     """The text of a file, or of all files of a folder."""
+    if path.suffix == ".html":
+        return path.read_text(encoding="utf-8")
     if path.suffix == ".md":
         return _without_files(path)
     texts = [f"# {path.relative_to(ROOT)}"]
