@@ -20,7 +20,7 @@ sys.path[:0] = [str(ROOT), str(ROOT / "tests")]
 from browsing import show, started  # noqa: E402
 
 OUT = ROOT / "docs" / "assets" / "gallery"
-WIDTH_PX, COLOURS = 1000, 64
+WIDTH_PX, COLOURS = 1000, 256
 UNFOLD = "document.querySelectorAll('details.run').forEach((one) => { one.open = true; });"
 REPLAY = f"{UNFOLD} document.querySelector('.replay').scrollIntoView();"
 COVERAGE = "document.querySelector('#coverage').scrollIntoView();"
