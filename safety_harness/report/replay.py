@@ -53,6 +53,7 @@ class Replays:
     def __init__(self, most: int = MOST_REPLAYS) -> None:
         self._left = most
         self._meshes: dict[ArmModel, str] = {}  # and in which replay they are
+        self._explained = ""  # the replay that says what is drawn
 
     def of(self, run: JudgedRun, name: str, **more: object) -> dict[str, object] | None:
         """What the macro ``replay`` takes; None of a run without ticks, or if the page has enough.
@@ -62,6 +63,7 @@ class Replays:
         if self._left == 0 or len(run.trace.ticks) == 0:
             return None
         self._left -= 1
+        self._explained = self._explained or f"{name}-replay"
         moment, arm = shown_moment(run), arm_model(run.trace.scenario.robot)
         time_s = run.trace.time_s
         found = replay_data(run) | {"charts": f"{name}-time-"}
@@ -71,6 +73,7 @@ class Replays:
             found["meshes_of"] = f"{self._meshes[arm]}-replay"
         return {
             "id": f"{name}-replay",
+            "explained": self._explained,
             "data": as_attribute(found),
             "first_s": float(time_s[0]),
             "last_s": float(time_s[-1]),

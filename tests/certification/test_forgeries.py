@@ -86,7 +86,7 @@ TEXTS: dict[str, Touch] = {
     "the verdict in the banner": written(PAGE, "<strong>Refuted.</strong>", "<strong>Shown.</strong>"),
     "what the page claims to be": written(PAGE, "It is no certificate", "It is a certificate"),
     "that nothing proves a declaration": written(PAGE, "Nothing proves that", "It is certain that"),
-    "a number in a table": written(PAGE, 'cell">16 of 16 runs<', 'cell">160 of 160 runs<'),
+    "a number in a table": written(PAGE, r'cell">\d+\.\d % to 100 %<', 'cell">0.1 % to 1 %<'),
     "by what a table is sorted": written(PAGE, 'data-sort="0.5"', 'data-sort="0.005"'),
     "a unit": written(PAGE, r"(−\d+\.\d) mm", r"\g<1> µm"),
     "a setting": written(PAGE, "<dd>400 mm</dd>", "<dd>40 mm</dd>"),
@@ -97,7 +97,7 @@ TEXTS: dict[str, Touch] = {
     "a script of its own": written(PAGE, "</main>", "</main><script>document.title='safe'</script>"),
     "the runs in the argument's picture": written(PAGE, "(<tspan [^>]*>)16 runs", r"\g<1>160000 runs"),
     "a share in the argument's picture": written(PAGE, r"(<tspan [^>]*>[^<]*)50 %", r"\g<1>0.001 %"),
-    "what a screen reader says of it": written(PAGE, r'(aria-label="[^"]*)16 runs', r"\g<1>160000 runs"),
+    "what a screen reader says of it": written(PAGE, 'aria-label="Bounds: ', 'aria-label="No bounds: '),
     "a box of the picture by a hair": plotted("argument-", r'(<rect x="\d+)\.0', r"\g<2>.1"),
     "the kind of a line of the picture": written(PAGE, 'stroke-dasharray="5 2.5"', 'stroke-dasharray="9 0"'),
     "a number below an axis": plotted("claim-1-bounds-", "50 %<", "5 %<"),
@@ -109,7 +109,7 @@ TEXTS: dict[str, Touch] = {
     "a moment in a picture of the way": plotted("counterexample-1-top-", r"(\d\.\d)", r"9\g<1>"),
     "the coverage map's words": plotted("coverage-map-", "in 16 runs", "in 1600 runs"),
     "a square of the coverage map": plotted("coverage-map-", r'<rect x="(\d)', r'<rect x="1\g<1>'),
-    "the replay's numbers": written(PAGE, r'"hand_distance_m":"(\w)', r'"hand_distance_m":"//\g<1>'),
+    "the replay's numbers": written(PAGE, r'data-packed="(\w)', r'data-packed="//\g<1>'),
     "the replay's moment": written(PAGE, r'data-jump="0\.', 'data-jump="9.'),
 }  # fmt: skip
 

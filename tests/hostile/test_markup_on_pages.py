@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from dataclasses import fields, is_dataclass, replace
 from datetime import UTC, datetime
@@ -32,7 +33,10 @@ from safety_harness.proof.together import joint_bounds
 from safety_harness.proof.tree import BoxTree
 from safety_harness.report import arm_page
 from safety_harness.report.coverage_map import coverage_map
+from safety_harness.report.history import read_history
+from safety_harness.report.history import write_page as write_history
 from safety_harness.report.html import render as report_page
+from safety_harness.report.machine import FORMAT
 from safety_harness.report.page_parts import asset
 from safety_harness.report.proof_page import ProofEvidence
 from safety_harness.report.proof_page import render as proof_page
@@ -155,6 +159,21 @@ def viewed() -> str:
         return (Path(folder) / "view.html").read_text()
 
 
+def remembered() -> str:
+    claim = {"claim": MARKUP, "expected": MARKUP, "verdict": "holds", "margin_si": 0.1, "unit": "m"}
+    run = {"system": {"avoider": {"name": MARKUP}}, "source_hash": MARKUP, "claims": [claim]}
+    runs = [run | {"scenario": name} for name in (MARKUP, f"{MARKUP} again")]
+    found = {"format": FORMAT, "runs": runs, "overruling": {MARKUP: {"overruled": 1, "proposals": 2}}}
+    with TemporaryDirectory() as folder:
+        for name in ("1", "2"):
+            (Path(folder) / name).mkdir()
+            (Path(folder) / name / "report.json").write_text(json.dumps(found))
+        write_history(
+            Path(folder) / "page.html", read_history(Path(folder)), command=MARKUP, generated_at=WHEN
+        )
+        return (Path(folder) / "page.html").read_text()
+
+
 PAGES: dict[str, Callable[[], str]] = {
     "report.html.j2": report,
     "search.html.j2": a_search,
@@ -165,6 +184,7 @@ PAGES: dict[str, Callable[[], str]] = {
     "arms.html.j2": arms,
     "proof.html.j2": proven,
     "view.html.j2": viewed,
+    "history.html.j2": remembered,
 }
 
 
