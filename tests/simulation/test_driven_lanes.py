@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from safety_harness.admission.admit import Admitted, Admitter
 from safety_harness.admission.repeatability import Repeatability
 from safety_harness.admission.trial import run_all, run_kinematic, run_many
-from safety_harness.controller.answers import Answers, columns_of
+from safety_harness.controller.answers import LaneAnswers, columns_of
 from safety_harness.controller.contract import Move, Moves, Seen, Stop
 from safety_harness.controller.rows import SeenLayout
 from safety_harness.controller.stop_when_near import StopWhenNear
@@ -187,7 +187,7 @@ def test_stop_when_near_answers_together_as_one_by_one(
         row[32:33].view(np.int64)[0] = hands
         row[33:36], row[36:39] = numbers[6:9], numbers[:3]
         controller._target_in_base_m, controller._gain, controller._near_m = axis, numbers[0], near_m
-    together, apart = Answers(len(drawn), 6, ("mode",)), Answers(len(drawn), 6, ("mode",))
+    together, apart = LaneAnswers(len(drawn), 6, ("mode",)), LaneAnswers(len(drawn), 6, ("mode",))
     moves = StopWhenNear.act_many(controllers, columns_of(rows, 0.008, layout))
     together.take_many(range(len(drawn)), moves)
     for lane, (controller, row) in enumerate(zip(controllers, rows, strict=True)):
@@ -209,6 +209,6 @@ def test_stop_when_near_answers_together_as_one_by_one(
 )
 def test_moves_that_are_none_are_refused(moves: object, why: str) -> None:
     with pytest.raises(ControllerError, match=why):
-        Answers(2, 6, ()).take_many([0, 1], moves)
+        LaneAnswers(2, 6, ()).take_many([0, 1], moves)
     with pytest.raises(ControllerError, match="reported no Mode"):
-        Answers(2, 6, ("mode",)).take_many([0, 1], Moves(mode=np.array([0, 9])))
+        LaneAnswers(2, 6, ("mode",)).take_many([0, 1], Moves(mode=np.array([0, 9])))
