@@ -123,6 +123,7 @@ def contacts(given: argparse.Namespace) -> str:
         "| least distance |",
         "|---|---|---|---|---|---|---|---|---|---|",
     ]
+    made = []
     for name in PLANS:
         path = given.ledgers / f"{name}.sqlite"
         if not path.exists():
@@ -130,13 +131,16 @@ def contacts(given: argparse.Namespace) -> str:
             continue
         with Ledger.open(path, check=False) as ledger:
             world = read_plan(ROOT / f"plans/{name}.yaml").world.label
+            source = dict(ledger.declared.identity.parts)["the source of this package"]
+            made.append(f"{world} with the source {source[:12]}")
             for planned, one in zip(ledger.declared.strata, tally_of(ledger).strata, strict=True):
                 rows.append(_of_stratum(planned, world, one))
     text = (
         "A bound is one-sided and exact, and counts an episode that failed as one that was touched; the two "
     )
     text += "of a world hold together with 95 % confidence. *Came near*: a hand within the critical distance "
-    text += "of the arm, which the claim asks for; in the others none was near enough to be touched.\n\n"
+    text += "of the arm, which the claim asks for; in the others none was near enough to be touched. Run, "
+    text += f"whatever revision wrote this: {', '.join(made) or 'nothing yet'}.\n\n"
     return text + "\n".join(rows)
 
 
@@ -147,7 +151,7 @@ def _of_stratum(name: str, world: str, one: StratumTally) -> str:
     tested = counts[EpisodeOutcome.HOLDS] + broken
     bounds = [upper_bound(broken + failed, n, 0.05 / len(SHIELDED)) if n else 1.0 for n in (tested, one.done)]
     cells = [name, world, f"{one.done:,}", f"{one.planned:,}", f"{tested:,}", broken, failed]
-    cells += [*(f"{bound:.2g}" for bound in bounds), f"{one.claims[0].worst * 1e3:.0f} mm"]
+    cells += [*(f"{bound:.2g}" for bound in bounds), f"{one.claims[0].worst * 1e3:.0f} mm" if tested else "-"]
     return f"| {' | '.join(map(str, cells))} |"
 
 

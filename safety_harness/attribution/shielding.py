@@ -28,8 +28,11 @@ class ShieldAttribution:
     @property
     def words(self) -> str:
         """Who was decisive."""
-        outcomes = (self.shielded, self.plain, self.alone or self.shielded)
-        kept, plain, alone = (Outcome.of(one) is not Outcome.VIOLATED for one in outcomes)
+        found = (self.shielded, self.plain, self.alone or self.shielded)
+        untold = [one for one in found if Outcome.of(one) is Outcome.UNTOLD]
+        if untold:
+            return f"who was decisive is not known: {untold[0].reason}"
+        kept, plain, alone = (Outcome.of(one) is not Outcome.VIOLATED for one in found)
         if not kept:
             return f"not even the shield kept hands from what moves: {self.shielded.margin_text()}"
         if not plain:

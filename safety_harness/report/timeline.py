@@ -167,7 +167,6 @@ def _shade(backdrop: Axes, trace: Trace, end_s: float) -> None:
     """Every mode but servoing as a tint behind all panels, and the part that was never run."""
     ticks_end_s = min(end_s, float(trace.time_s[-1]) + trace.scenario.settings.clock.control_period_s)
     known = measured(trace, "mode")
-    known = measured(trace, "mode")
     for mode in (Mode.REPULSING, Mode.PROTECTIVE_STOP, Mode.OBJECT_LOST):
         found = spans(trace.time_s, known & (trace.ticks["mode"] == mode), ticks_end_s, COLUMNS)
         backdrop.bars(found, (0.0, 1.0), MODE_INK[mode], opacity=0.13)
@@ -202,7 +201,6 @@ def _mark_moments(backdrop: Axes, run: JudgedRun) -> None:
 def _mode_panel(axes: Axes, trace: Trace, end_s: float) -> None:
     """One lane for each mode, above them a mark for each decision, and where the faults acted."""
     ticks_end_s = min(end_s, float(trace.time_s[-1]) + trace.scenario.settings.clock.control_period_s)
-    known = measured(trace, "mode")
     known = measured(trace, "mode")
     for lane, mode in enumerate(Mode):
         found = spans(trace.time_s, known & (trace.ticks["mode"] == mode), ticks_end_s, COLUMNS)

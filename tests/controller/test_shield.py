@@ -132,6 +132,10 @@ def test_who_was_decisive_is_said_with_when_and_for_whom() -> None:
     found = attribute_shield(admit(parse_scenario(text), controller=Swings()))
     assert found is not None
     assert found.words == f"the shield was decisive: {swinging()[1].margin_text()} without it"
+    for run in ("shielded", "plain", "alone"):
+        untold = replace(found.plain, verdict=Verdict.INCONCLUSIVE, reason="a joint is NaN from 1.2 s on")
+        told = replace(found, **{run: untold}).words
+        assert told == "who was decisive is not known: a joint is NaN from 1.2 s on"
     trace, _ = shielded()
     stretches = slowings(trace)
     assert stretches == slowings(found.trace)
