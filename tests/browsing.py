@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 from pathlib import Path
@@ -63,3 +64,24 @@ def colour(browser: Any, selector: str, name: str) -> list[int]:
     script = "return getComputedStyle(document.querySelector(arguments[0]))[arguments[1]]"
     value = browser.execute_script(script, selector, name)
     return [int(word) for word in value[value.index("(") + 1 : -1].split(",")[:3]]
+
+
+def forget(browser: Any) -> None:
+    """Leave the page that is shown, and empty the logs: what it still had to say is not the next one's."""
+    browser.get("about:blank")
+    browser.get_log("performance")
+    browser.get_log("browser")
+
+
+def assert_quiet(browser: Any, page: str, *, do: str = "scrollTo(0, document.body.scrollHeight)") -> None:
+    """Show the page and do something there: nothing else is asked for, and the console has no word."""
+    forget(browser)
+    show(browser, page, width=1000)
+    browser.execute_script(do)
+    messages = [json.loads(entry["message"])["message"] for entry in browser.get_log("performance")]
+    sent = [m["params"] for m in messages if m["method"] == "Network.requestWillBeSent"]
+    asked = {one["request"]["url"] for one in sent if one["documentURL"] == page}
+    assert page in asked, asked  # the log does see requests
+    assert asked - {page} <= {"data:,"}, asked
+    said = browser.get_log("browser")
+    assert said == [], said

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import json
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from browsing import colour, show
+from browsing import assert_quiet, colour, forget, show
 from made_up_evidence import evidence
 from partly_measured import partly_measured
 
@@ -56,17 +55,9 @@ def awake(browser: Any, number: int = 0) -> None:
 
 
 def test_no_request_leaves_the_page_and_nothing_is_wrong_in_the_console(browser: Any, report: str) -> None:
-    browser.get_log("performance")
-    browser.get_log("browser")
-    show(browser, report, width=1000)
-    browser.execute_script("document.querySelectorAll('details').forEach((d) => { d.open = true; })")
-    browser.execute_script("scrollTo(0, document.body.scrollHeight)")
-    messages = [json.loads(entry["message"])["message"] for entry in browser.get_log("performance")]
-    sent = [m["params"] for m in messages if m["method"] == "Network.requestWillBeSent"]
-    asked = {one["request"]["url"] for one in sent if one["documentURL"] == report}
-    assert report in asked  # the log does see requests
-    assert asked - {report} <= {"data:,"}
-    assert [entry for entry in browser.get_log("browser") if entry["level"] == "SEVERE"] == []
+    assert_quiet(
+        browser, report, do="document.querySelectorAll('details').forEach((d) => { d.open = true; })"
+    )
 
 
 def test_markup_of_the_user_runs_nowhere(browser: Any, report: str) -> None:
@@ -327,7 +318,7 @@ def test_a_replay_shows_what_was_measured_and_says_what_was_not(
     lost = Measurement(source=Source.LOG, gaps=(Gap(first=10, after=60),))
     trace = knowing(partly_measured(run.trace), {"transform_tcp_to_base": lost, "joint_position_rad": lost})
     write_page(tmp_path / "evidence.html", evidence(), {1: replace(run, trace=trace)})
-    browser.get_log("browser")
+    forget(browser)
     show(browser, (tmp_path / "evidence.html").as_uri(), width=1000)
     awake(browser)
     assert "mode not measured" in said(browser, 0.5)

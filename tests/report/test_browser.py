@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import base64
-import json
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import factory
 import pytest
-from browsing import colour, show
+from browsing import assert_quiet, colour, forget, show
 
 from safety_harness.report.html import write_report
 
@@ -36,16 +35,7 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> str:
 
 
 def test_no_request_leaves_the_page_and_nothing_is_wrong_in_the_console(browser: Any, report: str) -> None:
-    browser.get_log("performance")
-    browser.get_log("browser")
-    show(browser, report, width=1000)
-    browser.execute_script("scrollTo(0, document.body.scrollHeight)")
-    messages = [json.loads(entry["message"])["message"] for entry in browser.get_log("performance")]
-    sent = [m["params"] for m in messages if m["method"] == "Network.requestWillBeSent"]
-    asked = {one["request"]["url"] for one in sent if one["documentURL"] == report}
-    assert report in asked  # the log does see requests
-    assert asked - {report} <= {"data:,"}
-    assert browser.get_log("browser") == []
+    assert_quiet(browser, report)
 
 
 def test_markup_of_the_user_runs_nowhere(browser: Any, report: str) -> None:
@@ -59,7 +49,7 @@ def test_the_policy_stops_a_script_that_is_not_the_reports_own(browser: Any, rep
     inserted = "const s = document.createElement('script'); s.textContent = 'window.ran = 1';"
     browser.execute_script(inserted + "document.body.append(s)")
     assert browser.execute_script("return window.ran === undefined")
-    browser.get_log("browser")
+    forget(browser)
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
@@ -237,7 +227,7 @@ def test_the_verdicts_are_filtered_and_the_filter_stands_in_the_address(browser:
 
 
 def test_no_address_keeps_the_page_from_working(browser: Any, report: str) -> None:
-    browser.get_log("browser")
+    forget(browser)
     for address in ("#100%", "#find=100%", "#", "#no-such-run"):
         browser.get("about:blank")
         show(browser, report + address, width=1280)

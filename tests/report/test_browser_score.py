@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import pytest
 import score_cards
-from browsing import show
+from browsing import assert_quiet, show
 
 from safety_harness.report.score_page import ScoreEvidence, render
 
@@ -26,15 +25,7 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> str:
 
 
 def test_no_request_leaves_the_page_of_scores_and_its_console_is_quiet(browser: Any, page: str) -> None:
-    browser.get_log("performance")
-    browser.get_log("browser")
-    show(browser, page, width=1000)
-    messages = [json.loads(entry["message"])["message"] for entry in browser.get_log("performance")]
-    sent = [m["params"] for m in messages if m["method"] == "Network.requestWillBeSent"]
-    asked = {one["request"]["url"] for one in sent if one["documentURL"] == page}
-    assert page in asked
-    assert asked - {page} <= {"data:,"}
-    assert browser.get_log("browser") == []
+    assert_quiet(browser, page)
 
 
 @pytest.mark.parametrize("width", [360, 768, 1280])

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
 import pytest
-from browsing import show
+from browsing import assert_quiet, show
 from test_search_page import AGREEMENT, evidence, shown
 
 from safety_harness.report.coverage_map import coverage_map
@@ -34,16 +33,7 @@ def page(folder: Path) -> str:
 
 
 def test_no_request_leaves_the_page_and_nothing_is_wrong_in_the_console(browser: Any, page: str) -> None:
-    browser.get_log("performance")
-    browser.get_log("browser")
-    show(browser, page, width=1000)
-    browser.execute_script("scrollTo(0, document.body.scrollHeight)")
-    messages = [json.loads(entry["message"])["message"] for entry in browser.get_log("performance")]
-    sent = [m["params"] for m in messages if m["method"] == "Network.requestWillBeSent"]
-    asked = {one["request"]["url"] for one in sent if one["documentURL"] == page}
-    assert page in asked
-    assert asked - {page} <= {"data:,"}
-    assert browser.get_log("browser") == []
+    assert_quiet(browser, page)
 
 
 @pytest.mark.parametrize("width", [360, 768, 1280])

@@ -12,7 +12,7 @@ from typing import Any
 import factory
 import numpy as np
 import pytest
-from browsing import show
+from browsing import forget, show
 from page import parse
 from partly_measured import partly_measured
 
@@ -114,7 +114,7 @@ def test_claims_that_were_not_measured_are_told_apart_in_the_table_of_all_runs()
 @pytest.mark.parametrize("width", [390, 1280, 1920])
 def test_it_fits_every_screen(browser: Any, tmp_path: Path, width: int) -> None:
     write_report(tmp_path / "report.html", [partly()], **SAID)  # type: ignore[arg-type]
-    browser.get_log("browser")
+    forget(browser)
     show(browser, (tmp_path / "report.html").as_uri(), width=width)
     assert browser.execute_script("return document.documentElement.scrollWidth") <= width
     heads = "return [...document.querySelectorAll('.measured tbody th')].map(e => e.offsetHeight)"
