@@ -44,6 +44,7 @@ class StopWhenNear:
         self._target_in_base_m = np.array(settings.cell.desired_tcp_position_in_base_m)
         self._gain = settings.servo.gain_far
         self._near_m = settings.avoidance.critical_distance_m
+        self._numbers = (*self._target_in_base_m.tolist(), self._gain, self._near_m)
 
     def another(self) -> StopWhenNear:
         """One more, for an episode beside."""
@@ -65,13 +66,12 @@ class StopWhenNear:
     @staticmethod
     def act_many(controllers: Sequence[StopWhenNear], seen: Mapping[str, NDArray[Any]]) -> Moves:
         """As ``act`` of each, to the last bit."""
-        gains = np.array([one._gain for one in controllers])[:, None]
-        near_m = np.array([one._near_m for one in controllers])[:, None]
+        numbers = np.array([one._numbers for one in controllers])
+        target, gains, near_m = numbers[:, :3], numbers[:, 3:4], numbers[:, 4:]
         tcp = seen["tcp_position_in_base_m"]
         way = np.ascontiguousarray(seen["hands"] - tcp[:, None])
         near = ~(_squared(way) >= near_m**2) & (seen["hands_there"] != 0)
         stop = near.any(axis=1)
-        target = np.array([one._target_in_base_m for one in controllers])
         return Moves(
             tcp_velocity_mps=gains * (target - tcp),
             tcp_angular_velocity_radps=gains * _turns(seen["transform_tcp_to_base"]),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +23,7 @@ from safety_harness.trace.consistency import first_inconsistency
 from safety_harness.trace.known import OF_DECISIONS
 from safety_harness.trace.records import DECISION, ENDLESS, TICK, DecisionOutcome, as_numbers, columns
 from safety_harness.trace.trace import Trace
-from safety_harness.trace.unmeasured import decided, filled
+from safety_harness.trace.unmeasured import decided, without_gaps
 
 OF_IMAGES = ("features", "feature_error", "sse")
 ALWAYS, HAND, IMAGE, TRACK, ANY_TRACK = range(5)  # what has to be there for a field to be a number
@@ -89,19 +90,18 @@ class FiniteTrace:
 
 def bad_ticks(trace: Trace) -> NDArray[np.bool_]:
     """(n,) ticks with something that was measured and is no number, or no later than the tick before."""
-    trace = filled(trace, READ)
+    trace = without_gaps(trace, READ)
     bad = np.zeros(len(trace.ticks), np.bool_)
-    ticks, time_s = trace.ticks, trace.time_s
+    ticks, time_s, lacking = trace.ticks, trace.time_s, trace.known.missing(READ)
     bad[1:] = ~(time_s[1:] > time_s[:-1])
-    _mark(
-        as_numbers(ticks),
-        nonfinite_count(trace),
-        np.array([(c.start, c.stop, _needs(name)) for name, c in columns(ticks.dtype).items()]),
-        ticks["hand_present"],
-        ticks["object_visible"],
-        ticks["track_valid"],
-        bad,
+    fields = [
+        (c.start, c.stop, _needs(name)) for name, c in columns(ticks.dtype).items() if name not in lacking
+    ]
+    there = (
+        np.zeros_like(ticks[name]) if name in lacking else ticks[name]
+        for name in ("hand_present", "object_visible", "track_valid")
     )
+    _mark(as_numbers(ticks), nonfinite_count(trace), np.array(fields).reshape(-1, 3), *there, bad)
     return bad
 
 
@@ -136,12 +136,11 @@ def _mark(
 
 def bad_decisions(trace: Trace) -> NDArray[np.bool_]:
     """(m,) decisions with something that was measured and is no number, or no later than the one before."""
-    in_time, said, chose = (decided(trace, name) for name in ("time_s", "fault", "outcome"))
-    trace = filled(trace, READ)
     decisions, latency_s = trace.decisions, trace.decision_latency_s
     bad = np.zeros(len(decisions), np.bool_)
     if len(decisions) == 0:
         return bad
+    in_time, said, chose = (decided(trace, name) for name in ("time_s", "fault", "outcome"))
     bad[1:] = ~(np.diff(decisions["time_s"]) > 0.0) & in_time
     if len(latency_s) == len(decisions):
         bad |= np.isinf(latency_s)  # NaN: not timed
@@ -149,7 +148,7 @@ def bad_decisions(trace: Trace) -> NDArray[np.bool_]:
     chosen = chose & (decisions["outcome"] != DecisionOutcome.STOP)
     opposite = chose & (decisions["outcome"] == DecisionOutcome.OPPOSITE)
     expected = {"proposed": answered, "chosen": chosen, "opposite": opposite}
-    for name in OF_A_DECISION:
+    for name in filter(partial(decided, trace), OF_A_DECISION):
         wrong = ~(np.abs(decisions[name]) < ENDLESS).reshape(len(bad), -1).all(axis=1)
         bad |= wrong & expected.get(name.split("_")[0], np.True_)
     return bad

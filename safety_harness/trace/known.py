@@ -252,7 +252,9 @@ def knowing(trace: Trace, columns: Mapping[str, Measurement]) -> Trace:
         blank = np.nan if values.dtype.kind == "f" else -1 if name in _INDICES else np.zeros((), values.dtype)
         if name.startswith(OF_DECISIONS):
             values[...] = blank if one.source in _NOWHERE else values
-        else:
+        elif one.source in _NOWHERE:
+            values[...] = blank
+        elif one.gaps:
             values[~known.measured(name, ticks)] = blank
     return replace(trace, ticks=ticks, decisions=decisions, known=known)
 

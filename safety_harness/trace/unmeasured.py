@@ -32,22 +32,15 @@ def as_measured(trace: Trace) -> Trace:
     return trace if trace.known.whole else knowing(trace, trace.known.columns)
 
 
-def filled(trace: Trace, names: Iterable[str]) -> Trace:
-    """The same with zeros where a column of ``names`` was not measured, so nothing there is wrong."""
-    known = trace.known
-    if not known.columns:
-        return trace
-    lacking = [name for name in names if known.missing([name]) or known.of(name).gaps]
+def without_gaps(trace: Trace, names: Iterable[str]) -> Trace:
+    """The same with zeros in the gaps of the columns ``names``, so nothing there is wrong."""
+    lacking = [name for name in names if trace.known.of(name).gaps]
     if not lacking:
         return trace
-    ticks, decisions = trace.ticks.copy(), trace.decisions.copy()
+    ticks = trace.ticks.copy()
     for name in lacking:
-        if not name.startswith(OF_DECISIONS):
-            ticks[name][~measured(trace, name)] = np.zeros((), ticks[name].dtype)
-        else:
-            field = name.removeprefix(OF_DECISIONS)
-            decisions[field] = np.zeros((), decisions[field].dtype)
-    return replace(trace, ticks=ticks, decisions=decisions)
+        ticks[name][~measured(trace, name)] = np.zeros((), ticks[name].dtype)
+    return replace(trace, ticks=ticks)
 
 
 def refuse_not_simulated(trace: Trace, file: Path | None = None) -> None:

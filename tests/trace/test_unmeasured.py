@@ -22,7 +22,7 @@ from safety_harness.trace.known import (
 )
 from safety_harness.trace.overruling import Overruling, is_measured
 from safety_harness.trace.trace import Trace
-from safety_harness.trace.unmeasured import as_measured, decided, filled, measured, refuse_not_simulated
+from safety_harness.trace.unmeasured import as_measured, decided, measured, refuse_not_simulated, without_gaps
 
 
 def with_anything(trace: Trace) -> Trace:
@@ -53,7 +53,7 @@ def test_a_blank_is_no_wrong_number_and_a_measured_nan_is_one(visit: Trace) -> N
     ticks = trace.ticks.copy()
     ticks["joint_position_rad"][7, 2] = np.nan
     assert np.flatnonzero(bad_ticks(replace(trace, ticks=ticks))).tolist() == [7]
-    assert filled(visit, COLUMNS_OF_A_TRACE) is visit
+    assert without_gaps(visit, COLUMNS_OF_A_TRACE) is visit
 
 
 def test_two_traces_are_compared_in_what_was_measured_of_both(visit: Trace) -> None:
