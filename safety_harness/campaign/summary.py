@@ -20,6 +20,7 @@ from dataclasses import dataclass, field
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.rows import Row
 from safety_harness.properties.answered import fallback_words
+from safety_harness.statistics.binomial import ProbabilityBounds, Sides, bounds_of
 from safety_harness.statistics.sample import EpisodeOutcome
 from safety_harness.trace.overruling import COUNTS
 
@@ -82,6 +83,13 @@ def fallback_of(ledger: Ledger, stratum: int | None = None) -> FallbackTally:
     words = ledger.all(f"{often} GROUP BY mishap ORDER BY count(*) DESC, mishap LIMIT 1", *within)
     reason = next((why for (why,) in words), "")
     return FallbackTally(int(unanswered), int(decisions), int(episodes), reason)
+
+
+def bounds_in(ledger: Ledger) -> tuple[ProbabilityBounds, ...]:
+    """Of each claim in each stratum, as a report has them: all hold together."""
+    declared = ledger.declared
+    pairs = [(stratum, claim) for stratum in declared.strata for claim in declared.claims]
+    return bounds_of([ledger.sample(*pair) for pair in pairs], declared.confidence, Sides.BOTH)
 
 
 def fingerprint_of(ledger: Ledger) -> str:

@@ -58,6 +58,7 @@ def run(
 ) -> int:
     """Run a plan's episodes in many processes, or what is left of them if the ledger is there already.
 
+    Beside the ledger a page, .html, says how it stands.
     Ctrl-C keeps every finished episode, and so does whatever kills the program or the machine.
     Exit code 0: complete, or this part is; 1: complete, but episodes failed to run, the avoider did not
     always answer and the plan claims nothing of that, or answered otherwise when asked again, or no worker is
@@ -113,6 +114,7 @@ def _carry_on(plan: Plan, path: Path, workers: int | None, cluster: str | None, 
     with Ledger.open(path, check=False) as ledger:
         tally = tally_of(ledger)
         _say_ledger(ledger)
+        _write_page(ledger, path.with_suffix(".html"))
         unlike = bool(ledger.repeated.words)
         unanswered = fallback_of(ledger).unanswered and not is_claimed(claim.claim for claim in plan.claims)
     if stopped and not tally.complete:
@@ -143,16 +145,35 @@ def _numbers(part: str, plan: Plan) -> tuple[int, int]:
 
 
 @_command()
-def status(ledger: _LedgerFile) -> int:
+def status(
+    ledger: _LedgerFile,
+    html: Annotated[Path | None, Option(help="Also as a page, in this file.", metavar="FILE")] = None,
+) -> int:
     """Say how a campaign stands, also while it runs; once it is complete, with its bounds.
 
-    Exit code 0; 2: no ledger that can be read.
+    Exit code 0; 2: no ledger that can be read, or the page cannot be written.
     """
     from safety_harness.campaign.ledger import Ledger
 
     with Ledger.open(ledger, check=False) as opened:
         _say_ledger(opened)
+        if html is not None:
+            _write_page(opened, html)
     return AS_EXPECTED
+
+
+def _write_page(ledger: Ledger, path: Path) -> None:
+    import shlex
+    from datetime import UTC, datetime
+
+    from safety_harness.report.campaign_page import write_page
+    from safety_harness.whole_file import writing
+
+    words = ["safety-harness", "campaign", "status", str(ledger.path), "--html", str(path)]
+    with writing(path):
+        write_page(path, ledger, command=shlex.join(words), generated_at=datetime.now(UTC))
+    say(f"page: {path}")
+    document(page=path)
 
 
 @_command()

@@ -8,13 +8,19 @@ from collections.abc import Iterator, Sequence
 
 from safety_harness.campaign.ledger import Declared, Ledger
 from safety_harness.campaign.overruled import overruling_in
-from safety_harness.campaign.summary import CampaignTally, ClaimCounts, fallback_of, fingerprint_of, tally_of
+from safety_harness.campaign.summary import (
+    CampaignTally,
+    ClaimCounts,
+    bounds_in,
+    fallback_of,
+    fingerprint_of,
+    tally_of,
+)
 from safety_harness.certification.verdicts import confidence_words, percent
 from safety_harness.properties.base import Unit
 from safety_harness.proportions import share_words
 from safety_harness.report.machine import SI_UNITS
 from safety_harness.report.words import rounded_down, rounded_up
-from safety_harness.statistics.binomial import ProbabilityBounds, Sides, bounds_of
 from safety_harness.statistics.paired import PairedComparison
 from safety_harness.statistics.sample import EpisodeOutcome
 
@@ -59,7 +65,7 @@ def ledger_data(ledger: Ledger) -> dict[str, object]:
         "overruling": overruling_in(ledger).named,
         "repeatability": ledger.repeated,
         "dependent": ledger.dependent or None,
-        "bounds": _bounds(ledger) if whole and not ledger.dependent else None,
+        "bounds": bounds_in(ledger) if whole and not ledger.dependent else None,
         "fingerprint": fingerprint_of(ledger) if whole else None,
     }
 
@@ -78,12 +84,6 @@ def _claims_data(declared: Declared, claims: Sequence[ClaimCounts]) -> list[dict
             declared.claims, declared.units, declared.targets, claims, strict=True
         )
     ]
-
-
-def _bounds(ledger: Ledger) -> tuple[ProbabilityBounds, ...]:
-    declared = ledger.declared
-    pairs = [(stratum, claim) for stratum in declared.strata for claim in declared.claims]
-    return bounds_of([ledger.sample(*pair) for pair in pairs], declared.confidence, Sides.BOTH)
 
 
 def _summary(declared: Declared, tally: CampaignTally) -> str:
@@ -152,7 +152,7 @@ def _bound_lines(ledger: Ledger) -> list[str]:
     """The chance of a violation between its bounds, as a report has them: all hold together."""
     if ledger.dependent:
         return [ledger.dependent]
-    declared, bounds = ledger.declared, _bounds(ledger)
+    declared, bounds = ledger.declared, bounds_in(ledger)
     targets = dict(zip(declared.claims, declared.targets, strict=True))
     each = confidence_words(bounds[0].confidence)
     fallback = fallback_of(ledger).words

@@ -97,11 +97,12 @@ def bad_ticks(trace: Trace) -> NDArray[np.bool_]:
     fields = [
         (c.start, c.stop, _needs(name)) for name, c in columns(ticks.dtype).items() if name not in lacking
     ]
-    there = (
+    present, visible, tracked = (
         np.zeros_like(ticks[name]) if name in lacking else ticks[name]
         for name in ("hand_present", "object_visible", "track_valid")
     )
-    _mark(as_numbers(ticks), nonfinite_count(trace), np.array(fields).reshape(-1, 3), *there, bad)
+    kinds = np.array(fields).reshape(-1, 3)
+    _mark(as_numbers(ticks), nonfinite_count(trace), kinds, present, visible, tracked, bad)
     return bad
 
 

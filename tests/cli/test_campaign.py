@@ -50,6 +50,16 @@ def test_a_plan_is_run_to_its_bounds(folder: Path, capsys: pytest.CaptureFixture
     assert "NOT shown" in out
     assert "model only" in out
     assert "fingerprint" in out
+    assert "near: hand distance" not in (folder / "ledger.html").read_text()  # a table, and no lines
+    assert "0 of 2 targets shown" in (folder / "ledger.html").read_text()
+
+
+def test_status_writes_the_page_where_it_is_told_to(folder: Path, tmp_path: Path) -> None:
+    ledger = str(folder / "ledger.sqlite")
+    done = CliRunner().invoke(app, ["campaign", "status", ledger, "--html", str(tmp_path / "page.html")])
+    assert done.exit_code == 0
+    assert "targets shown" in (tmp_path / "page.html").read_text()
+    assert CliRunner().invoke(app, ["campaign", "status", ledger, "--html", str(tmp_path)]).exit_code == 2
 
 
 def test_a_complete_campaign_is_not_run_again(folder: Path) -> None:

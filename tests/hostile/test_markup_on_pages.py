@@ -24,6 +24,7 @@ import test_search_page as search
 
 import safety_harness
 import safety_harness_paper
+from safety_harness.campaign.episodes import failed_row
 from safety_harness.certification.folder import junit_xml
 from safety_harness.certification.page import render as evidence_page
 from safety_harness.proof.certificate import Proof, WrongQuestion
@@ -32,6 +33,7 @@ from safety_harness.proof.session import fresh
 from safety_harness.proof.together import joint_bounds
 from safety_harness.proof.tree import BoxTree
 from safety_harness.report import arm_page
+from safety_harness.report.campaign_page import write_page as write_campaign
 from safety_harness.report.coverage_map import coverage_map
 from safety_harness.report.history import read_history
 from safety_harness.report.history import write_page as write_history
@@ -49,9 +51,11 @@ from safety_harness.report.view_page import write_view
 from safety_harness.robot.robots import arm_capsules, arm_model
 from safety_harness.scenario.robots import Robot
 from safety_harness.selftest.document import render as selftest_page
+from safety_harness.simulation.worlds import KINEMATIC
 from safety_harness_paper import figure7, table1
 from safety_harness_paper.page import render as reproduction_page
 from safety_harness_paper.scale import DEFAULT
+from tests.campaign.plans import ledger_in, plan_in
 from tests.proof.regions import PLAN, plan_file
 
 MARKUP = "</script></style></svg><img src=x onerror=alert(1)><script>alert(2)</script>\"'&{{7*7}}"
@@ -174,6 +178,17 @@ def remembered() -> str:
         return (Path(folder) / "page.html").read_text()
 
 
+def campaigned() -> str:
+    with TemporaryDirectory() as name:
+        folder = Path(name)
+        with ledger_in(folder, plan_in(folder)) as ledger:
+            ledger.declared = spoilt(replace(ledger.declared, world=KINEMATIC))
+            for stratum, runs in enumerate((30, 20)):
+                ledger.record(failed_row(plan_in(folder), stratum, k, MARKUP) for k in range(runs))
+            write_campaign(folder / "page.html", ledger, command=MARKUP, generated_at=WHEN)
+        return (folder / "page.html").read_text()
+
+
 PAGES: dict[str, Callable[[], str]] = {
     "report.html.j2": report,
     "search.html.j2": a_search,
@@ -185,6 +200,7 @@ PAGES: dict[str, Callable[[], str]] = {
     "proof.html.j2": proven,
     "view.html.j2": viewed,
     "history.html.j2": remembered,
+    "campaign.html.j2": campaigned,
 }
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import factory
 import yaml
+from jsonschema.validators import validator_for
 
 from safety_harness.exceptions import Place
 from safety_harness.report.ci_formats import MOST_LINES, markdown, sarif
@@ -58,6 +59,20 @@ def test_a_run_without_a_file_has_no_place_and_what_holds_is_not_told() -> None:
     assert found["results"] == []
     (found,) = sarif([factory.violated_run()])["runs"]
     assert found["results"]
+
+
+# The schema of OASIS's SARIF 2.1.0, as Microsoft's SARIF Multitool 5.7.0 (MIT) ships it.
+PUBLISHED = json.loads((Path(__file__).parent / "sarif-2.1.0.json").read_text(encoding="utf-8"))
+
+
+def test_it_is_of_the_published_schema(tmp_path: Path) -> None:
+    validator = validator_for(PUBLISHED)(PUBLISHED)
+    runs = [factory.violated_run(), factory.hostile_run(), at_lines(factory.violated_run(), tmp_path / "a b")]
+    written = json.loads(json.dumps(sarif(runs)))
+    assert len(written["runs"][0]["results"]) > 1
+    assert [error.message for error in validator.iter_errors(written)] == []
+    written["runs"][0]["results"][0]["level"] = "grave"
+    assert len(list(validator.iter_errors(written))) == 1
 
 
 def test_the_summary_begins_with_the_answer_and_has_one_row_a_line() -> None:

@@ -1,0 +1,128 @@
+"""One self-contained page of a campaign's ledger: its bounds, its worst episodes, and what did not run."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from safety_harness.campaign.ledger import Declared, Ledger
+from safety_harness.campaign.overruled import overruling_in
+from safety_harness.campaign.summary import CampaignTally, bounds_in, fallback_of, fingerprint_of, tally_of
+from safety_harness.properties.base import Unit
+from safety_harness.proportions import share_words
+from safety_harness.report.page_parts import render_page
+from safety_harness.report.words import rounded_down, rounded_up, with_minus
+from safety_harness.statistics.binomial import ProbabilityBounds
+from safety_harness.statistics.sample import EpisodeOutcome
+from safety_harness.whole_file import write_whole
+
+MOST_EPISODES = 1000  # of violations; the ledger has all
+SHOWN, REFUTED, NOT_SHOWN, NO_TARGET = "shown", "refuted", "not shown", "no target"
+CSS = {SHOWN: "holds", REFUTED: "violated", NOT_SHOWN: "inconclusive", NO_TARGET: "none"}
+_WORST = (
+    "SELECT j.stratum, j.episode, j.claim, j.margin, j.worst_time_s, t.episode IS NOT NULL FROM judgement j "
+    "LEFT JOIN trace t ON t.stratum = j.stratum AND t.episode = j.episode "
+    f"WHERE j.outcome = {int(EpisodeOutcome.VIOLATED)} ORDER BY j.margin LIMIT {MOST_EPISODES}"
+)
+_FAILED = (
+    "SELECT failure, count(*), min(episode) FROM episode WHERE failure IS NOT NULL GROUP BY 1 ORDER BY 2 DESC"
+)
+Cells = tuple[Any, ...]
+
+
+def write_page(path: Path, ledger: Ledger, *, command: str, generated_at: datetime) -> None:
+    """Write the page whole or not at all; ``command`` makes it again.  Raises OSError."""
+    declared, tally = ledger.declared, tally_of(ledger)
+    bounds = bounds_in(ledger) if tally.complete and not ledger.dependent else ()
+    rows = list(_claims(declared, tally, bounds))
+    verdicts = [str(row[2]) for row in rows]
+    page = render_page(
+        "campaign.html.j2",
+        made=(generated_at, command),
+        declared=declared,
+        tally=tally,
+        answer=_answer(tally, verdicts),
+        remarks=[one for one in (ledger.dependent, fallback_of(ledger).words, ledger.repeated.words) if one],
+        rows=rows,
+        css=CSS,
+        verdicts=verdicts,
+        strata=list(_strata(ledger, tally)),
+        failures=list(ledger.all(_FAILED)),
+        worst=list(_worst(ledger)),
+        violations=sum(
+            tally.of_claim(k).counts[EpisodeOutcome.VIOLATED] for k in range(len(declared.claims))
+        ),
+        ledger=ledger.path,
+        fingerprint=fingerprint_of(ledger) if tally.complete else None,
+    )
+    write_whole(path, page)
+
+
+def _answer(tally: CampaignTally, verdicts: list[str]) -> str:
+    if not tally.complete:
+        return f"not complete: {tally.done} of {tally.planned} episodes"
+    targets = [one for one in verdicts if one != NO_TARGET]
+    if not targets:
+        return f"{tally.done} episodes, no target declared"
+    words = f"{targets.count(SHOWN)} of {len(targets)} targets shown"
+    return words + (f", {targets.count(REFUTED)} refuted" if REFUTED in targets else "")
+
+
+def _verdict(target: float | None, bound: ProbabilityBounds | None) -> str:
+    if target is None:
+        return NO_TARGET
+    if bound is None or not bound.trials:
+        return NOT_SHOWN
+    return SHOWN if bound.shows(target) else REFUTED if bound.low > target else NOT_SHOWN
+
+
+def _claims(
+    declared: Declared, tally: CampaignTally, bounds: tuple[ProbabilityBounds, ...]
+) -> Iterator[Cells]:
+    """A row for each claim in each stratum: words, and which of them is which."""
+    of = {(one.stratum, one.claim): one for one in bounds}
+    for name, stratum in zip(declared.strata, tally.strata, strict=True):
+        of_claims = zip(declared.claims, declared.units, declared.targets, stratum.claims, strict=True)
+        for claim, unit, target, found in of_claims:
+            counts, bound = found.counts, of.get((name, claim))
+            known = bound is not None and bound.trials > 0
+            yield (
+                name,
+                claim,
+                _verdict(target, bound),
+                counts[EpisodeOutcome.HOLDS] + counts[EpisodeOutcome.VIOLATED],
+                counts[EpisodeOutcome.VIOLATED],
+                counts[EpisodeOutcome.INCONCLUSIVE] + counts[EpisodeOutcome.FAILED],
+                rounded_down(bound.low) if bound is not None and known else "–",
+                rounded_up(bound.high) if bound is not None and known else "–",
+                "–" if target is None else f"{target:.4g}",
+                _margin(unit, found.worst),
+                found.worst_episode if found.worst_episode >= 0 else "–",
+            )
+
+
+def _strata(ledger: Ledger, tally: CampaignTally) -> Iterator[Cells]:
+    for number, (name, one) in enumerate(zip(ledger.declared.strata, tally.strata, strict=True)):
+        gate = overruling_in(ledger, number)
+        overruled = share_words(gate.overruled, gate.proposals) if gate.proposals else "no proposals"
+        early = "" if one.stopped_after is None else f"decided after {one.stopped_after}"
+        yield name, one.done, one.planned, one.failed, overruled, early or "–"
+
+
+def _worst(ledger: Ledger) -> Iterator[Cells]:
+    declared = ledger.declared
+    for stratum, episode, claim, margin, time_s, kept in ledger.all(_WORST):
+        yield (
+            declared.strata[stratum],
+            episode,
+            declared.claims[claim],
+            _margin(declared.units[claim], margin),
+            "–" if time_s is None else f"{time_s:.3f} s",
+            "kept" if kept else "made again from its seed",
+        )
+
+
+def _margin(unit: Unit, margin: float | None) -> str:
+    return "–" if margin is None or margin != margin else with_minus(unit.margin_text(margin))
