@@ -167,9 +167,10 @@ def _write_page(ledger: Ledger, path: Path) -> None:
     from datetime import UTC, datetime
 
     from safety_harness.report.campaign_page import write_page
+    from safety_harness.scenario.files import told
     from safety_harness.whole_file import writing
 
-    words = ["safety-harness", "campaign", "status", str(ledger.path), "--html", str(path)]
+    words = ["safety-harness", "campaign", "status", str(told(ledger.path)), "--html", str(told(path))]
     with writing(path):
         write_page(path, ledger, command=shlex.join(words), generated_at=datetime.now(UTC))
     say(f"page: {path}")

@@ -14,6 +14,7 @@ from safety_harness.properties.base import Unit
 from safety_harness.proportions import share_words
 from safety_harness.report.page_parts import render_page
 from safety_harness.report.words import rounded_down, rounded_up, with_minus
+from safety_harness.scenario.files import told
 from safety_harness.statistics.binomial import ProbabilityBounds
 from safety_harness.statistics.sample import EpisodeOutcome
 from safety_harness.whole_file import write_whole
@@ -54,7 +55,8 @@ def write_page(path: Path, ledger: Ledger, *, command: str, generated_at: dateti
         violations=sum(
             tally.of_claim(k).counts[EpisodeOutcome.VIOLATED] for k in range(len(declared.claims))
         ),
-        ledger=ledger.path,
+        ledger=told(ledger.path),
+        plan=told(declared.plan_file),
         fingerprint=fingerprint_of(ledger) if tally.complete else None,
     )
     write_whole(path, page)
