@@ -1,17 +1,20 @@
-"""The site, into site/: python docs/build_site.py [FOLDER] (make docs).
+"""The site, into site/: python docs/build_site.py [FOLDER] (make docs); with --release, into FOLDER/VERSION.
 
+Released sites lie side by side in one folder; on a server each of them lets its reader choose another.
 What a page links to in the repository becomes a page as well; the build fails for a broken link and for a
 page that would fetch anything from elsewhere.
 """
 
 from __future__ import annotations
 
+import json
 import re
 import shutil
 import subprocess
 import sys
 from collections.abc import Iterator, Sequence
 from html.parser import HTMLParser
+from importlib import metadata
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -26,9 +29,14 @@ FETCHED = {"script": "src", "img": "src", "iframe": "src", "link": "href", "sour
 NO_PAGES = shutil.ignore_patterns("*.py", "*.json", "__pycache__")
 
 
-def build(root: Path, out: Path) -> None:
-    """The site of ``root``/docs, as ``root``/mkdocs.yml has it; SystemExit with what is wrong."""
+def build(root: Path, out: Path, *, released: bool = False) -> None:
+    """The site of ``root``/docs, as ``root``/mkdocs.yml has it; SystemExit with what is wrong.
+
+    One that is ``released`` asks its server which others there are.
+    """
     settings = yaml.safe_load((root / "mkdocs.yml").read_text(encoding="utf-8"))
+    if released:
+        settings["extra"]["version"] = {"provider": "mike"}  # the form of versions.json
     with TemporaryDirectory() as folder:
         work = Path(folder)
         shutil.copytree(root / "docs", work / "docs", ignore=NO_PAGES)
@@ -139,10 +147,31 @@ class _Finder(HTMLParser):
             self.found.append(address)
 
 
+def release(root: Path, out: Path, version: str) -> None:
+    """The site of ``version`` beside those that are in ``out``, and where the newest is."""
+    build(root, out / version, released=True)
+    found = sorted((one for one in out.iterdir() if (one / "index.html").is_file()), key=_number)
+    versions = [{"version": one.name, "title": one.name, "aliases": []} for one in reversed(found)]
+    versions[0]["aliases"] = ["latest"]
+    (out / "versions.json").write_text(json.dumps(versions, indent=1) + "\n", encoding="utf-8")
+    newest = (
+        f'<!DOCTYPE html><title>The newest</title><meta http-equiv="refresh" content="0; {found[-1].name}/">'
+    )
+    (out / "index.html").write_text(newest + "\n", encoding="utf-8")
+
+
+def _number(site: Path) -> list[int]:
+    return [int(part) for part in re.findall(r"\d+", site.name)]
+
+
 def main(arguments: Sequence[str] = ()) -> None:
     """Build, and say where."""
-    out = Path(arguments[0]) if arguments else ROOT / "site"
-    build(ROOT, out)
+    folders = [one for one in arguments if one != "--release"]
+    out = Path(folders[0]) if folders else ROOT / "site"
+    if "--release" in arguments:
+        release(ROOT, out, metadata.version("safety-harness"))
+    else:
+        build(ROOT, out)
     sys.stdout.write(f"{out / 'index.html'}\n")
 
 

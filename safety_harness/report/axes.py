@@ -7,6 +7,7 @@ marks and words whose place is outside are left out.
 
 from __future__ import annotations
 
+import math
 import re
 import unicodedata
 from collections.abc import Callable, Iterable, Sequence
@@ -21,6 +22,7 @@ from safety_harness.report.words import with_minus
 
 FONT_PX = 11.0
 _FAR_PX, _LARGEST = 9e4, 1e300  # what is farther is drawn there
+_ROUNDED_PX = 0.1
 _MOST_PLACES = 20  # of a path that says each; a longer one says its steps
 _LEADING_ZERO = re.compile(r"(^|[ -])0(?=\.)")
 _ROUND = (1.0, 2.0, 2.5, 5.0, 10.0)
@@ -420,10 +422,38 @@ def _strokes(x: Floats, y: Floats, *, closed: bool = False) -> str:
     for run in np.split(np.arange(len(good)), np.flatnonzero(np.diff(good)) + 1):
         if len(run) and good[run[0]]:
             drawn.append(
-                _path_words(np.asarray(places[run], np.float64))
+                _path_words(_straightened(np.asarray(places[run], np.float64)))
                 + ("z" if closed else "h0" if len(run) == 1 else "")
             )
     return "".join(drawn)
+
+
+def _straightened(places: Floats) -> Floats:
+    """``places`` (n, 2) [px] without those that lie on the straight way between two others that are kept.
+
+    Within as much as places are rounded to, and only where the way does not turn back.  From a place that is
+    kept all later ones are passed over as long as they lie within a cone (Reumann and Witkam, 1974).
+    """
+    if len(places) <= _MOST_PLACES:
+        return places
+    kept, (x, y) = [0], places[0]
+    least, most, reached, ahead = -math.pi, math.pi, 0.0, math.nan
+    for k, (a, b) in enumerate(places.tolist()):
+        away = math.hypot(a - x, b - y)
+        bearing = math.atan2(b - y, a - x)
+        turned = math.remainder(bearing - ahead, math.tau) if ahead == ahead else 0.0
+        if away < reached or not least <= turned <= most:
+            kept.append(k - 1)
+            x, y = places[k - 1].tolist()
+            away, bearing = math.hypot(a - x, b - y), math.atan2(b - y, a - x)
+            least, most, ahead, turned = -math.pi, math.pi, math.nan, 0.0
+        reached = away
+        if away > _ROUNDED_PX:
+            ahead = bearing if ahead != ahead else ahead
+            spread = math.asin(_ROUNDED_PX / away)
+            least, most = max(least, turned - spread), min(most, turned + spread)
+    found: Floats = places[[*kept, len(places) - 1]]
+    return found
 
 
 def _path_words(places: Floats) -> str:

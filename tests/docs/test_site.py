@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import json
 import re
+import threading
 import time
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +29,11 @@ SEARCH = """
 """
 
 
+class Quiet(SimpleHTTPRequestHandler):
+    def log_message(self, *_: object) -> None:
+        """Nothing."""
+
+
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("site") / "site"
@@ -33,18 +41,48 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def small(tmp_path: Path, page: str) -> None:
-    """The build of one page with our settings."""
+def one_page(tmp_path: Path, page: str) -> None:
+    """A repository with one page and our settings."""
     text = (ROOT / "mkdocs.yml").read_text()
     (tmp_path / "mkdocs.yml").write_text(text[: text.index("\nnav:")] + "\nnav:\n  - Start: index.md\n")
     (tmp_path / "docs").mkdir()
     (tmp_path / "docs" / "index.md").write_text(page)
+
+
+def small(tmp_path: Path, page: str) -> None:
+    """Its build."""
+    one_page(tmp_path, page)
     build_site.build(tmp_path, tmp_path / "site")
 
 
 def test_a_page_without_fault_is_built(tmp_path: Path) -> None:
     small(tmp_path, "# one\n\n[two](#two)\n\n## two\n")
     assert "two" in (tmp_path / "site" / "index.html").read_text()
+
+
+def test_of_releases_on_a_server_a_reader_chooses_one(tmp_path: Path, browser: Any) -> None:
+    one_page(tmp_path, "# one\n\n[two](#two)\n\n## two\n")
+    out = tmp_path / "sites"
+    for version in ("0.9.0", "0.10.0"):
+        build_site.release(tmp_path, out, version)
+    listed = json.loads((out / "versions.json").read_text())
+    assert [(one["version"], one["aliases"]) for one in listed] == [("0.10.0", ["latest"]), ("0.9.0", [])]
+    server = ThreadingHTTPServer(("127.0.0.1", 0), partial(Quiet, directory=str(out)))
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    try:
+        browser.get(f"http://127.0.0.1:{server.server_port}/")
+        chosen = (
+            "return [...document.querySelectorAll('.md-version__link')].map((one) => one.textContent.trim())"
+        )
+        until = time.monotonic() + 30.0
+        while not (found := browser.execute_script(chosen)) and time.monotonic() < until:
+            time.sleep(0.1)
+        assert found == ["0.10.0", "0.9.0"]
+        assert browser.current_url.rstrip("/").endswith("/0.10.0")
+    finally:
+        browser.get("about:blank")
+        server.shutdown()
+        server.server_close()
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from hypothesis import example, given
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from safety_harness.report.axes import Axes, Picture, Share, round_values, stairs
@@ -31,8 +31,17 @@ def strokes(picture: Picture, ink: Ink) -> list[list[tuple[float, float]]]:
         for path in drawn(picture).iter("path")
         if f"var({ink.variable})" in (path.get("stroke"), path.get("fill"))
     ]
-    numbers = [re.findall(r"-?[\d.]+", part) for path in paths for part in path.split("M")[1:]]
-    return [list(zip(map(float, one[::2]), map(float, one[1::2]), strict=False)) for one in numbers]
+    return [_places(part) for path in paths for part in path.split("M")[1:]]
+
+
+def _places(part: str) -> list[tuple[float, float]]:
+    """Of a path from its first place, either all of them or the steps to them."""
+    first, _, steps = part.partition("l")
+    numbers, off = (list(map(float, re.findall(r"-?[\d.]+", one))) for one in (first, steps))
+    if off:
+        across, up = (np.cumsum(numbers[k : k + 1] + off[k::2]).tolist() for k in (0, 1))
+        return list(zip(across, up, strict=True))
+    return list(zip(numbers[::2], numbers[1::2], strict=False))
 
 
 def test_a_value_is_drawn_where_its_label_stands() -> None:
@@ -87,6 +96,27 @@ def test_a_thinned_curve_passes_through_every_place_and_turns_where_it_turned(
     missing = [one for one in expected if one not in line]
     for x, y in missing:  # on a level stretch between two places that are there
         assert any(a[1] == b[1] == y and min(a[0], b[0]) <= x <= max(a[0], b[0]) for a, b in pairwise(line))
+
+
+def _off(place: tuple[float, float], a: tuple[float, float], b: tuple[float, float]) -> float:
+    """How far a place lies from the way between two others."""
+    along = np.subtract(b, a)
+    share = 0.0 if not along.any() else np.clip(np.subtract(place, a) @ along / (along @ along), 0.0, 1.0)
+    return float(np.linalg.norm(np.subtract(place, a) - share * along))
+
+
+@settings(max_examples=20)
+@given(st.integers(0, 2**32), st.sampled_from([0.05, 0.3, 2.0]))
+def test_a_long_path_goes_by_every_place_as_near_as_places_are_told(seed: int, step: float) -> None:
+    places = np.cumsum(np.random.default_rng(seed).normal(0.0, step, (80, 2)), axis=0)
+    picture, axes = new()
+    axes.x.show(-100.0, 100.0)
+    axes.y.show(-50.0, 50.0)
+    axes.line(places[:, 0], places[:, 1], Ink.TCP)
+    (line,) = strokes(picture, Ink.TCP)
+    for x, y in zip(LEFT + 100.0 + places[:, 0], TOP + 50.0 - places[:, 1], strict=True):
+        assert min(_off((x, y), a, b) for a, b in pairwise(line)) < 0.1 + 0.08  # and half of its last digit
+    assert step > 0.05 or len(line) < 60
 
 
 @given(st.floats(-1e6, 1e6), st.floats(1e-9, 1e9), st.integers(2, 12))
@@ -153,4 +183,4 @@ def test_a_long_line_goes_through_the_places_that_a_short_one_names() -> None:
         (found,) = strokes(picture, Ink.TCP)
         return np.array(found)
 
-    assert np.allclose(np.cumsum(places(40), axis=0)[:15], places(15), atol=1e-6)
+    assert np.allclose(places(40)[:15], places(15), atol=1e-6)
