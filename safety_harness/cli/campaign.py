@@ -340,6 +340,46 @@ def attribute(
     return attribute_ledger(ledger, most, execute_programs, out, confirm)
 
 
+@_command("rare")
+def rare_violations(
+    plan: Annotated[Path, Argument(help="A plan: a file, or shipped:NAME.", metavar="PLAN")],
+    particles: Annotated[int, Option(help="Runs on each level.", min=10)] = 200,
+    steps: Annotated[int, Option(help="Moves of each on a level.", min=1)] = 5,
+    replications: Annotated[int, Option(help="Independent repetitions.", min=3)] = 20,
+) -> int:
+    """Estimate how often rare violations come, by splitting: for shares below one in a thousand.
+
+    Of all runs of a stratum, those that do not test the claim among them, with an interval; and how many
+    independent runs would say it as well. Nothing is written; all of a plan's intervals hold together with
+    its confidence, approximately. Exit code 0; 1: for some claim nothing can be said, or its target is
+    exceeded; 2: bad input, or a run that says nothing; 130: interrupted.
+    """
+    from safety_harness.campaign.plan import read_plan
+    from safety_harness.campaign.rare import rare_violations as estimated
+    from safety_harness.cli.campaign_lines import rare_line
+    from safety_harness.cli.progress import one_line
+    from safety_harness.statistics.rare import Splitting
+
+    read = read_plan(plan)
+    how = Splitting(particles=particles, steps=steps, replications=replications)
+    found, unlike = [], False
+    with one_line() as show:
+        for one in estimated(read, how, lambda done: show(f"{done:,} draws of a claim in a stratum")):
+            found.append(one)
+            result(rare_line(one))
+            target = one.claim.target
+            unlike |= one.high >= 1.0 or (target is not None and one.low > target)
+            document(
+                estimates=[
+                    {"stratum": each.stratum, "claim": each.claim.sentence, "target": each.claim.target}
+                    | {key: getattr(each, key) for key in ("share", "low", "high", "admitted", "estimate")}
+                    for each in found
+                ],
+                confidence=read.confidence,
+            )
+    return DIFFERS if unlike else AS_EXPECTED
+
+
 @_command()
 def merge(
     into: Annotated[Path, Argument(help="The ledger to make.", metavar="INTO")],

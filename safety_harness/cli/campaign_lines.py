@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 
 from safety_harness.campaign.ledger import Declared, Ledger
 from safety_harness.campaign.overruled import overruling_in
+from safety_harness.campaign.rare import RareViolation
 from safety_harness.campaign.summary import (
     CampaignTally,
     ClaimCounts,
@@ -173,6 +174,18 @@ def _bound_lines(ledger: Ledger) -> list[str]:
             f"  {one.stratum}: {one.claim}: " + (known if one.trials else "nothing known, never tested")
         )
     return lines
+
+
+def rare_line(one: RareViolation) -> str:
+    """What splitting says of one claim in one stratum."""
+    found, where = one.estimate, f"{one.stratum}: {one.claim.sentence}"
+    ran = f"{found.evaluations:,} draws{', model only' if found.model_only else ''}"
+    if one.high >= 1.0:
+        reached = f"{found.reached} of {len(found.replicates)} replications found a violation"
+        return f"{where}: nothing can be said ({reached}; {ran})"
+    line = f"{where}: {one.share:.3g} of all runs violate it ({one.low:.3g} to {one.high:.3g}; {ran})"
+    many = one.as_many_draws
+    return line + f"; independent runs would take {many:,.0f} for the same standard error"
 
 
 def difference_lines(found: Sequence[PairedComparison], confidence: float) -> list[str]:

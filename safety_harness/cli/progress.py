@@ -80,6 +80,13 @@ def _block() -> Iterator[Callable[[list[str]], None]]:
             yield lambda lines: tell(lines[0])
 
 
+@contextmanager
+def one_line() -> Iterator[Callable[[str], None]]:
+    """Yields what shows one line that changes."""
+    with _block() as show:
+        yield lambda line: show([line])
+
+
 def _shown() -> dict[str, Any]:
     """On standard error, and results above it; those that go to a file are left alone."""
     results = sys.stdout is not None and sys.stdout.isatty()
