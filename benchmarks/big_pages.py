@@ -2,7 +2,7 @@
 
 Run: python benchmarks/big_pages.py [FILE.md] [--runs N]...
 
-Runs are copies of three of the tests' own, under names of their own.  A page is opened five times in a browser
+Runs are copies of three of the tests' own, under other names.  A page is opened five times in a browser
 and a word typed into its filter: the median of the times until it is laid out, and of those of the first
 search, which reads every row, and of later ones.
 """

@@ -113,6 +113,7 @@ EXECUTES: dict[str, str | None] = {
     "campaign attribute": "report/ledger.sqlite --execute-programs --most 1",
     "campaign run": "plan.yaml --workers 1",
     "campaign resume": "begun.sqlite --workers 1",
+    "campaign rare": "plan.yaml --particles 10 --steps 1 --replications 3",
 }
 
 
