@@ -2,24 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from datetime import datetime
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
+from safety_harness.admission.trial import judge
 from safety_harness.campaign.ledger import Declared, Ledger
 from safety_harness.campaign.overruled import overruling_in
 from safety_harness.campaign.summary import CampaignTally, bounds_in, fallback_of, fingerprint_of, tally_of
 from safety_harness.properties.base import Unit
 from safety_harness.proportions import share_words
+from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.page_parts import render_page
+from safety_harness.report.replay import Replays
 from safety_harness.report.words import rounded_down, rounded_up, with_minus
 from safety_harness.scenario.files import told
 from safety_harness.statistics.binomial import ProbabilityBounds
 from safety_harness.statistics.sample import EpisodeOutcome
+from safety_harness.trace.store import load_trace
 from safety_harness.whole_file import write_whole
 
 MOST_EPISODES = 1000  # of violations; the ledger has all
+MOST_SHOWN = 5  # of them as replays
 SHOWN, REFUTED, NOT_SHOWN, NO_TARGET = "shown", "refuted", "not shown", "no target"
 CSS = {SHOWN: "holds", REFUTED: "violated", NOT_SHOWN: "inconclusive", NO_TARGET: "none"}
 _WORST = (
@@ -39,8 +45,12 @@ def write_page(path: Path, ledger: Ledger, *, command: str, generated_at: dateti
     bounds = bounds_in(ledger) if tally.complete and not ledger.dependent else ()
     rows = list(_claims(declared, tally, bounds))
     verdicts = [str(row[2]) for row in rows]
+    worst = list(ledger.all(_WORST))
+    shown = list(_shown(ledger, worst))
     page = render_page(
         "campaign.html.j2",
+        replays=bool(shown),
+        shown=shown,
         made=(generated_at, command),
         declared=declared,
         tally=tally,
@@ -51,7 +61,7 @@ def write_page(path: Path, ledger: Ledger, *, command: str, generated_at: dateti
         verdicts=verdicts,
         strata=list(_strata(ledger, tally)),
         failures=list(ledger.all(_FAILED)),
-        worst=list(_worst(ledger)),
+        worst=[_worst(declared, *one) for one in worst],
         violations=sum(
             tally.of_claim(k).counts[EpisodeOutcome.VIOLATED] for k in range(len(declared.claims))
         ),
@@ -113,17 +123,31 @@ def _strata(ledger: Ledger, tally: CampaignTally) -> Iterator[Cells]:
         yield name, one.done, one.planned, one.failed, overruled, early or "–"
 
 
-def _worst(ledger: Ledger) -> Iterator[Cells]:
-    declared = ledger.declared
-    for stratum, episode, claim, margin, time_s, kept in ledger.all(_WORST):
-        yield (
-            declared.strata[stratum],
-            episode,
-            declared.claims[claim],
-            _margin(declared.units[claim], margin),
-            "–" if time_s is None else f"{time_s:.3f} s",
-            "kept" if kept else "made again from its seed",
-        )
+def _worst(
+    of: Declared, stratum: int, episode: int, claim: int, margin: float, time_s: float | None, kept: bool
+) -> Cells:
+    at = "–" if time_s is None else f"{time_s:.3f} s"
+    words = "kept" if kept else "made again from its seed"
+    return of.strata[stratum], episode, of.claims[claim], _margin(of.units[claim], margin), at, words
+
+
+def _shown(ledger: Ledger, worst: Iterable[Cells]) -> Iterator[dict[str, object]]:
+    """The worst violations whose traces are kept, as replays."""
+    kept, replays = [one for one in worst if one[-1]], Replays()
+    with TemporaryDirectory() as folder:
+        for number, (stratum, episode, claim, margin, *_) in enumerate(kept[:MOST_SHOWN], start=1):
+            data = ledger.trace(stratum, episode)
+            assert data is not None
+            file = Path(folder) / f"{number}.trace"
+            file.write_bytes(data)
+            trace, sentence = load_trace(file), ledger.declared.claims[claim]
+            run = JudgedRun(trace, judge(trace), "").under(sentence)
+            yield {
+                "id": f"shown-{number}",
+                "what": f"{ledger.declared.strata[stratum]}, episode {episode}",
+                "words": f"{sentence}: {_margin(ledger.declared.units[claim], margin)}",
+                "replay": replays.of(run, f"shown-{number}"),
+            }
 
 
 def _margin(unit: Unit, margin: float | None) -> str:

@@ -9,6 +9,9 @@ from pathlib import Path
 
 import pytest
 
+from safety_harness.admission.admit import admit
+from safety_harness.admission.trial import run_kinematic
+from safety_harness.campaign.episodes import EpisodeRunner, trace_bytes
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.rows import ClaimJudgement, Row
 from safety_harness.report import campaign_page
@@ -92,3 +95,13 @@ def test_of_very_many_violations_the_worst_are_listed(
     words = words_of(page_of(ledger, tmp_path))
     assert "The worst first, 4 of 25." in words
     assert "near 20 hand" not in words
+
+
+def test_the_worst_that_are_kept_are_replayed(ledger: Ledger, tmp_path: Path) -> None:
+    run = run_kinematic(admit(EpisodeRunner(plan_in(tmp_path)).scenario(1, 0, 0)))
+    worst = replace(row(0, 1, -0.9), trace=trace_bytes(run))
+    assert page_of(ledger, tmp_path).count("data-packed=") == 0
+    ledger.record([worst])
+    page = page_of(ledger, tmp_path)
+    assert page.count('data-packed="') == 1
+    assert "nearer, episode 0" in words_of(page)
