@@ -6,6 +6,7 @@ import shlex
 import sys
 import traceback
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
@@ -31,6 +32,7 @@ from safety_harness.cli.console import (
     usable,
 )
 from safety_harness.cli.progress import RunsShown, watching_runs
+from safety_harness.cli.run_processes import RunProcesses, run_processes
 from safety_harness.exceptions import InputError, OutputError, SafetyHarnessError
 from safety_harness.interrupts import one_more_ctrl_c
 from safety_harness.properties.against import Against, RunDifference
@@ -92,11 +94,12 @@ def run(
     *,
     world: WorldEntry = REFERENCE,
     keep_going: bool = False,
+    jobs: int | None = None,
 ) -> int:
     """Run in ``world``, judge, print, save and report; returns the exit code.
 
     InstallationError as of ``read_all``.  ``keep_going``: what cannot be used is told and
-    counted, and the rest is run.
+    counted, and the rest is run.  ``jobs``: as of ``run_processes``.
     """
     say_shared_modules()
     try:
@@ -124,7 +127,7 @@ def run(
         mine = "what each file names" if avoider is None else told_avoider(avoider)
         session.against = Against(mine=mine, reference=told_avoider(against), runs=session.differences)
     say(*(f"skipped: {one}" for one in skipped))
-    session.run_all(admitted)
+    session.run_all(admitted, jobs)
     return session.finish()
 
 
@@ -150,17 +153,22 @@ class RunSession:
     repeatability: Repeatability = field(default_factory=Repeatability)
     repeated: RepeatabilityResult | None = None  # None: not asked again
 
-    def run_all(self, admitted: Sequence[Sequence[Admitted]]) -> None:
-        """One after another, each with the reference too, until Ctrl-C or a disk that takes no more."""
-        with watching_runs([one.scenario for each in admitted for one in each]) as progress:
+    def run_all(self, admitted: Sequence[Sequence[Admitted]], jobs: int | None = 1) -> None:
+        """In their order, each with the reference too, until Ctrl-C or a disk that takes no more."""
+        flat = [one for each in admitted for one in each]
+        with (
+            watching_runs([one.scenario for one in flat]) as progress,
+            run_processes(flat, self.world, jobs) as apart,
+        ):
             for number, (one, *others) in enumerate(admitted):
                 progress.begin(number * (1 + len(others)))
                 try:
-                    self._take(_run_one(one, self.world, self.out / TRACES, progress))
+                    self._take(_run_one(one, apart, self.out / TRACES, progress))
                     for other in others[: not self.interrupted]:
                         progress.begin(2 * number + 1)
-                        self._compare(_run_one(other, self.world, self.out / OF_REFERENCE, progress))
+                        self._compare(_run_one(other, apart, self.out / OF_REFERENCE, progress))
                 except KeyboardInterrupt:
+                    self._take_finished(admitted[number:], apart, progress)
                     self.interrupted = True
                 except OutputError as error:
                     self.unwritable = error
@@ -168,6 +176,15 @@ class RunSession:
                     self._fail(one.scenario.name, error)
                 if self.interrupted or self.unwritable is not None:
                     return
+
+    def _take_finished(
+        self, left: Sequence[Sequence[Admitted]], apart: RunProcesses, progress: RunsShown
+    ) -> None:
+        """After Ctrl-C what has come to its end in other processes."""
+        for one, *_ in left if self.against is None else ():
+            if apart.is_done(one):
+                with suppress(Exception):
+                    self._take(_run_one(one, apart, self.out / TRACES, progress))
 
     def _take(self, judged: JudgedRun) -> None:
         self.runs.append(judged)
@@ -310,9 +327,9 @@ class RunSession:
         return True
 
 
-def _run_one(admitted: Admitted, world: WorldEntry, traces: Path, progress: RunsShown) -> JudgedRun:
-    """Simulate, save, judge."""
-    trace = run_trial(admitted, world=world, on_tick=progress.tick)
+def _run_one(admitted: Admitted, apart: RunProcesses, traces: Path, progress: RunsShown) -> JudgedRun:
+    """Simulate, here or in another process, save, judge."""
+    trace = apart.trace(admitted) or run_trial(admitted, world=apart.world, on_tick=progress.tick)
     file = traces / f"{admitted.scenario.name}.trace"
     with writing(file):
         save_trace(trace, file)

@@ -20,6 +20,7 @@ from safety_harness.cli.options import (
     OfWorld,
     Out,
     Seed,
+    Workers,
     command,
 )
 
@@ -35,6 +36,7 @@ def run(
     world: OfWorld = "PyBullet",
     keep_going: KeepGoing = False,
     controller: OfController = None,
+    jobs: Workers = None,
 ) -> int:
     """Run scenario files in PyBullet or another world, judge their claims and write a report.
 
@@ -44,6 +46,7 @@ def run(
     That the avoider answered is judged of every run, whether its file claims it or not.
     A scenario that an avoider of --avoider or --against cannot take (another workspace) is skipped, with the
     reason, and counted.
+    Eight runs or more of what ships go to several processes (--jobs); the traces are the same, bit for bit.
     Exit code 0: every verdict as its file expects, with --against: no new or deeper violation and no verdict
     lost; 1: otherwise, or a run failed, a scenario was skipped, or a claim that was expected to tell
     something was never put to the test; 2: bad input, nothing was run, or with
@@ -55,7 +58,7 @@ def run(
 
     chosen = world_named(world, "--world")
     tested = one_of(avoider, controller)
-    return run_files(files, out, tested, against, world=chosen, keep_going=keep_going)
+    return run_files(files, out, tested, against, world=chosen, keep_going=keep_going, jobs=jobs)
 
 
 @command(commands)
