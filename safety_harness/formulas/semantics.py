@@ -85,8 +85,14 @@ def margins(formula: Formula, atoms: Atoms, period_s: float, cases: Sequence[Cas
         return Margins(formula, atoms(formula))
     parts = tuple(margins(part, atoms, period_s, cases) for part in formula.parts)
     bounds = _joined(formula, [part.bounds for part in parts], period_s)
-    if cases and isinstance(formula, And | Or) and all(isinstance(node, OF_A_TICK) for node in formula.nodes()):
-        bounds = _of_any_case(bounds, [(case.where, margins(formula, case.atoms, period_s)) for case in cases])
+    if (
+        cases
+        and isinstance(formula, And | Or)
+        and all(isinstance(node, OF_A_TICK) for node in formula.nodes())
+    ):
+        bounds = _of_any_case(
+            bounds, [(case.where, margins(formula, case.atoms, period_s)) for case in cases]
+        )
     return Margins(formula, bounds, parts)
 
 

@@ -29,13 +29,13 @@ class Reach:
         return tuple(Gap(first=first, after=after, hand=hand) for first, after in self.gaps)
 
 
-def body_off_m(way_m: Floats, step_s: Floats, *, most_mps: float, sample_m: float) -> Floats:
+def body_off_m(way_m: Floats, step_s: Floats, *, most_mps: float, sample_m: Floats | float) -> Floats:
     """(m,) how far a body may be from the line between two samples, ``way_m`` (m,), ``step_s`` (m,) apart.
 
     From the true places x and y, T apart in time, at most v T apart: at the fraction w of the time the body
     is within v w T of x and within v (1 - w) T of y, so within (w (1 - w) (v^2 T^2 - |x - y|^2))^(1/2) of the
-    point at w of the straight line, which is largest in the middle.  That line is within ``sample_m`` of the
-    one between the samples, and |x - y| at least 2 ``sample_m`` less than what they are apart.
+    point at w of the straight line, which is largest in the middle.  That line is within ``sample_m`` (m,) of
+    the one between the samples, and |x - y| at least 2 ``sample_m`` less than what they are apart.
     """
     true_m = np.maximum(way_m - 2.0 * sample_m, 0.0)
     slack2 = np.maximum((most_mps * step_s) ** 2 - true_m**2, 0.0)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 from array import array
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -91,7 +91,8 @@ class LogSamples:
     """The samples of a stream within a window, in the order of the file.
 
     ``time_ns`` (n,) on its own clock; ``values`` (n, k) in SI, NaN where there is none; ``at`` (n,) the line,
-    row or message that each stands in, which is what ``counts`` says.
+    row or message that each stands in, which is what ``counts`` says; ``known_to_m`` (n,) within how much
+    each is known, where the log says it of each, NaN where it does not.
     """
 
     source: LogSource
@@ -99,6 +100,7 @@ class LogSamples:
     values: NDArray[np.float64]
     at: NDArray[np.int64]
     counts: str
+    known_to_m: NDArray[np.float64] | None = None
 
     def place(self, index: int) -> Place:
         """Of one sample, for errors."""
@@ -114,7 +116,17 @@ class LogSamples:
 
     def shifted(self, by_ns: int) -> LogSamples:
         """The same on a clock that shows ``by_ns`` more."""
-        return LogSamples(self.source, self.time_ns + by_ns, self.values, self.at, self.counts)
+        return replace(self, time_ns=self.time_ns + by_ns)
+
+    def of(self, there: NDArray[np.bool_]) -> LogSamples:
+        """Those that are ``there`` (n,)."""
+        return replace(
+            self,
+            time_ns=self.time_ns[there],
+            values=self.values[there],
+            at=self.at[there],
+            known_to_m=None if self.known_to_m is None else self.known_to_m[there],
+        )
 
 
 @dataclass

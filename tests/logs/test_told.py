@@ -252,7 +252,10 @@ def test_numbers_that_cannot_be_are_refused_with_their_line(
 
 
 OTHERS = ("always not stopped", "always not object lost", "always servoing")
-EITHER = ("always (servoing or repulsing)", "whenever servoing or repulsing then not (servoing and repulsing)")
+EITHER = (
+    "always (servoing or repulsing)",
+    "always not (servoing and repulsing)",
+)
 
 
 @pytest.mark.parametrize("halts", [False, True])
