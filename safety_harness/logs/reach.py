@@ -43,7 +43,7 @@ def body_off_m(way_m: Floats, step_s: Floats, *, most_mps: float, sample_m: Floa
 
 
 def joint_off_rad(
-    slope: Floats, step_s: Floats, *, most: Floats, hardest: float | None, sample_rad: float
+    slope: Floats, step_s: Floats | float, *, most: Floats, hardest: float | None, sample_rad: float
 ) -> Floats:
     """(m,) the same of joints that turn evenly from sample to sample, the largest of all.
 
@@ -54,11 +54,13 @@ def joint_off_rad(
     """
     if hardest is not None:
         return np.asarray(hardest * step_s**2 / 8.0 + sample_rad)
-    even = np.minimum(np.abs(slope), most)
+    even, step_s = np.minimum(np.abs(slope), most), np.asarray(step_s)
     return np.asarray((step_s[:, None] * (most**2 - even**2) / (2.0 * most)).max(axis=1) + sample_rad)
 
 
-def rate_off(slope: Floats, step_s: Floats, *, most: Floats, hardest: float | None, sample: float) -> Floats:
+def rate_off(
+    slope: Floats, step_s: Floats | float, *, most: Floats, hardest: float | None, sample: float
+) -> Floats:
     """(m,) how far a joint's speed may be from its mean from sample to sample, the largest of all.
 
     ``slope`` (m, j), ``step_s`` (m,), ``most`` (j,).

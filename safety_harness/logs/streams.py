@@ -11,6 +11,7 @@ import re
 from array import array
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
+from math import inf
 from pathlib import Path
 
 import numpy as np
@@ -143,6 +144,8 @@ class Collector:
     _time: array[int] = field(default_factory=lambda: array("q"))
     _values: array[float] = field(default_factory=lambda: array("d"))
     _at: array[int] = field(default_factory=lambda: array("q"))
+    _first_ns: float = inf
+    _last_ns: float = -inf
     seen: int = 0
 
     def add(self, time_ns: int, values: Iterable[float], at: int) -> None:
@@ -150,6 +153,8 @@ class Collector:
         if self.seen == 0 and self.begin is not None:
             self.begin_ns, self.end_ns = self.begin(time_ns)
         self.seen += 1
+        self._first_ns = min(self._first_ns, time_ns)
+        self._last_ns = max(self._last_ns, time_ns)
         if self.begin_ns is not None and time_ns < self.begin_ns:
             return
         if self.end_ns is not None and time_ns > self.end_ns:
@@ -178,11 +183,20 @@ class Collector:
         if n < self.least:
             words = "two samples" if self.least == 2 else "a sample"
             got = f"{n} of {self.seen} in the file" if self.seen else "none in the file"
-            raise LogError(
-                place=self.source.place, expected=f"{words} at least of {self.source.name}", got=got
-            )
+            expected = f"{words} at least of {self.source.name}"
+            raise LogError(place=self.source.place, expected=expected, got=got, hint=self._elsewhere())
         refuse_disorder(found)
         return found
+
+    def _elsewhere(self) -> str:
+        """Where the samples are, if none was in the window."""
+        if not self.seen or self.begin_ns is None or self.end_ns is None:
+            return ""
+        own, asked = (
+            f"{begin / NS:.3f} to {end / NS:.3f} s"
+            for begin, end in ((self._first_ns, self._last_ns), (self.begin_ns, self.end_ns))
+        )
+        return f"its times are {own}, those of the joints on its clock {asked}: the offset, or a time's unit?"
 
 
 def refuse_disorder(samples: LogSamples) -> None:

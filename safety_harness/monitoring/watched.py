@@ -76,6 +76,7 @@ class WatchedClaim:
                 raise formula_error(expected, signal.words)
         self.sentence = sentence
         self.parts = [WatchedPart(part, period_s, revisable) for part in parts_of(formula)]
+        self.single = len(self.parts) == 1
 
     def see(self, seen: Values, first: int, *, grown: bool) -> None:
         """Of the latest ticks, from ``first`` on, more is known now, ``seen`` (m, signals, 6).
@@ -88,12 +89,14 @@ class WatchedClaim:
     @property
     def verdict(self) -> Verdict:
         """On the run so far, as if it ended now."""
-        return _gravest([part.verdict for part in self.parts])
+        first = self.parts[0]
+        return first.verdict if self.single else _gravest([part.verdict for part in self.parts])
 
     @property
     def latest(self) -> Verdict:
         """Of the latest tick that can be told, where a claim asks every tick; else of the run so far."""
-        return _gravest([part.latest for part in self.parts])
+        first = self.parts[0]
+        return first.latest if self.single else _gravest([part.latest for part in self.parts])
 
     @property
     def deciding(self) -> WatchedPart:
