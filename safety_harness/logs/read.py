@@ -264,8 +264,9 @@ class _Reading:
         time = time_column(source, header, _said(said.optional("time")))
         if bound is not None:
             stem = f"{track}_{bound.field}"
-            sides = [optional_column(source, header, f"{stem}_{axis}", LENGTH_UNITS, word) for axis in "xyz"]
-            at += sides if all(sides) else [required_column(source, header, stem, LENGTH_UNITS, word)]
+            box = [optional_column(source, header, f"{stem}_{axis}", LENGTH_UNITS, word) for axis in "xyz"]
+            sides = [side for side in box if side is not None]
+            at += sides if len(sides) == 3 else [required_column(source, header, stem, LENGTH_UNITS, word)]
             collector.width = len(at)
         read_table(Table(*time, tuple(at)), collector)
         found = _with_bounds(collector.samples(), bound)
