@@ -342,7 +342,7 @@ stopped = flag("stopped", "a protective stop", reads=["mode"])(in_mode(Mode.PROT
 object_lost = flag("object lost", "the controller waits for the object to be seen", reads=["mode"])(
     in_mode(Mode.OBJECT_LOST)
 )
-MODES = {
+MODES: dict[Signal, Mode] = {
     servoing: Mode.SERVOING,
     repulsing: Mode.REPULSING,
     stopped: Mode.PROTECTIVE_STOP,
