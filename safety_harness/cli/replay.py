@@ -25,7 +25,7 @@ from safety_harness.cli.console import (
 )
 from safety_harness.cli.progress import watching_runs
 from safety_harness.cli.run import DATA, REPORT, TRACES, say_results
-from safety_harness.exceptions import InadmissibleError, InputError, Place, TraceError
+from safety_harness.exceptions import InadmissibleError, InputError, LogError, Place, TraceError
 from safety_harness.logs.judging import recorded
 from safety_harness.properties.answered import with_expectation
 from safety_harness.report.evidence import JudgedRun
@@ -192,6 +192,9 @@ def judged_run(path: Path, sentences: Sequence[str] = (), out: Path | None = Non
 
 def _of_log(path: Path, claims: Sequence[Claim], out: Path | None) -> JudgedRun:
     found = recorded(path, claims)
+    if not found.trace.scenario.claims:
+        expected = "a claim at least, there or as --claim SENTENCE: nothing is judged without"
+        raise LogError(place=Place(file=path, field="claims"), expected=expected, got="none")
     file = None
     if out is not None:
         file = out / TRACES / f"{found.trace.scenario.name}.trace"

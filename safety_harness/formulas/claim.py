@@ -26,6 +26,8 @@ from safety_harness.formulas.formula import (
 from safety_harness.formulas.measured import as_known, blanked, gaps_of
 from safety_harness.formulas.semantics import (
     LEAST,
+    Atoms,
+    Case,
     MarginBounds,
     Margins,
     Witness,
@@ -35,6 +37,7 @@ from safety_harness.formulas.semantics import (
     witness,
 )
 from safety_harness.formulas.signal import Measure, Sampled, Signal
+from safety_harness.formulas.signals import MODES
 from safety_harness.properties.base import Evaluation, Unit, inconclusive, times_begun, unreadable
 from safety_harness.properties.measured import not_measured
 from safety_harness.scenario.model import Scenario, Verdict
@@ -154,6 +157,24 @@ class _Asked:
         unknown = np.isnan(one.value)
         low, high = (_whole_run(np.where(unknown, np.nan, side), self.trace) for side in (one.low, one.high))
         return comparison_bounds(atom, low, high)
+
+    def cases(self, atoms: Atoms) -> list[Case]:
+        """The modes that may have been, where it was either of several and more than one is asked of."""
+        gaps = self.trace.known.of("mode").gaps
+        several = len(MODES.keys() & self.sampled.keys()) > 1
+        either = {mode for gap in gaps for mode in gap.either} if several else set()
+        count, found = self.trace.scenario.ticks + 1, []
+        for mode in sorted(either):
+            where = np.zeros(count, np.bool_)
+            for gap in sorted(gaps, key=lambda one: one.either == ()):  # those of any mode last
+                where[gap.first : gap.after] = mode in gap.either
+
+            def told(atom: Comparison | Truth, mode: int = mode) -> MarginBounds:
+                own = MODES.get(atom.signal) if isinstance(atom, Truth) else None
+                return atoms(atom) if own is None else truth_bounds(np.full(count, float(own == mode)))
+
+            found.append(Case(where, told))
+        return found
 
     def exercised(self, at_ticks: Margins, *, perhaps: bool = False) -> tuple[int, str]:
         """How often the part was certainly put to the test, and what it is that never happened if that is 0.
@@ -306,7 +327,9 @@ def judge_part(part: Formula, trace: Trace) -> Evaluation:
         if uncertain and signal.off is None:
             return asked.lacks(uncertain, f"{signal.words} is not judged by that")
         sampled[signal] = one if whole else as_known(signal, one, trace)
-    at_ticks, between = (margins(part, atoms, asked.period_s) for atoms in (asked.at_ticks, asked.between))
+    at_ticks, between = (
+        margins(part, atoms, asked.period_s, asked.cases(atoms)) for atoms in (asked.at_ticks, asked.between)
+    )
     low, surely = between.bounds.low[0], at_ticks.bounds.high[0]
     exercised, untried = asked.exercised(at_ticks)
     if surely < 0.0:

@@ -16,7 +16,7 @@ without a window end with the run.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,6 +40,7 @@ from safety_harness.formulas.formula import (
 from safety_harness.formulas.quantities import Span
 
 LEAST = float(np.finfo(np.float64).tiny)
+OF_A_TICK = (Comparison, Truth, Not, And, Or)
 
 Values = NDArray[np.float64]
 Atoms = Callable[[Comparison | Truth], "MarginBounds"]
@@ -66,12 +67,40 @@ class Margins:
     parts: tuple[Margins, ...] = ()
 
 
-def margins(formula: Formula, atoms: Atoms, period_s: float) -> Margins:
-    """The margins of ``formula`` at every tick, ``atoms`` giving those of its comparisons and truths."""
+@dataclass(frozen=True, eq=False)
+class Case:
+    """What may have been at the ticks ``where`` (n,), with the ``atoms`` as they are then."""
+
+    where: NDArray[np.bool_]
+    atoms: Atoms
+
+
+def margins(formula: Formula, atoms: Atoms, period_s: float, cases: Sequence[Case] = ()) -> Margins:
+    """The margins of ``formula`` at every tick, ``atoms`` giving those of its comparisons and truths.
+
+    At a tick that has ``cases`` one of them was: an "and" or "or" of comparisons and truths, of which each is
+    unknown by itself, is then between the least and the largest that any of them gives.
+    """
     if isinstance(formula, Comparison | Truth):
         return Margins(formula, atoms(formula))
-    parts = tuple(margins(part, atoms, period_s) for part in formula.parts)
-    return Margins(formula, _joined(formula, [part.bounds for part in parts], period_s), parts)
+    parts = tuple(margins(part, atoms, period_s, cases) for part in formula.parts)
+    bounds = _joined(formula, [part.bounds for part in parts], period_s)
+    if (
+        cases
+        and isinstance(formula, And | Or)
+        and all(isinstance(node, OF_A_TICK) for node in formula.nodes())
+    ):
+        bounds = _of_any_case(
+            bounds, [(case.where, margins(formula, case.atoms, period_s)) for case in cases]
+        )
+    return Margins(formula, bounds, parts)
+
+
+def _of_any_case(bounds: MarginBounds, cases: list[tuple[NDArray[np.bool_], Margins]]) -> MarginBounds:
+    low = np.minimum.reduce([np.where(where, one.bounds.low, np.inf) for where, one in cases])
+    high = np.maximum.reduce([np.where(where, one.bounds.high, -np.inf) for where, one in cases])
+    some = np.logical_or.reduce([where for where, _ in cases])
+    return MarginBounds(np.where(some, low, bounds.low), np.where(some, high, bounds.high))
 
 
 def _joined(formula: Formula, parts: list[MarginBounds], period_s: float) -> MarginBounds:

@@ -342,6 +342,12 @@ stopped = flag("stopped", "a protective stop", reads=["mode"])(in_mode(Mode.PROT
 object_lost = flag("object lost", "the controller waits for the object to be seen", reads=["mode"])(
     in_mode(Mode.OBJECT_LOST)
 )
+MODES: dict[Signal, Mode] = {
+    servoing: Mode.SERVOING,
+    repulsing: Mode.REPULSING,
+    stopped: Mode.PROTECTIVE_STOP,
+    object_lost: Mode.OBJECT_LOST,
+}
 deciding = flag("deciding", "a decision is made at this tick", reads=["decision"])(
     lambda trace: truth(trace.ticks["decision"] >= 0)
 )

@@ -53,7 +53,8 @@ def align(log: CellLog, body: Body) -> Offset:
     tools = np.array([links_in_base(arm, row[:count].copy())[-1] for row in log.joints.values])
     body_s, places = log.seconds(body.hand), body.hand.values
     if len(body_s) < FEWEST or body_s[-1] - body_s[0] < LEAST_S or joints_s[-1] - joints_s[0] < LEAST_S:
-        got = f"{len(body_s)} samples in {body_s[-1] - body_s[0]:.3g} s"
+        got = f"{len(body_s)} of the body in {body_s[-1] - body_s[0]:.4g} s, "
+        got += f"{len(joints_s)} of the joints in {joints_s[-1] - joints_s[0]:.4g} s"
         raise _refused(body, f"{FEWEST} samples at least, in {LEAST_S:g} s or more, of body and joints", got)
     moved_m = float(np.sqrt(((places - places.mean(axis=0)) ** 2).sum(axis=1).mean()))
     if moved_m < LEAST_MOVED_M:

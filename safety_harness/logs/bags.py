@@ -16,6 +16,7 @@ from typing import Any
 
 from safety_harness.exceptions import LogError, Place, near_miss
 from safety_harness.extras import LOGS
+from safety_harness.logs.sample_bound import SampleBound
 from safety_harness.logs.streams import Collector, LogSource
 from safety_harness.logs.tables import as_word
 from safety_harness.scenario.units import shown
@@ -210,11 +211,13 @@ def read_positions(
     length: float,
     to_base: Callable[[str, Message], Callable[[Sequence[float]], Sequence[float]]],
     halves: bool = True,
+    bound: SampleBound | None = None,
 ) -> None:
     """Positions in the base frame; NaN for a body that a message does not have.
 
     LogError for one of which it has not all numbers, unless ``halves`` may be.
     ``length`` is the unit in m, ``to_base`` makes positions in a frame, by its name, positions in the base's.
+    With a ``bound`` each has beside it, in m, within how much it is known.
     """
     for message in messages(source):
         content = message.content
@@ -244,7 +247,19 @@ def read_positions(
             raise error(source, message, "a position, or none of its three numbers", str(place))
         frame = str(getattr(header, "frame_id", ""))
         position = to_base(frame, message)([value * length for value in place])
+        if bound is not None:
+            position = [*position, _bound(bound, content, source, message) * length]
         collector.add(_time_ns(message, source, time, header), position, message.number)
+
+
+def _bound(bound: SampleBound, content: Any, source: LogSource, message: Message) -> float:
+    """Within how much a position is known, in its unit; NaN where the message does not say it."""
+    found = _follow(content, source, message, bound.field)
+    if found is None:
+        return math.nan
+    if hasattr(found, "x"):
+        return bound.reach_m(_xyz(found, source, message))
+    return bound.reach_m(_numbers([found] if isinstance(found, int | float) else found, source, message))
 
 
 def error(source: LogSource, message: Message, expected: str, got: str, hint: str = "") -> LogError:

@@ -255,10 +255,13 @@ def _body_reach(log: CellLog, samples: LogSamples, time_ns: NDArray[np.int64]) -
     """Within how much of its path a body was; LogError where it is faster than is said."""
     facts = log.hand_facts
     assert facts is not None
-    sample_m = facts.known_to_m + facts.moves_at_most_mps * log.clock_known_to_s + ROUNDING_M
+    most_mps, known_to_m = facts.moves_at_most_mps, samples.known_to_m
+    if known_to_m is None:
+        known_to_m = np.full(len(time_ns), facts.known_to_m)
+    sample_m = known_to_m + most_mps * log.clock_known_to_s + ROUNDING_M
     way_m = np.linalg.norm(np.diff(samples.values, axis=0), axis=1)
     step_s = np.diff(time_ns) / NS
-    most_m = facts.moves_at_most_mps * (step_s + 2.0 * log.clock_known_to_s) + 2.0 * facts.known_to_m
+    most_m = most_mps * (step_s + 2.0 * log.clock_known_to_s) + known_to_m[:-1] + known_to_m[1:]
     fast = np.flatnonzero(way_m > most_m + ROUNDING_M)
     if len(fast):
         index = int(fast[0])
@@ -271,10 +274,12 @@ def _body_reach(log: CellLog, samples: LogSamples, time_ns: NDArray[np.int64]) -
             "another marker, another unit or another clock from here on? or hands: {moves at most: ...}",
         )
     grid = {"longest_ns": round(facts.longest_gap_s * NS), "period_ns": log.period_ns}
-    off = body_off_m(way_m, step_s, most_mps=facts.moves_at_most_mps, sample_m=sample_m)
+    worse_m = np.maximum(sample_m[:-1], sample_m[1:])
+    off = body_off_m(way_m, step_s, most_mps=most_mps, sample_m=worse_m)
     reach = over_ticks(time_ns, off, count=log.ticks, **grid)
     first_ns, last_ns = int(time_ns[0]), int(time_ns[-1])
-    return from_ends(reach, first_ns, last_ns, most=facts.moves_at_most_mps, sample=sample_m, **grid)
+    at_ends_m = float(max(sample_m[0], sample_m[-1]))
+    return from_ends(reach, first_ns, last_ns, most=most_mps, sample=at_ends_m, **grid)
 
 
 def _of_hands(log: CellLog, paths: list[_Path]) -> dict[str, Measurement]:

@@ -30,7 +30,7 @@ class JointFacts:
 
 @dataclass(frozen=True, kw_only=True)
 class HandFacts:
-    """What is said of the hands, all of them."""
+    """What is said of the hands, all of them; ``known_to_m`` is inf where each sample says it."""
 
     known_to_m: float
     moves_at_most_mps: float

@@ -29,13 +29,13 @@ class Reach:
         return tuple(Gap(first=first, after=after, hand=hand) for first, after in self.gaps)
 
 
-def body_off_m(way_m: Floats, step_s: Floats, *, most_mps: float, sample_m: float) -> Floats:
+def body_off_m(way_m: Floats, step_s: Floats, *, most_mps: float, sample_m: Floats | float) -> Floats:
     """(m,) how far a body may be from the line between two samples, ``way_m`` (m,), ``step_s`` (m,) apart.
 
     From the true places x and y, T apart in time, at most v T apart: at the fraction w of the time the body
     is within v w T of x and within v (1 - w) T of y, so within (w (1 - w) (v^2 T^2 - |x - y|^2))^(1/2) of the
-    point at w of the straight line, which is largest in the middle.  That line is within ``sample_m`` of the
-    one between the samples, and |x - y| at least 2 ``sample_m`` less than what they are apart.
+    point at w of the straight line, which is largest in the middle.  That line is within ``sample_m`` (m,) of
+    the one between the samples, and |x - y| at least 2 ``sample_m`` less than what they are apart.
     """
     true_m = np.maximum(way_m - 2.0 * sample_m, 0.0)
     slack2 = np.maximum((most_mps * step_s) ** 2 - true_m**2, 0.0)
@@ -43,7 +43,7 @@ def body_off_m(way_m: Floats, step_s: Floats, *, most_mps: float, sample_m: floa
 
 
 def joint_off_rad(
-    slope: Floats, step_s: Floats, *, most: Floats, hardest: float | None, sample_rad: float
+    slope: Floats, step_s: Floats | float, *, most: Floats, hardest: float | None, sample_rad: float
 ) -> Floats:
     """(m,) the same of joints that turn evenly from sample to sample, the largest of all.
 
@@ -54,11 +54,13 @@ def joint_off_rad(
     """
     if hardest is not None:
         return np.asarray(hardest * step_s**2 / 8.0 + sample_rad)
-    even = np.minimum(np.abs(slope), most)
+    even, step_s = np.minimum(np.abs(slope), most), np.asarray(step_s)
     return np.asarray((step_s[:, None] * (most**2 - even**2) / (2.0 * most)).max(axis=1) + sample_rad)
 
 
-def rate_off(slope: Floats, step_s: Floats, *, most: Floats, hardest: float | None, sample: float) -> Floats:
+def rate_off(
+    slope: Floats, step_s: Floats | float, *, most: Floats, hardest: float | None, sample: float
+) -> Floats:
     """(m,) how far a joint's speed may be from its mean from sample to sample, the largest of all.
 
     ``slope`` (m, j), ``step_s`` (m,), ``most`` (j,).

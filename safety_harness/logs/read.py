@@ -6,7 +6,7 @@ trace is made.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +25,7 @@ from safety_harness.logs.model import (
     HandFacts,
     JointFacts,
 )
+from safety_harness.logs.sample_bound import SampleBound, refuse_unbounded, sample_bound
 from safety_harness.logs.streams import NS, Collector, LogSamples, LogSource, read_source
 from safety_harness.logs.tables import (
     ANGLE_UNITS,
@@ -99,7 +100,7 @@ def log_of(said: Field, *, name: str, align: bool = False) -> CellLog:
     hand_facts, ahead_ns, known_to_s = None, 0, 0.0
     if "hands" in streams:
         of_hands = given.required("hands").fields(OF_HANDS)
-        hand_facts = facts_of_hands(of_hands)
+        hand_facts = facts_of_hands(of_hands, each=True)
         if not align:
             clock = given.required("clock").fields(OF_CLOCK)
             ahead_ns = round(clock.required(OF_CLOCK[0]).quantity(TIME) * NS)
@@ -194,17 +195,18 @@ class _Reading:
         hands = field.entries("hands by their names") if named else ((_only_name(field), field),)
         if not hands:
             raise field.error("a hand at least")
-        found = []
+        known, found = of_hands.required("known to"), []
+        bound = sample_bound(known) if isinstance(known.node, Mapping) else None
         for name, one in hands:
             own = forearm
             if isinstance(forearm.node, Mapping):
                 own = forearm.fields(tuple(name for name, _ in hands)).required(name)
-            hand = self._positions(one, of_hands, window)
+            hand = self._positions(one, of_hands, window, bound=bound)
             elbow, there = None, True
             if isinstance(own.node, Scalar) and own.node.text in (NOT_MEASURED, NO_FOREARM):
                 there = own.node.text == NOT_MEASURED
             else:
-                elbow = self._positions(own, of_hands, window)
+                elbow = self._positions(own, of_hands, window, bound=bound)
             found.append(Body(name, hand, elbow, there))
         return tuple(found)
 
@@ -217,7 +219,7 @@ class _Reading:
             values[:, first : first + 3] = (
                 values[:, first : first + 3] @ transform[:3, :3].T + transform[:3, 3]
             )
-            return LogSamples(samples.source, samples.time_ns, values, samples.at, samples.counts)
+            return replace(samples, values=values)
 
         def positions(field: Field, said: Fields) -> LogSamples:
             return self._positions(field, said, (None, None), keep=True)
@@ -225,11 +227,18 @@ class _Reading:
         return read_told(self.given, self.streams, names, clock, self._source, positions, placed)
 
     def _positions(
-        self, field: Field, said: Fields, window: tuple[int | None, int | None], *, keep: bool = False
+        self,
+        field: Field,
+        said: Fields,
+        window: tuple[int | None, int | None],
+        *,
+        keep: bool = False,
+        bound: SampleBound | None = None,
     ) -> LogSamples:
         """Of a body, in the base frame; ``keep`` those samples in which it is nowhere."""
         source = self._source(field)
-        collector = Collector(source, 3, _counts(source), *window, least=2 - keep)
+        width = 3 if bound is None else 4
+        collector = Collector(source, width, _counts(source), *window, least=2 - keep)
         unit = said.optional("unit")
         word = _word(unit, _LENGTHS) if unit else None
         frame = said.optional("frame")
@@ -237,9 +246,15 @@ class _Reading:
             to_base = self._to_base(source, frame)
             length = _LENGTHS[word or "m"]
             read_positions(
-                source, collector, time=_time(said), length=length, to_base=to_base, halves=not keep
+                source,
+                collector,
+                time=_time(said),
+                length=length,
+                to_base=to_base,
+                halves=not keep,
+                bound=bound,
             )
-            return _positions_checked(collector.samples(), keep)
+            return _positions_checked(_with_bounds(collector.samples()), keep)
         if frame is None:
             expected = 'the key "frame": base, or {at: ..., turned: ...} of the frame in which positions are'
             raise said.whole.error(expected, got=f"none, and {source.name} is a table that cannot say it")
@@ -247,8 +262,14 @@ class _Reading:
         track = source.what or _only_track(source, header)
         at = [required_column(source, header, f"{track}_{axis}", LENGTH_UNITS, word) for axis in "xyz"]
         time = time_column(source, header, _said(said.optional("time")))
+        if bound is not None:
+            stem = f"{track}_{bound.field}"
+            box = [optional_column(source, header, f"{stem}_{axis}", LENGTH_UNITS, word) for axis in "xyz"]
+            sides = [side for side in box if side is not None]
+            at += sides if len(sides) == 3 else [required_column(source, header, stem, LENGTH_UNITS, word)]
+            collector.width = len(at)
         read_table(Table(*time, tuple(at)), collector)
-        found = collector.samples()
+        found = _with_bounds(collector.samples(), bound)
         gone = np.isnan(found.values)
         half = gone.any(axis=1) & ~gone.all(axis=1)
         if keep and half.any():
@@ -256,8 +277,7 @@ class _Reading:
             raise found.error(int(np.argmax(half)), expected, str(found.values[half][0].tolist()))
         transform = _given_transform(frame)
         values = found.values @ transform[:3, :3].T + transform[:3, 3]
-        moved = LogSamples(source, found.time_ns, values, found.at, found.counts)
-        return _positions_checked(moved, keep)
+        return _positions_checked(replace(found, values=values), keep)
 
     def _to_base(self, source: LogSource, frame: Field | None) -> ToBase:
         """How positions of a bag come to the base frame."""
@@ -329,10 +349,12 @@ def facts_of_joints(said: Fields, arm: ArmModel) -> JointFacts:
     )
 
 
-def facts_of_hands(said: Fields) -> HandFacts:
-    """What is said of the hands below the key of that name."""
+def facts_of_hands(said: Fields, *, each: bool = False) -> HandFacts:
+    """What is said of the hands below the key of that name; ``each`` sample may say how well it is known."""
+    known = said.required("known to")
+    by_sample = each and isinstance(known.node, Mapping)
     return HandFacts(
-        known_to_m=said.required("known to").quantity(LENGTH, least=0.0),
+        known_to_m=np.inf if by_sample else known.quantity(LENGTH, least=0.0),
         moves_at_most_mps=said.required("moves at most").quantity(SPEED, above=0.0),
         longest_gap_s=said.required("longest gap").quantity(TIME, above=0.0),
     )
@@ -379,11 +401,18 @@ def _told(samples: LogSamples, there: NDArray[np.bool_]) -> LogSamples:
             expected=f"two samples at least of {samples.source.name} with all its numbers",
             got=f"{np.count_nonzero(there)} of {len(there)}",
         )
-    if there.all():
+    return samples if there.all() else samples.of(there)
+
+
+def _with_bounds(samples: LogSamples, bound: SampleBound | None = None) -> LogSamples:
+    """What stands beside the positions is how well each is known: as numbers of ``bound``, or in metres."""
+    values, beside = samples.values[:, :3], samples.values[:, 3:]
+    if not beside.shape[1]:
         return samples
-    return LogSamples(
-        samples.source, samples.time_ns[there], samples.values[there], samples.at[there], samples.counts
-    )
+    known_to_m = beside[:, 0] if bound is None else np.array([bound.reach_m(row) for row in beside])
+    found = replace(samples, values=values, known_to_m=known_to_m)
+    refuse_unbounded(found)
+    return found
 
 
 def _refuse_jumping_joints(joints: LogSamples, facts: JointFacts, names: tuple[str, ...]) -> None:

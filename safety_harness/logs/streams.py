@@ -10,7 +10,8 @@ from __future__ import annotations
 import re
 from array import array
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from math import inf
 from pathlib import Path
 
 import numpy as np
@@ -91,7 +92,8 @@ class LogSamples:
     """The samples of a stream within a window, in the order of the file.
 
     ``time_ns`` (n,) on its own clock; ``values`` (n, k) in SI, NaN where there is none; ``at`` (n,) the line,
-    row or message that each stands in, which is what ``counts`` says.
+    row or message that each stands in, which is what ``counts`` says; ``known_to_m`` (n,) within how much
+    each is known, where the log says it of each, NaN where it does not.
     """
 
     source: LogSource
@@ -99,6 +101,7 @@ class LogSamples:
     values: NDArray[np.float64]
     at: NDArray[np.int64]
     counts: str
+    known_to_m: NDArray[np.float64] | None = None
 
     def place(self, index: int) -> Place:
         """Of one sample, for errors."""
@@ -114,7 +117,17 @@ class LogSamples:
 
     def shifted(self, by_ns: int) -> LogSamples:
         """The same on a clock that shows ``by_ns`` more."""
-        return LogSamples(self.source, self.time_ns + by_ns, self.values, self.at, self.counts)
+        return replace(self, time_ns=self.time_ns + by_ns)
+
+    def of(self, there: NDArray[np.bool_]) -> LogSamples:
+        """Those that are ``there`` (n,)."""
+        return replace(
+            self,
+            time_ns=self.time_ns[there],
+            values=self.values[there],
+            at=self.at[there],
+            known_to_m=None if self.known_to_m is None else self.known_to_m[there],
+        )
 
 
 @dataclass
@@ -131,6 +144,8 @@ class Collector:
     _time: array[int] = field(default_factory=lambda: array("q"))
     _values: array[float] = field(default_factory=lambda: array("d"))
     _at: array[int] = field(default_factory=lambda: array("q"))
+    _first_ns: float = inf
+    _last_ns: float = -inf
     seen: int = 0
 
     def add(self, time_ns: int, values: Iterable[float], at: int) -> None:
@@ -138,6 +153,8 @@ class Collector:
         if self.seen == 0 and self.begin is not None:
             self.begin_ns, self.end_ns = self.begin(time_ns)
         self.seen += 1
+        self._first_ns = min(self._first_ns, time_ns)
+        self._last_ns = max(self._last_ns, time_ns)
         if self.begin_ns is not None and time_ns < self.begin_ns:
             return
         if self.end_ns is not None and time_ns > self.end_ns:
@@ -166,11 +183,20 @@ class Collector:
         if n < self.least:
             words = "two samples" if self.least == 2 else "a sample"
             got = f"{n} of {self.seen} in the file" if self.seen else "none in the file"
-            raise LogError(
-                place=self.source.place, expected=f"{words} at least of {self.source.name}", got=got
-            )
+            expected = f"{words} at least of {self.source.name}"
+            raise LogError(place=self.source.place, expected=expected, got=got, hint=self._elsewhere())
         refuse_disorder(found)
         return found
+
+    def _elsewhere(self) -> str:
+        """Where the samples are, if none was in the window."""
+        if not self.seen or self.begin_ns is None or self.end_ns is None:
+            return ""
+        own, asked = (
+            f"{begin / NS:.3f} to {end / NS:.3f} s"
+            for begin, end in ((self._first_ns, self._last_ns), (self.begin_ns, self.end_ns))
+        )
+        return f"its times are {own}, those of the joints on its clock {asked}: the offset, or a time's unit?"
 
 
 def refuse_disorder(samples: LogSamples) -> None:

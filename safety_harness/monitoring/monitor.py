@@ -34,6 +34,7 @@ NO_SAFETY_FUNCTION = (
 FARTHEST_AHEAD_S = 60.0  # a time so much later than the latest one is a slip, or another clock
 LATENCY_S = 0.1  # of hands behind joints, by which ticks are still judged again
 WAITING_HANDS = 100  # before the first joints
+FORGETS_EVERY = 10  # ticks
 
 
 @dataclass
@@ -300,7 +301,8 @@ class Monitor:
         for claim in self.claims:
             claim.see(seen, moments[0].tick, grown=grown)
         self._stale = self._next
-        self._forget(self._moments[0].tick)
+        if (oldest := self._moments[0].tick) % FORGETS_EVERY == 0:
+            self._forget(oldest)
         yield from self._changes()
 
     def _forget(self, before: int) -> None:

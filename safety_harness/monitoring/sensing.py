@@ -81,7 +81,7 @@ class Sensing:
 
     def __init__(self, cell: WatchedCell, hands: Sequence[HandTracks]) -> None:
         settings, self._hands = cell.scenario.settings, hands
-        self._period_ns = cell.period_ns
+        self._period_ns, self._nowhere = cell.period_ns, np.full((len(hands), 2), nan)
         self._arm = arm_with(cell.arm, cell_capsules(arm_capsules(cell.scenario.robot), settings))
         count = len(self._arm.capsules)
         self._room = np.empty((MAX_BISECTIONS + 1, count, 2, 3))
@@ -118,8 +118,7 @@ class Sensing:
         return found
 
     def _place_hands(self, moment: TickSeen) -> None:
-        count = len(self._hands)
-        moment.bodies_m, moment.bodies_off_m = np.zeros((count, 2, 3)), np.full((count, 2), nan)
+        moment.bodies_m, moment.bodies_off_m = np.zeros(self._nowhere.shape + (3,)), self._nowhere.copy()
         for k, (hand, elbow) in enumerate(self._hands):
             if (own := hand.at(moment.tick)) is None:
                 continue

@@ -86,20 +86,22 @@ class JointTrack:
             self._within.add(0, 0, self._facts.known_to_rad)
             return
         step_s, facts = (time_ns - before[0]) / NS, self._facts
-        slope, steps = (position_rad - before[1])[None] / step_s, np.array([step_s])
-        bounds = {"most": facts.move_at_most_radps, "hardest": facts.accelerate_at_most_radps2}
-        off = joint_off_rad(slope, steps, sample_rad=facts.known_to_rad, **bounds)  # type: ignore[arg-type]
-        self._within.add(before[0], time_ns, float(off[0]))
+        most, hard = facts.move_at_most_radps, facts.accelerate_at_most_radps2
+        slope = (position_rad - before[1])[None] / step_s
+        steps = (
+            np.array([step_s]) if hard is None else step_s
+        )  # of one step, by numbers: it is the quicker way
+        off = joint_off_rad(slope, steps, most=most, hardest=hard, sample_rad=facts.known_to_rad)
+        self._within.add(before[0], time_ns, off.item())
         if facts.speeds_known_to_radps is None:
-            off = rate_off(slope, steps, sample=facts.known_to_rad, **bounds)  # type: ignore[arg-type]
+            off = rate_off(slope, steps, most=most, hardest=hard, sample=facts.known_to_rad)
         else:
             assert rates_radps is not None
             assert before[2] is not None
-            fastest = np.maximum(np.abs(rates_radps), np.abs(before[2])) + facts.move_at_most_radps
-            hard = facts.accelerate_at_most_radps2
+            fastest = np.maximum(np.abs(rates_radps), np.abs(before[2])) + most
             more = float(fastest.max()) if hard is None else hard * step_s / 2.0
-            off = np.array([facts.speeds_known_to_radps + more])
-        self._rate_within.add(before[0], time_ns, float(off[0]))
+            off = np.array(facts.speeds_known_to_radps + more)
+        self._rate_within.add(before[0], time_ns, off.item())
         if self.slope is not None and before[0] % self._period_ns:
             cell = before[0] // self._period_ns
             bend = float(np.abs(slope[0] - self.slope).max()) * self._period_ns / NS / 4.0

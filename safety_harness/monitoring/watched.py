@@ -37,9 +37,29 @@ from safety_harness.monitoring.sensing import (
     Values,
 )
 from safety_harness.properties.base import Unit
+from safety_harness.properties.catalogue import CATALOGUE
+from safety_harness.properties.hand_distance import HAND_DISTANCE
+from safety_harness.properties.limits import TCP_SPEED as TCP_SPEED_LIMIT
 from safety_harness.scenario.model import Verdict
 
 AT_TICK, CELL = 0, 1
+AS_FORMULAS = ((HAND_DISTANCE, "always hand distance >= {}"), (TCP_SPEED_LIMIT, "always TCP speed <= {}"))
+
+
+def watched_formula(sentence: str) -> Formula:
+    """What a claim says of every tick and between: a formula, or a sentence of the catalogue that is one.
+
+    FormulaError for what is neither.
+    """
+    for entry, formula in AS_FORMULAS:
+        if (match := entry.understands(sentence)) is not None:
+            return parse_formula(formula.format(match[1]))
+    if any(entry.understands(sentence) for entry in CATALOGUE):
+        known = " and ".join(f'"{entry.example}"' for entry, _ in AS_FORMULAS)
+        expected = f"a formula, or a sentence of the catalogue that is one, as {known} are"
+        got = f'"{sentence}", which looks at a whole run'
+        raise formula_error(expected, got, "judge tells it of the log")
+    return parse_formula(sentence)
 
 
 class WatchedClaim:
@@ -49,13 +69,14 @@ class WatchedClaim:
     """
 
     def __init__(self, sentence: str, known: Collection[Signal], period_s: float, revisable: int) -> None:
-        formula = parse_formula(sentence)
+        formula = watched_formula(sentence)
         for signal in signals_of(formula):
             if signal not in known:
                 expected = f"a signal that this stream has: {', '.join(one.words for one in known)}"
                 raise formula_error(expected, signal.words)
-        self.sentence = str(formula)
+        self.sentence = sentence
         self.parts = [WatchedPart(part, period_s, revisable) for part in parts_of(formula)]
+        self.single = len(self.parts) == 1
 
     def see(self, seen: Values, first: int, *, grown: bool) -> None:
         """Of the latest ticks, from ``first`` on, more is known now, ``seen`` (m, signals, 6).
@@ -68,12 +89,14 @@ class WatchedClaim:
     @property
     def verdict(self) -> Verdict:
         """On the run so far, as if it ended now."""
-        return _gravest([part.verdict for part in self.parts])
+        first = self.parts[0]
+        return first.verdict if self.single else _gravest([part.verdict for part in self.parts])
 
     @property
     def latest(self) -> Verdict:
         """Of the latest tick that can be told, where a claim asks every tick; else of the run so far."""
-        return _gravest([part.latest for part in self.parts])
+        first = self.parts[0]
+        return first.latest if self.single else _gravest([part.latest for part in self.parts])
 
     @property
     def deciding(self) -> WatchedPart:

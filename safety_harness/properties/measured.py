@@ -131,7 +131,8 @@ class _Judging:
             found = self.evaluate(prop, piece)
             if found.verdict is Verdict.VIOLATED:
                 return replace(found, reason=f"{found.reason} ({which}; not measured: {words})")
-            told.append(f"{which}: {found.margin_text()} ({found.reason})")
+            words_of = found.verdict.value if found.margin is None else found.margin_text()
+            told.append(f"{which}: {words_of} ({found.reason})")
         return not_measured(prop, lacking, "; ".join(told), known)
 
     def _widened(self, found: Evaluation, prop: Property, trace: Trace, limited: Sequence[str]) -> Evaluation:

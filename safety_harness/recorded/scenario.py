@@ -237,8 +237,9 @@ def _origin(made: FromLog, named: str) -> list[str]:
         f"{claims}. The arm starts at rest."
     )
     if facts is not None:
+        known = nice(facts.known_to_m, LENGTH) if np.isfinite(facts.known_to_m) else "what each sample says"
         lines.append(
-            f"The hands are known to {nice(facts.known_to_m, LENGTH)}, their clock to "
+            f"The hands are known to {known}, their clock to "
             f"{nice(log.clock_known_to_s, TIME)}; between samples, at most {nice(facts.longest_gap_s, TIME)} "
             "apart, they go straight."
         )

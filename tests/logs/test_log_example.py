@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from shutil import copytree
 
 from typer.testing import CliRunner
 
@@ -39,3 +40,28 @@ def test_it_is_no_scenario() -> None:
     assert found.exit_code == 2
     assert "the log of a cell" in found.output
     assert "safety-harness judge" in found.output
+
+
+def test_a_log_that_claims_nothing_is_not_judged(tmp_path: Path) -> None:
+    said = copied(tmp_path)
+    said.write_text(said.read_text().partition("claims:")[0])
+    found = CliRunner().invoke(app, ["judge", str(said)])
+    assert found.exit_code == 2
+    assert (
+        CliRunner().invoke(app, ["judge", str(said), "--claim", "always joint speed < 90 deg/s"]).exit_code
+        != 2
+    )
+
+
+def test_where_no_sample_is_in_time_it_says_what_times_there_are(tmp_path: Path) -> None:
+    said = copied(tmp_path)
+    said.write_text(said.read_text().replace("137 ms", "137 s"))
+    found = CliRunner().invoke(app, ["judge", str(said)])
+    assert found.exit_code == 2
+    assert "its times are" in found.output
+
+
+def copied(folder: Path) -> Path:
+    """The example in a folder of its own."""
+    copytree(EXAMPLE.parent, folder, dirs_exist_ok=True)
+    return folder / EXAMPLE.name

@@ -251,6 +251,13 @@ def test_numbers_that_cannot_be_are_refused_with_their_line(
         assert says in str(refused.value)
 
 
+OTHERS = ("always not stopped", "always not object lost", "always servoing")
+EITHER = (
+    "always (servoing or repulsing)",
+    "always not (servoing and repulsing)",
+)
+
+
 @pytest.mark.parametrize("halts", [False, True])
 def test_formulas_on_modes_are_judged_where_a_mode_was_one_of_two(
     synthetic: tuple[Streams, Words, Words], halts: bool, tmp_path: Path
@@ -267,7 +274,7 @@ def test_formulas_on_modes_are_judged_where_a_mode_was_one_of_two(
             "RUN: servoing, RETREAT: repulsing, HALT: stopped}, known to: 2 ms",
         ),
         ("log: {", "log: {from: 10 ms, "),
-        ("claims:\n", "claims:\n  - always not stopped\n  - always not object lost\n  - always servoing\n"),
+        ("claims:\n", "claims:\n" + "".join(f"  - {one}\n" for one in (*EITHER, *OTHERS))),
     )
     logged = trace_of(read_log(file))
     trace = logged.trace
@@ -277,7 +284,9 @@ def test_formulas_on_modes_are_judged_where_a_mode_was_one_of_two(
     found = {one.sentence: one.verdict for one in judge(trace)}
     if halts:
         assert found["always not stopped"] is not Verdict.HOLDS
+        assert found[EITHER[0]] is not Verdict.HOLDS
     else:
-        assert found["always not stopped"] is Verdict.HOLDS
+        assert found["always not stopped"] is found[EITHER[0]] is Verdict.HOLDS
+    assert found[EITHER[1]] is Verdict.HOLDS
     assert found["always not object lost"] is Verdict.HOLDS
     assert found["always servoing"] is Verdict.VIOLATED

@@ -13,8 +13,7 @@ from hypothesis import strategies as st
 from stream_lines import lines
 from truths import FINE_M, FINE_S, truth_at
 
-from safety_harness.formulas.claim import FormulaClaim
-from safety_harness.formulas.parse import parse_formula
+from safety_harness.admission.trial import judge
 from safety_harness.logs.judging import recorded as recorded_log
 from safety_harness.monitoring.cell import read_cell
 from safety_harness.monitoring.journal import Journal
@@ -34,6 +33,8 @@ CLAIMS = [
     "hand distance > 200 mm until nearest hand to TCP < 500 mm",
     "not (eventually joint speed > 70 deg/s)",
     "initially hand distance > 400 mm",
+    "hand distance never below 150 mm",
+    "TCP speed never above 600 mm/s",
 ]
 
 
@@ -55,7 +56,8 @@ def watched_and_judged(
     list(own.end())
     own.journal.close()
     trace = recorded_log(own.journal.latest).trace
-    offline = [FormulaClaim(parse_formula(one)).evaluate(trace) for one in CLAIMS]
+    offline = list(judge(trace))
+    assert [one.sentence for one in trace.scenario.claims] == CLAIMS
     assert own.counts.ticks == len(trace.ticks)
     return own.verdicts(), offline, trace, one
 
