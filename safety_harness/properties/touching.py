@@ -8,10 +8,17 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from safety_harness.compiled import compiled
 from safety_harness.controller.stack import STANDSTILL_RADPS
 from safety_harness.properties.base import Evaluation, Unit, inconclusive, judged, times_begun
 from safety_harness.properties.entry import CatalogueEntry
-from safety_harness.properties.hand_distance import RESOLUTION_M, closest_between, followed_hands, instants
+from safety_harness.properties.hand_distance import (
+    RESOLUTION_M,
+    closest_between,
+    displacement_m,
+    followed_hands,
+    instants,
+)
 from safety_harness.properties.measured import reads
 from safety_harness.properties.true_motion import HandPaths, arm_of, capsules_of, true_motion
 from safety_harness.properties.unexercised import OFF_THE_GOAL, nearest_of, unexercised
@@ -87,9 +94,14 @@ def closest_moving(trace: Trace, paths: HandPaths) -> tuple[float, float, int]:
         nearest = np.where(there, links[np.where(there, part, 0)], -1)
         before = np.minimum(at[:-1].astype(int), len(trace.ticks) - 2)
         first = first_turning(trace)[before]
+        lower_m = _lower_bounds(arm_of(trace).reach_m, joints_rad, hand_m, elbow_m, distance_m, slack_m)
+        met = (nearest[before] > first) & (at[:-1] == before) & (first < joints_rad.shape[1])
+        most_m = distance_m[:-1][met].min(initial=np.inf)  # the result is not above it
         for begin, end in _runs(first):
             if first[begin] == joints_rad.shape[1]:
                 continue  # it stands
+            if lower_m[begin:end].min() > min(best[0], most_m):  # never of a NaN
+                continue  # nothing comes as near
             arm = _beyond(arm_of(trace), int(first[begin]))
             if len(arm.capsules) == 0:
                 continue
@@ -111,6 +123,25 @@ def closest_moving(trace: Trace, paths: HandPaths) -> tuple[float, float, int]:
                 instant = at[index] + fraction * (later - at[index])
                 best = (least_m, float(instant * trace.scenario.settings.clock.control_period_s), hand)
     return best
+
+
+@compiled
+def _lower_bounds(
+    reach_m: NDArray[np.float64],  # (joints,)
+    joints_rad: NDArray[np.float64],  # (n, joints)
+    hand_m: NDArray[np.float64],  # (n, 3)
+    elbow_m: NDArray[np.float64],  # (n, 3)
+    distance_m: NDArray[np.float64],  # (n,) infinite where it is not known
+    slack_m: NDArray[np.float64],  # (n - 1,)
+) -> NDArray[np.float64]:
+    """(n - 1,) what no distance from an instant to the next is below, as ``closest_between`` gives it."""
+    lower_m, left_m = np.empty(slack_m.shape[0]), -np.inf
+    for k in range(slack_m.shape[0]):
+        if not distance_m[k] == np.inf:
+            left_m = distance_m[k]
+        left_m -= displacement_m(reach_m, joints_rad, hand_m, elbow_m, k)
+        lower_m[k] = left_m - slack_m[k] - 2.0 * RESOLUTION_M
+    return lower_m
 
 
 def _runs(first: NDArray[np.int64]) -> list[tuple[int, int]]:
