@@ -69,6 +69,7 @@ def state_dtype(hands: int, joints: int = JOINTS) -> np.dtype[Any]:
             ("mode", np.int64),
             ("transform_tcp_to_base", np.float64, (4, 4)),  # from the measured joints
             ("link_transforms", np.float64, (joints + 2, 4, 4)),
+            ("placed", np.bool_),  # they are those of the observation that comes, which a world has seen to
             # the image of the object, as last delivered
             ("object_visible", np.bool_),
             ("moments", np.float64, (MOMENT_COUNT,)),

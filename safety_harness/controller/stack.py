@@ -50,7 +50,9 @@ def begin_tick(
 ) -> bool:
     """Take in an observation; True if a decision is needed before ``finish_tick``."""
     p, s, o = parameters[0], states[0], observations[0]
-    forward_kinematics(p.chain, o.joint_position_rad, s.link_transforms)
+    if not s.placed:
+        forward_kinematics(p.chain, o.joint_position_rad, s.link_transforms)
+    s.placed = False
     copy_matrix(s.link_transforms[p.chain.joint_axes.shape[0] + 1], s.transform_tcp_to_base)
     see_object(parameters, states, observations)
     see_hands(parameters, filter_parameters, states, tracks, observations)

@@ -22,7 +22,7 @@ from safety_harness.geometry.arrays import (
     ArrayNx3,
     ArrayNx4x4,
 )
-from safety_harness.geometry.linear import invert, solve_in_place
+from safety_harness.geometry.linear import invert_with, solve_in_place
 from safety_harness.geometry.rotations import rotation_entries
 from safety_harness.robot.description import ArmModel, Chain
 
@@ -279,11 +279,11 @@ def joint_velocity(
     the least singular value and costs nothing; only where it is below the bound is the singular value itself
     computed.  Another number of joints than six takes ``_pseudo_inverse_velocity``.
     """
-    n = jacobian.shape[1]
-    if n != TWIST:
+    if jacobian.shape[1] != TWIST:
         return _pseudo_inverse_velocity(jacobian, twist, min_singular_value, joint_velocity_out)
+    n = TWIST  # a constant: loops are laid open
     inverse = np.empty((n, n))
-    regular = invert(jacobian, inverse)
+    regular = invert_with(jacobian, n, np.empty((n, n)), inverse)
     norm2 = 0.0
     for i in range(n):
         for j in range(n):
