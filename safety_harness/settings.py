@@ -20,6 +20,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from enum import Enum
+from functools import cached_property
 from math import pi, radians
 from typing import TypeVar
 
@@ -360,22 +361,21 @@ class Settings:
     avoidance: Avoidance = field(default_factory=Avoidance)
     braking: Braking = field(default_factory=Braking)
 
+    @cached_property
+    def steady(self) -> Settings:
+        """With a hand sensor that has no noise and delay: for what depends on neither, as spaces vary them."""
+        hand_sensor = replace(
+            self.hand_sensor,
+            pixel_noise_px=0.0,
+            depth_noise_per_m=0.0,
+            dropout_probability=0.0,
+            rate_hz=None,
+            latency_s=0.0,
+        )
+        return replace(self, hand_sensor=hand_sensor)
+
 
 DEFAULTS = Settings()
-
-
-def steady(settings: Settings) -> Settings:
-    """``settings`` whose hand sensor has no noise and delay, for what depends on neither: spaces vary them."""
-    hand_sensor = replace(
-        settings.hand_sensor,
-        pixel_noise_px=0.0,
-        depth_noise_per_m=0.0,
-        dropout_probability=0.0,
-        rate_hz=None,
-        latency_s=0.0,
-    )
-    return replace(settings, hand_sensor=hand_sensor)
-
 
 # What counts as converged; the image threshold of the gain switch is Servo.gain_switch_sse.
 CONVERGED_POSITION_M = 0.001

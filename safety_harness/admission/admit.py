@@ -59,7 +59,7 @@ from safety_harness.scenario.model import NO_AVOIDER, Scenario
 from safety_harness.scenario.robots import AnyRobot
 from safety_harness.seeds import Branch, seed
 from safety_harness.servoing.control import DesiredView
-from safety_harness.settings import DecisionCost, Settings, Vector3, steady
+from safety_harness.settings import DecisionCost, Settings, Vector3
 from safety_harness.simulation.truth import cell_capsules
 from safety_harness.space.regions import SeenRegions, seen_by
 from safety_harness.trace.trace import Trace
@@ -167,7 +167,7 @@ class Admitter:
 
     def seen_of(self, scenario: Scenario) -> SeenRegions:
         """What the scenario's avoider was trained on, as ``seen_by`` has it."""
-        settings = steady(scenario.settings)
+        settings = scenario.settings.steady
         return self._seen_by(scenario.under_test, folder=folder_of(scenario), settings=settings)
 
 
@@ -243,7 +243,7 @@ def _check(scenario: Scenario, *, sees_object: bool) -> Checked:
         check_cameras(scenario)
         view = None
         if sees_object:
-            view = _view_of_cell(_Cell(steady(scenario.settings), scenario.robot, scenario))
+            view = _view_of_cell(_Cell(scenario.settings.steady, scenario.robot, scenario))
         start = checked_start(scenario, arm, sees_object=sees_object)
         if scenario.driven:
             refuse_faults_of_avoider(scenario)

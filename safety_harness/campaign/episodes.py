@@ -118,16 +118,14 @@ class EpisodeRunner:
     def scenario(
         self, stratum: int, episode: int, draw: int, values: NDArray[np.float64] | None = None
     ) -> Scenario:
-        """A draw for an episode, with the plan's claims and avoider.  ``values`` (d,) as for ``space.draw``."""
+        """A draw for an episode, with the plan's claims and avoider; ``values`` (d,) as ``space.draw``."""
         space = self.plan.strata[stratum].space
         scenario = space.draw(root_seed(self.plan, stratum, episode), draw, values)
         claims = tuple(planned.claim for planned in self.plan.claims)
         scenario = replace(scenario, name=f"{space.name}#{episode}", claims=claims)
         return self.plan.with_avoider(scenario)
 
-    def draw(
-        self, stratum: int, episode: int, first: NDArray[np.float64] | None = None
-    ) -> Drawn | Row:
+    def draw(self, stratum: int, episode: int, first: NDArray[np.float64] | None = None) -> Drawn | Row:
         """The first draw that admission lets through; after too many refusals a row that says so.
 
         ``first`` (d,): the values of draw 0, if they are there.

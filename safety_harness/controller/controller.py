@@ -46,7 +46,7 @@ from safety_harness.scenario.fault_table import fault_table
 from safety_harness.scenario.model import HAND_SLOTS
 from safety_harness.seeds import Branch, seed
 from safety_harness.servoing.control import DesiredView
-from safety_harness.settings import Settings, steady
+from safety_harness.settings import Settings
 from safety_harness.trace.records import FAULT_CHARACTERS, DecisionOutcome, as_compiled, decision_dtype
 
 
@@ -102,7 +102,7 @@ class AvoidingServo:
         self.name = avoider.name
         self.avoider = avoider
         self.gate = gate
-        fixed, joints = _fixed(steady(settings), arm, view), len(arm.joint_names)
+        fixed, joints = _fixed(settings.steady, arm, view), len(arm.joint_names)
         self.records = ControllerRecords(
             FilterRecords(fixed[1].copy()),
             TrackRecords(no_tracks(hand_slots)),

@@ -94,7 +94,9 @@ def fill_truth(
         for i in range(3):
             tick.hand_position_in_base_m[k, i] = hand.position_in_base_m[i] if hand.present else 0.0
             tick.elbow_position_in_base_m[k, i] = hand.elbow_in_base_m[i] if hand.present else 0.0
-        before = min(tick.hand_distance_capsule[k], capsules.shape[0] - 1)  # of the tick before, if it was there
+        before = min(
+            tick.hand_distance_capsule[k], capsules.shape[0] - 1
+        )  # of the tick before, if it was there
         tick.hand_distance_m[k] = np.inf
         tick.hand_distance_capsule[k] = -1
         if hand.present:
