@@ -363,7 +363,7 @@ class Settings:
 
     @cached_property
     def steady(self) -> Settings:
-        """With a hand sensor that has no noise and delay: for what depends on neither, as spaces vary them."""
+        """With a hand sensor without noise and delay: for what depends on neither, as spaces vary them."""
         hand_sensor = replace(
             self.hand_sensor,
             pixel_noise_px=0.0,

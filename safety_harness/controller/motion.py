@@ -52,11 +52,8 @@ def servo_twist(
         s.gain = 0.0
         s.camera_twist[:] = 0.0
         return
-    rotation_tcp, twist, c = (
-        s.transform_tcp_to_base,
-        twist_in_base_out,
-        s.twist_in_base,
-    )  # room until ``shaped``
+    rotation_tcp, twist = s.transform_tcp_to_base, twist_in_base_out
+    c = s.twist_in_base  # room until ``shaped`` fills it
     for i in range(3):
         twist[i] = twist[3 + i] = c[i] = 0.0
         for k in range(3):
