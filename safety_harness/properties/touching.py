@@ -137,7 +137,7 @@ def _lower_bounds(
     """(n - 1,) what no distance from an instant to the next is below, as ``closest_between`` gives it."""
     lower_m, left_m = np.empty(slack_m.shape[0]), -np.inf
     for k in range(slack_m.shape[0]):
-        if not distance_m[k] == np.inf:
+        if distance_m[k] != np.inf:  # it is known
             left_m = distance_m[k]
         left_m -= displacement_m(reach_m, joints_rad, hand_m, elbow_m, k)
         lower_m[k] = left_m - slack_m[k] - 2.0 * RESOLUTION_M
