@@ -5,8 +5,9 @@ and the campaigns themselves, take days: make shield-all.
 
 *contacts*: what the ledgers of plans/shield-million.yaml and plans/shield-in-pybullet.yaml hold.
 *cost*: the same draws of each space with a shield and without one: who comes within 20 mm of the desired
-TCP and stays, and when.  *gate*: what share of proposals `every hand within` refuses.  *tick*: the kinematic loop with and without, in turns.  *search*: told to break the
-claim, with the margin as its guide, where all assumptions are true and where one is not.
+TCP and stays, and when.  *gate*: what share of proposals `every hand within` refuses.  *tick*: the
+kinematic loop with and without, in turns.  *search*: told to break the claim, with the margin as its guide,
+where all assumptions are true and where one is not.
 """
 
 from __future__ import annotations
