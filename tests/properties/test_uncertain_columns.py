@@ -138,7 +138,7 @@ def touching(rng: np.random.Generator, trace: Trace) -> tuple[Property, Trace]:
     ticks = true.ticks.copy()
     first = int(rng.integers(len(ticks)))
     ticks[JOINTS][first : first + 200] = ticks[JOINTS][first]
-    found = derived(of(true, ticks))
+    found = derived(of(true, ticks.copy()))
     for name in (TCP, DISTANCE, "hand_distance_capsule"):
         ticks[name] = found[name]
     return NoMovingPartTouches(near_m=rng.uniform(0.2, 0.6)), of(true, ticks)
