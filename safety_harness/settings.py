@@ -18,8 +18,9 @@ claim about a hand.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
+from functools import cached_property
 from math import pi, radians
 from typing import TypeVar
 
@@ -359,6 +360,19 @@ class Settings:
     motion: Motion = field(default_factory=Motion)
     avoidance: Avoidance = field(default_factory=Avoidance)
     braking: Braking = field(default_factory=Braking)
+
+    @cached_property
+    def steady(self) -> Settings:
+        """With a hand sensor without noise and delay: for what depends on neither, as spaces vary them."""
+        hand_sensor = replace(
+            self.hand_sensor,
+            pixel_noise_px=0.0,
+            depth_noise_per_m=0.0,
+            dropout_probability=0.0,
+            rate_hz=None,
+            latency_s=0.0,
+        )
+        return replace(self, hand_sensor=hand_sensor)
 
 
 DEFAULTS = Settings()

@@ -167,7 +167,8 @@ class Admitter:
 
     def seen_of(self, scenario: Scenario) -> SeenRegions:
         """What the scenario's avoider was trained on, as ``seen_by`` has it."""
-        return self._seen_by(scenario.under_test, folder=folder_of(scenario), settings=scenario.settings)
+        settings = scenario.settings.steady
+        return self._seen_by(scenario.under_test, folder=folder_of(scenario), settings=settings)
 
 
 def admit(
@@ -239,11 +240,10 @@ def _check(scenario: Scenario, *, sees_object: bool) -> Checked:
         check_posture(scenario, arm)
         refuse_gate(scenario)
         check_stuck_joints(scenario, arm)
+        check_cameras(scenario)
         view = None
         if sees_object:
-            view = _view_of_cell(_Cell(scenario.settings, scenario.robot, scenario))
-        else:
-            check_cameras(scenario)
+            view = _view_of_cell(_Cell(scenario.settings.steady, scenario.robot, scenario))
         start = checked_start(scenario, arm, sees_object=sees_object)
         if scenario.driven:
             refuse_faults_of_avoider(scenario)
@@ -290,7 +290,10 @@ def _no_answer(scenario: Scenario) -> InadmissibleError:
 
 @dataclass(frozen=True)
 class _Cell:
-    """What is refused, or not, whatever hands and start are; ``scenario`` has the places for messages."""
+    """What is refused, or not, whatever hands and start are; ``scenario`` has the places for messages.
+
+    ``settings`` are ``steady``: no camera's noise or delay is asked for.
+    """
 
     settings: Settings
     robot: AnyRobot

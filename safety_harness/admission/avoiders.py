@@ -81,7 +81,7 @@ class Avoiders:
         """The avoider that ``scenario.avoider`` names, and its file's hash; errors as ``resolve_avoider``."""
         path, name = _file_of(scenario), file_and_name(scenario.avoider)[1]
         if path is None or not name:
-            return self._others(_Wanted(path or scenario.avoider, scenario.settings, scenario))
+            return self._others(_Wanted(path or scenario.avoider, scenario.settings.steady, scenario))
         if (path, name) not in self._programs:
             self._programs[path, name] = _made(scenario)
         return self._programs[path, name]

@@ -45,8 +45,7 @@ _FAULTS = {
 
 
 def checked_view(scenario: Scenario) -> DesiredView:
-    """The desired view in a cell that can be worked in, whatever hands and start are."""
-    check_cameras(scenario)
+    """The desired view in a cell that can be worked in, whatever hands, start and hand sensor are."""
     _check_object(scenario)
     view = view_of(scenario.settings)
     _check_view(scenario, view)

@@ -128,7 +128,8 @@ class Gate:
     def rule_on(self, proposed: Answer, query: Query) -> GateDecision:
         """Check the avoider's answer, fall back to the opposite pose, else stop."""
         opposite = answer_to(self.fallback, replace(query, late="", asked_of=None))
-        proposed_failed, opposite_failed = self._failed(proposed, query), self._failed(opposite, query)
+        known: dict[bytes, Check] = {}  # the opposite pose may be what was proposed
+        proposed_failed, opposite_failed = (self._failed(one, query, known) for one in (proposed, opposite))
         if not proposed_failed:
             outcome, chosen = DecisionOutcome.PROPOSED, proposed.proposal
         elif not opposite_failed:
@@ -147,13 +148,17 @@ class Gate:
             proposed.latency_s,
         )
 
-    def _failed(self, answer: Answer, query: Query) -> Check:
-        """Which checks an answer fails."""
+    def _failed(self, answer: Answer, query: Query, known: dict[bytes, Check]) -> Check:
+        """Which checks an answer fails; ``known`` has what positions fail, and takes this one's over."""
         if answer.late:
             return Check.LATE
         if answer.fault:
             return Check.NOT_FINITE
-        failed = self.check(answer.proposal.position_in_base_m, query)
+        position_in_base_m = answer.proposal.position_in_base_m
+        key = position_in_base_m.tobytes()
+        if key not in known:
+            known[key] = self.check(position_in_base_m, query)
+        failed = known[key]
         spread_m, threshold_m = answer.proposal.spread_m.max(), answer.spread_threshold_m
         if self.kind is GateKind.FULL and spread_m > threshold_m:  # never above NaN: no threshold
             failed |= Check.UNCERTAIN

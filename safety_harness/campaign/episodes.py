@@ -8,11 +8,12 @@ import traceback
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from safety_harness.admission.admit import Admitted, Admitter
 from safety_harness.admission.avoiders import is_executed
@@ -44,7 +45,12 @@ _Done = TypeVar("_Done")
 
 def root_seed(plan: Plan, stratum: int, episode: int) -> int:
     """What every random number of the episode comes from."""
-    return leaf(plan.seed, Branch.CAMPAIGN, plan.strata[stratum].number, episode)
+    return _root_seed(plan.seed, plan.strata[stratum].number, episode)
+
+
+@lru_cache(maxsize=256)
+def _root_seed(seed: int, number: int, episode: int) -> int:
+    return leaf(seed, Branch.CAMPAIGN, number, episode)
 
 
 def random_episodes(plan: Plan, stratum: int) -> frozenset[int]:
@@ -98,7 +104,9 @@ class EpisodeRunner:
         """
         for group in [episodes] if self.plan.world.batch else [[episode] for episode in episodes]:
             begun_s = time.perf_counter()
-            drawn = [self._guarded(stratum, k, partial(self.draw, stratum, k)) for k in group]
+            space, seeds = self.plan.strata[stratum].space, [root_seed(self.plan, stratum, k) for k in group]
+            first = zip(group, space.values_of_draws(seeds, 0), strict=True)
+            drawn = [self._guarded(stratum, k, partial(self.draw, stratum, k, values)) for k, values in first]
             runs = run_all([one.admitted for one in drawn if isinstance(one, Drawn)], self.plan.world)
             rows = [
                 one if isinstance(one, Row) else self._judged(stratum, one, next(runs), keep_violations)
@@ -107,20 +115,25 @@ class EpisodeRunner:
             each_s = (time.perf_counter() - begun_s) / max(len(rows), 1)
             yield from (replace(row, seconds=each_s) for row in rows)
 
-    def scenario(self, stratum: int, episode: int, draw: int) -> Scenario:
-        """A draw for an episode, with the plan's claims and avoider."""
+    def scenario(
+        self, stratum: int, episode: int, draw: int, values: NDArray[np.float64] | None = None
+    ) -> Scenario:
+        """A draw for an episode, with the plan's claims and avoider; ``values`` (d,) as ``space.draw``."""
         space = self.plan.strata[stratum].space
-        scenario = space.draw(root_seed(self.plan, stratum, episode), draw)
+        scenario = space.draw(root_seed(self.plan, stratum, episode), draw, values)
         claims = tuple(planned.claim for planned in self.plan.claims)
         scenario = replace(scenario, name=f"{space.name}#{episode}", claims=claims)
         return self.plan.with_avoider(scenario)
 
-    def draw(self, stratum: int, episode: int) -> Drawn | Row:
-        """The first draw that admission lets through; after too many refusals a row that says so."""
+    def draw(self, stratum: int, episode: int, first: NDArray[np.float64] | None = None) -> Drawn | Row:
+        """The first draw that admission lets through; after too many refusals a row that says so.
+
+        ``first`` (d,): the values of draw 0, if they are there.
+        """
         refused: Counter[str] = Counter()
         for k in range(MAX_REJECTION_RATIO):
             try:
-                scenario = self.scenario(stratum, episode, k)
+                scenario = self.scenario(stratum, episode, k, first if k == 0 else None)
                 if not self.programs and is_executed(scenario.under_test):
                     raise CampaignError(f"{scenario.name} names a program, which is not to be executed")
                 return Drawn(episode, k + 1, self._admitter.admit(scenario))

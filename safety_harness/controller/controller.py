@@ -102,7 +102,7 @@ class AvoidingServo:
         self.name = avoider.name
         self.avoider = avoider
         self.gate = gate
-        fixed, joints = _fixed(settings, arm, view), len(arm.joint_names)
+        fixed, joints = _fixed(settings.steady, arm, view), len(arm.joint_names)
         self.records = ControllerRecords(
             FilterRecords(fixed[1].copy()),
             TrackRecords(no_tracks(hand_slots)),

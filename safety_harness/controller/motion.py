@@ -7,7 +7,6 @@ import numpy as np
 from safety_harness.compiled import compiled, njit_no_nrt
 from safety_harness.controller.records import ParameterRecords, StateRecords
 from safety_harness.geometry.arrays import Array6
-from safety_harness.geometry.linear import copy_vector
 from safety_harness.servoing.control import camera_twist
 from safety_harness.trace.records import Limit, Mode
 
@@ -53,19 +52,19 @@ def servo_twist(
         s.gain = 0.0
         s.camera_twist[:] = 0.0
         return
-    rotation_tcp = s.transform_tcp_to_base
-    v, w, c = np.zeros(3), np.zeros(3), np.zeros(3)
+    rotation_tcp, twist = s.transform_tcp_to_base, twist_in_base_out
+    c = s.twist_in_base  # room until ``shaped`` fills it
     for i in range(3):
+        twist[i] = twist[3 + i] = c[i] = 0.0
         for k in range(3):
             c[i] += rotation_tcp[i, k] * p.transform_camera_to_tcp[k, 3]
             for j in range(3):
                 rotation = rotation_tcp[i, k] * p.transform_camera_to_tcp[k, j]
-                v[i] += rotation * s.camera_twist[j]
-                w[i] += rotation * s.camera_twist[3 + j]
-    twist_in_base_out[0] = v[0] - (w[1] * c[2] - w[2] * c[1])
-    twist_in_base_out[1] = v[1] - (w[2] * c[0] - w[0] * c[2])
-    twist_in_base_out[2] = v[2] - (w[0] * c[1] - w[1] * c[0])
-    copy_vector(w, twist_in_base_out[3:])
+                twist[i] += rotation * s.camera_twist[j]
+                twist[3 + i] += rotation * s.camera_twist[3 + j]
+    twist[0] -= twist[4] * c[2] - twist[5] * c[1]
+    twist[1] -= twist[5] * c[0] - twist[3] * c[2]
+    twist[2] -= twist[3] * c[1] - twist[4] * c[0]
 
 
 @njit_no_nrt

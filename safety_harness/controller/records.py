@@ -69,6 +69,7 @@ def state_dtype(hands: int, joints: int = JOINTS) -> np.dtype[Any]:
             ("mode", np.int64),
             ("transform_tcp_to_base", np.float64, (4, 4)),  # from the measured joints
             ("link_transforms", np.float64, (joints + 2, 4, 4)),
+            ("placed", np.bool_),  # they are those of the observation that comes, which a world has seen to
             # the image of the object, as last delivered
             ("object_visible", np.bool_),
             ("moments", np.float64, (MOMENT_COUNT,)),
@@ -92,6 +93,7 @@ def state_dtype(hands: int, joints: int = JOINTS) -> np.dtype[Any]:
             ("limits", np.int64),
             # what a tick works with
             ("jacobian", np.float64, (6, joints)),
+            ("room", np.float64, (2, 6, 6)),  # of ``joint_velocity_with``
             ("wanted_twist_in_base", np.float64, (6,)),
             ("twist_in_base", np.float64, (6,)),
             ("transform_sensor_to_base", np.float64, (4, 4)),

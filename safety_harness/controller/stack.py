@@ -24,7 +24,7 @@ from safety_harness.geometry.arrays import Array3
 from safety_harness.geometry.linear import copy_matrix, copy_vector
 from safety_harness.geometry.transforms import compose_into
 from safety_harness.perception.tracking import advance_tracks, predict_positions
-from safety_harness.robot.kinematics import forward_kinematics, geometric_jacobian, joint_velocity
+from safety_harness.robot.kinematics import forward_kinematics, geometric_jacobian, joint_velocity_with
 from safety_harness.servoing.features import feature_error, features
 from safety_harness.trace.records import Limit, Mode, Trigger
 
@@ -50,7 +50,9 @@ def begin_tick(
 ) -> bool:
     """Take in an observation; True if a decision is needed before ``finish_tick``."""
     p, s, o = parameters[0], states[0], observations[0]
-    forward_kinematics(p.chain, o.joint_position_rad, s.link_transforms)
+    if not s.placed:
+        forward_kinematics(p.chain, o.joint_position_rad, s.link_transforms)
+    s.placed = False
     copy_matrix(s.link_transforms[p.chain.joint_axes.shape[0] + 1], s.transform_tcp_to_base)
     see_object(parameters, states, observations)
     see_hands(parameters, filter_parameters, states, tracks, observations)
@@ -256,7 +258,7 @@ def command_arm(
     p, s, o, command = parameters[0], states[0], observations[0], commands[0]
     jacobian, wanted, twist = s.jacobian, s.wanted_twist_in_base, s.twist_in_base
     s.limits |= shaped(parameters, s.previous_twist_in_base, wanted, speed_mps, acceleration_mps2, twist)
-    if not joint_velocity(jacobian, twist, p.min_singular_value, command.joint_velocity_radps):
+    if not joint_velocity_with(jacobian, twist, p.min_singular_value, s.room, command.joint_velocity_radps):
         s.limits |= LIMIT_SINGULARITY
         if s.mode != PROTECTIVE_STOP and not np.isnan(s.clear_since_s):
             s.clear_since_s = o.time_s  # the restart delay counts from this stop

@@ -49,10 +49,20 @@ def invert(matrix: NDArray[np.float64], inverse_out: NDArray[np.float64]) -> boo
     (A | I) into (I | A^-1).  An exactly singular matrix (a straight elbow gives one) is an answer here, not
     an exception.
     """
-    n = matrix.shape[0]
-    work = matrix.copy()
+    return invert_with(matrix, matrix.shape[0], np.empty((matrix.shape[0], matrix.shape[0])), inverse_out)
+
+
+@inlined
+def invert_with(
+    matrix: NDArray[np.float64], n: int, work: NDArray[np.float64], inverse_out: NDArray[np.float64]
+) -> bool:
+    """``invert`` with room to ``work`` (n, n); where n is a constant of the caller, rows are vectors.
+
+    ``matrix`` and ``inverse_out`` (n, n).
+    """
     for i in range(n):
         for j in range(n):
+            work[i, j] = matrix[i, j]
             inverse_out[i, j] = 1.0 if i == j else 0.0
     for column in range(n):
         pivot = column
@@ -67,16 +77,14 @@ def invert(matrix: NDArray[np.float64], inverse_out: NDArray[np.float64]) -> boo
                 work[column, j], work[pivot, j] = work[pivot, j], work[column, j]
                 inverse_out[column, j], inverse_out[pivot, j] = inverse_out[pivot, j], inverse_out[column, j]
         scale = 1.0 / work[column, column]
-        for j in range(column + 1, n):  # what lies before is read no more
+        for j in range(n):  # what lies before is read no more, and a whole row is as quick as a part
             work[column, j] *= scale
-        for j in range(n):
             inverse_out[column, j] *= scale
         for row in range(n):
             if row != column:
                 factor = work[row, column]
-                for j in range(column + 1, n):
-                    work[row, j] -= factor * work[column, j]
                 for j in range(n):
+                    work[row, j] -= factor * work[column, j]
                     inverse_out[row, j] -= factor * inverse_out[column, j]
     return True
 

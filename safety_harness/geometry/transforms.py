@@ -24,15 +24,22 @@ def transform_from(rotation: Array3x3, translation: Array3) -> NDArray[np.float6
 @compiled
 def inverse_transform(transform: Array4x4) -> NDArray[np.float64]:
     """Inverse (4, 4) of a rigid ``transform`` (4, 4) of rotation R and shift t: (R^T, -R^T t)."""
-    inverse = np.zeros((4, 4))
+    inverse = np.empty((4, 4))
+    invert_into(transform, inverse)
+    return inverse
+
+
+@inlined
+def invert_into(transform: Array4x4, inverse_out: Array4x4) -> None:
+    """Fill ``inverse_out`` with the ``inverse_transform``, both (4, 4); it must not be the same array."""
     for i in range(3):
         shift = 0.0
         for j in range(3):
-            inverse[i, j] = transform[j, i]
+            inverse_out[i, j] = transform[j, i]
             shift -= transform[j, i] * transform[j, 3]
-        inverse[i, 3] = shift
-    inverse[3, 3] = 1.0
-    return inverse
+        inverse_out[i, 3] = shift
+        inverse_out[3, i] = 0.0
+    inverse_out[3, 3] = 1.0
 
 
 @inlined

@@ -99,7 +99,6 @@ def predict_positions(
     finite.  So a tracked hand always has a position, and never one behind the sensor.
     """
     box = np.empty(BOX_LENGTH)
-    position = np.empty(3)
     for i in range(tracks.shape[0]):
         valid_out[i] = tracks[i]["valid"]
         if not tracks[i]["valid"]:
@@ -114,13 +113,14 @@ def predict_positions(
             parameters[0]["c_u"],
             parameters[0]["c_v"],
             parameters[0]["assumed_radius_m"],
-            position,
+            positions_in_base_out[i],
         )
+        x, y, z = positions_in_base_out[i, 0], positions_in_base_out[i, 1], positions_in_base_out[i, 2]
         for row in range(3):
             positions_in_base_out[i, row] = (
-                transform_sensor_to_base[row, 0] * position[0]
-                + transform_sensor_to_base[row, 1] * position[1]
-                + transform_sensor_to_base[row, 2] * position[2]
+                transform_sensor_to_base[row, 0] * x
+                + transform_sensor_to_base[row, 1] * y
+                + transform_sensor_to_base[row, 2] * z
                 + transform_sensor_to_base[row, 3]
             )
 

@@ -30,7 +30,7 @@ from safety_harness.robot.distance import hand_distance, place_capsules
 from safety_harness.robot.kinematics import forward_kinematics
 from safety_harness.scenario.units import LENGTH
 from safety_harness.settings import DEFAULTS, Hand
-from safety_harness.trace.trace import Trace
+from safety_harness.trace.trace import Trace, once_a_trace
 
 RESOLUTION_M = 1e-4
 TURNED_RAD = 8.0 * np.pi  # four times the limits: an arm that has come apart, in an engine or in a file
@@ -224,6 +224,7 @@ def instants(trace: Trace, paths: HandPaths, hand: int) -> tuple[NDArray[np.floa
     )
 
 
+@once_a_trace
 def joint_bend_m(trace: Trace) -> NDArray[np.float64]:
     """(n-1,) how far any point of the arm may leave the way of joints that move linearly, within each tick.
 
@@ -286,7 +287,7 @@ def _closest_in_trace(
             )
         first, known = k, False
         while k < distance_m.shape[0] - 1:
-            left_m -= _displacement(arm, joints_rad, hands_m, elbows_m, k)
+            left_m -= displacement_m(arm.reach_m, joints_rad, hands_m, elbows_m, k)
             if not left_m - slack_m[k] > best + tolerance_m:  # a NaN must come out, not be passed over
                 break
             k += 1
@@ -314,8 +315,8 @@ def _closest_in_trace(
 
 
 @inlined
-def _displacement(
-    arm: Arm,
+def displacement_m(
+    reach_m: NDArray[np.float64],  # (joints,)
     joints_rad: NDArray[np.float64],  # (n, joints)
     hands_m: NDArray[np.float64],  # (n, 3)
     elbows_m: NDArray[np.float64],  # (n, 3)
@@ -323,8 +324,8 @@ def _displacement(
 ) -> float:
     """By how much [m] a distance can change from instant k to the next, at most."""
     moved, hand, elbow = 0.0, 0.0, 0.0
-    for i in range(arm.chain[0].joint_axes.shape[0]):
-        moved += abs(joints_rad[k + 1, i] - joints_rad[k, i]) * arm.reach_m[i]
+    for i in range(reach_m.shape[0]):
+        moved += abs(joints_rad[k + 1, i] - joints_rad[k, i]) * reach_m[i]
     for i in range(3):
         hand += (hands_m[k + 1, i] - hands_m[k, i]) ** 2
         elbow += (elbows_m[k + 1, i] - elbows_m[k, i]) ** 2

@@ -8,16 +8,52 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from safety_harness.compiled import compiled
 from safety_harness.controller.stack import STANDSTILL_RADPS
 from safety_harness.properties.base import Evaluation, Unit, inconclusive, judged, times_begun
 from safety_harness.properties.entry import CatalogueEntry
-from safety_harness.properties.hand_distance import RESOLUTION_M, closest_between, followed_hands, instants
+from safety_harness.properties.hand_distance import (
+    RESOLUTION_M,
+    closest_approach,
+    closest_between,
+    displacement_m,
+    distance_moved_m,
+    followed_hands,
+    instants,
+)
 from safety_harness.properties.measured import reads
-from safety_harness.properties.true_motion import HandPaths, arm_of, capsules_of, true_motion
+from safety_harness.properties.true_motion import HandPaths, arm_of, capsules_of, hand_paths, true_motion
 from safety_harness.properties.unexercised import OFF_THE_GOAL, nearest_of, unexercised
 from safety_harness.robot.capsules import Arm
 from safety_harness.settings import DEFAULTS
 from safety_harness.trace.trace import Trace, once_a_trace
+
+
+def _ends(prop: NoMovingPartTouches, trace: Trace, margin_m: float) -> tuple[float, float, bool]:
+    """For ``reads``: from below as of any part, for a part may move that seems to stand.
+
+    From above by the parts that are nearest at a tick and surely turn in the one that begins there.
+    """
+    at_ticks_m, between_m = distance_moved_m(trace)
+    off_m, true, surely_m = np.maximum(at_ticks_m, between_m), true_motion(trace), np.inf
+    low_m = closest_approach(trace, hand_paths(trace), off_m)[0] - RESOLUTION_M
+    known_rad = trace.known.within("joint_position_rad", len(trace.ticks))
+    turned_rad = np.abs(np.diff(true.joints_rad, axis=0)) - (known_rad[1:] + known_rad[:-1])[:, None]
+    turns = turned_rad >= STANDSTILL_RADPS * trace.scenario.settings.clock.control_period_s
+    first = np.where(turns.any(axis=1), turns.argmax(axis=1), turns.shape[1])
+    for hand in range(len(trace.scenario.hands)):
+        moves = _nearest_links(trace, hand)[:-1] > first
+        reached_m = (trace.ticks["hand_distance_m"][:, hand] + off_m)[:-1][moves]
+        surely_m = min(surely_m, float(reached_m.min(initial=np.inf)))
+    return low_m, surely_m, bool((true.nearest_m + at_ticks_m).min() < prop.near_m and turns.any())
+
+
+def _nearest_links(trace: Trace, hand: int) -> NDArray[np.int64]:
+    """(n,) the link whose part is nearest to a hand at each tick; -1 for none, as in an edited trace."""
+    links, part = capsules_of(trace).link_index, trace.ticks["hand_distance_capsule"][:, hand]
+    there = (part >= 0) & (part < len(links))
+    nearest: NDArray[np.int64] = np.where(there, links[np.where(there, part, 0)], -1)
+    return nearest
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,6 +80,7 @@ class NoMovingPartTouches:
         "hand_distance_m",
         also=["hand_distance_capsule"],
         of_each_hand=True,
+        ends=_ends,
     )
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge the closest approach of a hand and a part that moves."""
@@ -79,17 +116,20 @@ def first_turning(trace: Trace) -> NDArray[np.int64]:
 def closest_moving(trace: Trace, paths: HandPaths) -> tuple[float, float, int]:
     """(distance [m], time [s], hand) of the closest approach of a hand to a moving part; inf: none."""
     best = (np.inf, 0.0, 0)
-    links, hand_size = capsules_of(trace).link_index, trace.scenario.settings.hand
+    hand_size = trace.scenario.settings.hand
     for hand in range(len(trace.scenario.hands)):
         at, joints_rad, hand_m, elbow_m, distance_m, slack_m = instants(trace, paths, hand)
-        part = trace.ticks["hand_distance_capsule"][:, hand]
-        there = (part >= 0) & (part < len(links))  # not so in a trace that was edited
-        nearest = np.where(there, links[np.where(there, part, 0)], -1)
+        nearest = _nearest_links(trace, hand)
         before = np.minimum(at[:-1].astype(int), len(trace.ticks) - 2)
         first = first_turning(trace)[before]
+        lower_m = _lower_bounds(arm_of(trace).reach_m, joints_rad, hand_m, elbow_m, distance_m, slack_m)
+        met = (nearest[before] > first) & (at[:-1] == before) & (first < joints_rad.shape[1])
+        most_m = distance_m[:-1][met].min(initial=np.inf)  # the result is not above it
         for begin, end in _runs(first):
             if first[begin] == joints_rad.shape[1]:
                 continue  # it stands
+            if lower_m[begin:end].min() > min(best[0], most_m):  # never of a NaN
+                continue  # nothing comes as near
             arm = _beyond(arm_of(trace), int(first[begin]))
             if len(arm.capsules) == 0:
                 continue
@@ -111,6 +151,25 @@ def closest_moving(trace: Trace, paths: HandPaths) -> tuple[float, float, int]:
                 instant = at[index] + fraction * (later - at[index])
                 best = (least_m, float(instant * trace.scenario.settings.clock.control_period_s), hand)
     return best
+
+
+@compiled
+def _lower_bounds(
+    reach_m: NDArray[np.float64],  # (joints,)
+    joints_rad: NDArray[np.float64],  # (n, joints)
+    hand_m: NDArray[np.float64],  # (n, 3)
+    elbow_m: NDArray[np.float64],  # (n, 3)
+    distance_m: NDArray[np.float64],  # (n,) infinite where it is not known
+    slack_m: NDArray[np.float64],  # (n - 1,)
+) -> NDArray[np.float64]:
+    """(n - 1,) what no distance from an instant to the next is below, as ``closest_between`` gives it."""
+    lower_m, left_m = np.empty(slack_m.shape[0]), -np.inf
+    for k in range(slack_m.shape[0]):
+        if distance_m[k] != np.inf:  # it is known
+            left_m = distance_m[k]
+        left_m -= displacement_m(reach_m, joints_rad, hand_m, elbow_m, k)
+        lower_m[k] = left_m - slack_m[k] - 2.0 * RESOLUTION_M
+    return lower_m
 
 
 def _runs(first: NDArray[np.int64]) -> list[tuple[int, int]]:

@@ -39,7 +39,7 @@ from safety_harness.report.machine import refused_data
 from safety_harness.report.page_parts import MOST_OPEN, render_page
 from safety_harness.report.path_views import MOST_NUMBERS, path_views, shown_moment
 from safety_harness.report.replay import Replays
-from safety_harness.report.shielding import shield_lines
+from safety_harness.report.shielding import shield_lines, slowings
 from safety_harness.report.timeline import thinning, timeline
 from safety_harness.report.words import (
     MODE_WORDS,
@@ -61,6 +61,7 @@ from safety_harness.trace.unmeasured import as_measured, decided, measured
 from safety_harness.whole_file import write_whole
 
 Row = dict[str, Any]
+MOST_SLOWINGS = 20  # stretches that a table has; the report for programs has all
 MOST_IN_FULL = 20  # runs that are drawn; a page of a thousand has to open at once
 
 
@@ -251,6 +252,10 @@ def _drawn(run: JudgedRun, section: str, replays: Replays) -> Row:
         "counted": are_counted(trace),
         "kind": tested_words([trace]),
         "limits": _ticks_rows(trace, "limits", limits),
+        "slowings": [
+            (f"{one.from_s:.3f}", f"{one.to_s:.3f}", one.part, one.hand, f"{100.0 * one.least_scale:.0f} %")
+            for one in slowings(trace)[:MOST_SLOWINGS]
+        ],
         "modes": _ticks_rows(trace, "mode", modes),
         "measured_ticks": {name: int(measured(trace, name).sum()) for name in ("mode", "limits")},
         "changes": changes(run),

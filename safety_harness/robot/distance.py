@@ -62,11 +62,31 @@ def hand_distance(
     ``place_capsules`` fills it, ``hand`` h and ``elbow`` e (3,) [m] in the base frame.  NaN (with the
     capsule that gave it) if anything read is NaN.
     """
+    last = capsules.shape[0] - 1  # the hand end first: usually the nearest
+    return hand_distance_from(
+        capsules, capsule_endpoints_in_base_m, hand, elbow, hand_radius_m, forearm_radius_m, last
+    )
+
+
+@njit_no_nrt
+def hand_distance_from(
+    capsules: CapsuleRecords,
+    capsule_endpoints_in_base_m: ArrayNx2x3,
+    hand: Array3,
+    elbow: Array3,
+    hand_radius_m: float,
+    forearm_radius_m: float,
+    likely: int,
+) -> tuple[float, int]:
+    """``hand_distance``, sooner if the capsule ``likely`` is the nearest: then most are passed over."""
     best = np.inf
     nearest = -1
     thickest = max(hand_radius_m, forearm_radius_m)
     forearm_half = 0.5 * segment_length(hand, elbow)
-    for capsule in range(capsules.shape[0] - 1, -1, -1):  # the hand end first: usually the nearest
+    for turn in range(capsules.shape[0], -1, -1):
+        capsule = likely if turn == capsules.shape[0] else turn
+        if turn == likely or capsule < 0:
+            continue
         # No point of a segment is farther from its middle than half its length.
         between, squared = 0.0, 0.0
         for i in range(3):
@@ -75,16 +95,18 @@ def hand_distance(
             between += (0.5 * (hand[i] + elbow[i]) - 0.5 * (start_i + end_i)) ** 2
             squared += (end_i - start_i) * (end_i - start_i)
         radius_m = capsules[capsule].radius_m
-        spread = forearm_half + 0.5 * sqrt(squared) + thickest + radius_m
-        if sqrt(between) - spread >= best:  # never true of a NaN
+        reach = best + forearm_half + 0.5 * sqrt(squared) + thickest + radius_m
+        if reach < 0.0 or between > reach * reach:  # never true of a NaN
             continue
         start, end = capsule_endpoints_in_base_m[capsule, 0], capsule_endpoints_in_base_m[capsule, 1]
         to_hand = point_segment_distance(hand, start, end) - hand_radius_m
         to_forearm = segment_segment_distance(hand, elbow, start, end) - forearm_radius_m
         distance = min(to_hand, to_forearm) - radius_m
         if isnan(to_hand + to_forearm + distance):
-            return nan, capsule
-        if distance < best:
+            if turn < capsules.shape[0]:
+                return nan, capsule
+            likely = -1  # the first one that is NaN is to be found in turn
+        elif distance < best or (distance == best and capsule > nearest):
             best = distance
             nearest = capsule
     return best, nearest

@@ -22,7 +22,7 @@ from safety_harness.geometry.arrays import (
     ArrayNx3,
     ArrayNx4x4,
 )
-from safety_harness.geometry.linear import invert, solve_in_place
+from safety_harness.geometry.linear import invert_with, solve_in_place
 from safety_harness.geometry.rotations import rotation_entries
 from safety_harness.robot.description import ArmModel, Chain
 
@@ -279,11 +279,23 @@ def joint_velocity(
     the least singular value and costs nothing; only where it is below the bound is the singular value itself
     computed.  Another number of joints than six takes ``_pseudo_inverse_velocity``.
     """
-    n = jacobian.shape[1]
-    if n != TWIST:
+    room = np.empty((2, TWIST, TWIST))
+    return joint_velocity_with(jacobian, twist, min_singular_value, room, joint_velocity_out)
+
+
+@compiled
+def joint_velocity_with(
+    jacobian: Array6xN,
+    twist: Array6,  # v, w in the Jacobian's frame
+    min_singular_value: float,
+    room: NDArray[np.float64],  # (2, 6, 6), overwritten
+    joint_velocity_out: ArrayN,
+) -> bool:
+    """``joint_velocity`` with room to work in: making some costs as much as using it."""
+    if jacobian.shape[1] != TWIST:
         return _pseudo_inverse_velocity(jacobian, twist, min_singular_value, joint_velocity_out)
-    inverse = np.empty((n, n))
-    regular = invert(jacobian, inverse)
+    n, inverse = TWIST, room[1]  # a constant: loops are laid open
+    regular = invert_with(jacobian, n, room[0], inverse)
     norm2 = 0.0
     for i in range(n):
         for j in range(n):

@@ -52,6 +52,9 @@ SENSORS = np.dtype(
         ("pixel_noise_px", np.float64),
         ("depth_noise_per_m", np.float64),
         ("dropout_probability", np.float64),
+        # what a picture is made with
+        ("transform_camera_to_base", np.float64, (4, 4)),
+        ("transform_base_to_camera", np.float64, (4, 4)),
     ],
     align=True,
 )

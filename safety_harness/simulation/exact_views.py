@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from safety_harness.compiled import compiled
 from safety_harness.geometry.arrays import Array3, Array4x4, Array5, Array31, ArrayNx2x3, ArrayNx3
 from safety_harness.geometry.linear import copy_matrix
-from safety_harness.geometry.transforms import compose_into, inverse_transform
+from safety_harness.geometry.transforms import compose_into, inverse_transform, invert_into
 from safety_harness.perception.camera import polygon_inside_image, project
 from safety_harness.perception.hand_boxes import box_in_image, line_of_sight_blocked, sphere_box
 from safety_harness.perception.moments import point_moments, polygon_moments
@@ -28,9 +28,9 @@ def exact_object(
     """Moments of the projected polygon, in closed form or at pixel centres; False if out of view."""
     s = sensors[0]
     n = polygon_in_base_m.shape[0]
-    camera_to_base = np.empty((4, 4))
-    compose_into(transform_tcp_to_base, s.transform_camera_to_tcp, camera_to_base)
-    base_to_camera = inverse_transform(camera_to_base)
+    base_to_camera = s.transform_base_to_camera
+    compose_into(transform_tcp_to_base, s.transform_camera_to_tcp, s.transform_camera_to_base)
+    invert_into(s.transform_camera_to_base, base_to_camera)
     points, image = np.empty((n, 3)), np.empty((n, 2))
     for k in range(n):
         for i in range(3):

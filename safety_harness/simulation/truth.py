@@ -13,7 +13,7 @@ from safety_harness.geometry.arrays import ArrayN, ArrayNx2x3
 from safety_harness.geometry.linear import copy_matrix, copy_vector
 from safety_harness.robot.capsules import CapsuleSet
 from safety_harness.robot.description import ArmModel, chain_of
-from safety_harness.robot.distance import CapsuleRecords, hand_distance, place_capsules
+from safety_harness.robot.distance import CapsuleRecords, hand_distance_from, place_capsules
 from safety_harness.robot.kinematics import forward_kinematics, tcp_velocity
 from safety_harness.settings import Camera, Hand, Settings
 from safety_harness.simulation.hand_motion import HandRecords
@@ -94,10 +94,13 @@ def fill_truth(
         for i in range(3):
             tick.hand_position_in_base_m[k, i] = hand.position_in_base_m[i] if hand.present else 0.0
             tick.elbow_position_in_base_m[k, i] = hand.elbow_in_base_m[i] if hand.present else 0.0
+        before = min(
+            tick.hand_distance_capsule[k], capsules.shape[0] - 1
+        )  # of the tick before, if it was there
         tick.hand_distance_m[k] = np.inf
         tick.hand_distance_capsule[k] = -1
         if hand.present:
             at, elbow, radius_m = hand.position_in_base_m, hand.elbow_in_base_m, arm.hand_radius_m
-            tick.hand_distance_m[k], tick.hand_distance_capsule[k] = hand_distance(
-                capsules, capsule_endpoints_in_base_m, at, elbow, radius_m, arm.forearm_radius_m
+            tick.hand_distance_m[k], tick.hand_distance_capsule[k] = hand_distance_from(
+                capsules, capsule_endpoints_in_base_m, at, elbow, radius_m, arm.forearm_radius_m, before
             )

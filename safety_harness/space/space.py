@@ -26,7 +26,7 @@ from safety_harness.scenario.settings_keys import TOP_GROUPS
 from safety_harness.scenario.write import tree_of
 from safety_harness.seeds import Branch, generator
 from safety_harness.seeds import seed as leaf
-from safety_harness.space.distributions import Choice, Rows
+from safety_harness.space.distributions import Choice, InShell, Rows
 from safety_harness.space.template import Condition, Keyed, Parameter, filled, matches
 from safety_harness.space.tracing import Form, Values
 
@@ -85,10 +85,29 @@ class ScenarioSpace:
         row: Vector = self.without_unused(values[None])[0]
         return row
 
-    def draw(self, seed: int, k: int) -> Scenario:
-        """Draw ``k`` of the stream ``seed``: independent of all others, the same wherever it is made."""
-        u = generator(seed, Branch.SPACE_DRAW, k, 0).random(self.dimension)
-        return self.at(u, seed=leaf(seed, Branch.SPACE_DRAW, k, 1), name=f"{self.name}#{k}")
+    def draw(self, seed: int, k: int, values: Vector | None = None) -> Scenario:
+        """Draw ``k`` of the stream ``seed``: independent of all others, the same wherever it is made.
+
+        ``values`` (d,): its row of ``values_of_draws``, if that is there.
+        """
+        if values is None:
+            values = self.values_of_draws([seed], k)[0]
+        return self.scenario(values, seed=leaf(seed, Branch.SPACE_DRAW, k, 1), name=f"{self.name}#{k}")
+
+    def values_of_draws(self, seeds: Sequence[int], k: int) -> Vector:
+        """(n, d) values of draw ``k`` of each stream, the same bits however many are made at once.
+
+        So points in shells are made one by one: numpy may round a sine of many otherwise than that of one.
+        """
+        u = np.empty((len(seeds), self.dimension))
+        for row, seed in zip(u, seeds, strict=True):
+            row[:] = generator(seed, Branch.SPACE_DRAW, k, 0).random(self.dimension)
+        values = np.empty_like(u)
+        for parameter in self.parameters:
+            of, own = parameter.distribution, u[:, parameter.columns]
+            parts = np.split(own, len(own)) if isinstance(of, InShell) and len(own) else [own]
+            values[:, parameter.columns] = np.concatenate([of.values_at(part) for part in parts])
+        return self.without_unused(values)
 
     def draws(self, seed: int, count: int) -> Iterator[Scenario]:
         """The first ``count`` draws of the stream ``seed``."""

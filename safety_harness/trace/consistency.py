@@ -214,7 +214,9 @@ def _decisions(trace: Trace) -> Iterator[Inconsistency]:
     for name, members in (("trigger", Trigger), ("outcome", DecisionOutcome)):
         codes = [int(member) for member in members]
         values = decisions[name]
-        yield from at_first(~np.isin(values, codes), name, "decision", f"one of {codes}", values)
+        yield from at_first(
+            (values[:, None] != codes).all(axis=1), name, "decision", f"one of {codes}", values
+        )
     spread_m = decisions["proposed_spread_m"]
     no_spread = (spread_m < 0.0) | np.isinf(spread_m)  # NaN: none was given
     yield from at_first(no_spread, "proposed_spread_m", "decision", "a spread, which is finite", spread_m)

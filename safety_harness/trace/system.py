@@ -116,6 +116,7 @@ def system_of(
     )
 
 
+@lru_cache(maxsize=16)
 def _shield(shield: Shield | None) -> Component | None:
     """With the hash of what it takes for granted."""
     if shield is None:

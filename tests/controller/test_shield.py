@@ -136,6 +136,12 @@ def test_who_was_decisive_is_said_with_when_and_for_whom() -> None:
         untold = replace(found.plain, verdict=Verdict.INCONCLUSIVE, reason="a joint is NaN from 1.2 s on")
         told = replace(found, **{run: untold}).words
         assert told == "who was decisive is not known: a joint is NaN from 1.2 s on"
+    near = found.shielded.margin_text()
+    kept = replace(found, plain=found.shielded)
+    assert replace(kept, alone=None).words == f"the shield was not needed: {near} without it"
+    for alone, only in ((found.shielded, "would have sufficed"), (found.plain, "would not have")):
+        words = f"the avoider was decisive: {near} without it; the shield alone {only}: {alone.margin_text()}"
+        assert replace(kept, alone=alone).words == words
     trace, _ = shielded()
     stretches = slowings(trace)
     assert stretches == slowings(found.trace)
@@ -147,6 +153,14 @@ def test_who_was_decisive_is_said_with_when_and_for_whom() -> None:
     np.testing.assert_array_equal(slowed, trace.interventions["scale"] < 1.0)
     assert min(one.least_scale for one in stretches) == 0.0
     assert attribute_shield(admit(parse_scenario(REACH), controller=Swings())) is None
+
+
+def test_an_avoider_that_gives_way_to_a_slow_hand_is_decisive_before_its_shield() -> None:
+    slow = REACH.replace("2 m/s", "150 mm/s").replace("at most: 1 s", "at most: 9 s").replace("4 s", "6 s", 1)
+    text = f"{slow}avoider: opposite pose\nshield: speed and separation\n"
+    found = attribute_shield(admit(parse_scenario(text)))
+    assert found is not None
+    assert found.words.startswith("the avoider was decisive: ")
 
 
 def test_it_brakes_no_harder_than_it_says() -> None:

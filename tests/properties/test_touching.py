@@ -11,8 +11,9 @@ import pytest
 from safety_harness import Move
 from safety_harness.admission.admit import admit
 from safety_harness.admission.trial import run_kinematic
+from safety_harness.properties import touching
 from safety_harness.properties.touching import NO_MOVING_PART_TOUCHES, first_turning
-from safety_harness.properties.true_motion import capsules_of
+from safety_harness.properties.true_motion import capsules_of, hand_paths
 from safety_harness.robot.distance import place_capsules
 from safety_harness.robot.robots import arm_model
 from safety_harness.scenario.model import Verdict
@@ -122,3 +123,15 @@ def test_a_hand_that_never_comes_says_nothing() -> None:
     said = judged(turning(1, text=ELSEWHERE))
     assert said.verdict is Verdict.INCONCLUSIVE
     assert said.reason.startswith("never exercised: the nearest hand came to")
+
+
+@pytest.mark.parametrize("trace", [turning(5), turning(1), turning(1, 0.3)], ids=["wrist", "lift", "stopped"])
+def test_what_is_passed_over_is_never_the_nearest(trace: Trace, monkeypatch: pytest.MonkeyPatch) -> None:
+    paths, looked = hand_paths(trace), []
+    exactly = touching.closest_between
+    monkeypatch.setattr(touching, "closest_between", lambda *of: looked.append(1) or exactly(*of))
+    found = touching.closest_moving(trace, paths)
+    seen = len(looked)
+    monkeypatch.setattr(touching, "_lower_bounds", lambda *of: np.full(len(of[-1]), -np.inf))
+    assert touching.closest_moving(trace, paths) == found
+    assert seen <= len(looked) - seen

@@ -27,6 +27,7 @@ from safety_harness.properties.limits import (
 )
 from safety_harness.properties.protective_separation import ProtectiveSeparation
 from safety_harness.properties.reaction import GIVES_WAY_TO_TRUE_HAND
+from safety_harness.properties.touching import NoMovingPartTouches
 from safety_harness.properties.true_motion import derived, first_untruth, tcp_velocity_moved_mps
 from safety_harness.robot.description import load_arm
 from safety_harness.scenario.model import Claim, Verdict
@@ -129,8 +130,23 @@ def own(rng: np.random.Generator, trace: Trace) -> tuple[Property, Trace]:
     return ProtectiveSeparation(own_speeds=True), trace
 
 
+def touching(rng: np.random.Generator, trace: Trace) -> tuple[Property, Trace]:
+    """Of an arm that stands for some time, and hands that have grown into it or not."""
+    hand_size = replace(trace.scenario.settings.hand, radius_m=rng.uniform(0.04, 0.5))
+    settings = replace(trace.scenario.settings, hand=hand_size)
+    true = replace(trace, scenario=replace(trace.scenario, settings=settings), ticks=trace.ticks.copy())
+    ticks = true.ticks.copy()
+    first = int(rng.integers(len(ticks)))
+    ticks[JOINTS][first : first + 200] = ticks[JOINTS][first]
+    found = derived(of(true, ticks.copy()))
+    for name in (TCP, DISTANCE, "hand_distance_capsule"):
+        ticks[name] = found[name]
+    return NoMovingPartTouches(near_m=rng.uniform(0.2, 0.6)), of(true, ticks)
+
+
 DRAWN = {
     "hand distance": distance,
+    "no moving part": touching,
     "joint positions": joints,
     "joint speeds": rates,
     "TCP speed": near(lambda more: TcpSpeedLimit(maximum_mps=1.0 - more), 0.5),

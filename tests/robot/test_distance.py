@@ -8,7 +8,7 @@ from disagreement import noted
 from safety_harness.robot.capsules import arm_with, load_capsules
 from safety_harness.robot.closest_approach import MAX_BISECTIONS, closest_approach_between
 from safety_harness.robot.description import load_arm
-from safety_harness.robot.distance import hand_distance, place_capsules
+from safety_harness.robot.distance import hand_distance, hand_distance_from, place_capsules
 
 ARM = load_arm("ur10")
 CAPSULES = load_capsules("ur10").with_capsule("camera", 7, (0.0, -0.045, 0.0), (0.0, -0.045, 0.02), 0.05)
@@ -72,6 +72,19 @@ def test_distances_and_the_nearest_capsule_are_those_of_the_library() -> None:
             penetrations += 1
             assert ours <= 0.0
     assert 0 < penetrations < 140
+
+
+def test_whichever_capsule_is_looked_at_first_the_distance_is_the_same_to_the_bit() -> None:
+    records, radii = CAPSULES.records, (HAND_RADIUS_M, FOREARM_RADIUS_M)
+    for joints, (hand, elbow) in zip(random_joints(ARM, 10, seed=35), random_hands(10, seed=36), strict=True):
+        for lost in (False, True):
+            ends = placed_at(joints)
+            ends[3 if lost else 0, 0, 0] += np.nan if lost else 0.0
+            expected = hand_distance(records, ends, hand, elbow, *radii)
+            assert np.isnan(expected[0]) == lost
+            for likely in range(-1, len(CAPSULES.names)):
+                found = hand_distance_from(records, ends, hand, elbow, *radii, likely)
+                np.testing.assert_array_equal(found, expected)
 
 
 def test_the_distance_is_never_longer_than_to_the_meshes() -> None:

@@ -53,6 +53,9 @@ def test_a_draw_is_the_same_wherever_and_in_whatever_order_it_is_made(space: Sce
     assert later != earlier
     assert space.draw(8, 3) != later
     assert later.name == f"{space.name}#3"
+    for seed, values in zip(range(9), space.values_of_draws(range(9), 3), strict=True):
+        np.testing.assert_array_equal(values, space.values_of_draws([seed], 3)[0])
+        assert space.draw(seed, 3, values) == space.draw(seed, 3)
 
 
 @pytest.mark.parametrize("space", SPACES, ids=ids)
