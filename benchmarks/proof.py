@@ -131,8 +131,8 @@ def main() -> None:
     lines = [
         "# What is proven of the students\n",
         f"Written by `python benchmarks/proof.py` at {revision}: the plans `student-proofs` and",
-        f"`student-ensemble-proofs`, one process, at most {seconds:.0f} s of processor time a claim, on a machine with two cores. Proven is",
-        "at least, undecided at most, of the pairs that the claim is about.",
+        f"`student-ensemble-proofs`, one process, at most {seconds:.0f} s of processor time a claim.",
+        "Proven is at least, undecided at most, of the pairs that the claim is about.",
     ]
     plans = [read_proof_plan(ROOT / "plans" / f"{name}.yaml") for name in PLANS]
     near = next(one.region for one in plans[0].proofs if one.region.name == "near hands")
