@@ -1,7 +1,7 @@
 """How many single decisions of the shipped networks are the same for every hand in a box: PROOF_DECISIONS.md.
 
-Run: python benchmarks/proof_decisions.py (some minutes).  Questions are random, of what each network has seen,
-with hands at 100 to 400 mm from the TCP.
+Run: python benchmarks/proof_decisions.py (some minutes).  Questions are random, of what each network has
+seen, with hands at 100 to 400 mm from the TCP.
 """
 
 from __future__ import annotations
@@ -51,9 +51,10 @@ def main() -> None:
     row("student", HALVES_M[0])  # compiles before anything is timed
     lines = [
         "# Is a decision the same for every hand in a box?\n",
-        f"Written by `python benchmarks/proof_decisions.py` at {revision}: {ASKED} random questions of what each",
-        "network has seen, hands at 100 to 400 mm from the TCP, each with its own seed. The same is one that is",
-        "certain for every hand or for none, and leads away from each or from none. Times are of one processor.\n",
+        f"Written by `python benchmarks/proof_decisions.py` at {revision}: {ASKED} random questions of what",
+        "each network has seen, hands at 100 to 400 mm from the TCP, each with its own seed. The same is one",
+        "that is certain for every hand or for none, and leads away from each or from none. Times are of one",
+        "processor.\n",
         f"| {' | '.join(COLUMNS)} |",
         "|---" * len(COLUMNS) + "|",
     ]
