@@ -45,7 +45,7 @@ def test_a_question_outside_falls_back_and_is_recorded(trace: Trace) -> None:
     assert (trace.decisions["proposed_failed"] == Check.OUTSIDE_REGION).any()
     assert not (used & outside).any()
     assert not (trace.decisions["opposite_failed"] & Check.OUTSIDE_REGION).any()
-    assert all(one.evaluation.verdict is Verdict.HOLDS for one in judge(trace).claims)
+    assert judge(trace)[0].verdict is Verdict.HOLDS
 
 
 def test_without_the_rule_another_answer_is_used_and_the_claim_is_violated(trace: Trace) -> None:
