@@ -55,7 +55,7 @@ class ProofRegion:
 
     @classmethod
     def about(cls, tcp_m: Floats, low_m: Floats, high_m: Floats) -> ProofRegion:
-        """Of one TCP (3,), and hands from ``low_m`` to ``high_m`` (3,)."""
+        """Of one TCP, ``tcp_m`` (3,), and hands from ``low_m`` (3,) to ``high_m`` (3,)."""
         tcp, low, high = ((float(x[0]), float(x[1]), float(x[2])) for x in (tcp_m, low_m, high_m))
         return cls(name="a box", hand_low_m=low, hand_high_m=high, tcp_low_m=tcp, tcp_high_m=tcp)
 

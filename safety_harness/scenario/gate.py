@@ -23,7 +23,7 @@ class PositionBox:
     high_m: Vector3 = key("to", POINT, "its highest corner", "[700 mm, -400 mm, -100 mm]")
 
     def depth_m(self, position_in_base_m: NDArray[np.float64]) -> float:
-        """How far within it a position (3,) is, by axis; negative outside, NaN for one that is NaN."""
+        """How far within it ``position_in_base_m`` (3,) is, by axis; negative outside, NaN where that is."""
         sides = position_in_base_m - self.low_m, self.high_m - position_in_base_m
         return float(np.min(sides))
 
@@ -41,14 +41,17 @@ _OF_HAND, _OF_TCP = (
 
 
 @declared
-class QuestionRegion:
+class AskedRegion:
     """Of questions to an avoider, such as a proof is about."""
 
     hand: PositionBox = key("hand", _OF_HAND, "where the hand is that the avoider is asked about", _BOX)
     tcp: PositionBox = key("tcp", _OF_TCP, "where the TCP is then", _BOX)
 
     def depth_m(self, hand_in_base_m: NDArray[np.float64], tcp_in_base_m: NDArray[np.float64]) -> float:
-        """How far within it a question is, hand and TCP (3,): by axis, negative outside."""
+        """How far within it a question is, by axis, negative outside.
+
+        ``hand_in_base_m`` (3,), ``tcp_in_base_m`` (3,).
+        """
         return float(np.min([self.hand.depth_m(hand_in_base_m), self.tcp.depth_m(tcp_in_base_m)]))
 
     @property
@@ -69,9 +72,9 @@ class GateRule:
         "99 %",
         default=None,
     )
-    questions_within: QuestionRegion | None = key(
+    questions_within: AskedRegion | None = key(
         "questions within",
-        Below(tables=(table_of(QuestionRegion, "a region of questions", path="gate.questions within"),)),
+        Below(tables=(table_of(AskedRegion, "a region of questions", path="gate.questions within"),)),
         "answers to other questions are not used: the region of a [proof](proof.md#in-the-loop)",
         _REGION,
         default=None,

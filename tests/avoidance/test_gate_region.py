@@ -13,7 +13,7 @@ from safety_harness.admission.checks import refuse_gate
 from safety_harness.admission.trial import judge, run_kinematic
 from safety_harness.exceptions import InadmissibleError
 from safety_harness.properties.within_region import ActedWithinRegion
-from safety_harness.scenario.gate import GateRule, PositionBox, QuestionRegion
+from safety_harness.scenario.gate import GateRule, PositionBox, AskedRegion
 from safety_harness.scenario.model import Scenario, Verdict
 from safety_harness.scenario.read import parse_scenario
 from safety_harness.scenario.write import write_scenario
@@ -30,7 +30,7 @@ def trace() -> Trace:
 
 
 def test_depth_is_by_axis_and_negative_outside() -> None:
-    region = QuestionRegion(hand=BOX, tcp=BOX)
+    region = AskedRegion(hand=BOX, tcp=BOX)
     inside = np.array([0.5, 0.25, 0.9])
     assert region.depth_m(inside, inside) == pytest.approx(0.1)
     assert region.depth_m(inside, np.array([0.5, 1.0, 0.5])) == 0.0
@@ -58,7 +58,7 @@ def test_without_the_rule_another_answer_is_used_and_the_claim_is_violated(trace
 def test_it_is_read_and_written_and_refused_where_it_asks_nothing(trace: Trace) -> None:
     scenario: Scenario = trace.scenario
     assert parse_scenario(write_scenario(scenario)).gate == scenario.gate
-    turned = QuestionRegion(hand=BOX, tcp=PositionBox(low_m=BOX.high_m, high_m=BOX.low_m))
+    turned = AskedRegion(hand=BOX, tcp=PositionBox(low_m=BOX.high_m, high_m=BOX.low_m))
     for gate, words in ((GateRule(), "neither"), (GateRule(questions_within=turned), "from is below to")):
         with pytest.raises(InadmissibleError, match=words):
             refuse_gate(replace(scenario, gate=gate))

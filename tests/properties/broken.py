@@ -26,7 +26,7 @@ from examples import (
 from safety_harness.admission.admit import admit
 from safety_harness.avoidance.gate import Gate
 from safety_harness.scenario.faults import FalseHand, HandSensorBlind
-from safety_harness.scenario.gate import GateRule, PositionBox, QuestionRegion
+from safety_harness.scenario.gate import GateRule, PositionBox, AskedRegion
 from safety_harness.scenario.moves import FollowTcp, MoveTo, Wait, Withdraw
 from safety_harness.scenario.obstacles import Obstacle
 from safety_harness.settings import DEFAULTS, GateKind, Settings
@@ -182,7 +182,7 @@ def computes_nonsense() -> Trace:
 @lru_cache
 def leaves_its_region() -> Trace:
     far = PositionBox(low_m=(2.0, 0.0, 0.0), high_m=(2.1, 0.1, 0.1))
-    rule = GateRule(questions_within=QuestionRegion(hand=far, tcp=far))
+    rule = GateRule(questions_within=AskedRegion(hand=far, tcp=far))
     return run(replace(scenario(VISIT, duration_s=1.5), gate=rule), gate=ur10_gate(DEFAULTS))
 
 
