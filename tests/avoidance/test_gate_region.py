@@ -13,7 +13,7 @@ from safety_harness.admission.checks import refuse_gate
 from safety_harness.admission.trial import judge, run_kinematic
 from safety_harness.exceptions import InadmissibleError
 from safety_harness.properties.within_region import ActedWithinRegion
-from safety_harness.scenario.gate import GateRule, PositionBox, AskedRegion
+from safety_harness.scenario.gate import AskedRegion, GateRule, PositionBox
 from safety_harness.scenario.model import Scenario, Verdict
 from safety_harness.scenario.read import parse_scenario
 from safety_harness.scenario.write import write_scenario

@@ -26,7 +26,7 @@ from examples import (
 from safety_harness.admission.admit import admit
 from safety_harness.avoidance.gate import Gate
 from safety_harness.scenario.faults import FalseHand, HandSensorBlind
-from safety_harness.scenario.gate import GateRule, PositionBox, AskedRegion
+from safety_harness.scenario.gate import AskedRegion, GateRule, PositionBox
 from safety_harness.scenario.moves import FollowTcp, MoveTo, Wait, Withdraw
 from safety_harness.scenario.obstacles import Obstacle
 from safety_harness.settings import DEFAULTS, GateKind, Settings
