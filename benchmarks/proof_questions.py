@@ -71,6 +71,7 @@ def proven(folder: Path, plan: ProofPlan) -> list[Proof]:
         out_of_time = partial(lambda end_s: time.process_time() > end_s, end_s)
         claim, region = proof.planned.claim, proof.planned.region
         work(proof.tree, plan.network, claim, region, halvings=40, until_s=np.inf, stopped=out_of_time)
+        print(f"{time.process_time():.0f} s: {proof.planned.sentence}: proven as far as it came", flush=True)
     folder.mkdir(parents=True, exist_ok=True)
     write_certificate(path, plan, proofs)
     return proofs
@@ -106,6 +107,7 @@ def ask(folder: Path, plan: ProofPlan, counts: dict[str, Any]) -> None:
             count["contradict"] += int((~(both >= 0.0)).sum())
             count["least"] = min(float(both.min()), np.inf if count["least"] is None else count["least"])
             write_text(folder / "counts.json", json.dumps(counts, indent=1))
+            print(f"{time.process_time():.0f} s: {proof.planned.sentence}: {count}", flush=True)
 
 
 def page(counts: dict[str, Any]) -> str:

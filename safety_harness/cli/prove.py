@@ -55,8 +55,8 @@ def prove(
 
     A region is halved until its boxes are proven, or refuted as a whole; what is left is undecided.  A claim
     is refuted with a question that the network itself answers wrongly, written as a scenario where a run can
-    ask it. Exit code 0: all proven; 1: not so, or a certificate that is not confirmed; 2: bad input; 130:
-    interrupted, with the certificate of what was done.
+    ask it. Exit code 0: all proven, or all decisions of a trace the same; 1: not so, or a certificate that is
+    not confirmed; 2: bad input; 130: interrupted, with the certificate of what was done.
     """
     if check:
         return _check(file, model)
