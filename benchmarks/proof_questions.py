@@ -65,7 +65,8 @@ def proven(folder: Path, plan: ProofPlan) -> list[Proof]:
     path = folder / "certificate.json"
     if path.exists():
         return taken_up(path, plan)
-    proofs = fresh(plan)
+    first, proofs = fresh(plan)[0], fresh(plan)  # the first compiles, which is no part of the time
+    work(first.tree, plan.network, first.planned.claim, first.planned.region, halvings=1, until_s=np.inf)
     for proof in proofs:
         end_s = time.process_time() + SECONDS
         out_of_time = partial(lambda end_s: time.process_time() > end_s, end_s)
@@ -86,6 +87,8 @@ def ask(folder: Path, plan: ProofPlan, counts: dict[str, Any]) -> None:
         )
         leaves = list(proof.tree.leaves(proof.planned.region, PROVEN))
         low, high = (np.concatenate(side) for side in zip(*leaves, strict=True))
+        if not len(low):
+            raise RuntimeError(f"nothing is proven of {proof.planned.sentence}: more seconds")
         volumes = np.concatenate([np.full(len(one[0]), 2.0**-level) for level, one in enumerate(leaves)])
         ends = np.cumsum(volumes)
         while count["random"] < RANDOM / len(proofs) or count["guided"] < GUIDED / len(proofs):
