@@ -155,7 +155,7 @@ def check_cameras(scenario: Scenario) -> None:
 
 
 def refuse_gate(scenario: Scenario) -> None:
-    """A rule of the gate needs the visual servo, which has one, and its full kind."""
+    """A rule of the gate asks something, of the visual servo, which has one, and of its full kind."""
     full = scenario.settings.avoidance.gate is GateKind.FULL
     if scenario.gate is not None and (scenario.driven or not full):
         raise InadmissibleError(
@@ -163,6 +163,14 @@ def refuse_gate(scenario: Scenario) -> None:
             expected="the visual servo with its full gate, whose rule this is",
             got="another controller" if scenario.driven else "the gate of reach alone",
         )
+    if scenario.gate is not None and not any(scenario.gate.words):
+        expected = "every hand within, or questions within"
+        raise InadmissibleError(place=scenario.place("gate"), expected=expected, got="neither")
+    region = None if scenario.gate is None else scenario.gate.questions_within
+    for box in () if region is None else (region.hand, region.tcp):
+        if not all(low < high for low, high in zip(box.low_m, box.high_m, strict=True)):
+            expected = "boxes whose from is below to on each axis"
+            raise InadmissibleError(place=scenario.place("gate"), expected=expected, got=box.words)
 
 
 def _refuse_shield(scenario: Scenario) -> None:

@@ -98,7 +98,7 @@ class Gate:
     capsules: CapsuleSet
     kind: GateKind = GateKind.FULL
     boxes: BoxRecords = field(default_factory=lambda: box_records(()))
-    rule_of_hands: GateRule | None = None
+    more: GateRule | None = None
 
     @classmethod
     def of(
@@ -107,9 +107,9 @@ class Gate:
         kinematics: InverseKinematics,
         capsules: CapsuleSet,
         obstacles: Sequence[Obstacle] = (),
-        rule_of_hands: GateRule | None = None,
+        more: GateRule | None = None,
     ) -> Gate:
-        """The gate of the settings, for an arm, the capsules on it, and the boxes in its cell."""
+        """The gate of the settings and a scenario's rule, for an arm, its capsules and the cell's boxes."""
         return cls(
             kinematics,
             OppositePose(settings.avoidance.radius_m),
@@ -118,7 +118,7 @@ class Gate:
             capsules,
             settings.avoidance.gate,
             box_records(obstacles),
-            rule_of_hands,
+            more,
         )
 
     def rule(self, avoider: Avoider, query: Query) -> GateDecision:
@@ -130,6 +130,8 @@ class Gate:
         opposite = answer_to(self.fallback, replace(query, late="", asked_of=None))
         known: dict[bytes, Check] = {}  # the opposite pose may be what was proposed
         proposed_failed, opposite_failed = (self._failed(one, query, known) for one in (proposed, opposite))
+        if not (proposed.late or proposed.fault):
+            proposed_failed |= self._outside(query.question)
         if not proposed_failed:
             outcome, chosen = DecisionOutcome.PROPOSED, proposed.proposal
         elif not opposite_failed:
@@ -163,6 +165,14 @@ class Gate:
         if self.kind is GateKind.FULL and spread_m > threshold_m:  # never above NaN: no threshold
             failed |= Check.UNCERTAIN
         return failed
+
+    def _outside(self, question: Question) -> Check:
+        """Whether the avoider was asked something that the scenario's region does not have."""
+        region = None if self.more is None else self.more.questions_within
+        if region is None:
+            return Check.NONE
+        depth_m = region.depth_m(question.hand_position_in_base_m, question.tcp_position_in_base_m)
+        return Check.NONE if depth_m >= 0.0 else Check.OUTSIDE_REGION
 
     def check(self, position_in_base_m: Vector, query: Query) -> Check:
         """Which checks ``position_in_base_m`` fails, the current orientation kept.

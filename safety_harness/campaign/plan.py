@@ -55,6 +55,7 @@ KEYS = (
     "search",
     "keep",
     "stop early",
+    "proof",
 )
 MOST_RUNS = 10**9  # of a stratum
 MOST_STRATA, MOST_CLAIMS = 64, 64
@@ -115,6 +116,7 @@ class Plan:
     files: tuple[PlanFile, ...]
     identity: Identity
     avoider_place: Place
+    proof: Path | None = None  # a certificate for certify, which reads it; a run never does
 
     @property
     def name(self) -> str:
@@ -191,6 +193,7 @@ def read_plan(path: str | Path) -> Plan:
             files, [s.space for s in strata], reference, world.label, _systems(strata, path, reference)
         ),
         avoider_place=place,
+        proof=_read(given, "proof", lambda f: path.parent / f.sentence("certificate.json of prove"), None),
     )
 
 

@@ -72,7 +72,8 @@ class Certification:
         refuse_shared_modules()
         if pdf:
             browser()
-        certified = None if proof is None else read_certified(proof, plan)
+        certificate = proof or plan.proof
+        certified = None if certificate is None else read_certified(certificate, plan)
         trials = HarnessTrials(
             selftest=None if selftest is None else read_selftest(selftest),
             oracles=() if oracles is None else read_oracles(oracles),

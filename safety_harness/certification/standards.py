@@ -140,6 +140,7 @@ TRACED = {  # by the example in the entry of the catalogue
     "proposals within 3 spreads and 30 mm of the optimum": LEARNED,
     "proposals never sure and more than 60 mm from the optimum": LEARNED,
     "at most 50 % of proposals overruled": LEARNED_ABSENT,
+    "acts only on answers within the gate's region": LEARNED,
     "repulsion moves away from every hand": AWAY,
     "repulsive ways clear of table, object and robot": AWAY,
     "obstacle distance never below 20 mm": AWAY,

@@ -24,7 +24,11 @@ commands = Typer()
 @command(commands)
 def prove(
     file: Annotated[
-        Path, Argument(help="A plan of proofs; with --check a certificate.", metavar="PLAN|CERTIFICATE")
+        Path,
+        Argument(
+            help="A plan of proofs; with --check a certificate, with --decisions a trace.",
+            metavar="PLAN|CERTIFICATE|TRACE",
+        ),
     ],
     check: Annotated[
         bool, Option("--check", help="Check a certificate, with code that shares none.")
@@ -38,17 +42,26 @@ def prove(
     minutes: Annotated[float, Option(help="For all claims together.", min=0.0)] = 5.0,
     halvings: Annotated[int, Option(help="How often a box is halved at most.", min=1, max=60)] = 40,
     jobs: Annotated[int, Option(help="Processes.", min=1)] = 1,
+    decisions: Annotated[
+        str | None,
+        Option(
+            help="Of a trace: is each decision the same for every hand so near by axis? Adds it to a copy.",
+            metavar="LENGTH",
+        ),
+    ] = None,
     resume: Annotated[bool, Option("--resume", help="Go on with the certificate in the folder.")] = False,
 ) -> int:
     """Prove claims about every answer of a small ReLU network, with bounds that hold for its own arithmetic.
 
     A region is halved until its boxes are proven, or refuted as a whole; what is left is undecided.  A claim
     is refuted with a question that the network itself answers wrongly, written as a scenario where a run can
-    ask it. Exit code 0: all proven; 1: not so, or a certificate that is not confirmed; 2: bad input; 130:
-    interrupted, with the certificate of what was done.
+    ask it. Exit code 0: all proven, or all decisions of a trace the same; 1: not so, or a certificate that is
+    not confirmed; 2: bad input; 130: interrupted, with the certificate of what was done.
     """
     if check:
         return _check(file, model)
+    if decisions is not None:
+        return _decisions(file, decisions, out)
     import shlex
     from dataclasses import asdict
     from datetime import UTC, datetime
@@ -174,6 +187,49 @@ def _write_question(plan: ProofPlan, proof: Proof, path: Path) -> str | None:
     write_text(made.path, made.text)
     say(f"{proof.planned.sentence}: refuted by {made.path}")
     return made.path.name
+
+
+def _decisions(file: Path, text: str, out: Path) -> int:
+    import hashlib
+    from dataclasses import replace
+
+    from safety_harness.avoidance.model_file import load_model
+    from safety_harness.certification.system import network_file_of
+    from safety_harness.exceptions import InputError, Place
+    from safety_harness.proof.decisions import certified_decisions
+    from safety_harness.properties.tally import table
+    from safety_harness.scenario.typed_json import plain
+    from safety_harness.scenario.units import LENGTH, parse_quantity
+    from safety_harness.trace.certified import Sameness
+    from safety_harness.trace.store import load_trace, save_trace
+    from safety_harness.trace.unmeasured import refuse_not_simulated
+    from safety_harness.whole_file import writing
+
+    half_m, trace = parse_quantity(text, LENGTH, Place(field="--decisions")), load_trace(file)
+    if not 0.0 <= half_m <= 1.0:
+        raise InputError.of_option("--decisions", "a length from 0 m to 1 m", text, "")
+    refuse_not_simulated(trace, file)
+    network = None if trace.scenario.driven else network_file_of(trace.scenario)
+    if network is None:
+        expected = "a run of a network that ships, or of FILE.safetensors"
+        raise InputError(place=Place(file=file), expected=expected, got=trace.scenario.under_test)
+    model = load_model(network)
+    found = certified_decisions(trace, model, hashlib.sha256(network.read_bytes()).hexdigest(), half_m)
+    path = out / file.name
+    with writing(path):
+        save_trace(replace(trace, certified=found), path)
+    rows = [
+        (str(number), f"{time_s:.3f} s", one.words)
+        for number, (one, time_s) in enumerate(
+            zip(found.decisions, trace.decisions["time_s"], strict=True), 1
+        )
+    ]
+    result(*table(("decision", "at", "every hand near"), rows, columns_of(sys.stdout), named_by=1))
+    result("", found.words, str(path))
+    say(f"safety-harness judge {path} --out {out} shows it in the report")
+    document(trace=path, **plain(found))
+    same = bool(rows) and all(one.whole is Sameness.SAME for one in found.decisions)
+    return AS_EXPECTED if same else DIFFERS
 
 
 def _check(file: Path, model: Path | None) -> int:

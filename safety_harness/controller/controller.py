@@ -197,12 +197,12 @@ class AvoidingServo:
 
     def _half_widths_m(self, observation: NDArray[np.void]) -> NDArray[np.float64] | None:
         """(k, 3) of each predicted hand, if the gate asks for all places where it may be."""
-        rule, r = self.gate.rule_of_hands, self.records
-        if rule is None:
+        within, r = None if self.gate.more is None else self.gate.more.hands_within, self.records
+        if within is None:
             return None
         at_s = float(observation[0]["time_s"] + r.parameters[0]["prediction_horizon_s"])
         pose = r.state[0]["transform_sensor_to_base"]
-        return possible_half_widths_m(r.tracks, at_s, r.filter_parameters, pose, rule.hands_within)
+        return possible_half_widths_m(r.tracks, at_s, r.filter_parameters, pose, within)
 
     @property
     def _recorded_words(self) -> str:

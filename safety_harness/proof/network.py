@@ -13,21 +13,34 @@ fold into weights beforehand, and for the rounding of W and E here.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.avoidance.model_file import PERCEPTRON_INPUTS, Model
+from safety_harness.avoidance.masks import fill_factors
+from safety_harness.avoidance.model_file import (
+    BLOCKS,
+    INPUTS,
+    LAYERS,
+    PERCEPTRON,
+    PERCEPTRON_INPUTS,
+    STAGE_LAYERS,
+    STAGES,
+    WIDTH,
+    Model,
+)
 from safety_harness.avoidance.perceptron_kernel import fold_perceptron
+from safety_harness.avoidance.resnet_kernel import FULL_PLACES, fold
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 CONSTANT, QUESTION = -1, 0  # sources; layers count from 1
 SINGLE, DOUBLE = 2.0**-24, 2.0**-53
+SHALLOW = 8  # layers
 GUARD, TINY = 16, 1e-30  # terms; what products below float32's least number lose together
 LARGEST = 1e12  # of a coefficient: with units below 1e8 no float32 sum overflows
 
@@ -47,13 +60,14 @@ class ReluNetwork(NamedTuple):
     bias: Floats  # (m, units)
     bias_error: Floats
     rounding: float
+    deep: bool
 
 
 @dataclass(frozen=True, eq=False)
 class AffineForm:
     """What a program computes as ``value`` of ``CONSTANT``, question and layers: (inputs, width) by source.
 
-    Off by ``error``, of the same shape, times the sources' magnitudes.
+    Off by ``error``, of the same shape, times the sources' magnitudes.  (m, inputs, width) of m members.
     """
 
     value: Mapping[int, Floats]
@@ -68,7 +82,7 @@ class AffineForm:
     @property
     def width(self) -> int:
         """How many numbers it has."""
-        return int(next(iter(self.value.values())).shape[1])
+        return int(next(iter(self.value.values())).shape[-1])
 
     @property
     def sizes(self) -> dict[int, Floats]:
@@ -76,18 +90,22 @@ class AffineForm:
         return {s: np.abs(value) + self.error[s] for s, value in self.value.items()}
 
     def linear(self, weight: Floats, bias: Floats, unit: float) -> AffineForm:
-        """``weight`` (width, outputs) and ``bias`` (outputs,), computed with the unit roundoff ``unit``."""
-        size = np.abs(weight)
-        part = gamma(len(weight) + 1, unit)
+        """``weight`` (width, outputs) and ``bias`` (outputs,), computed with the unit roundoff ``unit``.
+
+        Of each member its own with one more axis before these.
+        """
+        size, bias = np.abs(weight), bias[..., None, :]
+        part = gamma(weight.shape[-2] + 1, unit)
         value = {s: own @ weight for s, own in self.value.items()}
         error = {s: self.error[s] @ size + part * (own @ size) for s, own in self.sizes.items()}
-        value[CONSTANT] = value.get(CONSTANT, 0.0) + bias[None]
-        error[CONSTANT] = error.get(CONSTANT, 0.0) + part * np.abs(bias)[None] + TINY
+        value[CONSTANT] = value.get(CONSTANT, 0.0) + bias
+        error[CONSTANT] = error.get(CONSTANT, 0.0) + part * np.abs(bias) + TINY
         return AffineForm(value, error)
 
     def scaled(self, factors: Floats, unit: float) -> AffineForm:
-        """Times ``factors`` (width,)."""
-        return self.linear(np.diag(factors), np.zeros(len(factors)), unit)
+        """Times ``factors`` (width,), or (m, width)."""
+        width = factors.shape[-1]
+        return self.linear(factors[..., None] * np.eye(width), np.zeros(width), unit)
 
     def plus(self, other: AffineForm, unit: float) -> AffineForm:
         """The sum of two of the same width."""
@@ -140,48 +158,80 @@ class Layers:
         return AffineForm({len(self.found): own}, {len(self.found): 0.0 * own})
 
 
-def packed(members: Sequence[Sequence[AffineForm]]) -> ReluNetwork:
-    """Of each member its layers, the last of them the answer [m]; all have the same widths and sources."""
-    first = members[0]
-    widths = [form.width for form in first]
-    pairs = [(k, s) for k, form in enumerate(first) for s in sorted(form.value) if s != CONSTANT]
-    sizes = [first[k].value[s].size for k, s in pairs]
+def packed(layers: Sequence[AffineForm], members: int = 1) -> ReluNetwork:
+    """Of a network's layers, the last the answer [m]; what has no axis of members, all ``members`` share."""
+    pairs = [(k, s) for k, form in enumerate(layers) for s in sorted(form.value) if s != CONSTANT]
+    sizes = [layers[k].value[s].shape[-2] * layers[k].width for k, s in pairs]
     starts = np.cumsum([0, *sizes])[:-1]
 
-    def flat(name: str) -> Floats:
-        return np.array([np.concatenate([getattr(m[k], name)[s].ravel() for k, s in pairs]) for m in members])
+    def flat(parts: Iterable[Floats]) -> Floats:
+        """(members, N) one after another, row by row."""
+        each = (np.broadcast_to(part, (members, *part.shape[-2:])).reshape(members, -1) for part in parts)
+        return np.concatenate(list(each), axis=1)
 
     def constants(name: str) -> Floats:
-        rows = [[getattr(f, name).get(CONSTANT, np.zeros((1, f.width)))[0] for f in m] for m in members]
-        return np.array([np.concatenate(row) for row in rows])
+        return flat(getattr(form, name).get(CONSTANT, np.zeros((1, form.width))) for form in layers)
 
-    terms = max(sum(len(form.value[s]) for s in form.value if s != CONSTANT) for form in first)
-    error = flat("error")
+    terms = max(sum(value.shape[-2] for s, value in form.value.items() if s != CONSTANT) for form in layers)
+    error = flat(layers[k].error[s] for k, s in pairs)
     return ReluNetwork(
-        widths=np.array(widths, np.int64),
+        widths=np.array([form.width for form in layers], np.int64),
         blocks=np.array([(k, s, at) for (k, s), at in zip(pairs, starts, strict=True)], np.int64),
-        weight=flat("value"),
-        error=error if error.any() else np.empty((len(members), 0)),
+        weight=flat(layers[k].value[s] for k, s in pairs),
+        error=error if error.any() else np.empty((members, 0)),
         bias=constants("value"),
         bias_error=constants("error"),
         rounding=16.0 * (terms + 8) * DOUBLE,
+        deep=len(layers) > SHALLOW,
     )
 
 
-def network_of(model: Model) -> ReluNetwork:
-    """Of a perceptron's file: it rounds as bounds in float64 do, of which ``rounding`` is four times."""
+def network_of(model: Model, seed: int = 0) -> ReluNetwork:
+    """Of a file; the passes of a network with dropout are members, with the masks of ``seed``.
+
+    A perceptron rounds as bounds in float64 do, of which ``rounding`` is four times.
+    """
+    if model.kind != PERCEPTRON:
+        return _resnet(model, seed)
     folded = fold_perceptron(model)
-    members = []
-    for m in range(model.members):
-        parts = (
-            (folded.weight1[m], folded.bias1[m]),
-            (folded.weight2[m], folded.bias2[m]),
-            (folded.weight3[m], folded.bias3[m]),
-        )
-        members.append(
-            [
-                AffineForm({CONSTANT: b[None], k: w}, {CONSTANT: 0.0 * b[None], k: 0.0 * w})
-                for k, (w, b) in enumerate(parts)
-            ]
-        )
-    return packed(members)
+    parts = (
+        (folded.weight1, folded.bias1),
+        (folded.weight2, folded.bias2),
+        (folded.weight3, folded.bias3),
+    )
+    forms = [
+        AffineForm({CONSTANT: b[:, None], k: w}, {CONSTANT: 0.0 * b[:, None], k: 0.0 * w})
+        for k, (w, b) in enumerate(parts)
+    ]
+    return packed(forms, model.members)
+
+
+def _resnet(model: Model, seed: int) -> ReluNetwork:
+    """As ``avoidance.resnet_kernel`` computes it, in float32: the same layers, shortcuts and dropout."""
+    own, layers = fold(model), Layers()
+    passes = own.passes if own.places else 1
+    factors = np.empty((own.places, passes, WIDTH), np.float32)
+    fill_factors(np.uint64(seed), own.probability, factors)
+    weight, bias, drop = own.weight.astype(float), own.bias.astype(float), factors.astype(float)
+
+    def connected(form: AffineForm, layer: int) -> AffineForm:
+        before = form.scaled(drop[layer], SINGLE) if own.places == FULL_PLACES else form
+        return before.linear(weight[:, layer], bias[:, layer], SINGLE)
+
+    first, one = np.eye(PERCEPTRON_INPUTS, WIDTH) / own.input_std[:, None], np.eye(WIDTH)[INPUTS - 1]
+    x = question().linear(first, one - own.input_mean @ first, SINGLE)
+    for block in range(STAGES * BLOCKS):
+        stage, within = divmod(block, BLOCKS)
+        layer = stage * STAGE_LAYERS + 3 * within + (within > 0)
+        h = layers.relu(connected(x, layer))
+        h = connected(layers.relu(connected(h, layer + 1)), layer + 2)
+        x = layers.relu(h.plus(x if within else connected(x, layer + 3), SINGLE))
+        if own.places == STAGES and within == BLOCKS - 1:
+            x = x.scaled(drop[stage], SINGLE)
+    scale = own.scale_out.astype(float)[..., None] * np.eye(WIDTH)
+    x = x.linear(scale, own.shift_out.astype(float), SINGLE)
+    if own.places == FULL_PLACES:
+        x = x.scaled(drop[LAYERS], SINGLE)
+    answer = x.linear(own.weight_out.astype(float), own.bias_out.astype(float), SINGLE)
+    answer = answer.linear(np.diag(own.target_std), own.target_mean, DOUBLE)
+    return packed([*layers.found, answer], model.members * passes)

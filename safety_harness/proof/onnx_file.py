@@ -67,7 +67,7 @@ class OnnxFunction:
 def read_onnx(path: Path) -> tuple[ReluNetwork, OnnxFunction]:
     """The layers of a file, and what answers; ModelError for another operator, with its name and node."""
     with ONNX.needed("proofs about ONNX files", path):
-        network = packed([_layers(path, onnx_bytes(path))])
+        network = packed(_layers(path, onnx_bytes(path)))
     return network, OnnxFunction(isolated_onnx(path, DEFAULTS))
 
 

@@ -38,6 +38,7 @@ ANY_APART_M = 0.0, 4.0 * LARGEST_COORDINATE_M  # more than any pair
 LEAST_INSIDE = 1e-3  # of a normal axis, within each region
 
 Asked = LearnedAvoider | OnnxFunction
+Floats = NDArray[np.float64]
 Normal = tuple[float, float]  # mean and standard deviation [m]
 
 
@@ -51,6 +52,12 @@ class ProofRegion:
     tcp_low_m: Vector3
     tcp_high_m: Vector3
     apart_m: tuple[float, float] = ANY_APART_M
+
+    @classmethod
+    def about(cls, tcp_m: Floats, low_m: Floats, high_m: Floats) -> ProofRegion:
+        """Of one TCP, ``tcp_m`` (3,), and hands from ``low_m`` (3,) to ``high_m`` (3,)."""
+        tcp, low, high = ((float(x[0]), float(x[1]), float(x[2])) for x in (tcp_m, low_m, high_m))
+        return cls(name="a box", hand_low_m=low, hand_high_m=high, tcp_low_m=tcp, tcp_high_m=tcp)
 
     def corners(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """(1, 6) twice: the lowest hand and TCP, and the highest."""

@@ -47,6 +47,7 @@ from safety_harness.properties.servoing import (
     OBJECT_IN_VIEW,
 )
 from safety_harness.properties.touching import NO_MOVING_PART_TOUCHES
+from safety_harness.properties.within_region import WITHIN_REGION
 
 CATALOGUE: tuple[CatalogueEntry, ...] = (
     HAND_DISTANCE,
@@ -61,6 +62,7 @@ CATALOGUE: tuple[CatalogueEntry, ...] = (
     WITHIN_SPREAD,
     NEVER_SURE_AND_OFF,
     FEW_OVERRULED,
+    WITHIN_REGION,
     MOVES_AWAY,
     CLEAR_WAYS,
     OBSTACLE_DISTANCE,

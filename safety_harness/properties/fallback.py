@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from safety_harness.avoidance.flaky import question_of
 from safety_harness.properties.base import Evaluation, Unit, inconclusive, is_somewhere, judged
 from safety_harness.properties.entry import CatalogueEntry, count
 from safety_harness.properties.giving_way import LEAST_WAY_M, Finding, worst_of
@@ -54,6 +55,12 @@ def has_doubt(decision: np.void) -> bool | None:
     if not (np.isfinite(spread_m).all() and np.isfinite(threshold_m)):
         return None
     return bool(spread_m.max() > threshold_m)
+
+
+def outside_region(trace: Trace, decision: np.void) -> bool:
+    """Was the avoider asked something outside of the region that the gate keeps to?"""
+    region = None if trace.scenario.gate is None else trace.scenario.gate.questions_within
+    return region is not None and not region.depth_m(*question_of(trace, decision)) >= 0.0
 
 
 def went(
@@ -137,7 +144,7 @@ class UncertainFallsBack:
 
 @dataclass(frozen=True, kw_only=True)
 class CertainIsUsed:
-    """An answer within the avoider's threshold that could be used is used.
+    """An answer within the avoider's threshold, and the gate's region, that could be used is used.
 
     The other direction: a gate that always falls back would make every avoider look safe.  Asked of
     answers that have something to spare (``spare_m``, at least 1 mm).  The arm has to go there, as for
@@ -154,7 +161,7 @@ class CertainIsUsed:
         exercised, most_m = 0, -np.inf
         for number, decision in enumerate(trace.decisions):
             proposed = decision["proposed_position_in_base_m"]
-            if has_doubt(decision) is not False:
+            if has_doubt(decision) is not False or outside_region(trace, decision):
                 continue
             to_spare_m = spare_m(trace, decision, proposed)
             most_m = max(most_m, to_spare_m)

@@ -61,7 +61,7 @@ def proposals(trace: Trace) -> NDArray[np.void]:
     return found
 
 
-def _as_told(trace: Trace, margin: float) -> tuple[float, float, bool]:
+def as_told(trace: Trace, margin: float) -> tuple[float, float, bool]:
     """For ``reads``: what decisions say of themselves is exact; only earlier questions take it from ticks."""
     decisions, known = trace.decisions, trace.known
     own = bool((decisions["asked_tick"] == decisions["tick"]).all())
@@ -112,7 +112,7 @@ class ProposalsLeadAway:
         """As the catalogue writes it."""
         return f"proposals lead away to within {self.tolerance_m * 1e3:g} mm"
 
-    @reads(also=PROPOSAL, ends=lambda prop, trace, margin: _as_told(trace, margin))
+    @reads(also=PROPOSAL, ends=lambda prop, trace, margin: as_told(trace, margin))
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge every proposal."""
         found = proposals(trace)
@@ -136,7 +136,7 @@ class NearOptimum:
         """As the catalogue writes it."""
         return f"proposals within {self.within_m * 1e3:g} mm of the optimum"
 
-    @reads(also=PROPOSAL, ends=lambda prop, trace, margin: _as_told(trace, margin))
+    @reads(also=PROPOSAL, ends=lambda prop, trace, margin: as_told(trace, margin))
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge every proposal."""
         found = proposals(trace)
@@ -162,7 +162,7 @@ class WithinSpread:
         spreads = f"{self.spreads:g} {'spread' if self.spreads == 1.0 else 'spreads'}"
         return f"proposals within {spreads} and {self.allowance_m * 1e3:g} mm of the optimum"
 
-    @reads(also=[*PROPOSAL, *SURENESS], ends=lambda prop, trace, margin: _as_told(trace, margin))
+    @reads(also=[*PROPOSAL, *SURENESS], ends=lambda prop, trace, margin: as_told(trace, margin))
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge every proposal, axis by axis, unless the avoider gives no spread."""
         found = proposals(trace)
@@ -192,7 +192,7 @@ class NeverSureAndOff:
         """As the catalogue writes it."""
         return f"proposals never sure and more than {self.within_m * 1e3:g} mm from the optimum"
 
-    @reads(also=[*PROPOSAL, *SURENESS], ends=lambda prop, trace, margin: _as_told(trace, margin))
+    @reads(also=[*PROPOSAL, *SURENESS], ends=lambda prop, trace, margin: as_told(trace, margin))
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge every proposal that is sure."""
         found = proposals(trace)

@@ -48,6 +48,7 @@ class DecisionRow:
     failed: str
     faulty: bool
     chosen: str
+    certified: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -165,6 +166,7 @@ def decision_rows(trace: Trace) -> list[DecisionRow]:
             ),
             faulty=bool(decision["fault"]),
             chosen=point_words(decision["chosen_position_in_base_m"]),
+            certified="" if trace.certified is None else trace.certified.decisions[number - 1].words,
         )
         for number, decision in enumerate(trace.decisions[:MOST_DECISION_ROWS], start=1)
     ]

@@ -25,7 +25,7 @@ from safety_harness.report.decisions import (
 )
 from safety_harness.report.evidence import JudgedRun, tallies
 from safety_harness.report.knowledge import known_data
-from safety_harness.report.possible_hands import refused_for_possible
+from safety_harness.report.possible_hands import asks_of_hands, refused_for_possible
 from safety_harness.report.shielding import shield_data
 from safety_harness.scenario.files import told
 from safety_harness.trace.overruling import Overruling, is_measured
@@ -127,7 +127,7 @@ def run_data(run: JudgedRun) -> dict[str, Any]:
         "overruling": Overruling.of([trace]).named if is_measured(trace) else None,
         "avoider_answered": None if scenario.driven else _outcome(AvoiderAnswered().evaluate(trace)),
         "computing_time": computing_time_lines([trace]),
-        **({} if scenario.gate is None else {"refused_for_possible_hands": refused_for_possible(trace)}),
+        **({"refused_for_possible_hands": refused_for_possible(trace)} if asks_of_hands(trace) else {}),
         **({} if scenario.shield is None else {"shield": shield_data(trace)}),
         "claims": [
             {

@@ -21,9 +21,14 @@ def refused_for_possible(trace: Trace) -> int:
     return count
 
 
+def asks_of_hands(trace: Trace) -> bool:
+    """Has the gate such a rule?"""
+    return trace.scenario.gate is not None and trace.scenario.gate.hands_within is not None
+
+
 def possible_lines(traces: Iterable[Trace]) -> list[str]:
     """One line on all runs whose gate has such a rule; none where no run has."""
-    ruled = [trace for trace in traces if trace.scenario.gate is not None]
+    ruled = [trace for trace in traces if asks_of_hands(trace)]
     if not ruled:
         return []
     refused = sum(map(refused_for_possible, ruled))

@@ -36,6 +36,7 @@ CHECK_MEANINGS = {
     Check.TOWARDS_A_HAND: "the straight way does not lead away from every predicted hand",
     Check.ROBOT_ITSELF: "on the way the wrist comes too near to the robot's base, shoulder or upper arm",
     Check.OBSTACLE: "on the way the arm comes too near to an obstacle of the cell",
+    Check.OUTSIDE_REGION: "the question is outside of the region that the scenario's gate keeps to",
     Check.LATE: "the avoider had not answered when the decision deadline was over",
 }
 _UNITS = (  # suffix of a setting's name, shown unit, how many of it are one SI unit

@@ -1,23 +1,92 @@
-"""The key ``gate`` of a scenario file: how sure the gate is to be of where hands are: docs/avoiders.md."""
+"""The key ``gate`` of a scenario file: what the gate asks for beside its checks: docs/avoiders.md."""
 
 from __future__ import annotations
 
-from safety_harness.scenario.codec import QuantityValue, declared, key, table_of
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.scenario.codec import POINT, Below, QuantityValue, declared, key, table_of
 from safety_harness.scenario.units import FRACTION
+from safety_harness.settings import Vector3
+
+_BOX = "{from: [600 mm, -500 mm, -200 mm], to: [700 mm, -400 mm, -100 mm]}"
+_REGION = f"{{hand: {_BOX}, tcp: {_BOX}}}"
+
+
+@declared
+class PositionBox:
+    """Of positions in the base frame; its surface belongs to it."""
+
+    low_m: Vector3 = key("from", POINT, "its lowest corner in the base frame", "[600 mm, -500 mm, -200 mm]")
+    high_m: Vector3 = key("to", POINT, "its highest corner", "[700 mm, -400 mm, -100 mm]")
+
+    def depth_m(self, position_in_base_m: NDArray[np.float64]) -> float:
+        """How far within it ``position_in_base_m`` (3,) is, by axis; negative outside, NaN where that is."""
+        sides = position_in_base_m - self.low_m, self.high_m - position_in_base_m
+        return float(np.min(sides))
+
+    @property
+    def words(self) -> str:
+        """Its corners."""
+        low, high = (", ".join(f"{1e3 * x:g}" for x in corner) for corner in (self.low_m, self.high_m))
+        return f"({low}) to ({high}) mm"
+
+
+_OF_HAND, _OF_TCP = (
+    Below(tables=(table_of(PositionBox, f"a box of {who}", path=f"gate.questions within.{key}"),))
+    for who, key in (("hands", "hand"), ("TCPs", "tcp"))
+)
+
+
+@declared
+class AskedRegion:
+    """Of questions to an avoider, such as a proof is about."""
+
+    hand: PositionBox = key("hand", _OF_HAND, "where the hand is that the avoider is asked about", _BOX)
+    tcp: PositionBox = key("tcp", _OF_TCP, "where the TCP is then", _BOX)
+
+    def depth_m(self, hand_in_base_m: NDArray[np.float64], tcp_in_base_m: NDArray[np.float64]) -> float:
+        """How far within it a question is, by axis, negative outside.
+
+        ``hand_in_base_m`` (3,), ``tcp_in_base_m`` (3,).
+        """
+        return float(np.min([self.hand.depth_m(hand_in_base_m), self.tcp.depth_m(tcp_in_base_m)]))
+
+    @property
+    def words(self) -> str:
+        """Both boxes."""
+        return f"hands {self.hand.words}, TCPs {self.tcp.words}"
 
 
 @declared
 class GateRule:
     """What the full gate asks for beside its own checks."""
 
-    hands_within: float = key(
+    hands_within: float | None = key(
         "every hand within",
         QuantityValue(FRACTION, least=0.5, most=0.999999),
         "the way leads away from every place where the hands are, all together, with this probability, as "
         "the hand filter has it",
         "99 %",
-        default=0.99,
+        default=None,
     )
+    questions_within: AskedRegion | None = key(
+        "questions within",
+        Below(tables=(table_of(AskedRegion, "a region of questions", path="gate.questions within"),)),
+        "answers to other questions are not used: the region of a [proof](proof.md#in-the-loop)",
+        _REGION,
+        default=None,
+    )
+
+    @property
+    def words(self) -> Iterator[str]:
+        """What it asks for, briefly."""
+        if self.hands_within is not None:
+            yield f"every hand within {100.0 * self.hands_within:g} %"
+        if self.questions_within is not None:
+            yield f"questions within {self.questions_within.words}"
 
 
 GATE = table_of(GateRule, "gate", path="gate")

@@ -182,6 +182,12 @@ def _blind_to_direction(system: ChangedSystem, _: float) -> ChangedSystem:
     return system.with_gate(BlindGate, to=Check.TOWARDS_A_HAND)
 
 
+@of_gate("region not checked", "the arm goes where nothing was proven of the answer")
+@seeded(outright)
+def _blind_to_its_region(system: ChangedSystem, _: float) -> ChangedSystem:
+    return system.with_gate(more=None)
+
+
 @of_gate("minds one hand only", "the arm gives way to one hand and goes to the other")
 @seeded(ruled)
 def _one_hand_only(_: float, rule: Rule, proposed: Answer, query: Query) -> GateDecision:

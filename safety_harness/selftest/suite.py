@@ -44,6 +44,7 @@ TELLING = (
     "fault-camera-blind",
     "tilted-start",
     "over-the-shoulder",
+    "proven-region",
     "hidden-for-a-moment",
 )
 

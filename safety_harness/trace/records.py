@@ -75,6 +75,7 @@ class Check(IntFlag):
     ROBOT_ITSELF = 128  # on the way the wrist comes too near to base, shoulder or upper arm
     LATE = 256  # no answer within the decision deadline, in simulated time
     OBSTACLE = 512  # on the way the arm comes too near to an obstacle of the cell
+    OUTSIDE_REGION = 1024  # the question is outside of the region that the scenario's gate keeps to
 
 
 @lru_cache

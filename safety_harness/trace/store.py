@@ -31,9 +31,10 @@ from safety_harness.scenario.read import parse_scenario
 from safety_harness.scenario.recording import MAX_BYTES
 from safety_harness.scenario.references import file_and_name, portable
 from safety_harness.scenario.robots import OwnRobot
-from safety_harness.scenario.typed_json import parsed, typed
+from safety_harness.scenario.typed_json import parsed, plain, typed
 from safety_harness.scenario.write import write_scenario
 from safety_harness.shipped.contents import located
+from safety_harness.trace.certified import CertifiedDecisions
 from safety_harness.trace.consistency import first_inconsistency
 from safety_harness.trace.known import WHOLLY_KNOWN, Knowledge, Measurement
 from safety_harness.trace.records import DECISION, INTERVENTION, decision_dtype, tick_dtype
@@ -48,9 +49,10 @@ HEADER = "trace.json"
 SMALL_BYTES = 4_000_000  # of a part that is text; arrays are as long as the scenario lasts
 ARRAY_HEADER_BYTES = 20_000
 KNOWN = "known.json"
+CERTIFIED = "certified.json"  # only where somebody asked for it
 INTERVENTIONS = "interventions.npy"  # only of a scenario that has a shield
 CARRIED = ("recordings/", "robot/")  # files of the scenario by their SHA-256
-MOST_PARTS = 10 + MAX_HANDS
+MOST_PARTS = 11 + MAX_HANDS
 ZIP_END = struct.Struct("<4s4H2LH")  # without a comment, as it is written here
 OF_AVOIDER = ("avoider", "avoider_sha256")  # in the provenance, before the system was a record
 NEW = ("asked_tick", "decision_time_s")
@@ -118,6 +120,8 @@ def save_trace(trace: Trace, path: str | Path, recordings: Mapping[str, bytes] |
     if not (trace.known.simulated and trace.known.whole):
         columns = {n: {**asdict(one), "source": one.source.value} for n, one in trace.known.columns.items()}
         parts[KNOWN] = json.dumps(columns, indent=1, sort_keys=True).encode()
+    if trace.certified is not None:
+        parts[CERTIFIED] = json.dumps(plain(trace.certified), indent=1, sort_keys=True).encode()
     header = {
         "format": IN_PART if KNOWN in parts else FORMAT,
         "sha256": {name: hashlib.sha256(data).hexdigest() for name, data in sorted(parts.items())},
@@ -237,6 +241,12 @@ class _Reader:
         if self._format == IN_PART or KNOWN in self._parts:
             self._unpack(archive, KNOWN, SMALL_BYTES)
             known = self._known(ticks, len(scenario.hands))
+        certified = None
+        if CERTIFIED in self._parts:
+            self._unpack(archive, CERTIFIED, SMALL_BYTES)
+            certified = self._json(CERTIFIED, CertifiedDecisions)
+            if len(certified.decisions) != len(decisions):
+                raise self._error(f"{len(decisions)} decisions", str(len(certified.decisions)), CERTIFIED)
         trace = Trace(
             scenario=scenario,
             ticks=ticks,
@@ -247,6 +257,7 @@ class _Reader:
             known=known,
             system=run.system or system_of(scenario, avoider=before),
             interventions=interventions,
+            certified=certified,
         )
         wrong = first_inconsistency(trace)
         if wrong is not None:

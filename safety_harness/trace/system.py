@@ -104,7 +104,7 @@ def system_of(
         robot_sha256 = str(robot.urdf_sha256)
     servo, gate, perception, whole = _parts(settings)
     if scenario.gate is not None:
-        gate = replace(gate, name=f"{gate.name}, every hand within {100.0 * scenario.gate.hands_within:g} %")
+        gate = replace(gate, name=", ".join([gate.name, *scenario.gate.words]))
     return SystemUnderTest(
         controller=controller or servo,
         avoider=avoider if controller is None else None,

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.scenario.model import Scenario
+from safety_harness.trace.certified import CertifiedDecisions
 from safety_harness.trace.known import WHOLLY_KNOWN, Knowledge
 from safety_harness.trace.records import INTERVENTION
 from safety_harness.trace.system import NOT_NOTED, Line, SystemUnderTest
@@ -51,6 +52,7 @@ class Trace:
     timed since it was made together with others: the one thing here that a repetition does not give
     again, and nothing but reports reads it (by the wall's clock each decision's own record has it).
     ``known`` says which columns were measured, and how well; of a simulated run all are known.
+    ``certified`` is what was proven of its decisions afterwards, if anybody asked; no verdict reads it.
     ``system`` is what was tested.  ``interventions`` (n,) INTERVENTION are those of the shield, one a tick;
     empty where the scenario has none.
     """
@@ -64,6 +66,7 @@ class Trace:
     known: Knowledge = WHOLLY_KNOWN
     system: SystemUnderTest = NOT_NOTED
     interventions: NDArray[np.void] = field(default_factory=no_interventions)
+    certified: CertifiedDecisions | None = None
 
     def __post_init__(self) -> None:
         self.ticks.setflags(write=False)

@@ -13,6 +13,7 @@ from avoidance.random_models import random_perceptron
 from safety_harness.avoidance.model_file import save_model
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.session import LEDGER, carry_on, plan_of, processes
+from safety_harness.certification.certify import Certification
 from safety_harness.certification.evidence import read_evidence
 from safety_harness.certification.folder import stored_files, write_folder, write_manifest
 from safety_harness.certification.gather import gather
@@ -92,7 +93,8 @@ def test_it_stands_until_its_certificate_says_something_false(report: Path) -> N
     assert [line for check in checks.values() for line in check.faults] == []
     assert "shares none" in checks["proof"].looked_at
     altered(report, limit_m=0.01)
-    assert any("a certificate that the checker confirms" in line for line in faults(report))
+    said = faults(report)
+    assert any("a certificate that the checker confirms" in line for line in said), said
 
 
 def test_nor_is_it_gone(report: Path) -> None:
@@ -113,3 +115,18 @@ def test_one_of_another_network_or_not_confirmed_is_refused(tmp_path: Path) -> N
         read_certified(own, plan)
     with pytest.raises(InputError):
         read_certified(tmp_path / "plan.yaml", plan)
+
+
+def test_a_plan_may_name_it_and_the_command_another(tmp_path: Path) -> None:
+    enough = QUIET.replace("runs: 2", "runs: 30").replace("runs: 1", "runs: 20")
+    file = plan_in(tmp_path, enough + "proof: certificate.json\n").file
+    rest: dict[str, Any] = dict.fromkeys(("selftest", "oracles", "declared"), None)
+    rest |= {"cells": (), "pdf": False}
+    with pytest.raises(InputError, match=r"certificate\.json"):
+        Certification.of(file, tmp_path / "report", "", **rest)
+    own = certificate_in(tmp_path)
+    found = Certification.of(file, tmp_path / "report", "", **rest)
+    assert found.certified is not None
+    assert found.certified.certificate == own.read_bytes()
+    with pytest.raises(InputError):
+        Certification.of(file, tmp_path / "report", "", proof=tmp_path / "another.json", **rest)

@@ -26,6 +26,7 @@ from examples import (
 from safety_harness.admission.admit import admit
 from safety_harness.avoidance.gate import Gate
 from safety_harness.scenario.faults import FalseHand, HandSensorBlind
+from safety_harness.scenario.gate import AskedRegion, GateRule, PositionBox
 from safety_harness.scenario.moves import FollowTcp, MoveTo, Wait, Withdraw
 from safety_harness.scenario.obstacles import Obstacle
 from safety_harness.settings import DEFAULTS, GateKind, Settings
@@ -178,6 +179,13 @@ def computes_nonsense() -> Trace:
     return run(scenario(duration_s=0.1), controller=Nonsense((0.1,) * 6))
 
 
+@lru_cache
+def leaves_its_region() -> Trace:
+    far = PositionBox(low_m=(2.0, 0.0, 0.0), high_m=(2.1, 0.1, 0.1))
+    rule = GateRule(questions_within=AskedRegion(hand=far, tcp=far))
+    return run(replace(scenario(VISIT, duration_s=1.5), gate=rule), gate=ur10_gate(DEFAULTS))
+
+
 BROKEN: dict[str, Callable[[], Trace]] = {
     "hand distance never below 50 mm": seeks_the_hand,
     "no moving part touches a hand": seeks_the_hand,
@@ -191,6 +199,7 @@ BROKEN: dict[str, Callable[[], Trace]] = {
     "proposals within 3 spreads and 30 mm of the optimum": is_sure_of_two_metres,
     "proposals never sure and more than 60 mm from the optimum": is_sure_of_two_metres,
     "at most 50 % of proposals overruled": is_always_in_doubt,
+    "acts only on answers within the gate's region": leaves_its_region,
     "repulsion moves away from every hand": seeks_the_hand,
     "repulsive ways clear of table, object and robot": proposes_below_the_table,
     "obstacle distance never below 20 mm": servoes_through_a_box,

@@ -28,6 +28,7 @@ WHERE = {  # the scenarios that show a fault of each part, and what is tried the
     "threshold ignored": "network-certain",
     "off by some cycles": "second-hand",
     "passes NaN": "network-certain",
+    "region not checked": "proven-region",
     "latency that nobody counts": "hand-visits-and-leaves",
     "swapped image axes": "hand-visits-and-leaves",
     "ghost hands": "hand-visits-and-leaves",

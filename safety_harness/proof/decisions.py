@@ -1,0 +1,73 @@
+"""Is a decision of a run the same for every hand in a box about the one that was asked about?
+
+Two of the gate's checks follow from the network's answer and that hand: is it certain (its spread at most the
+threshold on every axis), and does its way lead away from the hand?  With the decision's own seed a network
+with dropout is an ensemble of its passes, so that both are proven as of any other.  The TCP is exact.  The
+network is asked at the box's middle and corners first: where its answers differ there, nothing is to prove.
+"""
+
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+
+from safety_harness.avoidance.asking import Question, ask
+from safety_harness.avoidance.flaky import asked_in, difference
+from safety_harness.avoidance.learned import LearnedAvoider
+from safety_harness.avoidance.model_file import Model
+from safety_harness.proof.claims import ClaimKind, DecisionClaim
+from safety_harness.proof.network import ReluNetwork, network_of
+from safety_harness.proof.plan import ProofRegion
+from safety_harness.proof.tree import BoxTree, work
+from safety_harness.trace.certified import CertifiedDecision, CertifiedDecisions, Sameness
+from safety_harness.trace.trace import Trace
+
+HALVINGS = 4
+PLACES = np.array([(0.0, 0.0, 0.0), *product((-1.0, 1.0), repeat=3)])
+AWAY = DecisionClaim(ClaimKind.AWAY, 0.0)
+NO_ANSWER = CertifiedDecision(certain=Sameness.NONE, away=Sameness.NONE)
+
+
+def certified_decisions(trace: Trace, model: Model, sha256: str, half_m: float) -> CertifiedDecisions:
+    """Of all decisions of ``trace``, whose hands are +- ``half_m`` by axis.
+
+    Answers that came too late, that a fault spoilt, or that are not ``model``'s bit for bit have none.
+    """
+    avoider, found = LearnedAvoider.of(model), [NO_ANSWER] * len(trace.decisions)
+    for one in asked_in(trace):
+        if not difference(one.answer, ask(avoider, one.question)):
+            found[one.number - 1] = certified(avoider, one.question, half_m)
+    return CertifiedDecisions(half_m=half_m, network_sha256=sha256, decisions=tuple(found))
+
+
+def certified(avoider: LearnedAvoider, question: Question, half_m: float) -> CertifiedDecision:
+    """Of one question and its seed."""
+    hands = question.hand_position_in_base_m + half_m * PLACES
+    tcps = np.broadcast_to(question.tcp_position_in_base_m, hands.shape)
+    answers, spreads = avoider.propose_many(hands, tcps, np.full(len(hands), question.seed, np.uint64))
+    threshold_m, away = avoider.spread_threshold_m, AWAY.margins(hands, tcps, answers) >= 0.0
+    network = network_of(avoider.model, question.seed)
+    region = ProofRegion.about(question.tcp_position_in_base_m, hands.min(axis=0), hands.max(axis=0))
+    certain = Sameness.SAME  # without a threshold, or of a single answer, which has no spread
+    if threshold_m is not None and len(network.weight) > 1:
+        asked = spreads.max(axis=1) <= threshold_m
+        certain = _same(asked, network, DecisionClaim(ClaimKind.CERTAIN, threshold_m), region)
+    return CertifiedDecision(certain=certain, away=_same(away, network, AWAY, region))
+
+
+def _same(
+    asked: np.ndarray[tuple[int], np.dtype[np.bool_]],
+    network: ReluNetwork,
+    claim: DecisionClaim,
+    region: ProofRegion,
+) -> Sameness:
+    """Whether the claim is kept of all questions of the region, or of none; ``asked`` (n,) of some."""
+    if asked.min() != asked.max():
+        return Sameness.OTHER
+    tree = BoxTree()
+    work(tree, network, claim, region, halvings=HALVINGS, until_s=np.inf)
+    shares = tree.shares()
+    if shares["proven"] > 0.0 and shares["refuted"] > 0.0:
+        return Sameness.OTHER
+    return Sameness.UNDECIDED if shares["undecided"] > 0.0 else Sameness.SAME
