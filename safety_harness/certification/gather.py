@@ -34,6 +34,7 @@ from safety_harness.certification.evidence import (
 from safety_harness.certification.evidence import DeclaredPlan as PlanEvidence
 from safety_harness.certification.evidence import EvidenceProvenance as Origin
 from safety_harness.certification.findings import findings_of
+from safety_harness.certification.hazards import hazards_of
 from safety_harness.certification.proofs import stored_proof
 from safety_harness.certification.results import bounds, claims_of, overruling_of, strata_of
 from safety_harness.certification.standards import ASSUMPTIONS, EXCLUSIONS
@@ -134,6 +135,7 @@ def put_together(
         provenance=replace(origin, libraries=origin.libraries + _files(stored)),
         files=(),
         proven=proven,
+        hazards=hazards_of(plan, ledger),
     )
     findings = tuple(findings_of(evidence, ledger, met, searches, damaged))
     return GatheredEvidence(evidence=replace(evidence, findings=findings), examples=examples)
