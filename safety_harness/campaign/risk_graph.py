@@ -32,7 +32,7 @@ PFH_D = {"a": (1e-5, 1e-4), "b": (3e-6, 1e-5), "c": (1e-6, 3e-6), "d": (1e-7, 1e
 
 @dataclass(frozen=True, kw_only=True)
 class RiskGraph:
-    """``levels`` by their ways, such as ``S2 F1 P2``; ``an_hour``: how many violations each allows at most."""
+    """``levels`` by their ways, such as ``S2 F1 P2``; ``an_hour``: the violations each allows."""
 
     name: str
     levels: Mapping[str, str]

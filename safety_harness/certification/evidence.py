@@ -24,7 +24,7 @@ from safety_harness.scenario.typed_json import of_format, plain, read_json, type
 from safety_harness.trace.system import SystemUnderTest
 
 FORMAT = "safety-harness evidence 1"
-LATER = ("proven", "hazards")  # fields that stand in the JSON only where there is something in them
+LATER = ("proven", "hazards", "notes")  # fields that stand in the JSON only where there is something in them
 UNANSWERED = "decision faults"  # among a stratum's decisions: those without a usable answer of the avoider
 
 
@@ -351,6 +351,14 @@ class OpenFinding:
 
 
 @dataclass(frozen=True, kw_only=True)
+class ArgumentNote:
+    """What the author says beside an element of the argument, by the element's name."""
+
+    element: str
+    text: str
+
+
+@dataclass(frozen=True, kw_only=True)
 class StoredFile:
     """A file of the report's folder."""
 
@@ -436,6 +444,7 @@ class Evidence:
     files: tuple[StoredFile, ...]
     proven: CertifiedProofs | None = None  # about the avoider's network, where a certificate was given
     hazards: tuple[HazardEvidence, ...] = ()  # where the plan names any
+    notes: tuple[ArgumentNote, ...] = ()  # where its author wrote any
 
     @property
     def fallback(self) -> str:

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Iterator, Sequence
 
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.summary import fallback_of
+from safety_harness.certification.argument import argument_of
 from safety_harness.certification.counterexamples import MOST, Example, Searched
 from safety_harness.certification.evidence import (
     ClaimEvidence,
@@ -47,6 +48,10 @@ def findings_of(
     yield from of_searches(searches, evidence.plan.search_runs)
     yield from of_worlds(evidence.credibility)
     yield from of_selftest(evidence.selftest)
+    names = {one.name for one in argument_of(evidence).every()}
+    for note in evidence.notes:
+        if note.element not in names:
+            yield OpenFinding(f"the author's note on {note.element!r} is on no element any more", "argument")
 
 
 def of_claims(claims: Sequence[ClaimEvidence]) -> Iterator[OpenFinding]:
@@ -63,9 +68,9 @@ def of_hazards(hazards: Sequence[HazardEvidence]) -> Iterator[OpenFinding]:
     """Hazards that no claim speaks to, of which nothing is asked, or whose rate is not shown."""
     for one in hazards:
         if not one.claims:
-            yield OpenFinding(f"{one.name}: no claim stands under this hazard", "hazards")
+            yield OpenFinding(f"{one.name}: no claim stands under this hazard", "rates")
         elif one.level is None:
-            yield OpenFinding(f"{one.name}: {one.steps[-1]}", "hazards")
+            yield OpenFinding(f"{one.name}: {one.steps[-1]}", "rates")
         elif one.met is not True:
             asked = f"at most {one.asked_an_hour:g} an hour (level {one.level}) is not shown"
             yield OpenFinding(f"{one.name}: {asked}", "rates")

@@ -13,6 +13,7 @@ from pathlib import Path
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import Plan
 from safety_harness.campaign.summary import root_of
+from safety_harness.certification.argument_files import read_notes
 from safety_harness.certification.counterexamples import (
     MOST,
     Example,
@@ -25,6 +26,7 @@ from safety_harness.certification.counterexamples import (
 from safety_harness.certification.credibility import credibility_of
 from safety_harness.certification.evidence import (
     FORMAT,
+    ArgumentNote,
     CertifiedProofs,
     ClaimStatus,
     Evidence,
@@ -87,7 +89,14 @@ def gather(
     """
     origin = _origin(plan, ledger, folder, command)
     return put_together(
-        plan, ledger, folder, trials, declaration=declaration, origin=origin, proven=stored_proof(folder)
+        plan,
+        ledger,
+        folder,
+        trials,
+        declaration=declaration,
+        origin=origin,
+        proven=stored_proof(folder),
+        notes=read_notes(folder),
     )
 
 
@@ -102,8 +111,9 @@ def put_together(
     believe: Callable[[Sequence[Stored], HarnessTrials], Credibility] = credibility_of,
     blame: Callable[[Plan, Ledger], WhoseFault] = whose_fault,
     proven: CertifiedProofs | None = None,
+    notes: tuple[ArgumentNote, ...] = (),
 ) -> GatheredEvidence:
-    """All that follows from the ledger and the searches, around what does not: the last six."""
+    """All that follows from the ledger and the searches, around what does not: the last seven."""
     stored, damaged = random_traces(plan, ledger)
     claims, strata = claims_of(plan, ledger, stored), strata_of(plan, ledger)
     searches = searches_of(plan, folder)
@@ -136,6 +146,7 @@ def put_together(
         files=(),
         proven=proven,
         hazards=hazards_of(plan, ledger),
+        notes=notes,
     )
     findings = tuple(findings_of(evidence, ledger, met, searches, damaged))
     return GatheredEvidence(evidence=replace(evidence, findings=findings), examples=examples)

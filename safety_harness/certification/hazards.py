@@ -12,7 +12,6 @@ from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import Plan
 from safety_harness.certification.evidence import HazardEvidence, HourlyBound
 from safety_harness.exceptions import StatisticsError
-from safety_harness.statistics.binomial import bounds_of
 
 
 def hazards_of(plan: Plan, ledger: Ledger) -> tuple[HazardEvidence, ...]:
@@ -31,9 +30,8 @@ def _worst(plan: Plan, ledger: Ledger, claim: int, rated: set[str]) -> tuple[flo
         samples = [ledger.sample(one.name, plan.claims[claim].sentence) for one in plan.strata]
     except StatisticsError:  # episodes are missing yet
         return None
-    family = len(under) * len(plan.strata)
-    bounds = bounds_of(samples, plan.risks.error.confidence_of_runs, family=family)
-    return max((one.high, one.stratum) for one in bounds)
+    found = plan.risks.error.worst_run(samples, len(under))
+    return found.high, found.stratum
 
 
 def _hazard(plan: Plan, hazard: Hazard, worst: list[tuple[float, str] | None]) -> HazardEvidence:

@@ -9,9 +9,13 @@ half is shared by the rates of approaches, the other by the bounds per run.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from scipy.special import gammaincinv
+
+from safety_harness.statistics.binomial import ProbabilityBounds, bounds_of
+from safety_harness.statistics.sample import IndependentSample
 
 
 def most_an_hour(count: int, hours: float, chance: float) -> float:
@@ -38,3 +42,11 @@ class SharedError:
     def confidence_of_runs(self) -> float:
         """With which all bounds per run hold together."""
         return 1.0 - (1.0 - self.confidence) / 2.0
+
+    def worst_run(self, samples: Sequence[IndependentSample], claims: int = 1) -> ProbabilityBounds:
+        """The largest upper bound per run of one claim over the strata, one sample of each.
+
+        ``claims`` are those whose bounds have to hold together.
+        """
+        bounds = bounds_of(samples, self.confidence_of_runs, family=claims * len(samples))
+        return max(bounds, key=lambda one: one.high)
