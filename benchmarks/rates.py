@@ -38,8 +38,8 @@ def main() -> int:
     lines = [
         "# Bounds an hour in whole shifts",
         "",
-        f"Written by `make bench-rates` at {revision}: {times} simulations of each kind of shift, and how often",
-        f"the bound is not below the true rate, with {CONFIDENCE:.0%} confidence stated.",
+        f"Written by `make bench-rates` at {revision}: {times} simulations of each kind of shift, and how",
+        f"often the bound is not below the true rate, with {CONFIDENCE:.0%} confidence stated.",
         "",
         "| shifts | true rate, an hour | met in 1,000 other shifts | the report's bound | point by point "
         "| rate without its uncertainty |",

@@ -71,13 +71,13 @@ def derived(graph: RiskGraph, severity: str, exposure: str, avoidance: str, *, u
         return DerivedRate(None, None, (f"{' and '.join(missing)} not assessed: no level follows",))
     steps = [f"{what} {value}, {MEANINGS[value]}" for what, value in found.items()]
     level = graph.levels[" ".join(found.values())]
-    steps.append(f"by {graph.name}: level {level}")
     if unlikely:
-        lower = graph.below(level)
-        steps.append(f"the hazardous event has a low probability: level {lower}")
-        level = lower
+        steps += [f"by {graph.name}: level {level}", "the hazardous event has a low probability"]
+        level = graph.below(level)
     rate = graph.an_hour[level]
-    steps.append(f"level {level}: at most {rate:g} an hour")
+    steps.append(
+        f"{'one level less' if unlikely else f'by {graph.name}'}: level {level}, at most {rate:g} an hour"
+    )
     return DerivedRate(level, rate, tuple(steps))
 
 

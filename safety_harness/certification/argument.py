@@ -156,9 +156,8 @@ def _numbered(element: Element, counts: Counter[ElementKind]) -> Element:
 
 def _hazards(evidence: Evidence) -> Iterator[Element]:
     """A goal for each hazard of the plan, then one for the words of each claim that names none."""
-    by_number = {one.number: one for one in evidence.claims}
     for hazard in evidence.hazards:
-        yield _hazard(hazard, [by_number[number] for number in hazard.claims])
+        yield _hazard(hazard, [one for one in evidence.claims if one.number in hazard.claims])
     named = {number for hazard in evidence.hazards for number in hazard.claims}
     others = [one for one in by_gravity(evidence.claims) if one.number not in named]
     for words in dict.fromkeys(one.hazard for one in others):
@@ -178,7 +177,11 @@ def _hazard(hazard: HazardEvidence, claims: list[ClaimEvidence]) -> Element:
     }
     beside = [
         Element(ElementKind.CONTEXT, f"{hazard.task}; {hazard.zone}; {hazard.body_region}", "rates"),
-        Element(ElementKind.JUSTIFICATION, f"{hazard.steps[-1]}; decided by {hazard.decided_by}", "rates"),
+        Element(
+            ElementKind.JUSTIFICATION,
+            f"{''.join(hazard.steps[-1:])}; decided by {hazard.decided_by}",
+            "rates",
+        ),
     ]
     if hazard.approaches:
         beside.append(Element(ElementKind.ASSUMPTION, f"Approaches: {hazard.approaches}", "rates"))
@@ -395,7 +398,7 @@ class _Layout:
                 ([(x + 4.0, box.bottom), (x + 4.0, beside.middle), (beside.x, beside.middle)], "ring")
             )
             bottom = beside.bottom
-        end, rail = y, x + WIDTH + GAP_X / 2.0
+        end, rail = y, x + WIDTH + INDENT + GAP_X / 2.0
         for one in element.below:
             below, end = self._place(one, x + WIDTH + GAP_X + INDENT, end)
             line = [(x + WIDTH, box.y + PAD + 8.0), (rail, box.y + PAD + 8.0), (rail, below.y + PAD + 8.0)]

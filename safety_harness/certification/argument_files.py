@@ -17,12 +17,14 @@ from typing import Any
 
 from safety_harness.certification.argument import DONE, Element, ElementKind, argument_of
 from safety_harness.certification.evidence import ArgumentNote, Evidence
+from safety_harness.exceptions import Place, ScenarioError
 from safety_harness.report.svg import plain
-from safety_harness.scenario.compose import Library
 from safety_harness.scenario.fields import Field
+from safety_harness.scenario.files import decode, read_bytes
+from safety_harness.scenario.nodes import parse_tree
 
 GSN, NOTES = "argument.gsn.yaml", "argument.yaml"
-MOST_LETTERS = 2000  # of a note
+MOST_LETTERS, MOST_BYTES = 2000, 2**20  # of a note, of all
 _ABOUT = """\
 # Yours to write: a note on any element of the argument. certify keeps it and shows it as a justification of
 # yours; it changes no verdict. Run certify again when you have written, for the report has this file's hash.
@@ -63,7 +65,9 @@ def read_notes(folder: Path) -> tuple[ArgumentNote, ...]:
     file = folder / NOTES
     if not file.is_file():
         return ()
-    root = Field(Library().tree(file), file, path="", line=1)
+    data = read_bytes(file, most=MOST_BYTES, place=Place(file=file), error=ScenarioError)
+    text = decode(data, most=MOST_BYTES, file=file, error=ScenarioError)
+    root = Field(parse_tree(text, file), file, path="", line=1)
     found = []
     for name, field in root.entries("a mapping of the argument's elements to notes"):
         text = field.prose("a note on this element", lines=True).strip()
