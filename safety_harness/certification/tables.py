@@ -19,7 +19,7 @@ from safety_harness.certification.evidence import (
     OverrulingResult,
     by_gravity,
 )
-from safety_harness.certification.standards import STANDARDS
+from safety_harness.certification.standards import QUESTIONS, STANDARDS
 from safety_harness.certification.stored import cells_of
 from safety_harness.certification.tools import (
     Credibility,
@@ -310,6 +310,20 @@ def spoken_to(_: Evidence) -> CellTable:
     )
 
 
+def questions(_: Evidence) -> CellTable:
+    """What an assessor asks, and where it is answered."""
+    return _table(
+        f"{len(QUESTIONS)} questions, {sum(not one.here for one in QUESTIONS)} of them not covered here.",
+        QUESTIONS,
+        {
+            "Question": lambda one: words(one.asks),
+            "Drawn from": lambda one: words(STANDARDS[one.of].name),
+            "Answered in": lambda one: words(one.here or "not covered here", href=one.here),
+            "By what, or what would": lambda one: words(one.means),
+        },
+    )
+
+
 def strata(evidence: Evidence) -> CellTable:
     """The operational domain, part by part."""
     return _table(
@@ -528,6 +542,7 @@ _EVERY: tuple[Callable[..., object], ...] = (
         standards,
         missing,
         spoken_to,
+        questions,
         strata,
         overruling,
         separation,
