@@ -150,9 +150,9 @@ class _ApproachesValue(Below):
 APPROACHES = _ApproachesValue(
     noun="rate of approaches",
     tables=(
-        table_of(_FittedApproaches, "approaches of recorded hands", path="hazards[].approaches"),
-        table_of(CountedApproaches, "approaches that were counted", path="hazards[].approaches"),
-        table_of(StatedApproaches, "approaches that somebody states", path="hazards[].approaches"),
+        table_of(_FittedApproaches, "approaches of recorded hands"),
+        table_of(CountedApproaches, "approaches that were counted"),
+        table_of(StatedApproaches, "approaches that somebody states"),
     ),
 )
 
@@ -206,7 +206,7 @@ class Hazard:
         return derived(graph, self.severity, self.exposure, self.avoidance, unlikely=low)
 
 
-HAZARD = table_of(Hazard, "a hazard", path="hazards[]", where="a hazard of a plan")
+HAZARD = table_of(Hazard, "a hazard", where="a hazard of a plan")
 TABLES = (HAZARD, *HAZARD.below(), OWN_GRAPH)  # for explain
 
 

@@ -68,7 +68,7 @@ def derived(graph: RiskGraph, severity: str, exposure: str, avoidance: str, *, u
     """Walk the graph; what is not assessed leads nowhere."""
     found = {"severity": severity, "exposure": exposure, "avoidance": avoidance}
     if missing := [what for what, value in found.items() if value == UNKNOWN]:
-        return DerivedRate(None, None, (f"{' and '.join(missing)} not assessed: no level follows",))
+        return DerivedRate(None, None, (f"{', '.join(missing)} not assessed: no level follows",))
     steps = [f"{what} {value}, {MEANINGS[value]}" for what, value in found.items()]
     level = graph.levels[" ".join(found.values())]
     if unlikely:
@@ -92,7 +92,6 @@ def band_of(an_hour: float) -> str:
 _RATE = QuantityValue(NUMBER, least=0.0, most=1e6)
 OWN_GRAPH = KeyTable(
     name="a risk graph",
-    path="risk graph",
     keys=(
         Key(
             "graph",
