@@ -234,7 +234,7 @@ def _stages(evidence: Evidence) -> Iterator[Element]:
         verified.append(
             (f"{len(evidence.proven.claims)} claims about every question of a region", "proven", OPEN)
         )
-    stages = (
+    stages: tuple[tuple[str, list[tuple[str, str, str]]], ...] = (
         (
             "1, scoping: where the learned part answers is stated",
             [("The strata of the plan", "strata", OPEN)],

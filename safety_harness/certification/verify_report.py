@@ -58,7 +58,8 @@ _AROUND = 60  # letters shown before and after a difference
 def check_pages(report: ReportFolder, gathered: GatheredEvidence) -> Examination:
     """The page and the JUnit XML, made again from the evidence; with other software a difference is said."""
     folder, recorded = report.folder, report.recorded
-    faults, notes, unchecked = list(_traces(folder, gathered)), [], []
+    faults, notes = list(_traces(folder, gathered)), []
+    unchecked: list[str] = []
     if bytes_of(folder / JUNIT) != written(junit_xml(recorded)):
         faults.append(f"{JUNIT} does not say what {JSON} says")
     for name, text in argument_texts(recorded).items():
