@@ -224,56 +224,40 @@ def _stratum(one: ClaimResult, place: str) -> Element:
 
 def _stages(evidence: Evidence) -> Iterator[Element]:
     """AMLAS's six stages, each with what this report has of it."""
-    card, claims = dict(evidence.system.card), evidence.claims
+    card, claims, proven = dict(evidence.system.card), evidence.claims, evidence.proven
     asked = sum(one.target is not None for one in claims)
+    risks = f"{len(evidence.hazards)} hazards; {asked} of {len(claims)} claims have a target"
+    runs = f"{sum(one.made for one in evidence.strata)} declared runs"
     hashes = [value for name, value in evidence.system.facts if "sha256" in value and name == "Avoider"]
-    verified = [
-        (f"{sum(one.made for one in evidence.strata)} declared runs", "results", STATE[evidence.standing])
-    ]
-    if evidence.proven is not None:
-        verified.append(
-            (f"{len(evidence.proven.claims)} claims about every question of a region", "proven", OPEN)
-        )
-    stages: tuple[tuple[str, list[tuple[str, str, str]]], ...] = (
+
+    def carded(*names: str) -> Solutions:
+        return [(f"{name}: {card[name]}", "system", OPEN) for name in names if name in card]
+
+    stages: tuple[tuple[str, Solutions], ...] = (
+        ("scoping: where the learned part answers is stated", [("The strata of the plan", "strata", OPEN)]),
         (
-            "1, scoping: where the learned part answers is stated",
-            [("The strata of the plan", "strata", OPEN)],
+            "safety requirements: what is asked of it follows from the system's risk",
+            [(risks, "rates", OPEN)] if evidence.hazards else [],
         ),
+        ("data: what it learned from is known", carded("Training data", "Seen hands")),
+        ("learning: how it was made can be repeated", carded("Made by", "Recipe")),
         (
-            "2, safety requirements: what is asked of it follows from the system's risk",
+            "verification: it does what is asked",
             [
-                (
-                    f"{len(evidence.hazards)} hazards; {asked} of {len(claims)} claims have a target",
-                    "rates",
-                    OPEN,
-                )
-            ]
-            if evidence.hazards
-            else [],
-        ),
-        (
-            "3, data: what it learned from is known",
-            [
-                (f"{name}: {card[name]}", "system", OPEN)
-                for name in ("Training data", "Seen hands")
-                if name in card
+                (runs, "results", STATE[evidence.standing]),
+                *([(f"{len(proven.claims)} claims about every question", "proven", OPEN)] if proven else []),
             ],
         ),
-        (
-            "4, learning: how it was made can be repeated",
-            [(f"{name}: {card[name]}", "system", OPEN) for name in ("Made by", "Recipe") if name in card],
-        ),
-        ("5, verification: it does what is asked", verified),
-        ("6, deployment: what answers in the cell is what was verified, and its service is watched", []),
+        ("deployment: what was verified answers in the cell, and its service is watched", []),
     )
     for number, (text, solutions) in enumerate(stages, start=1):
         below = tuple(Element(ElementKind.SOLUTION, *one) for one in solutions)
         frozen = tuple(Element(ElementKind.CONTEXT, one, "system") for one in hashes if number == 4)
-        yield Element(
-            ElementKind.GOAL, f"Stage {text}", "system", OPEN, below, frozen, name=f"AMLAS stage {number}"
-        )
+        name = f"AMLAS stage {number}"
+        yield Element(ElementKind.GOAL, f"Stage {number}, {text}", "system", OPEN, below, frozen, name=name)
 
 
+Solutions = list[tuple[str, str, str]]  # text, place, state
 Answers = Iterator[tuple[str, str, str]]  # text, place, state
 
 
