@@ -184,7 +184,7 @@ def rates(evidence: Evidence) -> CellTable:
         [(one, rate) for one in evidence.hazards for rate in one.rates],
         {
             "Hazard": lambda one: words(one[0].name),
-            "Claim": lambda one: words(str(one[1].claim), href=f"claim-{one[1].claim}"),
+            "Claim": lambda one: words(str(one[1].claim)),
             "Approaches an hour": lambda one: number(
                 hourly(one[0].approaches_an_hour or 0.0), one[0].approaches_an_hour
             ),
