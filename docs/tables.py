@@ -7,6 +7,7 @@ import re
 import sys
 from pathlib import Path
 
+from safety_harness.campaign.hazards import TABLES
 from safety_harness.certification.evidence import schema as evidence_schema
 from safety_harness.certification.standards import STANDARDS, told_with_standards
 from safety_harness.formulas.signals import markdown_of_signals
@@ -30,7 +31,7 @@ _MARKED = re.compile(r"(<!-- table: (.*?) -->\n).*?(<!-- end -->\n)", re.DOTALL)
 
 def with_tables(text: str) -> str:
     """A page with every marked table as it should be; KeyError for a table that there is not."""
-    tables = {table.name: markdown(table) for table in every_table()}
+    tables = {table.name: markdown(table) for table in (*every_table(), *TABLES)}
     tables["moves"] = markdown_of_moves(MOVES)
     tables["claims"] = markdown_of_claims(CATALOGUE, told_with_standards)
     tables["standards"] = markdown_of_standards()

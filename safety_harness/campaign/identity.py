@@ -119,13 +119,19 @@ class PlanFile:
 
 
 def files_of_plan(
-    plan: Path, library: Library, spaces: Sequence[ScenarioSpace], avoider: str | None
+    plan: Path,
+    library: Library,
+    spaces: Sequence[ScenarioSpace],
+    avoider: str | None,
+    others: Sequence[Path] = (),
 ) -> tuple[PlanFile, ...]:
     """The plan's own file first, then its spaces, what they extend, recordings, avoiders and models.
 
+    And ``others``, which the plan was read from.
+
     What an avoider of the user's own imports or opens besides is not known here.
     """
-    named = [plan.resolve(), *library.files]
+    named = [plan.resolve(), *library.files, *others]
     for space in spaces:
         avoiders = (file_and_name(text)[0] for text in references_in(space.tree, ("avoider", "controller")))
         folder = space.file.parent if space.file else Path()

@@ -16,6 +16,7 @@ from typing import TypeVar
 from safety_harness.admission.avoiders import command_line_reference, with_avoider
 from safety_harness.admission.claims import property_of
 from safety_harness.admission.driving import named_system
+from safety_harness.campaign.hazards import PlannedHazards, read_hazards
 from safety_harness.campaign.identity import Identity, PlanFile, files_of_plan, identity_of, references_in
 from safety_harness.exceptions import InadmissibleError, Place
 from safety_harness.properties.base import Unit
@@ -32,6 +33,7 @@ from safety_harness.scenario.model import (
     Scenario,
     Verdict,
 )
+from safety_harness.scenario.nodes import Scalar
 from safety_harness.scenario.references import file_and_name
 from safety_harness.scenario.units import FRACTION
 from safety_harness.shipped.contents import located
@@ -51,6 +53,8 @@ KEYS = (
     "confidence",
     "seed",
     "strata",
+    "risk graph",
+    "hazards",
     "claims",
     "search",
     "keep",
@@ -64,12 +68,16 @@ MOST_TRACES = 100_000  # of a stratum, some 0.4 MB each
 
 @dataclass(frozen=True)
 class PlannedClaim:
-    """A claim as its author wrote it, which should hold; ``target`` bounds its chance of violation."""
+    """A claim as its author wrote it, which should hold; ``target`` bounds its chance of violation.
+
+    ``hazards`` are those of the plan that it stands under; ``hazard`` is their names, or words of its own.
+    """
 
     claim: Claim
     unit: Unit
     target: float | None = None
     hazard: str = ""
+    hazards: tuple[str, ...] = ()
 
     @property
     def sentence(self) -> str:
@@ -107,6 +115,7 @@ class Plan:
     confidence: float
     seed: int
     strata: tuple[Stratum, ...]
+    risks: PlannedHazards
     claims: tuple[PlannedClaim, ...]
     search_runs: int
     random_traces: int
@@ -163,7 +172,9 @@ def read_plan(path: str | Path) -> Plan:
     if reference:
         for stratum in strata:
             with_avoider(stratum.space.simplest, _from(path.parent, reference), place)
-    claims = _claims(given.required("claims"), strata)
+    confidence = _read(given, "confidence", lambda f: f.quantity(FRACTION, least=0.5, most=0.999999), 0.95)
+    risks = read_hazards(given, confidence)
+    claims = _claims(given.required("claims"), strata, risks)
     keep = _read(given, "keep", lambda field: field.fields(("random traces", "violations")), None)
     search = _read(given, "search", lambda field: field.fields(("runs",)), None)
     stop = given.optional("stop early")
@@ -173,15 +184,16 @@ def read_plan(path: str | Path) -> Plan:
             "no, or a target (violated in at most: ...) for every claim, which tells when to stop"
         )
     world = _read(given, "world", lambda field: field.one_of(worlds_by_label()), REFERENCE)
-    files = files_of_plan(path, library, [stratum.space for stratum in strata], reference)
+    files = files_of_plan(path, library, [stratum.space for stratum in strata], reference, risks.files)
     return Plan(
         title=title,
         about=_read(given, "about", lambda f: f.prose("why, intended use, assumptions", lines=True), ""),
         avoider=reference,
         world=world,
-        confidence=_read(given, "confidence", lambda f: f.quantity(FRACTION, least=0.5, most=0.999999), 0.95),
+        confidence=confidence,
         seed=_read(given, "seed", lambda f: f.integer(least=0, most=LARGEST_SEED), 0),
         strata=strata,
+        risks=risks,
         claims=claims,
         search_runs=_read(search, "runs", lambda f: f.integer(least=0, most=MOST_RUNS), 0),
         random_traces=_read(keep, "random traces", lambda f: f.integer(least=0, most=MOST_TRACES), 20),
@@ -264,11 +276,11 @@ def _strata(at: Field, folder: Path, library: Library) -> tuple[Stratum, ...]:
     return tuple(strata)
 
 
-def _claims(at: Field, strata: tuple[Stratum, ...]) -> tuple[PlannedClaim, ...]:
+def _claims(at: Field, strata: tuple[Stratum, ...], risks: PlannedHazards) -> tuple[PlannedClaim, ...]:
     claims: list[PlannedClaim] = []
     meant: set[str] = set()
     for item in at.items("a list of claims", least=1, most=MOST_CLAIMS):
-        given = item.fields(("claim", "violated in at most", "hazard"))
+        given = item.fields(("claim", "violated in at most", "hazard", "hazards"))
         sentence = given.required("claim")
         text = sentence.sentence("a claim of the catalogue, or a formula")
         claim = Claim(sentence=text, expected=Verdict.HOLDS, place=sentence.place)
@@ -276,13 +288,25 @@ def _claims(at: Field, strata: tuple[Stratum, ...]) -> tuple[PlannedClaim, ...]:
         if properties[0].sentence in meant:
             raise sentence.error("each claim once", got=f"{properties[0].sentence!r} a second time")
         meant.add(properties[0].sentence)
+        listed = given.optional("hazards")
+        hazards = risks.named(listed) if listed else ()
+        if hazards and "hazard" in given:
+            raise given.required("hazard").error("one of hazard and hazards", got="both")
         target = given.optional("violated in at most")
+        own = _read(given, "hazard", lambda f: f.prose("what may happen to whom", lines=True), "")
         claims.append(
             PlannedClaim(
                 claim,
                 properties[0].unit,
-                target.quantity(FRACTION, above=0.0, most=0.5) if target else None,
-                _read(given, "hazard", lambda f: f.prose("what may happen to whom", lines=True), ""),
+                _target(target, hazards, risks) if target else None,
+                "; ".join(hazards) or own,
+                hazards,
             )
         )
     return tuple(claims)
+
+
+def _target(field: Field, hazards: tuple[str, ...], risks: PlannedHazards) -> float:
+    if isinstance(field.node, Scalar) and field.node.text == "derived":
+        return risks.target(hazards, field)
+    return field.quantity(FRACTION, above=0.0, most=0.5)

@@ -1,29 +1,37 @@
-"""The assurance argument in goal structuring notation, made from the evidence: what is claimed, on what.
+"""The assurance argument in goal structuring notation, by hazard, made from the evidence.
 
+The top goal is argued by hazard, claim and stratum, and by the stages of AMLAS where a part is learned.
 Goals are what should be true, strategies how a goal is broken down, solutions the evidence it rests on;
-contexts and assumptions stand beside.  A goal without a solution is undeveloped and is drawn so.  The words
-on goals are the evidence's own: an argument whose evidence fails shows it.
-
-In the picture goals are boxes, strategies slanted, solutions circles, contexts rounded.  A goal stands above
-the strategies that support it; what supports a strategy stands below it in rows, each with its solutions to
-the right, so that the picture is as wide as a page.  Contexts and assumptions stand beside.
+contexts, assumptions and justifications stand beside.  Defeaters are what would undermine the top goal, each
+with what was done about it (counter goals and counter solutions of the notation's dialectic extension).  A
+goal without support is undeveloped and is drawn so.  The words are the evidence's own: an argument whose
+evidence fails shows it.  What an author adds (``notes``) stands beside, and changes no state.
 """
 
 from __future__ import annotations
 
 import textwrap
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from enum import Enum
 from html import escape
 
 from markupsafe import Markup
 
-from safety_harness.certification.evidence import ClaimEvidence, ClaimStatus, Evidence, by_gravity
-from safety_harness.certification.verdicts import percent
+from safety_harness.certification.evidence import (
+    SEVERITY,
+    ClaimEvidence,
+    ClaimResult,
+    ClaimStatus,
+    Evidence,
+    HazardEvidence,
+    by_gravity,
+)
+from safety_harness.certification.verdicts import at_most, gravest, percent
 from safety_harness.report.page_parts import templates
 from safety_harness.report.svg import plain
+from safety_harness.report.words import count_words
 
 DONE, DOUBT, FAILS, OPEN = "holds", "inconclusive", "violated", "none"
 STATE = {
@@ -35,6 +43,7 @@ STATE = {
     ClaimStatus.REFUTED: FAILS,
     ClaimStatus.ESTIMATED: OPEN,
 }
+MOST_STRATA = 4  # of a claim, the gravest first; the rest in one element
 
 
 class ElementKind(Enum):
@@ -45,13 +54,17 @@ class ElementKind(Enum):
     SOLUTION = "Sn"
     CONTEXT = "C"
     ASSUMPTION = "A"
+    JUSTIFICATION = "J"
+    DEFEATER = "CG"
+    ANSWER = "CSn"
 
 
 @dataclass(frozen=True)
 class Element:
     """One element: ``place`` is the id on the page that it leads to, ``state`` the colour of what it says.
 
-    ``below`` supports it, ``beside`` is what it is to be read in.  ``key`` has its kind and number.
+    ``below`` supports it, or challenges it if it is a defeater or an answer; ``beside`` is what it is to be
+    read in.  ``key`` has its kind and number; ``name``, which outlives a run, is what a note is on.
     """
 
     kind: ElementKind
@@ -61,39 +74,48 @@ class Element:
     below: tuple[Element, ...] = ()
     beside: tuple[Element, ...] = ()
     key: str = ""
+    name: str = ""
 
     @property
     def undeveloped(self) -> bool:
-        """A goal or strategy that nothing supports."""
-        return self.kind in (ElementKind.GOAL, ElementKind.STRATEGY) and not self.below
+        """A goal, strategy or defeater of which nothing is said."""
+        return self.kind in UNDEVELOPED and not self.below
+
+    def every(self) -> Iterator[Element]:
+        """It, what stands beside it, and all below."""
+        yield self
+        yield from self.beside
+        for one in self.below:
+            yield from one.every()
+
+
+UNDEVELOPED = {
+    ElementKind.GOAL: "undeveloped: nothing supports it",
+    ElementKind.STRATEGY: "undeveloped: nothing supports it",
+    ElementKind.DEFEATER: "nothing was done about it",
+}
 
 
 def argument_of(evidence: Evidence) -> Element:
     """The whole argument; its leaves lead to the parts of the page that hold their evidence."""
     plan, system = evidence.plan, evidence.system
     domain = "Domain: " + ", ".join(one.name for one in evidence.strata)
-    cell = "Hands, braking and arm are as the assumptions say"
     sure = f"{percent(plan.confidence)} for all {plan.bounds} bounds together, {plan.world}"
-    by_claims = Element(
+    by_hazard = Element(
         ElementKind.STRATEGY,
-        "By claim and stratum, with exact bounds from independent runs",
+        "By hazard, claim and stratum, with exact bounds from independent runs",
         "results",
         beside=(Element(ElementKind.CONTEXT, sure, "plan"),),
-        below=tuple(map(_of_claim, by_gravity(evidence.claims))),
+        below=tuple(_hazards(evidence)),
+        name="by hazard",
     )
-    means = (
-        ("Ways to violate a claim are known and explained", "counterexamples", DOUBT, _hunt),
-        ("The simulator may be believed for these claims", "credibility", OPEN, _credibility),
-        ("What judges would notice a fault", "tools", OPEN, _tools),
-    )
-    by_means = Element(
+    stages = tuple(_stages(evidence)) if system.card or evidence.proven else ()
+    by_stage = Element(
         ElementKind.STRATEGY,
-        "By what could make the bounds misleading",
-        "not-shown",
-        below=tuple(
-            Element(ElementKind.GOAL, text, place, state, tuple(support(evidence)))
-            for text, place, state, support in means
-        ),
+        "By the stages of AMLAS, for the learned part",
+        "system",
+        below=stages,
+        name="AMLAS",
     )
     top = Element(
         ElementKind.GOAL,
@@ -101,14 +123,25 @@ def argument_of(evidence: Evidence) -> Element:
         + (f"; {evidence.fallback}" if evidence.fallback else ""),
         "claims",
         STATE[evidence.standing],
-        below=(by_claims, by_means),
+        below=(by_hazard, *([by_stage] if stages else ()), *_defeaters(evidence)),
         beside=(
             Element(ElementKind.CONTEXT, domain, "strata"),
             Element(ElementKind.CONTEXT, f"System: {system.tested} on {system.robot}", "system"),
-            Element(ElementKind.ASSUMPTION, cell, "assumptions"),
+            Element(
+                ElementKind.ASSUMPTION, "Hands, braking and arm are as the assumptions say", "assumptions"
+            ),
         ),
+        name="top",
     )
-    return _numbered(top, Counter())
+    return _numbered(_noted(top, {one.element: one.text for one in evidence.notes}), Counter())
+
+
+def _noted(element: Element, notes: dict[str, str]) -> Element:
+    """With the author's notes as justifications beside."""
+    text = notes.get(element.name, "") if element.name else ""
+    note = (Element(ElementKind.JUSTIFICATION, f"The author: {text}", element.place),) if text else ()
+    below = tuple(_noted(one, notes) for one in element.below)
+    return replace(element, beside=element.beside + note, below=below)
 
 
 def _numbered(element: Element, counts: Counter[ElementKind]) -> Element:
@@ -121,54 +154,201 @@ def _numbered(element: Element, counts: Counter[ElementKind]) -> Element:
     )
 
 
-def _of_claim(claim: ClaimEvidence) -> Element:
+def _hazards(evidence: Evidence) -> Iterator[Element]:
+    """A goal for each hazard of the plan, then one for the words of each claim that names none."""
+    for hazard in evidence.hazards:
+        yield _hazard(hazard, [one for one in evidence.claims if one.number in hazard.claims])
+    named = {number for hazard in evidence.hazards for number in hazard.claims}
+    others = [one for one in by_gravity(evidence.claims) if one.number not in named]
+    for words in dict.fromkeys(one.hazard for one in others):
+        claims = [one for one in others if one.hazard == words]
+        below = tuple(_claim(one, ()) for one in claims)
+        state = STATE[gravest(one.standing for one in claims)]
+        text = f"Kept rare: {words}"
+        yield Element(ElementKind.GOAL, text, "hazards", state, below, name=f"hazard: {words}")
+
+
+def _hazard(hazard: HazardEvidence, claims: list[ClaimEvidence]) -> Element:
+    asked = "" if hazard.asked_an_hour is None else f", at most {hazard.asked_an_hour:g} an hour"
+    rated = STATE[ClaimStatus.SHOWN] if hazard.met else DOUBT
+    rates = {
+        one.claim: Element(ElementKind.SOLUTION, f"At most {one.an_hour:.3g} an hour", "rates", rated)
+        for one in hazard.rates
+    }
+    beside = [
+        Element(ElementKind.CONTEXT, f"{hazard.task}; {hazard.zone}; {hazard.body_region}", "rates"),
+        Element(
+            ElementKind.JUSTIFICATION,
+            f"{''.join(hazard.steps[-1:])}; decided by {hazard.decided_by}",
+            "rates",
+        ),
+    ]
+    if hazard.approaches:
+        beside.append(Element(ElementKind.ASSUMPTION, f"Approaches: {hazard.approaches}", "rates"))
+    state = STATE[gravest(one.standing for one in claims)]
+    return Element(
+        ElementKind.GOAL,
+        f"Kept rare: {hazard.name}{asked} ({hazard.event})",
+        "rates",
+        DOUBT if state == DONE and hazard.met is not True else state,
+        tuple(_claim(one, (rates[one.number],) if one.number in rates else ()) for one in by_gravity(claims)),
+        tuple(beside),
+        name=f"hazard: {hazard.name}",
+    )
+
+
+def _claim(claim: ClaimEvidence, rates: tuple[Element, ...]) -> Element:
     place, state = f"claim-{claim.number}", STATE[claim.standing]
     target = "" if claim.target is None else f", violated in at most {percent(claim.target)}"
-    runs = sum(outcome.tested for outcome in claim.outcomes)
-    words = f"{runs} runs put it to the test: {claim.standing.value}"
-    tested = (Element(ElementKind.SOLUTION, words, place, state),) if runs else ()
-    return Element(ElementKind.GOAL, f"{claim.sentence}{target}", place, state, tested)
+    tested = sorted(
+        (one for one in claim.outcomes if one.tested), key=lambda one: -SEVERITY.index(one.standing)
+    )
+    many = tested if len(tested) <= MOST_STRATA else tested[: MOST_STRATA - 1]
+    strata = [_stratum(one, place) for one in many]
+    if rest := tested[len(many) :]:
+        words = f"{len(rest)} more strata: {rest[0].standing.value} at worst"
+        strata.append(Element(ElementKind.SOLUTION, words, place, STATE[rest[0].standing]))
+    below = (*strata, *rates) if strata else ()
+    return Element(
+        ElementKind.GOAL, f"{claim.sentence}{target}", place, state, below, name=f"claim: {claim.sentence}"
+    )
 
 
-def _hunt(evidence: Evidence) -> Iterator[Element]:
+def _stratum(one: ClaimResult, place: str) -> Element:
+    bound = "" if one.bound is None else f", at most {at_most(one.bound.upper)}"
+    words = (
+        f"{one.stratum}: {one.violated} of {one.tested} tested runs violate it{bound}: {one.standing.value}"
+    )
+    return Element(ElementKind.SOLUTION, words, place, STATE[one.standing])
+
+
+def _stages(evidence: Evidence) -> Iterator[Element]:
+    """AMLAS's six stages, each with what this report has of it."""
+    card, claims, proven = dict(evidence.system.card), evidence.claims, evidence.proven
+    asked = sum(one.target is not None for one in claims)
+    risks = f"{len(evidence.hazards)} hazards; {asked} of {len(claims)} claims have a target"
+    runs = f"{sum(one.made for one in evidence.strata)} declared runs"
+    hashes = [value for name, value in evidence.system.facts if "sha256" in value and name == "Avoider"]
+
+    def carded(*names: str) -> Solutions:
+        return [(f"{name}: {card[name]}", "system", OPEN) for name in names if name in card]
+
+    stages: tuple[tuple[str, Solutions], ...] = (
+        ("scoping: where the learned part answers is stated", [("The strata of the plan", "strata", OPEN)]),
+        (
+            "safety requirements: what is asked of it follows from the system's risk",
+            [(risks, "rates", OPEN)] if evidence.hazards else [],
+        ),
+        ("data: what it learned from is known", carded("Training data", "Seen hands")),
+        ("learning: how it was made can be repeated", carded("Made by", "Recipe")),
+        (
+            "verification: it does what is asked",
+            [
+                (runs, "results", STATE[evidence.standing]),
+                *([(f"{len(proven.claims)} claims about every question", "proven", OPEN)] if proven else []),
+            ],
+        ),
+        ("deployment: what was verified answers in the cell, and its service is watched", []),
+    )
+    for number, (text, solutions) in enumerate(stages, start=1):
+        below = tuple(Element(ElementKind.SOLUTION, *one) for one in solutions)
+        frozen = tuple(Element(ElementKind.CONTEXT, one, "system") for one in hashes if number == 4)
+        name = f"AMLAS stage {number}"
+        yield Element(ElementKind.GOAL, f"Stage {number}, {text}", "system", OPEN, below, frozen, name=name)
+
+
+Solutions = list[tuple[str, str, str]]  # text, place, state
+Answers = Iterator[tuple[str, str, str]]  # text, place, state
+
+
+def _hunt(evidence: Evidence) -> Answers:
     if evidence.search is not None:
         distinct = len(evidence.counterexamples)
         words = f"Search of {evidence.search.runs} runs; {distinct} distinct counterexamples in all"
-        yield Element(ElementKind.SOLUTION, words, "counterexamples", DOUBT if distinct else OPEN)
+        yield words, "counterexamples", DOUBT if distinct else OPEN
+
+
+def _domain(evidence: Evidence) -> Answers:
     if evidence.coverage.runs:
         words = f"Coverage: {len(evidence.coverage.cells)} cells in {evidence.coverage.runs} runs"
-        yield Element(ElementKind.SOLUTION, words, "coverage")
+        yield words, "coverage", OPEN
 
 
-def _credibility(evidence: Evidence) -> Iterator[Element]:
+def _credibility(evidence: Evidence) -> Answers:
     known = evidence.credibility
     if (agreement := known.agreement) is not None:
         state = DOUBT if agreement.optimistic or not agreement.present else DONE
-        words = f"Two worlds: {agreement.disagreements} of {agreement.verdicts} verdicts differ"
-        yield Element(ElementKind.SOLUTION, words, "agreement", state)
+        yield (
+            f"Two worlds: {agreement.disagreements} of {agreement.verdicts} verdicts differ",
+            "agreement",
+            state,
+        )
     for rerun in known.reruns:
         words = f"{rerun.title}: {rerun.changed} of {rerun.verdicts} verdicts change"
-        yield Element(ElementKind.SOLUTION, words, rerun.place, DOUBT if rerun.changed else DONE)
+        yield words, rerun.place, DOUBT if rerun.changed else DONE
     for cell in known.cells:
-        words = f"A recorded cell: {cell.differing} of {cell.decided} verdicts differ"
         fine = cell.decided and not cell.differing and cell.present
-        yield Element(ElementKind.SOLUTION, words, "recorded-cells", DONE if fine else DOUBT)
+        words = f"A recorded cell: {cell.differing} of {cell.decided} verdicts differ"
+        yield words, "recorded-cells", DONE if fine else DOUBT
     if known.oracles:
-        yield Element(ElementKind.SOLUTION, f"{len(known.oracles)} parts against other software", "oracles")
+        yield f"{len(known.oracles)} parts against other software", "oracles", OPEN
 
 
-def _tools(evidence: Evidence) -> Iterator[Element]:
+def _tools(evidence: Evidence) -> Answers:
     test = evidence.selftest
     if test is not None:
         every = 0 < len(test.faults) == test.caught and test.whole
         words = f"Seeded faults: {test.caught} of {len(test.faults)} caught"
         words += "" if test.whole else ", not all tried"
-        fine = every and not test.false_alarms and test.present
-        yield Element(ElementKind.SOLUTION, words, "tools", DONE if fine else DOUBT)
+        yield words, "tools", DONE if every and not test.false_alarms and test.present else DOUBT
 
 
-WIDTH, PAD, LINE, GAP_X, GAP_Y = 176.0, 10.0, 15.0, 22.0, 46.0
+def _declared(evidence: Evidence) -> Answers:
+    if digest := evidence.record.declaration_sha256:
+        yield f"Declared as {digest[:12]}, if that was lodged before the runs", "plan", OPEN
+
+
+def _calibration(evidence: Evidence) -> Answers:
+    for one in evidence.calibration:
+        yield (
+            f"{one.stratum}: {one.decisions} decisions, calibration {one.decided}",
+            "calibration",
+            one.decided,
+        )
+
+
+def _altered(evidence: Evidence) -> Answers:
+    yield f"Root over all rows {evidence.record.rows_sha256[:12]}, to be sealed elsewhere", "provenance", OPEN
+
+
+DEFEATERS: tuple[tuple[str, str, str, Callable[[Evidence], Answers]], ...] = (
+    ("simulator", "The simulator is not the cell", "credibility", _credibility),
+    ("domain", "The cell leaves the strata", "coverage", _domain),
+    ("unmet", "Violations are left that no run met", "counterexamples", _hunt),
+    ("judges", "The judges overlook a fault", "tools", _tools),
+    ("certain", "The avoider is sure where it is wrong", "calibration", _calibration),
+    ("fitted", "The plan was chosen after its runs", "plan", _declared),
+    ("altered", "Rows were altered afterwards", "provenance", _altered),
+)
+
+
+def _defeaters(evidence: Evidence) -> Iterator[Element]:
+    """What would undermine the top goal: green where all answers are, and no finding is open."""
+    for name, text, place, known in DEFEATERS:
+        if name == "certain" and not evidence.system.asks:
+            continue
+        answers = tuple(Element(ElementKind.ANSWER, *one) for one in known(evidence))
+        places = {place, *(one.place for one in answers)} | ({"strata"} if name == "domain" else set())
+        findings = sum(one.place in places for one in evidence.findings)
+        states = {one.state for one in answers}
+        state = DONE if states == {DONE} and not findings else DOUBT
+        words = f"{text}: {count_words(findings, 'open finding', 'open findings')}" if findings else text
+        yield Element(ElementKind.DEFEATER, words, place, state, answers, name=f"defeater: {name}")
+
+
+WIDTH, PAD, LINE, GAP_X, GAP_Y = 176.0, 10.0, 15.0, 22.0, 12.0
 LETTERS = 25  # in a line of a box
+INDENT = 12.0  # of what stands beside an element, which is drawn below it
 
 
 class _Box:
@@ -180,69 +360,37 @@ class _Box:
         lines = textwrap.wrap(plain(element.text, longest=140), LETTERS) or [""]
         self.lines = [Markup(escape(line)) for line in (f"{element.key} \u00b7 {kind}", *lines)]
         self.height = 2 * PAD + LINE * len(self.lines)
-        self.middle, self.bottom = x + WIDTH / 2.0, y + self.height
-
-
-def _own_width(element: Element) -> float:
-    return WIDTH + (WIDTH + GAP_X if element.beside else 0.0)
-
-
-def _width(element: Element) -> float:
-    """With all that supports it."""
-    if element.kind is ElementKind.STRATEGY:
-        return max(_own_width(element), 2 * (GAP_X + WIDTH))
-    below = sum(map(_width, element.below)) + GAP_X * max(len(element.below) - 1, 0)
-    return max(_own_width(element), below)
+        self.middle, self.bottom = y + self.height / 2.0, y + self.height
 
 
 class _Layout:
-    """Places every element, and remembers what is joined to what."""
+    """Places every element, from left to right, and remembers what is joined to what."""
 
     def __init__(self, top: Element) -> None:
         self.boxes: list[_Box] = []
         self.arrows: list[tuple[list[tuple[float, float]], str]] = []  # a line, the marker at its end
-        self.width = _width(top) + 2 * GAP_X
         self.height = self._place(top, GAP_X, GAP_X)[1] + GAP_X
+        self.width = max(box.x for box in self.boxes) + WIDTH + GAP_X
 
-    def _place(self, element: Element, left: float, top: float) -> tuple[_Box, float]:
-        """Put ``element`` and all below it; returns its box and how far down all of it goes."""
-        box = self._box(element, left, top)  # it begins where a narrow screen does
-        bottom = max(self._to_the_right(box, element.beside, "ring") - 8.0, box.bottom)
-        if element.kind is ElementKind.STRATEGY:
-            return box, self._rows(box, left, bottom + GAP_Y * 0.6)
-        lowest, start = bottom, left
+    def _place(self, element: Element, x: float, y: float) -> tuple[_Box, float]:
+        """Put ``element``, with what is beside it below and its support to the right; the lowest end."""
+        box = self._box(element, x, y)
+        bottom = box.bottom + (10.0 if element.undeveloped else 0.0)
+        for one in element.beside:
+            beside = self._box(one, x + INDENT, bottom + 8.0)
+            self.arrows.append(
+                ([(x + 4.0, box.bottom), (x + 4.0, beside.middle), (beside.x, beside.middle)], "ring")
+            )
+            bottom = beside.bottom
+        end, rail = y, x + WIDTH + INDENT + GAP_X / 2.0
         for one in element.below:
-            placed, end = self._place(one, start, bottom + GAP_Y)
-            level = placed.y - GAP_Y / 2.0
-            below = (box.middle, box.bottom), (box.middle, level)
-            self.arrows.append(([*below, (placed.middle, level), (placed.middle, placed.y)], "tip"))
-            lowest, start = max(lowest, end), start + _width(one) + GAP_X
-        return box, lowest
-
-    def _to_the_right(self, box: _Box, elements: tuple[Element, ...], tip: str) -> float:
-        """Put elements beside a box, one below the other; returns where another one would stand."""
-        y = box.y
-        for one in elements:
-            beside = self._box(one, box.x + WIDTH + GAP_X, y)
-            centre = beside.y + beside.height / 2.0
-            start = box.x + WIDTH, min(centre, box.bottom - 4.0)
-            self.arrows.append(([start, (beside.x, centre)], tip))
-            y += beside.height + 8.0
-        return y
-
-    def _rows(self, box: _Box, left: float, y: float) -> float:
-        """What supports a strategy, one below the other, each with its own support to the right."""
-        rail = min(left, box.x) + 6.0
-        centre = box.bottom
-        for one in box.element.below:
-            placed = self._box(one, left + GAP_X, y)
-            end = placed.bottom + (8.0 if one.undeveloped else 0.0)
-            centre = placed.y + placed.height / 2.0
-            self.arrows.append(([(rail, centre), (placed.x, centre)], "tip"))
-            y = max(self._to_the_right(placed, one.below, "tip"), end + 12.0)
-        joint = (box.middle, box.bottom + 10.0), (rail, box.bottom + 10.0)
-        self.arrows.append(([(box.middle, box.bottom), *joint, (rail, centre)], ""))
-        return y
+            below, end = self._place(one, x + WIDTH + GAP_X + INDENT, end)
+            line = [(x + WIDTH, box.y + PAD + 8.0), (rail, box.y + PAD + 8.0), (rail, below.y + PAD + 8.0)]
+            line.append((below.x, below.y + PAD + 8.0))
+            against = one.kind in (ElementKind.DEFEATER, ElementKind.ANSWER)
+            self.arrows.append((line[::-1], "against") if against else (line, "tip"))
+            end += GAP_Y
+        return box, max(bottom, end - GAP_Y)
 
     def _box(self, element: Element, x: float, y: float) -> _Box:
         self.boxes.append(_Box(element, x, y))
@@ -252,4 +400,6 @@ class _Layout:
 def argument_svg(top: Element, *, prefix: str) -> str:
     """The picture as an ``<svg>`` element; every element is a link to its place on the page."""
     drawn = templates().get_template("argument.svg.j2")
-    return drawn.render(layout=_Layout(top), prefix=prefix, pad=PAD, line_height=LINE)
+    return drawn.render(
+        layout=_Layout(top), prefix=prefix, pad=PAD, line_height=LINE, undeveloped=UNDEVELOPED
+    )

@@ -13,6 +13,7 @@ from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import Plan, read_plan
 from safety_harness.campaign.runner import CampaignRunner
 from safety_harness.campaign.session import LEDGER, carry_on, processes
+from safety_harness.certification.argument_files import read_notes
 from safety_harness.certification.counterexamples import searches_of
 from safety_harness.certification.evidence import Evidence
 from safety_harness.certification.folder import PAGE, PDF, browser, write_folder, write_manifest, write_pdf
@@ -72,6 +73,8 @@ class Certification:
         refuse_shared_modules()
         if pdf:
             browser()
+        folder = folder or Path("reports") / plan.name
+        read_notes(folder)  # which may be none that can be read
         certificate = proof or plan.proof
         certified = None if certificate is None else read_certified(certificate, plan)
         trials = HarnessTrials(
@@ -80,9 +83,7 @@ class Certification:
             oracles_with="" if oracles is None else f"as {oracles.name} has it",
             cells=tuple(map(read_cell, cells)),
         )
-        return cls(
-            plan, folder or Path("reports") / plan.name, trials, command, declaration_sha256, pdf, certified
-        )
+        return cls(plan, folder, trials, command, declaration_sha256, pdf, certified)
 
     def run(self, workers: int | None, watch: WatchCampaign, output: SearchOutput) -> tuple[Evidence, bool]:
         """All of it; what is there already is not made again.  The evidence, and whether it is complete."""

@@ -24,6 +24,7 @@ from safety_harness.scenario.typed_json import of_format, plain, read_json, type
 from safety_harness.trace.system import SystemUnderTest
 
 FORMAT = "safety-harness evidence 1"
+LATER = ("proven", "hazards", "notes")  # fields that stand in the JSON only where there is something in them
 UNANSWERED = "decision faults"  # among a stratum's decisions: those without a usable answer of the avoider
 
 
@@ -121,6 +122,54 @@ class ClaimEvidence:
     standing: ClaimStatus
     why: str
     outcomes: tuple[ClaimResult, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class HourlyBound:
+    """At most ``an_hour`` violations of a claim, of approaches of which ``per_run`` violate it at most.
+
+    ``stratum`` is that of the largest bound per run: whichever mixture of strata an hour is, it is no worse.
+    """
+
+    claim: int
+    stratum: str
+    per_run: float
+    an_hour: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class HazardEvidence:
+    """One hazard of the plan in its author's words, the ``steps`` to what is asked, and what is bounded.
+
+    ``claims`` are the numbers of those under it.  ``approaches_an_hour`` is an upper bound that holds with
+    ``rate_confidence``; all rates hold together with the plan's confidence, apart from its bounds per run.
+    """
+
+    name: str
+    task: str
+    zone: str
+    body_region: str
+    event: str
+    severity: str
+    exposure: str
+    avoidance: str
+    decided_by: str
+    because: str
+    steps: tuple[str, ...]
+    level: str | None
+    asked_an_hour: float | None
+    claims: tuple[int, ...]
+    approaches: str
+    approaches_an_hour: float | None
+    rate_confidence: float | None
+    rates: tuple[HourlyBound, ...]
+
+    @property
+    def met(self) -> bool | None:
+        """Is every rate at or below what is asked?  None where nothing is asked, or a rate is missing."""
+        if self.asked_an_hour is None or not self.claims or len(self.rates) < len(self.claims):
+            return None
+        return all(one.an_hour <= self.asked_an_hour for one in self.rates)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -302,6 +351,14 @@ class OpenFinding:
 
 
 @dataclass(frozen=True, kw_only=True)
+class ArgumentNote:
+    """What the author says beside an element of the argument, by the element's name."""
+
+    element: str
+    text: str
+
+
+@dataclass(frozen=True, kw_only=True)
 class StoredFile:
     """A file of the report's folder."""
 
@@ -386,6 +443,8 @@ class Evidence:
     provenance: EvidenceProvenance
     files: tuple[StoredFile, ...]
     proven: CertifiedProofs | None = None  # about the avoider's network, where a certificate was given
+    hazards: tuple[HazardEvidence, ...] = ()  # where the plan names any
+    notes: tuple[ArgumentNote, ...] = ()  # where its author wrote any
 
     @property
     def fallback(self) -> str:
@@ -411,15 +470,16 @@ def by_gravity(claims: Iterable[ClaimEvidence]) -> list[ClaimEvidence]:
 def as_text(evidence: Evidence) -> str:
     """The whole report as JSON; ValueError for a number that is not finite."""
     found = plain(evidence)
-    if evidence.proven is None:
-        del found["proven"]
+    for name in LATER:
+        if not found[name]:
+            del found[name]
     return json.dumps(found, indent=1, allow_nan=False, ensure_ascii=False) + "\n"
 
 
 def read_evidence(path: Path) -> Evidence:
     """What ``as_text`` wrote; InputError with the place of what is not as it should be."""
     found = of_format(read_json(path, "an evidence report"), FORMAT, path)
-    return typed({"proven": None, **found}, Evidence, path)
+    return typed({name: getattr(Evidence, name) for name in LATER} | found, Evidence, path)
 
 
 def schema() -> dict[str, Any]:
@@ -432,5 +492,5 @@ def schema() -> dict[str, Any]:
                 part.pop("default", None)
     whole = found["$defs"]["Evidence"]
     whole["properties"]["format"] = {"const": FORMAT}
-    whole["required"].remove("proven")  # only where a certificate was given
+    whole["required"] = [name for name in whole["required"] if name not in LATER]
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": FORMAT, **found}

@@ -6,11 +6,13 @@ from collections.abc import Iterable, Iterator, Sequence
 
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.summary import fallback_of
+from safety_harness.certification.argument import argument_of
 from safety_harness.certification.counterexamples import MOST, Example, Searched
 from safety_harness.certification.evidence import (
     ClaimEvidence,
     ClaimStatus,
     Evidence,
+    HazardEvidence,
     OpenFinding,
     StratumResult,
 )
@@ -37,6 +39,7 @@ def findings_of(
     if not evidence.record.declaration_sha256:
         yield OpenFinding("nothing proves that the plan was declared before its runs were made", "plan")
     yield from of_claims(evidence.claims)
+    yield from of_hazards(evidence.hazards)
     yield from of_strata(ledger, evidence.strata)
     if ledger.repeated.words or not ledger.repeated.asked:
         yield OpenFinding(ledger.repeated.line, "strata")
@@ -45,6 +48,10 @@ def findings_of(
     yield from of_searches(searches, evidence.plan.search_runs)
     yield from of_worlds(evidence.credibility)
     yield from of_selftest(evidence.selftest)
+    names = {one.name for one in argument_of(evidence).every()}
+    for note in evidence.notes:
+        if note.element not in names:
+            yield OpenFinding(f"the author's note on {note.element!r} is on no element any more", "argument")
 
 
 def of_claims(claims: Sequence[ClaimEvidence]) -> Iterator[OpenFinding]:
@@ -55,6 +62,18 @@ def of_claims(claims: Sequence[ClaimEvidence]) -> Iterator[OpenFinding]:
             if claim.standing is ClaimStatus.UNTESTED and claim.exercised_when:
                 text += f"; exercised when: {claim.exercised_when}"
             yield OpenFinding(text, f"claim-{claim.number}")
+
+
+def of_hazards(hazards: Sequence[HazardEvidence]) -> Iterator[OpenFinding]:
+    """Hazards that no claim speaks to, of which nothing is asked, or whose rate is not shown."""
+    for one in hazards:
+        if not one.claims:
+            yield OpenFinding(f"{one.name}: no claim stands under this hazard", "rates")
+        elif one.level is None:
+            yield OpenFinding(f"{one.name}: {one.steps[-1]}", "rates")
+        elif one.met is not True:
+            asked = f"at most {one.asked_an_hour:g} an hour (level {one.level}) is not shown"
+            yield OpenFinding(f"{one.name}: {asked}", "rates")
 
 
 def of_strata(ledger: Ledger, strata: Sequence[StratumResult]) -> Iterator[OpenFinding]:

@@ -16,6 +16,7 @@ from xml.etree import ElementTree
 from safety_harness.campaign.identity import unpacked
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.session import LEDGER
+from safety_harness.certification.argument_files import GSN, NOTES, gsn_text, notes_text
 from safety_harness.certification.counterexamples import write_traces
 from safety_harness.certification.evidence import (
     ClaimEvidence,
@@ -36,7 +37,7 @@ from safety_harness.whole_file import write_whole
 PAGE, JSON, JUNIT, PDF = "evidence.html", "evidence.json", "junit.xml", "evidence.pdf"
 MANIFEST, PLAN = "manifest.json", "plan"
 FORMAT = "safety-harness manifest 1"
-MADE = (PAGE, JSON, JUNIT, PDF)
+MADE = (PAGE, JSON, JUNIT, PDF, GSN, NOTES)
 LOG = f"{LEDGER}-wal"
 PASSING = (LOG, f"{LEDGER}-shm", f"{LEDGER}.lock")
 LARGEST_MANIFEST_BYTES = 16 * 2**20
@@ -54,10 +55,17 @@ def write_folder(folder: Path, gathered: GatheredEvidence, ledger: Ledger) -> Ev
         evidence = replace(gathered.evidence, files=tuple(stored_files(folder)))
         write_whole(folder / JSON, as_text(evidence))
         write_whole(folder / JUNIT, junit_xml(evidence))
+        for name, text in argument_texts(evidence).items():
+            write_whole(folder / name, text)
         write_page(folder / PAGE, evidence, gathered.runs)
     except OSError as error:
         raise OutputError.of(folder, error) from error
     return evidence
+
+
+def argument_texts(evidence: Evidence) -> dict[str, str]:
+    """The files of the argument, by their names."""
+    return {GSN: gsn_text(evidence, PAGE), NOTES: notes_text(evidence)}
 
 
 def _clear(folder: Path) -> None:

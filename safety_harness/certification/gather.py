@@ -13,6 +13,7 @@ from pathlib import Path
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import Plan
 from safety_harness.campaign.summary import root_of
+from safety_harness.certification.argument_files import read_notes
 from safety_harness.certification.counterexamples import (
     MOST,
     Example,
@@ -25,6 +26,7 @@ from safety_harness.certification.counterexamples import (
 from safety_harness.certification.credibility import credibility_of
 from safety_harness.certification.evidence import (
     FORMAT,
+    ArgumentNote,
     CertifiedProofs,
     ClaimStatus,
     Evidence,
@@ -34,6 +36,7 @@ from safety_harness.certification.evidence import (
 from safety_harness.certification.evidence import DeclaredPlan as PlanEvidence
 from safety_harness.certification.evidence import EvidenceProvenance as Origin
 from safety_harness.certification.findings import findings_of
+from safety_harness.certification.hazards import hazards_of
 from safety_harness.certification.proofs import stored_proof
 from safety_harness.certification.results import bounds, claims_of, overruling_of, strata_of
 from safety_harness.certification.standards import ASSUMPTIONS, EXCLUSIONS
@@ -86,7 +89,14 @@ def gather(
     """
     origin = _origin(plan, ledger, folder, command)
     return put_together(
-        plan, ledger, folder, trials, declaration=declaration, origin=origin, proven=stored_proof(folder)
+        plan,
+        ledger,
+        folder,
+        trials,
+        declaration=declaration,
+        origin=origin,
+        proven=stored_proof(folder),
+        notes=read_notes(folder),
     )
 
 
@@ -101,8 +111,9 @@ def put_together(
     believe: Callable[[Sequence[Stored], HarnessTrials], Credibility] = credibility_of,
     blame: Callable[[Plan, Ledger], WhoseFault] = whose_fault,
     proven: CertifiedProofs | None = None,
+    notes: tuple[ArgumentNote, ...] = (),
 ) -> GatheredEvidence:
-    """All that follows from the ledger and the searches, around what does not: the last six."""
+    """All that follows from the ledger and the searches, around what does not: the last seven."""
     stored, damaged = random_traces(plan, ledger)
     claims, strata = claims_of(plan, ledger, stored), strata_of(plan, ledger)
     searches = searches_of(plan, folder)
@@ -134,6 +145,8 @@ def put_together(
         provenance=replace(origin, libraries=origin.libraries + _files(stored)),
         files=(),
         proven=proven,
+        hazards=hazards_of(plan, ledger),
+        notes=notes,
     )
     findings = tuple(findings_of(evidence, ledger, met, searches, damaged))
     return GatheredEvidence(evidence=replace(evidence, findings=findings), examples=examples)

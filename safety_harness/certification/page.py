@@ -9,7 +9,7 @@ from pathlib import Path
 from markupsafe import Markup
 
 from safety_harness.campaign.session import LEDGER
-from safety_harness.certification.argument import STATE, argument_of, argument_svg
+from safety_harness.certification.argument import STATE, UNDEVELOPED, argument_of, argument_svg
 from safety_harness.certification.evidence import (
     SEVERITY,
     CertifiedClaim,
@@ -78,6 +78,7 @@ def render(evidence: Evidence, runs: Mapping[int, JudgedRun]) -> str:
         replays=any(view["run"] for view in views),
         evidence=evidence,
         state=STATE,
+        undeveloped=UNDEVELOPED,
         counts=_counts(evidence),
         answer=_answer(evidence),
         claims=by_gravity(evidence.claims),

@@ -17,7 +17,7 @@ from safety_harness.properties.catalogue import CATALOGUE
 from safety_harness.properties.entry import CatalogueEntry, told
 from safety_harness.scenario.typed_json import typed
 
-TABLE = Path(__file__).with_name("standards.yaml")
+TABLE, ASKED = (Path(__file__).with_name(name) for name in ("standards.yaml", "questions.yaml"))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,6 +57,21 @@ class StandardsTable:
 
 STANDARDS = typed(
     YAML(typ="safe", pure=True).load(TABLE.read_text("utf-8")), StandardsTable, TABLE, defaults=True
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Question:
+    """What an assessor ``asks`` by the standard ``of``; ``here`` and ``means`` as of a requirement."""
+
+    of: str
+    asks: str
+    means: str
+    here: str = ""
+
+
+QUESTIONS = typed(
+    YAML(typ="safe", pure=True).load(ASKED.read_text("utf-8")), tuple[Question, ...], ASKED, defaults=True
 )
 CELL, ROBOT, RISK = (STANDARDS[key].name for key in ("cell", "robot", "risk"))
 FORMERLY = STANDARDS["contact"].name  # its content is within the cell's standard now

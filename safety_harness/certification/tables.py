@@ -7,16 +7,19 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import TypeVar
 
+from safety_harness.campaign.risk_graph import band_of
 from safety_harness.certification.argument import STATE
 from safety_harness.certification.evidence import (
     ClaimEvidence,
     ClaimResult,
     ClaimStatus,
     Evidence,
+    HazardEvidence,
+    HourlyBound,
     OverrulingResult,
     by_gravity,
 )
-from safety_harness.certification.standards import STANDARDS
+from safety_harness.certification.standards import QUESTIONS, STANDARDS
 from safety_harness.certification.stored import cells_of
 from safety_harness.certification.tools import (
     Credibility,
@@ -28,7 +31,7 @@ from safety_harness.certification.tools import (
 from safety_harness.certification.verdicts import at_least, at_most, confidence_words, percent
 from safety_harness.properties.base import shown_margin
 from safety_harness.recorded.words import world_lines
-from safety_harness.report.words import count_words, with_minus
+from safety_harness.report.words import count_words, rounded_up, with_minus
 from safety_harness.search.coverage import AXES
 
 DASH = "\u2013"
@@ -143,6 +146,58 @@ def _tested(claim: ClaimEvidence) -> TableCell:
     return number(f"{tested} of {runs} runs", tested, _row(claim, 0) if runs else "")
 
 
+def hazards(evidence: Evidence) -> CellTable:
+    """The plan's hazards, and how the risk graph leads to what is asked."""
+    return _table(
+        "The plan's hazards in its author's words, and the steps from them to what is asked.",
+        evidence.hazards,
+        {
+            "Hazard": lambda one: words(one.name, note=one.event),
+            "Where": lambda one: words(f"{one.task}; {one.zone}", note=one.body_region),
+            "Step by step": lambda one: words("; ".join(one.steps)),
+            "Decided by": lambda one: words(one.decided_by, note=one.because),
+            "Claims": lambda one: words(", ".join(map(str, one.claims)) or "none"),
+        },
+    )
+
+
+def rates(evidence: Evidence) -> CellTable:
+    """A bound an hour for each claim under each hazard of which approaches are known."""
+
+    def asked(one: HazardEvidence) -> TableCell:
+        return number(DASH if one.asked_an_hour is None else f"{one.asked_an_hour:g}", one.asked_an_hour)
+
+    def verdict(one: tuple[HazardEvidence, HourlyBound]) -> TableCell:
+        limit = one[0].asked_an_hour
+        if limit is None:
+            return words("nothing is asked")
+        shown = one[1].an_hour <= limit
+        return TableCell(
+            text="at or below" if shown else "not shown", state="none" if shown else "inconclusive"
+        )
+
+    def hourly(value: float) -> str:
+        return f"{float(rounded_up(value)):.3g}"
+
+    return _table(
+        "Violations an hour, at most: approaches an hour times the bound per run, each at its upper end.",
+        [(one, rate) for one in evidence.hazards for rate in one.rates],
+        {
+            "Hazard": lambda one: words(one[0].name),
+            "Claim": lambda one: words(str(one[1].claim)),
+            "Approaches an hour": lambda one: number(
+                hourly(one[0].approaches_an_hour or 0.0), one[0].approaches_an_hour
+            ),
+            "Known from": lambda one: words(one[0].approaches),
+            "In a run": lambda one: words(at_most(one[1].per_run), note=one[1].stratum),
+            "An hour": lambda one: number(hourly(one[1].an_hour), one[1].an_hour),
+            "Asked": lambda one: asked(one[0]),
+            "Against what is asked": verdict,
+            "Beside PFH_D": lambda one: words(band_of(one[1].an_hour)),
+        },
+    )
+
+
 def results(evidence: Evidence) -> CellTable:
     """Every claim in every stratum, the gravest claim first."""
     known = confidence_alone(evidence)
@@ -251,6 +306,20 @@ def spoken_to(_: Evidence) -> CellTable:
             "Asks": lambda one: words(one[1].asks),
             "Here": lambda one: words(one[1].here, href=one[1].here),
             "What it says": lambda one: words(one[1].means),
+        },
+    )
+
+
+def questions(_: Evidence) -> CellTable:
+    """What an assessor asks, and where it is answered."""
+    return _table(
+        f"{len(QUESTIONS)} questions, {sum(not one.here for one in QUESTIONS)} of them not covered here.",
+        QUESTIONS,
+        {
+            "Question": lambda one: words(one.asks),
+            "Drawn from": lambda one: words(STANDARDS[one.of].name),
+            "Answered in": lambda one: words(one.here or "not covered here", href=one.here),
+            "By what, or what would": lambda one: words(one.means),
         },
     )
 
@@ -466,11 +535,14 @@ def kills(test: SelfTest) -> CellTable:
 _EVERY: tuple[Callable[..., object], ...] = (
     *(
         verdicts,
+        hazards,
+        rates,
         results,
         quantiles,
         standards,
         missing,
         spoken_to,
+        questions,
         strata,
         overruling,
         separation,

@@ -26,7 +26,7 @@ from safety_harness.campaign.session import LEDGER
 from safety_harness.certification.counterexamples import SEARCH
 from safety_harness.certification.credibility import credibility_of
 from safety_harness.certification.evidence import Evidence, EvidenceProvenance, as_text
-from safety_harness.certification.folder import JSON, JUNIT, MADE, PAGE, PDF, PLAN, junit_xml
+from safety_harness.certification.folder import JSON, JUNIT, MADE, PAGE, PDF, PLAN, argument_texts, junit_xml
 from safety_harness.certification.gather import (
     GatheredEvidence,
     libraries_of,
@@ -58,9 +58,15 @@ _AROUND = 60  # letters shown before and after a difference
 def check_pages(report: ReportFolder, gathered: GatheredEvidence) -> Examination:
     """The page and the JUnit XML, made again from the evidence; with other software a difference is said."""
     folder, recorded = report.folder, report.recorded
-    faults, notes, unchecked = list(_traces(folder, gathered)), [], []
+    faults, notes = list(_traces(folder, gathered)), []
+    unchecked: list[str] = []
     if bytes_of(folder / JUNIT) != written(junit_xml(recorded)):
         faults.append(f"{JUNIT} does not say what {JSON} says")
+    for name, text in argument_texts(recorded).items():
+        file = folder / name
+        absent = not file.is_file() and not report.same  # earlier versions wrote none
+        if not absent and not (file.is_file() and bytes_of(file) == written(text)):
+            (faults if report.same else unchecked).append(f"{name} does not say what {JSON} says")
     there, made = bytes_of(folder / PAGE), written(render(recorded, gathered.runs))
     differs = differences(there, made)
     if differs and report.same:
@@ -133,7 +139,7 @@ def written(text: str) -> bytes:
 WORDS = {
     *("rationale", "exercised_when", "hazard", "terms", "why", "about", "assumptions", "exclusions", "lines"),
     *("system", "separation", "calibration", "credibility", "findings", "margin", "selftest_absent"),
-    "whose_fault",
+    *("whose_fault", "steps", "approaches"),
 }
 CLOSE = 1e-9  # relative: another scipy's last digits
 
@@ -165,6 +171,7 @@ def check_numbers(report: ReportFolder, *, again: bool) -> tuple[Examination, Ga
         believe=believe,
         blame=whose_fault if again else lambda plan, ledger: recorded.whose_fault,
         proven=recorded.proven,  # of which check_proof has told
+        notes=recorded.notes,
     )
     now = replace(gathered.evidence, files=recorded.files)
     faults: list[str] = []

@@ -22,15 +22,18 @@ WIDTH = 110
 
 def explain_key(words: Sequence[str]) -> int:
     """Print what a key means, wherever it may stand, or which keys there are; returns the exit code."""
+    from safety_harness.campaign.hazards import TABLES
+
+    tables = (*every_table(), *TABLES)
     asked = " ".join(" ".join(words).replace(":", " ").split())
     if not asked:
-        result(*(f"{table.where}: {', '.join(table.names)}" for table in every_table()))
-        document(tables=[{"where": table.where, "keys": table.names} for table in every_table()])
+        result(*(f"{table.where}: {', '.join(table.names)}" for table in tables))
+        document(tables=[{"where": table.where, "keys": table.names} for table in tables])
         return AS_EXPECTED
-    found = [(table, key) for table in every_table() for key in table.keys if asked in _names(table, key)]
-    known = (name for table in every_table() for name in table.names)
+    found = [(table, key) for table in tables for key in table.keys if asked in _names(table, key)]
+    known = (name for table in tables for name in table.names)
     document(keys=[_key_data(*pair) for pair in found])
-    expected = "a key of a scenario file; without one, all of them are listed"
+    expected = "a key of a scenario file, or of a plan's hazards; without one, all of them are listed"
     return _explain("explain", asked, expected, known, [_key_lines(*pair) for pair in found])
 
 

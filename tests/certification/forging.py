@@ -22,11 +22,15 @@ from safety_harness.certification.gather import gather
 from safety_harness.certification.stored import trace_of
 from safety_harness.scenario.typed_json import typed
 from safety_harness.scenario.write import write_scenario
+from tests.campaign.hazards import HAZARDS
 from tests.campaign.plans import PLAN, plan_in
 
 FEW = PLAN.replace("runs: 30", "runs: 10").replace("runs: 20", "runs: 6")
 FEWER = FEW.replace("random traces: 2", "random traces: 1").replace("violations: 3", "violations: 1")
-SEARCHING = FEWER + "search:\n  runs: 1\n"
+SEARCHING = FEWER.replace(
+    PLAN[PLAN.index("    hazard:") : PLAN.index("  - claim: joint")], "    hazards: [crushed hand]\n"
+)
+SEARCHING += HAZARDS + "search:\n  runs: 1\n"
 SEARCHED = "search/1-near"
 Touch = Callable[[Path], None]
 
@@ -80,7 +84,7 @@ def hashed_anew(report: Path) -> None:
 
 
 def _save(report: Path, document: dict[str, Any]) -> None:
-    evidence = typed({"proven": None, **document}, Evidence, report / "evidence.json")
+    evidence = typed(document, Evidence, report / "evidence.json", defaults=True)
     (report / "evidence.json").write_text(as_text(evidence))
     (report / "junit.xml").write_text(junit_xml(evidence))
 

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from safety_harness.certification.evidence import (
     FORMAT,
+    ArgumentNote,
     Bound,
     CalibrationCheck,
     CertifiedClaim,
@@ -15,6 +18,8 @@ from safety_harness.certification.evidence import (
     DeclaredPlan,
     Evidence,
     EvidenceProvenance,
+    HazardEvidence,
+    HourlyBound,
     OpenFinding,
     OverrulingResult,
     Quantile,
@@ -117,6 +122,51 @@ def claims() -> tuple[ClaimEvidence, ...]:
         )
         for number, (sentence, standing, violated, without, upper) in enumerate(made, start=1)
     )
+
+
+def hazards() -> tuple[HazardEvidence, ...]:
+    """One with a rate for each of its claims, and one of which nothing is assessed, with no claim."""
+    crushed = HazardEvidence(
+        name="crushed hand",
+        task="parts are taken from the table",
+        zone="above the table",
+        body_region="hand and forearm",
+        event="a hand reaches past the object",
+        severity="S2",
+        exposure="F1",
+        avoidance="P2",
+        decided_by="whoever made this up",
+        because="it is made up",
+        steps=("severity S2", "by a graph: level d, at most 1e-06 an hour"),
+        level="d",
+        asked_an_hour=1e-6,
+        claims=(1, 2),
+        approaches="37 approaches in 12 h (two shifts)",
+        approaches_an_hour=4.25,
+        rate_confidence=0.975,
+        rates=(
+            HourlyBound(claim=1, stratum="seen", per_run=0.02, an_hour=0.085),
+            HourlyBound(claim=2, stratum="seen", per_run=0.002, an_hour=0.0085),
+        ),
+    )
+    other = replace(
+        crushed,
+        name=f"other {HOSTILE}",
+        task=f"task {HOSTILE}",
+        zone=f"zone {HOSTILE}",
+        body_region=f"region {HOSTILE}",
+        event=f"event {HOSTILE}",
+        decided_by=f"someone {HOSTILE}",
+        because=f"why {HOSTILE}",
+        severity="not assessed",
+        steps=("severity not assessed: no level follows",),
+        level=None,
+        asked_an_hour=None,
+        claims=(),
+        approaches=f"source {HOSTILE}",
+        rates=(),
+    )
+    return crushed, other
 
 
 def evidence(*, only_shown: bool = False, counterexamples: int = 2) -> Evidence:
@@ -344,6 +394,8 @@ def evidence(*, only_shown: bool = False, counterexamples: int = 2) -> Evidence:
         ),
         files=(StoredFile(path="ledger.sqlite", sha256=HASH, bytes=123456),),
         proven=None if only_shown else proven(),
+        hazards=() if only_shown else hazards(),
+        notes=() if only_shown else (ArgumentNote(element="defeater: judges", text=f"asked {HOSTILE}"),),
     )
 
 

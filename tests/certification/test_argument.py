@@ -3,17 +3,29 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 from itertools import pairwise
+from pathlib import Path
 from xml.etree import ElementTree
 
-from made_up_evidence import evidence
+import pytest
+from made_up_evidence import HOSTILE, STRATA, evidence
+from ruamel.yaml import YAML
 
-from safety_harness.certification.argument import Element, ElementKind, _Layout, argument_of, argument_svg
-from safety_harness.certification.evidence import Evidence
+from safety_harness.certification.argument import (
+    MOST_STRATA,
+    Element,
+    ElementKind,
+    _Layout,
+    argument_of,
+    argument_svg,
+)
+from safety_harness.certification.argument_files import NOTES, gsn_text, notes_text, read_notes
+from safety_harness.certification.evidence import ArgumentNote, ClaimStatus, Evidence, OpenFinding
 from safety_harness.certification.tools import CoverageOfRuns, Credibility
+from safety_harness.exceptions import InputError
 
 
 def every(element: Element) -> list[Element]:
-    return [element, *(one for child in (*element.beside, *element.below) for one in every(child))]
+    return list(element.every())
 
 
 def without_evidence() -> Evidence:
@@ -34,6 +46,8 @@ def test_every_goal_leads_to_solutions_or_is_marked_in_the_picture_as_undevelope
                 solved = any(inner.kind is ElementKind.SOLUTION for inner in leaves)
                 assert solved or any(inner.undeveloped for inner in leaves), element.text
                 open_goals += element.undeveloped
+            elif element.kind is ElementKind.DEFEATER:
+                assert all(inner.kind is ElementKind.ANSWER for inner in element.below)
             else:
                 assert not element.below, element.text
         assert drawn.count("<title>undeveloped: nothing supports it") == open_goals > 0
@@ -64,9 +78,138 @@ def test_a_trial_of_the_harness_is_fine_only_if_it_is_whole_present_and_caught_e
 
 def test_a_goal_without_evidence_is_undeveloped() -> None:
     undeveloped = {one.text for one in every(argument_of(without_evidence())) if one.undeveloped}
-    assert "The simulator may be believed for these claims" in undeveloped
-    assert "What judges would notice a fault" in undeveloped
+    assert "The simulator is not the cell" in undeveloped
+    assert "The judges overlook a fault" in undeveloped
     assert not any("hand distance" in text for text in undeveloped)
+
+
+def test_the_top_is_argued_by_hazard_then_claim_then_stratum_with_a_rate_an_hour() -> None:
+    top = argument_of(evidence())
+    by_hazard = top.below[0]
+    first, second, *others = by_hazard.below
+    assert first.text.startswith("Kept rare: crushed hand, at most 1e-06 an hour")
+    assert [one.kind.name for one in first.beside] == ["CONTEXT", "JUSTIFICATION", "ASSUMPTION"]
+    refuted, shown = first.below
+    assert [one.text.split(":")[0] for one in refuted.below] == [*STRATA, "At most 0.085 an hour"]
+    assert (refuted.state, shown.state, first.state) == ("violated", "holds", "violated")
+    assert second.undeveloped
+    assert [len(one.below) for one in others] == [4], "claims under no hazard of the plan, by their words"
+
+
+def test_a_hazard_whose_rate_is_not_what_is_asked_is_open_though_its_claims_are_shown() -> None:
+    known = evidence()
+    (hazard, _) = known.hazards
+    only = replace(hazard, claims=(2,), rates=hazard.rates[1:])
+    states = []
+    for one in (only, replace(only, asked_an_hour=0.01), replace(only, rates=())):
+        found = argument_of(replace(known, hazards=(one,)))
+        states.append(found.below[0].below[0].state)
+    assert states == ["inconclusive", "holds", "inconclusive"]
+
+
+def test_more_strata_than_fit_are_told_together_the_gravest_alone() -> None:
+    known = evidence()
+    claim = known.claims[0]
+    fine = replace(claim.outcomes[0], standing=ClaimStatus.SHOWN)
+    many = replace(claim, outcomes=(*(fine for _ in range(9)), claim.outcomes[0]))
+    (goal,) = [
+        one
+        for one in every(argument_of(replace(known, claims=(many, *known.claims[1:]))))
+        if one.text.startswith("hand distance")
+    ]
+    texts = [one.text for one in goal.below]
+    assert "refuted" in texts[0]
+    assert texts[MOST_STRATA - 1] == "7 more strata: shown at worst"
+
+
+def test_the_stages_of_the_learned_part_stand_where_something_is_learned() -> None:
+    known = evidence()
+    (stages,) = [one for one in argument_of(known).below if "AMLAS" in one.text]
+    assert len(stages.below) == 6
+    assert [one.undeveloped for one in stages.below][-1], "no log of the cell in use is in a report"
+    without = replace(known, proven=None, system=replace(known.system, card=()))
+    assert not any("AMLAS" in one.text for one in every(argument_of(without)))
+
+
+def test_a_defeater_is_green_only_where_all_answers_are_and_no_finding_is_open() -> None:
+    known = evidence().selftest
+    assert known is not None
+    caught = tuple(fault for fault in known.faults if fault.caught_by)
+    fine = replace(known, faults=caught)
+    finding = OpenFinding(text="something", place="tools")
+    states = []
+    for test, findings in ((fine, ()), (fine, (finding,)), (known, ()), (None, ())):
+        whole = replace(evidence(), selftest=test, findings=findings)
+        (judges,) = [one for one in every(argument_of(whole)) if one.name == "defeater: judges"]
+        states.append(judges.state)
+    assert states == ["holds", "inconclusive", "inconclusive", "inconclusive"]
+
+
+def test_a_note_of_the_author_stands_beside_and_changes_no_state() -> None:
+    whole = evidence()
+    without = replace(whole, notes=())
+    noted, plain = (every(argument_of(one)) for one in (whole, without))
+    assert [one.state for one in noted if "The author" not in one.text] == [one.state for one in plain]
+    (note,) = [
+        one for one in noted if one not in plain and one.kind is ElementKind.JUSTIFICATION and not one.below
+    ]
+    assert note.text == f"The author: asked {HOSTILE}"
+
+
+def test_notes_are_read_again_as_they_were_written(tmp_path: Path) -> None:
+    texts = ("one line", "several\n  lines: # with <b>\n\nand a gap", '"quoted" \\ back', "\u00e9\u4e2d")
+    known = evidence()
+    names = [one.name for one in every(argument_of(known)) if one.name]
+    notes = tuple(ArgumentNote(element=a, text=b) for a, b in zip(names, texts, strict=False)) + (
+        ArgumentNote(element="gone: once there", text="kept"),
+    )
+    (tmp_path / NOTES).write_text(notes_text(replace(known, notes=notes)), "utf-8")
+    assert read_notes(tmp_path) == notes
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("- a list\n", "a mapping"),
+        ('"top": [a]\n', "top"),
+        ('"top": "a\n', "well-formed YAML"),
+        (f'"top": {"x" * 2001}\n', "2000 characters"),
+        ('"top": "a\\tb"\n', "U+0009"),
+    ],
+)
+def test_a_file_of_notes_that_cannot_be_read_is_refused_with_its_place(
+    tmp_path: Path, text: str, said: str
+) -> None:
+    (tmp_path / NOTES).write_text(text)
+    with pytest.raises(InputError) as caught:
+        read_notes(tmp_path)
+    assert said in str(caught.value)
+    assert NOTES in str(caught.value)
+
+
+def test_the_export_keeps_the_rules_that_gsn2x_checks() -> None:
+    """V01, V02, V04 to V06, V10, V12 and C01 to C04 of its documented checks."""
+    for whole in (evidence(), evidence(only_shown=True), without_evidence()):
+        found = YAML(typ="safe", pure=True).load(gsn_text(whole, "evidence.html"))
+        kinds = {key: re.match(r"[A-Z][A-Za-z]*", key)[0] for key in found}  # type: ignore[index]
+        assert set(kinds.values()) <= {one.value for one in ElementKind}
+        support = {key: one.get("supportedBy", []) for key, one in found.items()}
+        beside = {key: one.get("inContextOf", []) for key, one in found.items()}
+        for key, one in found.items():
+            assert set(one) <= {
+                *("text", "url", "supportedBy", "inContextOf", "undeveloped", "challenges", "defeated")
+            }
+            if kinds[key] in ("G", "S", "CG"):
+                assert bool(support[key]) != one.get("undeveloped", False)
+            assert {kinds[other] for other in support[key]} <= {"G", "S", "Sn"}
+            assert {kinds[other] for other in beside[key]} <= {"C", "A", "J"}
+            assert len(set(support[key] + beside[key])) == len(support[key] + beside[key])
+            assert ("challenges" in one) == (kinds[key] in ("CG", "CSn"))
+            assert one.get("challenges", "G1") in found
+            if one.get("defeated"):
+                assert any(other.get("challenges") == key for other in found.values())
+        below = {other for key in found for other in support[key] + beside[key]}
+        assert [key for key in found if key not in below and "challenges" not in found[key]] == ["G1"]
 
 
 def test_a_claim_that_was_never_tested_has_no_solution() -> None:

@@ -95,7 +95,7 @@ TEXTS: dict[str, Touch] = {
     "a command to be copied": written(PAGE, "safety-harness replay", "rm -rf"),
     "a colour of the style sheet": written(PAGE, "--violated: #a83a00", "--violated: #00674f"),
     "a script of its own": written(PAGE, "</main>", "</main><script>document.title='safe'</script>"),
-    "the runs in the argument's picture": written(PAGE, "(<tspan [^>]*>)16 runs", r"\g<1>160000 runs"),
+    "the runs in the argument's picture": written(PAGE, r"(<tspan [^>]*>near): \d+ of", r"\g<1>: 777 of"),
     "a share in the argument's picture": written(PAGE, r"(<tspan [^>]*>[^<]*)50 %", r"\g<1>0.001 %"),
     "what a screen reader says of it": written(PAGE, 'aria-label="Bounds: ', 'aria-label="No bounds: '),
     "a box of the picture by a hair": plotted("argument-", r'(<rect x="\d+)\.0', r"\g<2>.1"),
@@ -134,6 +134,15 @@ SAID: dict[str, tuple[Touch, str]] = {
     "a claim's unit": (said(**{f"{CLAIM}__unit": "m"}), "claims[0].unit"),
     "a scale": (said(**{f"{CLAIM}__per_si": 1.0}), "claims[0].per_si"),
     "a hazard": (said(**{f"{CLAIM}__hazard": "none"}), "claims[0].hazard"),
+    "a step to a level": (said(hazards__0__steps__3="level a"), "hazards[0].steps[3]"),
+    "what is asked an hour": (said(hazards__0__asked_an_hour=100.0), "hazards[0].asked_an_hour"),
+    "a rate an hour": (said(hazards__0__rates__0__an_hour=1e-9), "hazards[0].rates[0].an_hour"),
+    "who decided": (said(hazards__0__decided_by="an assessor"), "hazards[0].decided_by"),
+    "the argument for others": (written("argument.gsn.yaml", "Kept rare", "Kept"), "argument.gsn.yaml does"),
+    "a note that was not in the report": (
+        written("argument.yaml", '"top": ""', '"top": "approved"'),
+        "argument.yaml does not say",
+    ),
     "a margin of the curve": (said(**{f"{FIRST}__margins_si__0": 0.1}), "margins_si[0]"),
     "findings": (said(findings=[]), "findings"),
     "exclusions": (said(exclusions=["nothing"]), "exclusions"),
@@ -224,7 +233,7 @@ def test_whoever_says_it_was_other_software_hides_no_text(
     TEXTS["the runs in the argument's picture"](report)
     other_software(report)
     said_of_it = "\n".join(checked(report)["pages"].unchecked)
-    assert "160000 runs put" in said_of_it
+    assert "near: 777 of" in said_of_it
     assert "other software" in said_of_it
 
 

@@ -12,11 +12,16 @@ from safety_harness.campaign.episodes import EpisodeRunner
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import Plan
 from safety_harness.campaign.runner import Stopping
+from safety_harness.certification.argument_files import NOTES, read_notes
 from safety_harness.certification.folder import read_manifest, write_folder, write_manifest
 from safety_harness.certification.gather import gather
+from safety_harness.certification.hazards import hazards_of
 from safety_harness.certification.verify_files import check_plan
 from safety_harness.certification.whose_fault import MOST
+from safety_harness.proportions import upper_bound
+from safety_harness.statistics.rates import most_an_hour
 from safety_harness.statistics.sample import EpisodeOutcome
+from tests.campaign.hazards import HAZARDOUS
 from tests.campaign.plans import PLAN, ledger_in, plan_in
 
 SMALL = PLAN.replace("runs: 30", "runs: 9").replace("runs: 20", "runs: 9")
@@ -53,6 +58,33 @@ def test_traces_that_cannot_be_read_are_said_and_the_others_are_shown(plan: Plan
     assert 0 < len(now.counterexamples) < len(whole.counterexamples)
     said = [one.text for one in now.findings if "cannot be read" in one.text]
     assert any(f"run {episode}: its stored trace cannot be read" in text for text in said)
+
+
+def test_a_rate_an_hour_is_the_most_approaches_times_the_worst_stratums_bound(tmp_path: Path) -> None:
+    text = HAZARDOUS.replace("runs: 30", "runs: 9").replace("runs: 20", "runs: 9")
+    plan = plan_in(tmp_path, text)
+    with ledger_in(tmp_path / "report", plan) as ledger:
+        runner = EpisodeRunner(plan)
+        ledger.record(runner.run(0, range(9)))
+        (before,) = hazards_of(plan, ledger)
+        ledger.record(runner.run(1, range(9)))
+        (after,) = hazards_of(plan, ledger)
+        samples = [ledger.sample(one.name, plan.claims[0].sentence) for one in plan.strata]
+    assert (before.rates, before.met, before.level, before.claims) == ((), None, "d", (1,))
+    (rate,) = after.rates
+    per_run = max(upper_bound(one.at_worst, one.trials, 0.025 / 2) for one in samples)
+    assert rate.an_hour == pytest.approx(most_an_hour(37, 12.0, 0.025) * per_run, rel=1e-12)
+    assert after.met is False
+
+
+def test_what_its_author_wrote_into_the_argument_is_in_the_next_report(plan: Plan, ledger: Ledger) -> None:
+    folder = ledger.path.parent
+    (folder / NOTES).write_text('"top": |\n  yes\n   but\n"gone": kept\n')
+    evidence = write_folder(folder, gather(plan, ledger, folder, command="certify"), ledger)
+    assert [(one.element, one.text) for one in evidence.notes] == [("top", "yes\n but"), ("gone", "kept")]
+    assert "The author: yes" in (folder / "evidence.html").read_text()
+    assert [one.text for one in evidence.findings if "'gone' is on no element" in one.text]
+    assert read_notes(folder) == evidence.notes
 
 
 def test_an_earlier_report_leaves_nothing_in_the_next_ones_manifest(plan: Plan, ledger: Ledger) -> None:

@@ -1,8 +1,13 @@
 from __future__ import annotations
 
+import page
+from made_up_evidence import evidence
+
+from safety_harness.certification.page import render
 from safety_harness.certification.standards import (
     EXCLUSIONS,
     OWN,
+    QUESTIONS,
     STANDARDS,
     TRACED,
     entry_of,
@@ -49,6 +54,16 @@ def test_of_each_requirement_it_says_what_speaks_to_it_or_what_would() -> None:
     covered = {bool(one.here) for one in asked}
     assert covered == {True, False}
     assert len({standard.id for standard in STANDARDS.standards}) == len(STANDARDS.standards)
+
+
+def test_every_place_that_answers_or_speaks_to_a_requirement_is_on_the_page() -> None:
+    shown = page.parse(render(evidence(counterexamples=0), {}))
+    asked = [one for standard in STANDARDS.standards for one in standard.requirements]
+    for one in (*asked, *QUESTIONS):
+        assert not one.here or shown.one(one.here), one
+    assert all(STANDARDS[one.of] and one.means for one in QUESTIONS)
+    assert len({one.asks for one in QUESTIONS}) == 30
+    assert shown.text.count("not covered here") >= sum(not one.here for one in QUESTIONS) > 5
 
 
 def test_the_words_of_a_claim_name_their_documents_from_the_table_alone() -> None:
