@@ -78,6 +78,7 @@ LOOKS: dict[str, tuple[str, int]] = {
     "verify": ("report --runs 0", AS_EXPECTED),
     "verify as it is": ("report", BAD_INPUT),  # without --execute-programs
     "history": ("log", BAD_INPUT),  # no two reports
+    "certify delta": ("report report", AS_EXPECTED),
     "certify declare": ("plan.yaml", AS_EXPECTED),
     "certify seal": ("report", AS_EXPECTED),
     "campaign status": ("report/ledger.sqlite", AS_EXPECTED),
