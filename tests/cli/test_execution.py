@@ -112,6 +112,7 @@ EXECUTES: dict[str, str | None] = {
     "attribute": "scenario.yaml",
     "compare-worlds": "log/LOG.yaml --scenario scenario.yaml --to 0.9s",
     "campaign attribute": "report/ledger.sqlite --execute-programs --most 1",
+    "campaign pilot": "plan.yaml --runs 1",
     "campaign run": "plan.yaml --workers 1",
     "campaign resume": "begun.sqlite --workers 1",
 }
