@@ -24,6 +24,7 @@ from safety_harness.scenario.typed_json import of_format, plain, read_json, type
 from safety_harness.trace.system import SystemUnderTest
 
 FORMAT = "safety-harness evidence 1"
+LATER = ("proven", "learned")  # fields that stand in the JSON only where there is something in them
 UNANSWERED = "decision faults"  # among a stratum's decisions: those without a usable answer of the avoider
 
 
@@ -359,6 +360,33 @@ class CertifiedProofs:
 
 
 @dataclass(frozen=True, kw_only=True)
+class TrainingDistance:
+    """How far a stratum lies from what its network was trained on.
+
+    ``runs`` counts all runs with a hand by what was seen at their gravest decision, in the order of
+    ``search.coverage.SEEN``.  Of the hands in the ``decisions`` of the stored random runs: the share outside
+    of the box of seen hands, and their median and largest distance from it; None where there are none.
+    """
+
+    stratum: str
+    runs: tuple[int, ...]
+    decisions: int
+    share_outside: float | None
+    median_outside_m: float | None
+    largest_outside_m: float | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class LearnedPart:
+    """``networks`` are (name, SHA-256 of the file), ``seen`` whose training the distances are from."""
+
+    networks: tuple[tuple[str, str], ...]
+    seen: tuple[str, ...]
+    strata: tuple[TrainingDistance, ...]
+    life: tuple[tuple[str, str], ...]
+
+
+@dataclass(frozen=True, kw_only=True)
 class Evidence:
     """The whole report."""
 
@@ -386,6 +414,7 @@ class Evidence:
     provenance: EvidenceProvenance
     files: tuple[StoredFile, ...]
     proven: CertifiedProofs | None = None  # about the avoider's network, where a certificate was given
+    learned: LearnedPart | None = None  # where an avoider is a network
 
     @property
     def fallback(self) -> str:
@@ -411,15 +440,16 @@ def by_gravity(claims: Iterable[ClaimEvidence]) -> list[ClaimEvidence]:
 def as_text(evidence: Evidence) -> str:
     """The whole report as JSON; ValueError for a number that is not finite."""
     found = plain(evidence)
-    if evidence.proven is None:
-        del found["proven"]
+    for name in LATER:
+        if not found[name]:
+            del found[name]
     return json.dumps(found, indent=1, allow_nan=False, ensure_ascii=False) + "\n"
 
 
 def read_evidence(path: Path) -> Evidence:
     """What ``as_text`` wrote; InputError with the place of what is not as it should be."""
     found = of_format(read_json(path, "an evidence report"), FORMAT, path)
-    return typed({"proven": None, **found}, Evidence, path)
+    return typed({name: getattr(Evidence, name) for name in LATER} | found, Evidence, path)
 
 
 def schema() -> dict[str, Any]:
@@ -432,5 +462,5 @@ def schema() -> dict[str, Any]:
                 part.pop("default", None)
     whole = found["$defs"]["Evidence"]
     whole["properties"]["format"] = {"const": FORMAT}
-    whole["required"].remove("proven")  # only where a certificate was given
+    whole["required"] = [name for name in whole["required"] if name not in LATER]
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": FORMAT, **found}

@@ -15,6 +15,7 @@ from safety_harness.certification.evidence import (
     DeclaredPlan,
     Evidence,
     EvidenceProvenance,
+    LearnedPart,
     OpenFinding,
     OverrulingResult,
     Quantile,
@@ -26,8 +27,10 @@ from safety_harness.certification.evidence import (
     StoredFile,
     StratumResult,
     SystemDescription,
+    TrainingDistance,
     WhoseFault,
 )
+from safety_harness.certification.learned import LIFE
 from safety_harness.certification.standards import ASSUMPTIONS, EXCLUSIONS
 from safety_harness.certification.tools import (
     CaughtFault,
@@ -344,6 +347,26 @@ def evidence(*, only_shown: bool = False, counterexamples: int = 2) -> Evidence:
         ),
         files=(StoredFile(path="ledger.sqlite", sha256=HASH, bytes=123456),),
         proven=None if only_shown else proven(),
+        learned=None if only_shown else learned(),
+    )
+
+
+def learned() -> LearnedPart:
+    return LearnedPart(
+        networks=(("mc-dropout", HASH),),
+        seen=("mc-dropout",),
+        strata=tuple(
+            TrainingDistance(
+                stratum=name,
+                runs=(2811, 149, 0, 40),
+                decisions=decisions,
+                share_outside=0.25 if decisions else None,
+                median_outside_m=0.017 if decisions else None,
+                largest_outside_m=0.028 if decisions else None,
+            )
+            for name, decisions in zip(STRATA, (40, 12, 0), strict=True)
+        ),
+        life=LIFE,
     )
 
 
