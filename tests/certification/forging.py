@@ -16,7 +16,7 @@ import numpy as np
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import read_plan
 from safety_harness.campaign.session import LEDGER, carry_on, plan_of, processes
-from safety_harness.certification.evidence import Evidence, as_text
+from safety_harness.certification.evidence import LATER, Evidence, as_text
 from safety_harness.certification.folder import junit_xml, stored_files, write_folder, write_manifest
 from safety_harness.certification.gather import gather
 from safety_harness.certification.stored import trace_of
@@ -80,7 +80,9 @@ def hashed_anew(report: Path) -> None:
 
 
 def _save(report: Path, document: dict[str, Any]) -> None:
-    evidence = typed({"proven": None, **document}, Evidence, report / "evidence.json")
+    evidence = typed(
+        {name: getattr(Evidence, name) for name in LATER} | document, Evidence, report / "evidence.json"
+    )
     (report / "evidence.json").write_text(as_text(evidence))
     (report / "junit.xml").write_text(junit_xml(evidence))
 
