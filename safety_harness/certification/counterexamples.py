@@ -9,6 +9,7 @@ outcome and the stratum is the same.
 from __future__ import annotations
 
 import shlex
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -22,6 +23,7 @@ from safety_harness.certification.evidence import CounterexampleEvidence, Search
 from safety_harness.certification.stored import judged_run, trace_of
 from safety_harness.exceptions import InputError, Place, ScenarioError
 from safety_harness.report.evidence import JudgedRun
+from safety_harness.report.search_attribution import SearchAttribution
 from safety_harness.report.words import count_words, margin_words
 from safety_harness.scenario.files import decode, read_bytes
 from safety_harness.scenario.typed_json import read_json, typed
@@ -34,6 +36,8 @@ FOLDER = "counterexamples"
 LARGEST_SCENARIO_BYTES = 2**20
 MOST = 40  # with pictures on the page: drawings and a replay take some 0.2 MB, 0.3 at most
 MOST_LINES = 14
+MOST_ASKED = 2  # kinds of violation of each claim, the worst, of which it is told whose fault they are
+FAULT = "whose fault: "
 TO = "A counterexample to:"
 
 _VIOLATIONS = (
@@ -273,6 +277,29 @@ def _example(
         lines=tuple(lines),
     )
     return Example(shown, run, data)
+
+
+def told_whose_fault(plan: Plan, met: Sequence[Example | str]) -> tuple[Example | str, ...]:
+    """The worst declared ones of each claim with what is said of searched ones: whose fault they are.
+
+    It executes what the plan names, as the runs did.
+    """
+    attribution = SearchAttribution()
+    asked: Counter[int] = Counter()
+    told: list[Example | str] = []
+    for one in met:
+        claim = one.shown.claim if isinstance(one, Example) and one.shown.independent else None
+        if isinstance(one, Example) and claim is not None and asked[claim] < MOST_ASKED:
+            asked[claim] += 1
+            lines = attribution.explain(one.run.trace.scenario, plan.claims[claim - 1].claim)
+            one = with_fault(one, lines)
+        told.append(one)
+    return tuple(told)
+
+
+def with_fault(one: Example, lines: Sequence[str]) -> Example:
+    """With these lines below the kind that it is of."""
+    return replace(one, shown=replace(one.shown, lines=(*one.shown.lines[:1], *lines, *one.shown.lines[1:])))
 
 
 def numbered(met: Sequence[Example | str]) -> tuple[Example, ...]:

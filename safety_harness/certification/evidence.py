@@ -24,7 +24,12 @@ from safety_harness.scenario.typed_json import of_format, plain, read_json, type
 from safety_harness.trace.system import SystemUnderTest
 
 FORMAT = "safety-harness evidence 1"
-LATER = ("proven", "hazards", "notes")  # fields that stand in the JSON only where there is something in them
+LATER = (
+    "proven",
+    "hazards",
+    "notes",
+    "learned",
+)  # fields that stand in the JSON only where there is something in them
 UNANSWERED = "decision faults"  # among a stratum's decisions: those without a usable answer of the avoider
 
 
@@ -416,6 +421,33 @@ class CertifiedProofs:
 
 
 @dataclass(frozen=True, kw_only=True)
+class TrainingDistance:
+    """How far a stratum lies from what its network was trained on.
+
+    ``runs`` counts all runs with a hand by what was seen at their gravest decision, in the order of
+    ``search.coverage.SEEN``.  Of the hands in the ``decisions`` of the stored random runs: the share outside
+    of the box of seen hands, and their median and largest distance from it; None where there are none.
+    """
+
+    stratum: str
+    runs: tuple[int, ...]
+    decisions: int
+    share_outside: float | None
+    median_outside_m: float | None
+    largest_outside_m: float | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class LearnedPart:
+    """``networks`` are (name, SHA-256 of the file), ``seen`` whose training the distances are from."""
+
+    networks: tuple[tuple[str, str], ...]
+    seen: tuple[str, ...]
+    strata: tuple[TrainingDistance, ...]
+    life: tuple[tuple[str, str], ...]
+
+
+@dataclass(frozen=True, kw_only=True)
 class Evidence:
     """The whole report."""
 
@@ -445,6 +477,7 @@ class Evidence:
     proven: CertifiedProofs | None = None  # about the avoider's network, where a certificate was given
     hazards: tuple[HazardEvidence, ...] = ()  # where the plan names any
     notes: tuple[ArgumentNote, ...] = ()  # where its author wrote any
+    learned: LearnedPart | None = None  # where an avoider is a network
 
     @property
     def fallback(self) -> str:

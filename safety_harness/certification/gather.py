@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import platform
 import shlex
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -22,6 +22,7 @@ from safety_harness.certification.counterexamples import (
     search_evidence,
     searched_counterexamples,
     searches_of,
+    told_whose_fault,
 )
 from safety_harness.certification.credibility import credibility_of
 from safety_harness.certification.evidence import (
@@ -37,6 +38,7 @@ from safety_harness.certification.evidence import DeclaredPlan as PlanEvidence
 from safety_harness.certification.evidence import EvidenceProvenance as Origin
 from safety_harness.certification.findings import findings_of
 from safety_harness.certification.hazards import hazards_of
+from safety_harness.certification.learned import learned_of
 from safety_harness.certification.proofs import stored_proof
 from safety_harness.certification.results import bounds, claims_of, overruling_of, strata_of
 from safety_harness.certification.standards import ASSUMPTIONS, EXCLUSIONS
@@ -55,6 +57,7 @@ from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.page_parts import in_words
 from safety_harness.trace.provenance import provenance
 
+Explains = Callable[[Plan, Sequence[Example | str]], Iterable[Example | str]]
 NO_SELFTEST = (
     "The harness was not put on trial for this report: no table of seeded faults was given (safety-harness "
     "selftest writes one, certify --selftest FILE takes it in)."
@@ -112,12 +115,14 @@ def put_together(
     blame: Callable[[Plan, Ledger], WhoseFault] = whose_fault,
     proven: CertifiedProofs | None = None,
     notes: tuple[ArgumentNote, ...] = (),
+    explain: Explains = told_whose_fault,
 ) -> GatheredEvidence:
     """All that follows from the ledger and the searches, around what does not: the last seven."""
     stored, damaged = random_traces(plan, ledger)
     claims, strata = claims_of(plan, ledger, stored), strata_of(plan, ledger)
     searches = searches_of(plan, folder)
-    met = [*declared_counterexamples(plan, ledger), *searched_counterexamples(plan, searches, folder)]
+    declared = explain(plan, tuple(declared_counterexamples(plan, ledger)))
+    met = [*declared, *searched_counterexamples(plan, searches, folder)]
     examples = numbered(met)
     evidence = Evidence(
         format=FORMAT,
@@ -147,6 +152,7 @@ def put_together(
         proven=proven,
         hazards=hazards_of(plan, ledger),
         notes=notes,
+        learned=learned_of(plan, ledger, stored),
     )
     findings = tuple(findings_of(evidence, ledger, met, searches, damaged))
     return GatheredEvidence(evidence=replace(evidence, findings=findings), examples=examples)

@@ -15,6 +15,7 @@ from safety_harness.admission.claims import property_of
 from safety_harness.campaign.episodes import random_episodes
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.overruled import overruled_episodes, overruling_in
+from safety_harness.campaign.pilot import aim_of
 from safety_harness.campaign.plan import Plan, PlannedClaim
 from safety_harness.campaign.summary import fallback_of
 from safety_harness.certification.evidence import (
@@ -35,7 +36,7 @@ from safety_harness.properties.answered import is_claimed
 from safety_harness.proportions import LEVEL
 from safety_harness.statistics.binomial import Sides, bounds_of, ends_of, violation_bounds
 from safety_harness.statistics.distances import tolerance_bound
-from safety_harness.statistics.planning import Aim, refuse_if_impossible
+from safety_harness.statistics.planning import refuse_if_impossible
 from safety_harness.statistics.sample import EpisodeOutcome as Code
 from safety_harness.statistics.sample import Floats, IndependentSample
 
@@ -45,14 +46,10 @@ MOST_POINTS = 240  # of a curve
 
 def refuse_hopeless(plan: Plan) -> None:
     """InputError, with the number of runs that would do, for a target that the plan's runs cannot show."""
-    family = bounds(plan)
     for claim in plan.claims:
         if claim.target is not None:
-            aim = Aim(
-                target=claim.target, confidence=plan.confidence, family=family, stop_early=plan.stop_early
-            )
             for stratum in plan.strata:
-                refuse_if_impossible(aim, stratum.runs, place=claim.claim.place)
+                refuse_if_impossible(aim_of(plan, claim.target), stratum.runs, place=claim.claim.place)
 
 
 def bounds(plan: Plan) -> int:

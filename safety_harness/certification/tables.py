@@ -32,7 +32,7 @@ from safety_harness.certification.verdicts import at_least, at_most, confidence_
 from safety_harness.properties.base import shown_margin
 from safety_harness.recorded.words import world_lines
 from safety_harness.report.words import count_words, rounded_up, with_minus
-from safety_harness.search.coverage import AXES
+from safety_harness.search.coverage import AXES, SEEN
 
 DASH = "\u2013"
 
@@ -365,6 +365,33 @@ def overruling(evidence: Evidence) -> CellTable:
     )
 
 
+def training(evidence: Evidence) -> CellTable:
+    """How far the strata lie from what the network was trained on."""
+    return _table(
+        "All runs with a hand, by whether hand and TCP were where the training data are at the gravest "
+        "decision; and of the hands in the decisions of the stored random runs how many were outside of the "
+        "box of hands seen in training, and how far.",
+        () if evidence.learned is None else evidence.learned.strata,
+        {"Stratum": lambda one: words(one.stratum)}
+        | {
+            f"Runs, {name}": (lambda one, place=place: count(one.runs[place]))
+            for place, name in enumerate(SEEN)
+        }
+        | {
+            "Decisions": lambda one: count(one.decisions),
+            "Hand outside": lambda one: number(
+                DASH if one.share_outside is None else percent(one.share_outside), one.share_outside
+            ),
+            "Median distance": lambda one: _far(one.median_outside_m),
+            "Largest distance": lambda one: _far(one.largest_outside_m),
+        },
+    )
+
+
+def _far(distance_m: float | None) -> TableCell:
+    return number(DASH if distance_m is None else f"{distance_m * 1e3:.0f} mm", distance_m)
+
+
 def separation(evidence: Evidence) -> CellTable:
     """The cases of the figure, number by number."""
     return _table(
@@ -545,6 +572,7 @@ _EVERY: tuple[Callable[..., object], ...] = (
         questions,
         strata,
         overruling,
+        training,
         separation,
         coverage,
         counterexamples,

@@ -16,14 +16,16 @@ import shlex
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from datetime import datetime
+from functools import partial
 from hashlib import sha256
 from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
 from safety_harness.campaign.ledger import Ledger
+from safety_harness.campaign.plan import Plan
 from safety_harness.campaign.session import LEDGER
-from safety_harness.certification.counterexamples import SEARCH
+from safety_harness.certification.counterexamples import SEARCH, Example, told_whose_fault, with_fault
 from safety_harness.certification.credibility import credibility_of
 from safety_harness.certification.evidence import Evidence, EvidenceProvenance, as_text
 from safety_harness.certification.folder import JSON, JUNIT, MADE, PAGE, PDF, PLAN, argument_texts, junit_xml
@@ -169,6 +171,7 @@ def check_numbers(report: ReportFolder, *, again: bool) -> tuple[Examination, Ga
         declaration=declared and declaration_of(report.plan, ledger.declared.identity).sha256,
         origin=_origin(recorded.provenance, ledger, same=same),
         believe=believe,
+        explain=told_whose_fault if again else partial(_told_before, recorded),
         blame=whose_fault if again else lambda plan, ledger: recorded.whose_fault,
         proven=recorded.proven,  # of which check_proof has told
         notes=recorded.notes,
@@ -198,6 +201,17 @@ def check_numbers(report: ReportFolder, *, again: bool) -> tuple[Examination, Ga
         )
     unchecked += [f"{name}: a file that no report has" for name in _foreign(gathered.evidence, report.hashes)]
     return Examination("numbers", text, few(faults), few(notes), few(unchecked)), gathered
+
+
+def _told_before(recorded: Evidence, plan: Plan, met: Sequence[Example | str]) -> Iterator[Example | str]:
+    """With what the report says of whose fault they are, which is told only by runs made again."""
+    said = {one.trace_file: one.lines for one in recorded.counterexamples}
+    for one in met:
+        if isinstance(one, Example):
+            lines = said.get(one.shown.trace_file, ())
+            more = max(len(lines) - len(one.shown.lines), 0)
+            one = with_fault(one, lines[1 : 1 + more])
+        yield one
 
 
 def check_proof(report: ReportFolder) -> Examination | None:

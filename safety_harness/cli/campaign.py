@@ -76,6 +76,45 @@ def run(
     return _carry_on(read, ledger or Path("reports") / read.name / LEDGER, workers, cluster, part)
 
 
+@_command("pilot")
+def pilot_runs(
+    plan: Annotated[Path, Argument(help="A plan: a file, or shipped:NAME.", metavar="PLAN")],
+    runs: Annotated[int, Option(help="Of each stratum; with another seed than the plan's.", min=1)] = 30,
+    workers: Workers = None,
+    controller: OfController = None,
+) -> int:
+    """Say from a few runs how many of a plan's will test each claim, how many it takes, and how long.
+
+    Nothing is written, and no declared run is looked at. So many runs are needed for the bounds to show the
+    target with a chance of 90 %, if shares are as in the pilot; intervals hold with 95 % confidence alone.
+    Exit code 0: the planned runs are enough, as far as the pilot tells; 1: for some claim they are not, or a
+    run failed; 2: bad input; 130: interrupted.
+    """
+    import os
+
+    from safety_harness.campaign.against import plan_with
+    from safety_harness.campaign.pilot import pilot
+    from safety_harness.campaign.plan import read_plan
+    from safety_harness.cli.progress import counting, time_words
+    from safety_harness.scenario.model import Driver
+    from safety_harness.scenario.typed_json import plain
+
+    read = read_plan(plan)
+    if controller is not None:
+        read = plan_with(read.files, Driver(controller), Path("reports") / read.name)
+    with counting(runs * len(read.strata), "runs") as show:
+        found = pilot(read, runs, lambda done: show(done, "pilot"))
+    cores = workers or len(os.sched_getaffinity(0))
+    seconds = found.seconds(read, cores)
+    document(**plain(found), seconds=seconds, workers=cores, enough=found.enough)
+    result(*(f"{'ok  ' if one.enough else 'WARN'} {one.line}" for one in found.forecasts))
+    result(*(f"WARN a run failed: {one}" for one in found.failures))
+    result(
+        f"{read.runs} runs: about {time_words(seconds)} with {cores} processes on this machine, alone on it"
+    )
+    return AS_EXPECTED if found.enough else DIFFERS
+
+
 @_command()
 def resume(
     ledger: _LedgerFile, workers: Workers = None, cluster: _Cluster = None, part: _Part = "1/1"

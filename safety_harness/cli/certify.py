@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Argument, BadParameter, Option, Typer
 from typer.core import TyperGroup
 
 from safety_harness.cli.console import AS_EXPECTED, DIFFERS, INTERRUPTED, document, result, say
 from safety_harness.cli.options import Executes, OfController, Workers, command
+
+if TYPE_CHECKING:
+    from safety_harness.certification.delta import EarlierReport
 
 
 class _PlanOrCommand(TyperGroup):
@@ -31,7 +34,7 @@ class _PlanOrCommand(TyperGroup):
 
 
 commands = Typer()
-_ABOUT = "Run a declared plan and write its evidence; declare, seal."
+_ABOUT = "Run a declared plan and write its evidence; declare, seal, delta."
 of_certify = Typer(cls=_PlanOrCommand, help=_ABOUT, short_help=_ABOUT)
 
 
@@ -70,6 +73,12 @@ def certify(
     proof: Annotated[
         Path | None, Option(help="certificate.json of safety-harness prove, of the avoider's network.")
     ] = None,
+    since: Annotated[
+        Path | None,
+        Option(
+            help="An earlier report's folder: say what changed, and fail for what got worse.", metavar="OLD"
+        ),
+    ] = None,
     controller: OfController = None,
 ) -> int:
     """Run a declared plan and write its evidence: one page, JSON, JUnit XML, and all to re-run it.
@@ -79,8 +88,9 @@ def certify(
     Bounds are made of the plan's own independent runs; what its search finds is shown and estimates nothing.
     A line a claim goes to standard output. Ctrl-C keeps every finished run; the same command goes on.
     It is no certificate, and says so.
-    Exit code 0: every claim is shown; 1: any is not; 2: bad input, or a target that the plan's runs cannot
-    meet; 130: interrupted.
+    With --since OLD the delta (REPORT.delta/delta.html, delta.json) is written too and decides the exit code.
+    Exit code 0: every claim is shown, with --since: nothing got worse; 1: otherwise; 2: bad input, or a
+    target that the plan's runs cannot meet; 130: interrupted.
     """
     import shlex
 
@@ -89,6 +99,7 @@ def certify(
     from safety_harness.campaign.plan import read_plan
     from safety_harness.certification.argument import STATE
     from safety_harness.certification.certify import Certification
+    from safety_harness.certification.delta import EarlierReport
     from safety_harness.certification.evidence import ClaimStatus
     from safety_harness.certification.folder import PAGE
     from safety_harness.certification.verdicts import overruling_line, percent
@@ -109,10 +120,12 @@ def certify(
         "--oracles": oracles,
         "--declared": declared,
         "--proof": proof,
+        "--since": since,
     }
     for name, value in files.items():
         words += [name, str(told(value))] if value else []
     words += [word for one in cell for word in ("--cell", str(told(one)))]
+    earlier = None if since is None else EarlierReport.read(since)
     again = shlex.join(words + ["--pdf"] * pdf + ["--full"] * full)
     job = Certification.of(
         plan,
@@ -142,7 +155,49 @@ def certify(
     if not complete:
         say("interrupted: the report says what is missing; the same command goes on from there")
         return INTERRUPTED
+    if earlier is not None:
+        return _tell_delta(earlier, EarlierReport.read(job.folder), again)
     return AS_EXPECTED if evidence.standing is ClaimStatus.SHOWN else DIFFERS
+
+
+def _tell_delta(before: EarlierReport, after: EarlierReport, made_by: str) -> int:
+    """Write the delta beside the later report and say it; the exit code."""
+    from datetime import UTC, datetime
+
+    from safety_harness.certification.delta import delta_of
+    from safety_harness.certification.delta_page import PAGE, folder_of_delta, write_delta
+    from safety_harness.scenario.typed_json import plain
+
+    delta, folder = delta_of(before, after), folder_of_delta(after.folder)
+    write_delta(folder, delta, command=made_by, generated_at=datetime.now(UTC))
+    document(delta=plain(delta))
+    result(*(f"WORSE {text}" for text in delta.regressions))
+    result(*(f"closed {text}" for text in delta.closed))
+    again = [one.what for one in delta.carried if not one.carries]
+    result(f"to be run again: {', '.join(again) or 'nothing'}", delta.line, f"{folder / PAGE}")
+    return DIFFERS if delta.regressions else AS_EXPECTED
+
+
+@command(of_certify, "delta")
+def tell_delta(
+    old: Annotated[Path, Argument(help="The folder of the earlier report.", metavar="OLD")],
+    new: Annotated[Path, Argument(help="The folder of the later one.", metavar="NEW")],
+) -> int:
+    """Say what changed between two reports, and what got worse; nothing is run.
+
+    NEW.delta/delta.html and delta.json say it all: software, system, settings, spaces, claims, bounds,
+    findings, and which of the earlier runs speak of the later system too.
+    Exit code 0: nothing got worse; 1: something did; 2: no report, one that is not finished, or one whose
+    files were altered.
+    """
+    import shlex
+
+    from safety_harness.certification.delta import EarlierReport
+    from safety_harness.scenario.files import told
+
+    before, after = EarlierReport.read(old), EarlierReport.read(new)
+    made_by = shlex.join(["safety-harness", "certify", "delta", str(told(old)), str(told(new))])
+    return _tell_delta(before, after, made_by)
 
 
 @command(of_certify)

@@ -47,15 +47,19 @@ TEMPLATES = {
 @command(commands, interrupted="interrupted: nothing was written")
 def new(
     template: Annotated[
-        str | None, Argument(help=f"One of {', '.join(TEMPLATES)}; asked for if none is given.")
+        str | None, Argument(help=f"One of {', '.join(TEMPLATES)}; asked for if none is given; or plan.")
     ] = None,
-    file: Annotated[Path | None, Argument(help="The scenario file to write; TEMPLATE.yaml if none.")] = None,
+    file: Annotated[
+        Path | None, Argument(help="The scenario file to write; TEMPLATE.yaml if none. Of a plan: its space.")
+    ] = None,
+    plan: Annotated[Path | None, Argument(help="The plan to write; SPACE-plan.yaml if none.")] = None,
     listed: Annotated[
         bool, Option("--list", help="Say which templates there are, and write nothing.")
     ] = False,
 ) -> int:
     """Write a scenario with comments to start from; it runs as it is.
 
+    new plan SPACE drafts a plan of a space's claims, with the fewest runs that can show 2 %.
     The template log brings a recording, policy an avoider in Python and a test of it, beside the scenario.
     Nothing is overwritten.
     Exit code 0; 2: no such template, such a file already, or it cannot be written; 130: interrupted.
@@ -64,6 +68,12 @@ def new(
         document(templates=[{"name": name, "about": one.about} for name, one in TEMPLATES.items()])
         result(*_listed())
         return AS_EXPECTED
+    if template == "plan":
+        from safety_harness.cli.plans import draft_plan
+
+        return draft_plan(file, plan)
+    if plan is not None:
+        raise InputError.of_option("new", "one file, but for a plan", str(plan))
     if template is None:
         template, file = _asked()
     chosen = _template(template)

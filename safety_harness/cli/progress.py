@@ -184,13 +184,26 @@ def watching_steps() -> Iterator[Callable[[str, float], None]]:
 
 @contextmanager
 def watching_campaign(plan: Plan) -> Iterator[Callable[[CampaignRunner], None]]:
-    """Yields what is told of the progress: rate, time left, worst margins, violations."""
+    """Yields what is told of the progress: rate, time left, worst margins, violations.
+
+    It warns, once each, of claims that the planned runs will not show, as far as the first of them tell.
+    """
+    from safety_harness.campaign.pilot import too_few
     from safety_harness.cli.campaign_lines import worst_lines
 
     claims = tuple(claim.sentence for claim in plan.claims)
     units = tuple(claim.unit for claim in plan.claims)
+    told: set[str] = set()
+
+    def tell(progress: CampaignRunner) -> None:
+        show([_head(progress), *worst_lines(claims, units, progress.tally)])
+        for one in too_few(plan, progress.tally):
+            if (name := f"{one.stratum}: {one.sentence}") not in told:
+                told.add(name)
+                say(f"warning: after {one.tried} runs: {one.line}")
+
     with _block() as show:
-        yield lambda progress: show([_head(progress), *worst_lines(claims, units, progress.tally)])
+        yield tell
 
 
 def _head(progress: CampaignRunner) -> str:

@@ -63,7 +63,7 @@ def run(
 
 @command(commands)
 def validate(files: Files, avoider: OfAvoider = None, controller: OfController = None) -> int:
-    """Read and check scenario files without running them, and tell every mistake of every file.
+    """Read and check scenario files, spaces and plans without running them, and tell every mistake.
 
     Nothing of theirs is executed: a Python file is parsed, of an ONNX file the metadata are read.
     A line "ok FILE: ..." goes to standard output for each file that can be run; mistakes go to standard
@@ -93,16 +93,27 @@ def fmt(
 
 @command(commands)
 def explain(
-    key: Annotated[list[str] | None, Argument(help="A key, such as: critical distance.")] = None,
+    key: Annotated[
+        list[str] | None, Argument(help="A key, such as: critical distance; or a plan's file.")
+    ] = None,
 ) -> int:
     """Say what a key of scenario files means: its unit, bounds, default and an example.
+
+    Of a plan: how many bounds it shows, and for each target how many tested runs it takes and how many
+    violations the planned ones allow. Nothing is run.
 
     A key that stands in several places is explained for each; "camera.rate" means one of them.
     Without a key, all are listed.
     Exit code 0; 2: there is no such key.
     """
     from safety_harness.cli.explain import explain_key
+    from safety_harness.scenario.kinds import FileKind, kind_of
+    from safety_harness.shipped.contents import located
 
+    if key and len(key) == 1 and kind_of(located(Path(key[0]))) is FileKind.PLAN:
+        from safety_harness.cli.plans import explain_plan
+
+        return explain_plan(Path(key[0]))
     return explain_key(key or [])
 
 

@@ -10,6 +10,8 @@ from safety_harness.admission.admit import Looker
 from safety_harness.admission.avoiders import with_avoider
 from safety_harness.admission.claims import property_of
 from safety_harness.admission.spaces import draw_admissible
+from safety_harness.campaign.plan import Plan, read_plan
+from safety_harness.certification.results import refuse_hopeless
 from safety_harness.cli.console import (
     AS_EXPECTED,
     BAD_INPUT,
@@ -21,17 +23,22 @@ from safety_harness.cli.console import (
     usable,
 )
 from safety_harness.compiled import without_compiling
+from safety_harness.exceptions import StatisticsError
 from safety_harness.scenario.compose import Variant
-from safety_harness.scenario.expand import gather
+from safety_harness.scenario.expand import Gathered, gather
+from safety_harness.scenario.kinds import FileKind, kind_of
 from safety_harness.scenario.model import Scenario
+from safety_harness.shipped.contents import located
 from safety_harness.space.read import space_of
 from safety_harness.space.space import ScenarioSpace
 
 
 def validate(paths: Sequence[Path], avoider: str | None = None) -> int:
     """A line for each file that can be used, every mistake of the others; returns the exit code."""
+    plans = [path for path in paths if kind_of(located(path)) is FileKind.PLAN]
+    others = [path for path in paths if path not in plans]
     try:
-        gathered = gather(paths, spaces=True)
+        gathered = gather(others, spaces=True) if others or not plans else Gathered()
         looker = Looker()  # which executes nothing
         checked, errors = usable(
             gathered.scenarios,
@@ -42,13 +49,16 @@ def validate(paths: Sequence[Path], avoider: str | None = None) -> int:
         spaces, errors_of_spaces = usable(
             gathered.spaces, lambda one: without_compiling(lambda: _tried_space(one))
         )
+        read, errors_of_plans = usable(
+            plans, lambda one: without_compiling(lambda: _checked_plan(one, looker))
+        )
     except KeyboardInterrupt:
         say("interrupted")
         return INTERRUPTED
     # Of every claim; admission stops at a scenario's first mistake.
     claims = [(claim, scenario) for scenario in gathered.scenarios for claim in scenario.claims]
     _, of_claims = usable(claims, lambda pair: property_of(*pair))
-    errors = [*gathered.errors, *errors, *of_claims, *errors_of_spaces]
+    errors = [*gathered.errors, *errors, *of_claims, *errors_of_spaces, *errors_of_plans]
     bad = {error.place.file for error in errors}
     usable_files: list[dict[str, object]] = []
     for file, scenarios in groupby(checked, key=lambda one: one.scenario.file):
@@ -59,12 +69,30 @@ def validate(paths: Sequence[Path], avoider: str | None = None) -> int:
     for space in spaces:
         result(f"ok {space.file}: a space, {_count(len(space.parameters), 'value')} that vary")
         usable_files.append({"file": space.file, "kind": "space", "parameters": len(space.parameters)})
+    for plan in read:
+        words = [_count(len(plan.strata), "stratum", "strata"), _count(plan.runs, "run")]
+        result(f"ok {plan.file}: a plan, {', '.join([*words, _count(len(plan.claims), 'claim')])}")
+        usable_files.append({"file": plan.file, "kind": "plan", "runs": plan.runs})
     document(usable=usable_files)
     if errors:
         mistakes = _count(len(explain_each(errors)), "mistake")
         rest = f"{_count(len(checked), 'scenario')} and {_count(len(spaces), 'space')}"
+        rest += f" and {_count(len(read), 'plan')}" if plans else ""
         say(f"{mistakes}; {rest} can be used")
     return BAD_INPUT if errors else AS_EXPECTED
+
+
+def _checked_plan(path: Path, looker: Looker) -> Plan:
+    """A plan of whose strata a draw can be tried; it is said if certify will refuse it."""
+    plan = read_plan(path)
+    try:
+        refuse_hopeless(plan)
+    except StatisticsError as error:
+        say(f"warning: {error.place}: certify refuses it: {error.expected}, and not {error.got}")
+    for stratum in plan.strata:
+        draw_admissible(stratum.space, seed=0, count=1)
+        looker.look(plan.with_avoider(stratum.space.simplest))
+    return plan
 
 
 def _tried_space(found: tuple[Variant, Path]) -> ScenarioSpace:
@@ -95,5 +123,5 @@ def _words(scenarios: Sequence[Scenario]) -> str:
     return ", ".join(words)
 
 
-def _count(number: int, noun: str) -> str:
-    return f"{number or 'no'} {noun}{'' if number == 1 else 's'}"
+def _count(number: int, noun: str, many: str = "") -> str:
+    return f"{number or 'no'} {noun if number == 1 else many or f'{noun}s'}"

@@ -70,6 +70,12 @@ class Box:
         )
         return inside
 
+    def outside_m(self, points_in_base_m: Vector) -> Vector:
+        """``points_in_base_m`` (..., 3) -> (...): how far each is from the box [m], 0 within; NaN of NaN."""
+        beyond = np.maximum(np.array(self.low_m) - points_in_base_m, points_in_base_m - np.array(self.high_m))
+        outside: Vector = np.linalg.norm(np.maximum(beyond, 0.0), axis=-1)
+        return outside
+
 
 @dataclass(frozen=True)
 class Region:

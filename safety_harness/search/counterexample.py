@@ -51,6 +51,7 @@ def circumstances(trace: Trace) -> list[str]:
     lines = [] if cell is None else [f"the run: {cell} (seen by {seen.source})"]
     if not decided(trace):
         return [*lines, "what was decided was not measured"]
+    lines += sure_about_unseen(trace, seen)
     for k, decision in enumerate(trace.decisions):
         spread_m = decision["proposed_spread_m"]
         words = [f"decision {k + 1} at {decision['time_s']:.3f} s"]
@@ -69,6 +70,22 @@ def circumstances(trace: Trace) -> list[str]:
         words.append("hand seen in training" if inside else "hand where none was in training")
         lines.append("; ".join(words))
     return lines
+
+
+def sure_about_unseen(trace: Trace, seen: SeenRegions) -> list[str]:
+    """Of the answers about a hand that training never had, the surest one that the gate took for certain."""
+    asked = trace.decisions
+    spread_m = np.max(asked["proposed_spread_m"], axis=-1, initial=0.0)
+    unseen = ~seen.hand.contains(asked["hand_position_in_base_m"])
+    taken = asked["outcome"] == DecisionOutcome.PROPOSED
+    sure = np.flatnonzero(unseen & taken & (spread_m > 0.0) & (spread_m <= asked["spread_threshold_m"]))
+    if not len(sure):
+        return []
+    surest = sure[np.argmin(spread_m[sure])]
+    beyond_m = float(seen.hand.outside_m(asked["hand_position_in_base_m"][surest]))
+    words = f"sure ({spread_m[surest] * 1e3:.1f} mm) about a hand never seen in training"
+    where = f"{beyond_m * 1e3:.0f} mm from the nearest that was, in decision {surest + 1}"
+    return [f"{words}, {where}; {len(sure)} of {len(asked)} decisions are so"]
 
 
 KEPT = 0.1  # of the margin, when shrinking

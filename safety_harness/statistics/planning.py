@@ -106,6 +106,27 @@ def runs_for_power(aim: Aim, *, probability: float, wanted: float = 0.9, most_al
     raise refusal(_TARGET, expected, f"{aim.target:g}", hint)
 
 
+def runs_for_tested(tested: int, *, share: float, wanted: float = 0.9) -> int:
+    """The least number of runs of which, with the chance ``wanted``, at least ``tested`` exercise the claim.
+
+    Each does with the chance ``share``, apart from the others: their number is binomial.
+    """
+    if not (0.0 < share <= 1.0 and 0.0 < wanted < 1.0 and tested >= 1):
+        raise refusal("share", "a share between 0 and 1, of at least one run", f"{share:g} of {tested}")
+    if share == 1.0:
+        return tested
+    least, most = tested, 2 * tested
+    while bdtr(tested - 1, most, share) > 1.0 - wanted:
+        least, most = most + 1, 2 * most
+        if most > MOST_RUNS:
+            raise refusal("share", f"a share by which {MOST_RUNS:.0e} runs are enough", f"{share:g}")
+    while least < most:
+        middle = (least + most) // 2
+        enough = bdtr(tested - 1, middle, share) <= 1.0 - wanted
+        least, most = (least, middle) if enough else (middle + 1, most)
+    return most
+
+
 def refuse_if_impossible(aim: Aim, planned: int, *, tested: float = 1.0, place: Place | None = None) -> None:
     """StatisticsError, with the number that would do, if ``planned`` runs without any violation do not.
 

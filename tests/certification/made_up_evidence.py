@@ -20,6 +20,7 @@ from safety_harness.certification.evidence import (
     EvidenceProvenance,
     HazardEvidence,
     HourlyBound,
+    LearnedPart,
     OpenFinding,
     OverrulingResult,
     Quantile,
@@ -31,8 +32,10 @@ from safety_harness.certification.evidence import (
     StoredFile,
     StratumResult,
     SystemDescription,
+    TrainingDistance,
     WhoseFault,
 )
+from safety_harness.certification.learned import LIFE
 from safety_harness.certification.standards import ASSUMPTIONS, EXCLUSIONS
 from safety_harness.certification.tools import (
     CaughtFault,
@@ -396,6 +399,26 @@ def evidence(*, only_shown: bool = False, counterexamples: int = 2) -> Evidence:
         proven=None if only_shown else proven(),
         hazards=() if only_shown else hazards(),
         notes=() if only_shown else (ArgumentNote(element="defeater: judges", text=f"asked {HOSTILE}"),),
+        learned=None if only_shown else learned(),
+    )
+
+
+def learned() -> LearnedPart:
+    return LearnedPart(
+        networks=(("mc-dropout", HASH),),
+        seen=("mc-dropout",),
+        strata=tuple(
+            TrainingDistance(
+                stratum=name,
+                runs=(2811, 149, 0, 40),
+                decisions=decisions,
+                share_outside=0.25 if decisions else None,
+                median_outside_m=0.017 if decisions else None,
+                largest_outside_m=0.028 if decisions else None,
+            )
+            for name, decisions in zip(STRATA, (40, 12, 0), strict=True)
+        ),
+        life=LIFE,
     )
 
 

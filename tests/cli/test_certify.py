@@ -21,7 +21,7 @@ from safety_harness.certification import verify_report
 from safety_harness.certification.counterexamples import declared_counterexamples
 from safety_harness.certification.evidence import ClaimStatus, read_evidence, schema
 from safety_harness.certification.findings import of_examples
-from safety_harness.cli.certify import certify, declare, seal_report, verify
+from safety_harness.cli.certify import certify, declare, seal_report, tell_delta, verify
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, DIFFERS, INTERRUPTED
 from safety_harness.cli.main import app
 from safety_harness.search import session as search_session
@@ -161,6 +161,36 @@ def test_outcomes_that_neither_trace_nor_run_gives_are_noticed(
     lines = said.splitlines()
     assert any(line.startswith("DIFF") and "stored traces" in line for line in lines)
     assert any(line.startswith("DIFF") and "runs made again" in line for line in lines)
+
+
+def test_since_an_earlier_report_what_got_worse_fails_and_nothing_else(
+    report: Path, made: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert tell_delta(made, report) == AS_EXPECTED
+    assert "nothing changed" in words(capsys)
+    page = report.with_name("report.delta") / "delta.html"
+    assert "nothing changed" in page.read_text()
+    with closing(sqlite3.connect(report / "ledger.sqlite")) as connection, connection:
+        connection.execute("UPDATE judgement SET outcome = 1, margin = -0.1 WHERE claim = 1 AND stratum = 0")
+    assert certify(made.parent / "plan.yaml", out=report, since=made, workers=1) == DIFFERS
+    said = words(capsys)
+    assert "WORSE joint speeds within limits, near: 0 % to " in said
+    assert "paired by episode" in said
+    assert "got worse since report" in page.read_text()
+    assert tell_delta(report, made) == AS_EXPECTED
+
+
+def test_a_report_altered_by_hand_is_held_against_nothing(
+    report: Path, made: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = (report / "evidence.json").read_text()
+    (report / "evidence.json").write_text(text.replace("near", "far", 1))
+    for pair in ((report, made), (made, report)):
+        assert tell_delta(*pair) == BAD_INPUT
+        assert "evidence.json is not the file that was written" in words(capsys)
+    plan = made.parent / "plan.yaml"
+    assert certify(plan, out=report.with_name("none"), since=report, workers=1) == BAD_INPUT
+    assert not report.with_name("none").exists()
 
 
 def test_a_folder_that_is_no_report_is_bad_input(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -78,6 +78,7 @@ LOOKS: dict[str, tuple[str, int]] = {
     "verify": ("report --runs 0", AS_EXPECTED),
     "verify as it is": ("report", BAD_INPUT),  # without --execute-programs
     "history": ("log", BAD_INPUT),  # no two reports
+    "certify delta": ("report report", AS_EXPECTED),
     "certify declare": ("plan.yaml", AS_EXPECTED),
     "certify seal": ("report", AS_EXPECTED),
     "campaign status": ("report/ledger.sqlite", AS_EXPECTED),
@@ -111,6 +112,7 @@ EXECUTES: dict[str, str | None] = {
     "attribute": "scenario.yaml",
     "compare-worlds": "log/LOG.yaml --scenario scenario.yaml --to 0.9s",
     "campaign attribute": "report/ledger.sqlite --execute-programs --most 1",
+    "campaign pilot": "plan.yaml --runs 1",
     "campaign run": "plan.yaml --workers 1",
     "campaign resume": "begun.sqlite --workers 1",
     "campaign rare": "plan.yaml --particles 10 --steps 1 --replications 3",

@@ -25,6 +25,9 @@ import test_search_page as search
 import safety_harness
 import safety_harness_paper
 from safety_harness.campaign.episodes import failed_row
+from safety_harness.campaign.identity import Identity
+from safety_harness.certification.delta import delta_between
+from safety_harness.certification.delta_page import render as delta_page
 from safety_harness.certification.folder import junit_xml
 from safety_harness.certification.page import render as evidence_page
 from safety_harness.proof.certificate import Proof, WrongQuestion
@@ -189,11 +192,19 @@ def campaigned() -> str:
         return (folder / "page.html").read_text()
 
 
+def compared() -> str:
+    before, after = (made_up_evidence.evidence(only_shown=shown) for shown in (True, False))
+    identity = Identity(())
+    found = delta_between(before, after, names=("a", "b"), identities=(identity, identity), paired={})
+    return delta_page(spoilt(found), command=MARKUP, generated_at=WHEN)
+
+
 PAGES: dict[str, Callable[[], str]] = {
     "report.html.j2": report,
     "search.html.j2": a_search,
     "score.html.j2": scored,
     "evidence.html.j2": certified,
+    "delta.html.j2": compared,
     "selftest.html.j2": tried,
     "reproduction.html.j2": reproduced,
     "arms.html.j2": arms,

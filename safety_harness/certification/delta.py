@@ -1,0 +1,454 @@
+"""What changed from one evidence report to a later one, what got worse, and which runs carry over.
+
+Worse is: a claim that was shown in a stratum and is not any more (because it is gone, too), a target or a
+confidence that was lowered, a finding that was opened, a proof that is gone, and a violation probability that
+is *shown* to be larger.  That is so where the exact interval of the difference, paired by episode, lies above
+zero; or, where the two reports drew other episodes, where the two intervals have no value in common.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeVar
+
+from safety_harness.campaign.identity import SYSTEM, Identity
+from safety_harness.campaign.ledger import Ledger
+from safety_harness.campaign.merging import compare_ledgers
+from safety_harness.campaign.session import LEDGER
+from safety_harness.certification.evidence import (
+    SEVERITY,
+    Bound,
+    ClaimEvidence,
+    ClaimResult,
+    ClaimStatus,
+    Evidence,
+    read_evidence,
+)
+from safety_harness.certification.folder import JSON, read_manifest
+from safety_harness.certification.verdicts import at_least, at_most, percent
+from safety_harness.certification.verify_files import check_files
+from safety_harness.exceptions import InputError, LedgerError, Place, StatisticsError
+from safety_harness.scenario.typed_json import plain
+
+FORMAT = "safety-harness delta 1"
+NONE = "–"
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class PartChange:
+    """A part of the software, the system or the plan that is another; ``NONE`` where there is none."""
+
+    part: str
+    name: str
+    before: str
+    after: str
+
+
+@dataclass(frozen=True)
+class ClaimChange:
+    """A claim that stands otherwise, or for another target; None where it is not in the plan.
+
+    ``stratum`` is empty for the claim as a whole.
+    """
+
+    sentence: str
+    stratum: str
+    before: ClaimStatus | None
+    after: ClaimStatus | None
+    target_before: float | None
+    target_after: float | None
+
+
+@dataclass(frozen=True)
+class BoundChange:
+    """A bound that is another.  ``worse`` and ``better`` are shown, by ``how``; both may be untrue."""
+
+    sentence: str
+    stratum: str
+    before: Bound | None
+    after: Bound | None
+    worse: bool
+    better: bool
+    how: str
+
+
+@dataclass(frozen=True)
+class CarriedPart:
+    """A part of the earlier evidence: whether it also speaks of the later system, and ``why`` (not)."""
+
+    what: str
+    carries: bool
+    why: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class EvidenceDelta:
+    """The whole comparison.  ``before`` and ``after`` are the folders' names with the roots of their rows."""
+
+    format: str
+    before: tuple[str, str]
+    after: tuple[str, str]
+    regressions: tuple[str, ...]
+    parts: tuple[PartChange, ...]
+    claims: tuple[ClaimChange, ...]
+    bounds: tuple[BoundChange, ...]
+    opened: tuple[str, ...]
+    closed: tuple[str, ...]
+    reworded: tuple[tuple[str, str], ...]  # findings that are open still, with other numbers
+    carried: tuple[CarriedPart, ...]
+
+    @property
+    def empty(self) -> bool:
+        """Is nothing another?"""
+        return not (self.parts or self.claims or self.bounds or self.opened or self.closed or self.reworded)
+
+    @property
+    def line(self) -> str:
+        """In one sentence."""
+        if self.empty:
+            return "nothing changed"
+        if self.regressions:
+            return f"{len(self.regressions)} got worse since {self.before[0]}"
+        return f"nothing got worse since {self.before[0]}"
+
+    def as_text(self) -> str:
+        """As JSON."""
+        return json.dumps(plain(self), indent=1, allow_nan=False, ensure_ascii=False) + "\n"
+
+
+@dataclass(frozen=True, eq=False)
+class EarlierReport:
+    """A finished report whose files are those that its manifest has."""
+
+    folder: Path
+    evidence: Evidence
+
+    @classmethod
+    def read(cls, folder: Path) -> EarlierReport:
+        """InputError for what is no report, one that is not finished, or one whose files were altered."""
+        hashes = read_manifest(folder)
+        if faults := check_files(folder, hashes).faults:
+            expected = "the folder of a report as certify wrote it"
+            hint = f"safety-harness verify {folder} looks at all of it"
+            raise InputError(place=Place(file=folder), expected=expected, got="; ".join(faults), hint=hint)
+        evidence = read_evidence(folder / JSON)
+        if evidence.interrupted:
+            raise InputError(
+                place=Place(file=folder), expected="a finished report", got="one with runs missing"
+            )
+        return cls(folder, evidence)
+
+
+def delta_of(earlier: EarlierReport, later: EarlierReport) -> EvidenceDelta:
+    """From the earlier to the later one; InputError for a ledger that cannot be read."""
+    with ExitStack() as stack:
+        both = (earlier, later)
+        first, second = (stack.enter_context(Ledger.open(one.folder / LEDGER, alone=True)) for one in both)
+        return delta_between(
+            earlier.evidence,
+            later.evidence,
+            names=(earlier.folder.resolve().name, later.folder.resolve().name),
+            identities=(first.declared.identity, second.declared.identity),
+            paired=_paired(first, second),
+        )
+
+
+Paired = dict[tuple[str, str], tuple[float, float, float]]
+
+
+def delta_between(
+    before: Evidence,
+    after: Evidence,
+    *,
+    names: tuple[str, str],
+    identities: tuple[Identity, Identity],
+    paired: Paired,
+) -> EvidenceDelta:
+    """By (claim, stratum) ``paired`` has the difference's interval (later minus earlier) and its confidence.
+
+    ``identities`` are what the runs of each hang on.
+    """
+    bounds = tuple(_bounds(before, after, paired))
+    opened, closed, reworded = _findings(before, after)
+    return EvidenceDelta(
+        format=FORMAT,
+        before=(names[0], before.record.rows_sha256),
+        after=(names[1], after.record.rows_sha256),
+        regressions=(
+            *_lost(before, after),
+            *_loosened(before, after),
+            *(_worse_words(one) for one in bounds if one.worse),
+            *_unproven(before, after),
+            *(f"a finding was opened: {text}" for text in opened),
+        ),
+        parts=tuple(_parts(before, after)),
+        claims=tuple(_claims(before, after)),
+        bounds=bounds,
+        opened=opened,
+        closed=closed,
+        reworded=reworded,
+        carried=tuple(_carried(before, after, *identities)),
+    )
+
+
+def _both(before: Mapping[str, T], after: Mapping[str, T]) -> Iterator[tuple[str, T | None, T | None]]:
+    """Each key of either, with what both have of it."""
+    for name in dict.fromkeys([*before, *after]):
+        yield name, before.get(name), after.get(name)
+
+
+def _claims_by(evidence: Evidence) -> dict[str, ClaimEvidence]:
+    return {claim.sentence: claim for claim in evidence.claims}
+
+
+def _claims(before: Evidence, after: Evidence) -> Iterator[ClaimChange]:
+    targets = [{one.sentence: one.target for one in each.claims} for each in (before, after)]
+    earlier, later = (_standings(each) for each in (before, after))
+    for sentence, stratum in dict.fromkeys([*earlier, *later]):
+        key = (sentence, stratum)
+        was, now = (earlier.get(key), targets[0].get(sentence)), (later.get(key), targets[1].get(sentence))
+        if was[0] is not now[0] or (was != now and not stratum):
+            yield ClaimChange(sentence, stratum, was[0], now[0], was[1], now[1])
+
+
+def _standings(evidence: Evidence) -> dict[tuple[str, str], ClaimStatus]:
+    """Of each claim as a whole, and in each stratum."""
+    whole = {(claim.sentence, ""): claim.standing for claim in evidence.claims}
+    return whole | {key: one.standing for key, one in _outcomes(evidence).items()}
+
+
+def _outcomes(evidence: Evidence) -> dict[tuple[str, str], ClaimResult]:
+    return {(claim.sentence, one.stratum): one for claim in evidence.claims for one in claim.outcomes}
+
+
+def _lost(before: Evidence, after: Evidence) -> Iterator[str]:
+    """What was shown and is not now: in a stratum, or over all of the plan's."""
+    outcomes, claims = _outcomes(after), _claims_by(after)
+    told = set()
+    for (sentence, stratum), was in _outcomes(before).items():
+        now = outcomes.get((sentence, stratum))
+        if was.standing is ClaimStatus.SHOWN and (now is None or now.standing is not ClaimStatus.SHOWN):
+            told.add(sentence)
+            gone = f"the {'stratum' if sentence in claims else 'claim'} is not in the plan any more"
+            words = gone if now is None else f"{now.standing.value}: {now.why}"
+            yield f"{sentence}, {stratum}: shown before, now {words}"
+    for sentence, claim, later in _both(_claims_by(before), claims):
+        lost = claim and claim.standing is ClaimStatus.SHOWN is not (later and later.standing)
+        if lost and later and sentence not in told:
+            yield f"{sentence}: shown before, now {later.standing.value}: {later.why}"
+
+
+def _loosened(before: Evidence, after: Evidence) -> Iterator[str]:
+    """A lower confidence, and a target that is larger than one that was met and is not met any more."""
+    if after.plan.confidence < before.plan.confidence:
+        lower, higher = percent(after.plan.confidence), percent(before.plan.confidence)
+        yield f"the bounds hold with {lower} confidence, {higher} before"
+    claims = _claims_by(before)
+    for claim in after.claims:
+        target = claims[claim.sentence].target if claim.sentence in claims else None
+        for one in claim.outcomes:
+            was = _outcomes(before).get((claim.sentence, one.stratum))
+            kept = one.bound is not None and target is not None and one.bound.upper <= target
+            if was and was.standing is one.standing is ClaimStatus.SHOWN and target and not kept:
+                yield f"{claim.sentence}, {one.stratum}: shown for a larger target, not for {percent(target)}"
+
+
+def _paired(first: Ledger, second: Ledger) -> Paired:
+    """Each difference's interval, later minus earlier, and its confidence; none for other episodes."""
+    try:
+        compared = compare_ledgers(first, second)
+    except (LedgerError, StatisticsError):
+        return {}
+    return {(one.claim, one.stratum): (one.low, one.high, one.confidence) for one in compared}
+
+
+def _bounds(before: Evidence, after: Evidence, paired: Paired) -> Iterator[BoundChange]:
+    earlier, later = _outcomes(before), _outcomes(after)
+    for key in dict.fromkeys([*earlier, *later]):
+        was, now = (found[key].bound if key in found else None for found in (earlier, later))
+        if was == now:
+            continue
+        worse = better = False
+        how = "there is nothing to hold it against"
+        if was and now and key in paired:
+            low, high, confidence = paired[key]
+            worse, better = low > 0.0, high < 0.0
+            how = (
+                f"the difference, paired by episode, is {100 * low:+.3g} % to {100 * high:+.3g} %, "
+                f"{100 * confidence:.4g} % alone"
+            )
+        elif was and now:
+            worse, better = now.lower > was.upper, now.upper < was.lower
+            how = "other episodes: the two intervals are held against each other"
+        yield BoundChange(*key, was, now, worse, better, how)
+
+
+def _worse_words(one: BoundChange) -> str:
+    return (
+        f"{one.sentence}, {one.stratum}: {interval(one.before)} before, {interval(one.after)} now; {one.how}"
+    )
+
+
+def interval(bound: Bound | None) -> str:
+    """Both ends in words."""
+    return NONE if bound is None else f"{at_least(bound.lower)} to {at_most(bound.upper)}"
+
+
+def _proofs(evidence: Evidence) -> dict[str, str]:
+    claims = evidence.proven.claims if evidence.proven else ()
+    return {f"{one.claim}, {one.region}": one.verdict for one in claims}
+
+
+def _unproven(before: Evidence, after: Evidence) -> Iterator[str]:
+    for name, was, now in _both(_proofs(before), _proofs(after)):
+        if was == "proven" != now:
+            yield f"{name}: proven before, now {now or 'no proof is given'}"
+
+
+_QUOTED_OR_NUMBER = re.compile(r"('[^']*'|\"[^\"]*\")|(?<![\w.-])\d[\d,.]*(?![\w-])")
+
+
+def _findings(
+    before: Evidence, after: Evidence
+) -> tuple[tuple[str, ...], tuple[str, ...], tuple[tuple[str, str], ...]]:
+    """Opened, closed, and told otherwise: a claim's finding is its own, another is known by its words."""
+    earlier, later = _open_in(before), _open_in(after)
+    opened: list[str] = []
+    closed: list[str] = []
+    reworded: list[tuple[str, str]] = []
+    for _, was, now in _both(earlier, later):
+        if was is None or now is None:
+            (opened if was is None else closed).append((now or was or (0, ""))[1])
+        elif was[0] < now[0]:
+            opened.append(now[1])
+        elif was[1] != now[1]:
+            reworded.append((was[1], now[1]))
+    return tuple(opened), tuple(closed), tuple(reworded)
+
+
+def _open_in(evidence: Evidence) -> dict[str, tuple[int, str]]:
+    """Each finding by what stays of it when its numbers change: how grave it is, and its text."""
+    claims = {f"claim-{one.number}": one for one in evidence.claims}
+    strata = sorted((one.name for one in evidence.strata), key=len, reverse=True)
+    found: dict[str, tuple[int, str]] = {}
+    times: Counter[str] = Counter()
+    for one in evidence.findings:
+        claim = claims.get(one.place)
+        gravity = SEVERITY.index(claim.standing) if claim else 0
+        name = next((f"{name}: " for name in strata if one.text.startswith(f"{name}: ")), "")
+        rest = one.text.removeprefix(name)
+        key = f"claim {claim.sentence}" if claim else name + _QUOTED_OR_NUMBER.sub(r"\1", rest)
+        times[key] += 1
+        found[f"{key} {times[key]}"] = gravity, one.text
+    return found
+
+
+def _parts(before: Evidence, after: Evidence) -> Iterator[PartChange]:
+    """Everything else that is another."""
+    for part, of in _PARTS.items():
+        for name, was, now in _both(of(before), of(after)):
+            if was != now:
+                yield PartChange(part, name, NONE if was is None else was, NONE if now is None else now)
+
+
+def _software(evidence: Evidence) -> dict[str, str]:
+    made = evidence.provenance
+    about = {"package": made.package_version, "source": made.source_hash, "Python": made.python}
+    return about | {"platform": made.platform} | dict(made.libraries)
+
+
+def _system(evidence: Evidence) -> dict[str, str]:
+    found: dict[str, str] = {}
+    for name, text in (*evidence.system.facts, *evidence.system.card, *evidence.system.gate):
+        found[name] = f"{found[name]}; {text}" if name in found else text
+    return found | {f"limit {k}": text for k, text in enumerate(evidence.system.limits, start=1)}
+
+
+def _settings(evidence: Evidence) -> dict[str, str]:
+    own = {f"{name}, in the plan": f"{value}, not {usual}" for name, usual, value in evidence.system.changed}
+    return dict(evidence.system.settings) | own
+
+
+_OF_PLAN = ("name", "world", "confidence", "seed", "stop_early", "search_runs", "about")
+
+
+def _plan(evidence: Evidence) -> dict[str, str]:
+    plan = {name: str(getattr(evidence.plan, name)) for name in _OF_PLAN}
+    lodged = evidence.record.declaration_sha256
+    return plan | ({"declaration": lodged} if lodged else {})
+
+
+def _spaces(evidence: Evidence) -> dict[str, str]:
+    return {
+        one.name: f"{one.planned} runs of {one.space}, sha256 {one.space_sha256[:16]}"
+        for one in evidence.strata
+    }
+
+
+def _files(evidence: Evidence) -> dict[str, str]:
+    return {one.path: one.sha256[:16] for one in evidence.files if one.path.startswith("plan/")}
+
+
+_PARTS: dict[str, Callable[[Evidence], dict[str, str]]] = {
+    "software": _software,
+    "system": _system,
+    "settings": _settings,
+    "plan": _plan,
+    "space": _spaces,
+    "file": _files,
+    "proof": _proofs,
+    "results": lambda evidence: {"root over all rows": evidence.record.rows_sha256[:16]},
+}
+
+
+def _carried(before: Evidence, after: Evidence, was: Identity, now: Identity) -> Iterator[CarriedPart]:
+    """Stratum by stratum, then the proofs and the self-test."""
+    earlier = {one.name: one for one in before.strata}
+    everywhere = [
+        f"the {name.replace('_', ' ')} is another"
+        for name in ("seed", "world", "stop_early")
+        if getattr(before.plan, name) != getattr(after.plan, name)
+    ]
+    judged = {claim.sentence for claim in before.claims}
+    everywhere += [f"never judged: {one.sentence}" for one in after.claims if one.sentence not in judged]
+    for stratum in after.strata:
+        what = f"{stratum.planned} runs of {stratum.name}"
+        if stratum.name not in earlier:
+            yield CarriedPart(what, False, "the stratum is new")
+            continue
+        others = {one.space for one in (*before.strata, *after.strata)} - {stratum.space}
+        others |= {before.plan.file, after.plan.file}
+        why = _of_stratum(was, stratum.name, others).changes(_of_stratum(now, stratum.name, others))
+        why += everywhere
+        if (there := earlier[stratum.name].made) < stratum.planned:
+            why.append(f"{there} runs are there")
+        same = "its space, the system, the software and the claims that were judged are the same"
+        yield CarriedPart(what, not why, "; ".join(why) or same)
+    if before.proven is not None:
+        known = any(value == before.proven.network_sha256 for _, value in now.parts)
+        words = "it is the same network, by its hash" if known else "the network is another"
+        yield CarriedPart("what was proven of the network", known, words)
+    if before.selftest is not None:
+        known = before.selftest.present and before.provenance.source_hash == after.provenance.source_hash
+        yield CarriedPart("the self-test", known, f"the source is {'the same' if known else 'another'}")
+
+
+def _of_stratum(identity: Identity, stratum: str, others: set[str]) -> Identity:
+    """What of an identity the runs of a stratum hang on: not the plan, nor other strata's own files."""
+    mine = f"{SYSTEM} in {stratum}"
+    return Identity(
+        tuple(
+            (name, value)
+            for name, value in identity.parts
+            if name.removeprefix("the file ") not in others
+            and (name == mine or not name.startswith(f"{SYSTEM} in "))
+        )
+    )
