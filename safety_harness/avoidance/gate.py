@@ -128,8 +128,7 @@ class Gate:
     def rule_on(self, proposed: Answer, query: Query) -> GateDecision:
         """Check the avoider's answer, fall back to the opposite pose, else stop."""
         opposite = answer_to(self.fallback, replace(query, late="", asked_of=None))
-        known: dict[bytes, Check] = {}  # the opposite pose may be what was proposed
-        proposed_failed, opposite_failed = (self._failed(one, query, known) for one in (proposed, opposite))
+        proposed_failed, opposite_failed = self._failed(proposed, query), self._failed(opposite, query)
         if not (proposed.late or proposed.fault):
             proposed_failed |= self._outside(query.question)
         if not proposed_failed:
@@ -150,17 +149,13 @@ class Gate:
             proposed.latency_s,
         )
 
-    def _failed(self, answer: Answer, query: Query, known: dict[bytes, Check]) -> Check:
-        """Which checks an answer fails; ``known`` has what positions fail, and takes this one's over."""
+    def _failed(self, answer: Answer, query: Query) -> Check:
+        """Which checks an answer fails."""
         if answer.late:
             return Check.LATE
         if answer.fault:
             return Check.NOT_FINITE
-        position_in_base_m = answer.proposal.position_in_base_m
-        key = position_in_base_m.tobytes()
-        if key not in known:
-            known[key] = self.check(position_in_base_m, query)
-        failed = known[key]
+        failed = self.check(answer.proposal.position_in_base_m, query)
         spread_m, threshold_m = answer.proposal.spread_m.max(), answer.spread_threshold_m
         if self.kind is GateKind.FULL and spread_m > threshold_m:  # never above NaN: no threshold
             failed |= Check.UNCERTAIN

@@ -42,7 +42,7 @@ def _ends(prop: NoMovingPartTouches, trace: Trace, margin_m: float) -> tuple[flo
     turns = turned_rad >= STANDSTILL_RADPS * trace.scenario.settings.clock.control_period_s
     first = np.where(turns.any(axis=1), turns.argmax(axis=1), turns.shape[1])
     for hand in range(len(trace.scenario.hands)):
-        moves = _nearest_links(trace, hand)[:-1] > first
+        moves = turns.any(axis=1) & (_nearest_links(trace, hand)[:-1] > first)
         reached_m = (trace.ticks["hand_distance_m"][:, hand] + off_m)[:-1][moves]
         surely_m = min(surely_m, float(reached_m.min(initial=np.inf)))
     return low_m, surely_m, bool((true.nearest_m + at_ticks_m).min() < prop.near_m and turns.any())
