@@ -61,7 +61,7 @@ STANDARDS = typed(
 
 
 @dataclass(frozen=True, kw_only=True)
-class Question:
+class AssessorQuestion:
     """What an assessor ``asks`` by the standard ``of``; ``here`` and ``means`` as of a requirement."""
 
     of: str
@@ -71,7 +71,10 @@ class Question:
 
 
 QUESTIONS = typed(
-    YAML(typ="safe", pure=True).load(ASKED.read_text("utf-8")), tuple[Question, ...], ASKED, defaults=True
+    YAML(typ="safe", pure=True).load(ASKED.read_text("utf-8")),
+    tuple[AssessorQuestion, ...],
+    ASKED,
+    defaults=True,
 )
 CELL, ROBOT, RISK = (STANDARDS[key].name for key in ("cell", "robot", "risk"))
 FORMERLY = STANDARDS["contact"].name  # its content is within the cell's standard now
