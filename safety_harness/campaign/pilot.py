@@ -127,7 +127,7 @@ def too_few(plan: Plan, tally: CampaignTally) -> Iterator[ClaimForecast]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Pilot:
+class PlanPilot:
     """What the runs of a pilot say of a plan; ``run_s`` is how long one took, by stratum."""
 
     forecasts: tuple[ClaimForecast, ...]
@@ -144,7 +144,7 @@ class Pilot:
         return sum(s * one.runs for s, one in zip(self.run_s, plan.strata, strict=True)) / workers
 
 
-def pilot(plan: Plan, runs: int, on_progress: Callable[[int], None] = lambda done: None) -> Pilot:
+def pilot(plan: Plan, runs: int, on_progress: Callable[[int], None] = lambda done: None) -> PlanPilot:
     """Run ``runs`` episodes of each stratum in this process; nothing is written.
 
     InputError for an avoider that cannot be made, or a plan whose text is to blame.
@@ -165,7 +165,7 @@ def pilot(plan: Plan, runs: int, on_progress: Callable[[int], None] = lambda don
         run_s.append(median(row.seconds for row in rows))
         failures |= dict.fromkeys(row.failure for row in rows if row.failure)
         forecasts += _forecasts(plan, stratum, rows)
-    return Pilot(forecasts=tuple(forecasts), run_s=tuple(run_s), failures=tuple(failures))
+    return PlanPilot(forecasts=tuple(forecasts), run_s=tuple(run_s), failures=tuple(failures))
 
 
 def _forecasts(plan: Plan, stratum: int, rows: Sequence[Row]) -> Iterator[ClaimForecast]:
