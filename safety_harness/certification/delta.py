@@ -397,11 +397,20 @@ def _files(evidence: Evidence) -> dict[str, str]:
     return {one.path: one.sha256[:16] for one in evidence.files if one.path.startswith("plan/")}
 
 
+def _hazards(evidence: Evidence) -> dict[str, str]:
+    return {
+        one.name: f"{one.severity}, {one.exposure}, {one.avoidance}; {one.approaches}; asked an hour: "
+        f"{'nothing' if one.asked_an_hour is None else f'{one.asked_an_hour:g}'}"
+        for one in evidence.hazards
+    }
+
+
 _PARTS: dict[str, Callable[[Evidence], dict[str, str]]] = {
     "software": _software,
     "system": _system,
     "settings": _settings,
     "plan": _plan,
+    "hazard": _hazards,
     "space": _spaces,
     "file": _files,
     "proof": _proofs,

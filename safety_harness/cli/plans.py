@@ -32,6 +32,8 @@ def explain_plan(path: Path) -> int:
     result(
         f"{family} bounds hold together with {percent(plan.confidence)} confidence, each alone with {each}"
     )
+    for hazard in plan.risks.hazards:
+        result(f"{hazard.name}: {'; '.join(hazard.derived(plan.risks.graph).steps)}")
     claims: list[dict[str, object]] = []
     for claim in plan.claims:
         aim = None if claim.target is None else aim_of(plan, claim.target)
