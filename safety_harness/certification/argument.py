@@ -157,7 +157,8 @@ def _numbered(element: Element, counts: Counter[ElementKind]) -> Element:
 def _hazards(evidence: Evidence) -> Iterator[Element]:
     """A goal for each hazard of the plan, then one for the words of each claim that names none."""
     for hazard in evidence.hazards:
-        yield _hazard(hazard, [one for one in evidence.claims if one.number in hazard.claims])
+        claims = [one for one in evidence.claims if one.number in hazard.claims]
+        yield _hazard(hazard, claims, rated=bool(hazard.met) and not evidence.plan.model_only)
     named = {number for hazard in evidence.hazards for number in hazard.claims}
     others = [one for one in by_gravity(evidence.claims) if one.number not in named]
     for words in dict.fromkeys(one.hazard for one in others):
@@ -168,11 +169,13 @@ def _hazards(evidence: Evidence) -> Iterator[Element]:
         yield Element(ElementKind.GOAL, text, "hazards", state, below, name=f"hazard: {words}")
 
 
-def _hazard(hazard: HazardEvidence, claims: list[ClaimEvidence]) -> Element:
+def _hazard(hazard: HazardEvidence, claims: list[ClaimEvidence], *, rated: bool) -> Element:
+    """``rated``: are its rates shown, and not of a model alone?"""
     asked = "" if hazard.asked_an_hour is None else f", at most {hazard.asked_an_hour:g} an hour"
-    rated = STATE[ClaimStatus.SHOWN] if hazard.met else DOUBT
     rates = {
-        one.claim: Element(ElementKind.SOLUTION, f"At most {one.an_hour:.3g} an hour", "rates", rated)
+        one.claim: Element(
+            ElementKind.SOLUTION, f"At most {one.an_hour:.3g} an hour", "rates", DONE if rated else DOUBT
+        )
         for one in hazard.rates
     }
     beside = [
@@ -190,7 +193,7 @@ def _hazard(hazard: HazardEvidence, claims: list[ClaimEvidence]) -> Element:
         ElementKind.GOAL,
         f"Kept rare: {hazard.name}{asked} ({hazard.event})",
         "rates",
-        DOUBT if state == DONE and hazard.met is not True else state,
+        DOUBT if state == DONE and not rated else state,
         tuple(_claim(one, (rates[one.number],) if one.number in rates else ()) for one in by_gravity(claims)),
         tuple(beside),
         name=f"hazard: {hazard.name}",

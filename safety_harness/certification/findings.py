@@ -39,7 +39,7 @@ def findings_of(
     if not evidence.record.declaration_sha256:
         yield OpenFinding("nothing proves that the plan was declared before its runs were made", "plan")
     yield from of_claims(evidence.claims)
-    yield from of_hazards(evidence.hazards)
+    yield from of_hazards(evidence.hazards, model_only=evidence.plan.model_only)
     yield from of_strata(ledger, evidence.strata)
     if ledger.repeated.words or not ledger.repeated.asked:
         yield OpenFinding(ledger.repeated.line, "strata")
@@ -64,15 +64,16 @@ def of_claims(claims: Sequence[ClaimEvidence]) -> Iterator[OpenFinding]:
             yield OpenFinding(text, f"claim-{claim.number}")
 
 
-def of_hazards(hazards: Sequence[HazardEvidence]) -> Iterator[OpenFinding]:
+def of_hazards(hazards: Sequence[HazardEvidence], *, model_only: bool) -> Iterator[OpenFinding]:
     """Hazards that no claim speaks to, of which nothing is asked, or whose rate is not shown."""
     for one in hazards:
         if not one.claims:
             yield OpenFinding(f"{one.name}: no claim stands under this hazard", "rates")
         elif one.level is None:
             yield OpenFinding(f"{one.name}: {one.steps[-1]}", "rates")
-        elif one.met is not True:
-            asked = f"at most {one.asked_an_hour:g} an hour (level {one.level}) is not shown"
+        elif one.met is not True or model_only:
+            where = ", but of the model alone" if one.met else ""
+            asked = f"at most {one.asked_an_hour:g} an hour (level {one.level}) is not shown{where}"
             yield OpenFinding(f"{one.name}: {asked}", "rates")
 
 

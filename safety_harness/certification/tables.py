@@ -171,10 +171,10 @@ def rates(evidence: Evidence) -> CellTable:
         limit = one[0].asked_an_hour
         if limit is None:
             return words("nothing is asked")
-        shown = one[1].an_hour <= limit
-        return TableCell(
-            text="at or below" if shown else "not shown", state="none" if shown else "inconclusive"
-        )
+        if one[1].an_hour > limit:
+            return TableCell(text="not shown", state="inconclusive")
+        alone = ", in the model alone" if evidence.plan.model_only else ""
+        return TableCell(text=f"at or below{alone}", state="none")
 
     def hourly(value: float) -> str:
         return f"{float(rounded_up(value)):.3g}"

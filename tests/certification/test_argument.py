@@ -20,6 +20,7 @@ from safety_harness.certification.argument import (
 )
 from safety_harness.certification.argument_files import NOTES, gsn_text, notes_text, read_notes
 from safety_harness.certification.evidence import ArgumentNote, ClaimStatus, Evidence, OpenFinding
+from safety_harness.certification.findings import of_hazards
 from safety_harness.certification.tools import CoverageOfRuns, Credibility
 from safety_harness.exceptions import InputError
 
@@ -105,6 +106,20 @@ def test_a_hazard_whose_rate_is_not_what_is_asked_is_open_though_its_claims_are_
         found = argument_of(replace(known, hazards=(one,)))
         states.append(found.below[0].below[0].state)
     assert states == ["inconclusive", "holds", "inconclusive"]
+
+
+def test_a_rate_of_the_model_alone_is_not_shown_by_its_number() -> None:
+    known = evidence()
+    (hazard, _) = known.hazards
+    kept = replace(hazard, asked_an_hour=1e6)
+    assert kept.met
+    for model_only, state in ((False, "holds"), (True, "inconclusive")):
+        one = replace(known, hazards=(kept,), plan=replace(known.plan, model_only=model_only))
+        found = [e for e in argument_of(one).every() if e.text.endswith("an hour") and e.place == "rates"]
+        assert {e.state for e in found if e.kind is ElementKind.SOLUTION} == {state}
+        texts = [finding.text for finding in of_hazards(one.hazards, model_only=model_only)]
+        assert len(texts) == model_only
+        assert all("of the model alone" in text for text in texts)
 
 
 def test_more_strata_than_fit_are_told_together_the_gravest_alone() -> None:
