@@ -7,7 +7,7 @@ import re
 import sys
 from pathlib import Path
 
-from safety_harness.campaign.hazards import TABLES
+from safety_harness.campaign.plan_keys import PLAN, TABLES, TITLE
 from safety_harness.certification.evidence import schema as evidence_schema
 from safety_harness.certification.standards import STANDARDS, told_with_standards
 from safety_harness.formulas.signals import markdown_of_signals
@@ -15,12 +15,13 @@ from safety_harness.properties.catalogue import CATALOGUE
 from safety_harness.properties.entry import markdown_of_claims
 from safety_harness.scenario.moves import MOVES
 from safety_harness.scenario.reference_tables import every_table, markdown, markdown_of_moves
-from safety_harness.scenario.schema import scenario_schema
+from safety_harness.scenario.schema import scenario_schema, table_schema
 from safety_harness.selftest.outcome import markdown as table_of
 
 DOCS = Path(__file__).parent
 SCHEMA = DOCS / "schema" / "scenario.schema.json"
 EVIDENCE = DOCS / "schema" / "evidence.schema.json"
+PLANS = DOCS / "schema" / "plan.schema.json"
 KILLS = DOCS / "selftest-results.json"
 ORACLES = DOCS.parent / "plans" / "oracles.json"
 MUTANTS = DOCS / "mutants.json"
@@ -137,6 +138,7 @@ def main() -> None:
     SCHEMA.parent.mkdir(exist_ok=True)
     new = {page: with_tables(page.read_text()) for page in sorted(DOCS.glob("*.md"))}
     new[SCHEMA] = schema_text()
+    new[PLANS] = json.dumps(table_schema(PLAN, TITLE), indent=1, ensure_ascii=False) + "\n"
     new[EVIDENCE] = json.dumps(evidence_schema(), indent=1) + "\n"
     for path, text in new.items():
         if not path.exists() or path.read_text() != text:

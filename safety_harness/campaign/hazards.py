@@ -12,7 +12,6 @@ from typing import Any
 from safety_harness.campaign.risk_graph import (
     AVOIDANCES,
     EXPOSURES,
-    OWN_GRAPH,
     SEVERITIES,
     UNKNOWN,
     DerivedRate,
@@ -207,7 +206,6 @@ class Hazard:
 
 
 HAZARD = table_of(Hazard, "a hazard", where="a hazard of a plan")
-TABLES = (HAZARD, *HAZARD.below(), OWN_GRAPH)  # for explain
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,7 @@ from safety_harness.admission.claims import property_of
 from safety_harness.admission.driving import named_system
 from safety_harness.campaign.hazards import PlannedHazards, read_hazards
 from safety_harness.campaign.identity import Identity, PlanFile, files_of_plan, identity_of, references_in
+from safety_harness.campaign.plan_keys import CLAIM, KEPT, PLAN, SEARCH, STRATUM
 from safety_harness.exceptions import InadmissibleError, Place
 from safety_harness.properties.base import Unit
 from safety_harness.scenario.compose import Library
@@ -44,23 +45,6 @@ from safety_harness.trace.system import SystemUnderTest
 
 V = TypeVar("V")
 
-KEYS = (
-    "plan",
-    "about",
-    "avoider",
-    "controller",
-    "world",
-    "confidence",
-    "seed",
-    "strata",
-    "risk graph",
-    "hazards",
-    "claims",
-    "search",
-    "keep",
-    "stop early",
-    "proof",
-)
 MOST_RUNS = 10**9  # of a stratum
 MOST_STRATA, MOST_CLAIMS = 64, 64
 MOST_TRACES = 100_000  # of a stratum, some 0.4 MB each
@@ -158,7 +142,7 @@ def read_plan(path: str | Path) -> Plan:
     refuse_other_kind(path, FileKind.PLAN)
     library = Library()
     root = Field(library.tree(path), path, path="", line=1)
-    given = root.fields(KEYS)
+    given = root.fields(PLAN.names)
     title = given.required("plan").prose("a title on one line")
     avoider, controller = given.optional("avoider"), given.optional("controller")
     reference = avoider.sentence("the name of an avoider") if avoider else None
@@ -175,8 +159,8 @@ def read_plan(path: str | Path) -> Plan:
     confidence = _read(given, "confidence", lambda f: f.quantity(FRACTION, least=0.5, most=0.999999), 0.95)
     risks = read_hazards(given, confidence)
     claims = _claims(given.required("claims"), strata, risks)
-    keep = _read(given, "keep", lambda field: field.fields(("random traces", "violations")), None)
-    search = _read(given, "search", lambda field: field.fields(("runs",)), None)
+    keep = _read(given, "keep", lambda field: field.fields(KEPT.names), None)
+    search = _read(given, "search", lambda field: field.fields(SEARCH.names), None)
     stop = given.optional("stop early")
     stop_early = stop is not None and stop.one_of({"yes": True, "no": False})
     if stop and stop_early and any(claim.target is None for claim in claims):
@@ -262,7 +246,7 @@ def _read(given: Fields | None, key: str, read: Callable[[Field], V], default: V
 def _strata(at: Field, folder: Path, library: Library) -> tuple[Stratum, ...]:
     strata: list[Stratum] = []
     for item in at.items("a list of strata", least=1, most=MOST_STRATA):
-        given = item.fields(("stratum", "space", "runs"))
+        given = item.fields(STRATUM.names)
         name = given.required("stratum").sentence("a name")
         if any(stratum_number(name) == other.number for other in strata):
             raise given.required("stratum").error("a name that no other stratum has")
@@ -280,7 +264,7 @@ def _claims(at: Field, strata: tuple[Stratum, ...], risks: PlannedHazards) -> tu
     claims: list[PlannedClaim] = []
     meant: set[str] = set()
     for item in at.items("a list of claims", least=1, most=MOST_CLAIMS):
-        given = item.fields(("claim", "violated in at most", "hazard", "hazards"))
+        given = item.fields(CLAIM.names)
         sentence = given.required("claim")
         text = sentence.sentence("a claim of the catalogue, or a formula")
         claim = Claim(sentence=text, expected=Verdict.HOLDS, place=sentence.place)

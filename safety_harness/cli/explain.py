@@ -22,7 +22,7 @@ WIDTH = 110
 
 def explain_key(words: Sequence[str]) -> int:
     """Print what a key means, wherever it may stand, or which keys there are; returns the exit code."""
-    from safety_harness.campaign.hazards import TABLES
+    from safety_harness.campaign.plan_keys import TABLES
 
     tables = (*every_table(), *TABLES)
     asked = " ".join(" ".join(words).replace(":", " ").split())
@@ -33,7 +33,7 @@ def explain_key(words: Sequence[str]) -> int:
     found = [(table, key) for table in tables for key in table.keys if asked in _names(table, key)]
     known = (name for table in tables for name in table.names)
     document(keys=[_key_data(*pair) for pair in found])
-    expected = "a key of a scenario file, or of a plan's hazards; without one, all of them are listed"
+    expected = "a key of a scenario file or of a plan; without one, all of them are listed"
     return _explain("explain", asked, expected, known, [_key_lines(*pair) for pair in found])
 
 

@@ -134,16 +134,23 @@ def claims(
 
 
 @command(commands, json=False)
-def schema() -> int:
+def schema(
+    plans: Annotated[bool, Option("--plan", help="Of plans, in place of scenario files.")] = False,
+) -> int:
     """Print the JSON Schema (draft 2020-12) of scenario files, for editors that check while you type.
 
-    The repository has it too, in docs/schema. Exit code 0.
+    The repository has both, in docs/schema. Exit code 0.
     """
     import json
 
-    from safety_harness.scenario.schema import scenario_schema
+    from safety_harness.scenario.schema import scenario_schema, table_schema
 
-    verbatim(json.dumps(scenario_schema(), indent=1, ensure_ascii=False))
+    found = scenario_schema()
+    if plans:
+        from safety_harness.campaign.plan_keys import PLAN, TITLE
+
+        found = table_schema(PLAN, TITLE)
+    verbatim(json.dumps(found, indent=1, ensure_ascii=False))
     return AS_EXPECTED
 
 

@@ -41,6 +41,16 @@ def scenario_schema() -> Schema:
     }
 
 
+def table_schema(top: KeyTable, title: str) -> Schema:
+    """Of a file with the keys of one table."""
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": title,
+        **_table(top),
+        "$defs": {_name(table): _table(table) for table in top.below()},
+    }
+
+
 def _name(table: KeyTable) -> str:
     return (f"{table.path} {table.name}" if table.path != table.name else table.name).strip()
 

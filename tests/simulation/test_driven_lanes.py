@@ -187,6 +187,7 @@ def test_stop_when_near_answers_together_as_one_by_one(
         row[32:33].view(np.int64)[0] = hands
         row[33:36], row[36:39] = numbers[6:9], numbers[:3]
         controller._target_in_base_m, controller._gain, controller._near_m = axis, numbers[0], near_m
+        controller._numbers = (*axis.tolist(), numbers[0], near_m)
     together, apart = LaneAnswers(len(drawn), 6, ("mode",)), LaneAnswers(len(drawn), 6, ("mode",))
     moves = StopWhenNear.act_many(controllers, columns_of(rows, 0.008, layout))
     together.take_many(range(len(drawn)), moves)
