@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 import scipy.stats
@@ -87,11 +88,12 @@ def test_a_campaign_is_warned_by_its_own_first_runs_and_not_by_fewer(plan: Plan)
 def test_a_pilot_runs_other_episodes_than_the_plan(plan: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
     seeds: list[int] = []
     draw = EpisodeRunner.draw
-    monkeypatch.setattr(
-        EpisodeRunner,
-        "draw",
-        lambda self, stratum, k: seeds.append(root_seed(self.plan, stratum, k)) or draw(self, stratum, k),
-    )
+
+    def noted(self: EpisodeRunner, stratum: int, k: int, *first: Any) -> Any:
+        seeds.append(root_seed(self.plan, stratum, k))
+        return draw(self, stratum, k, *first)
+
+    monkeypatch.setattr(EpisodeRunner, "draw", noted)
     found = pilot(plan, 4)
     assert len(seeds) == 8
     own = {root_seed(plan, stratum, k) for stratum in (0, 1) for k in range(300)}
