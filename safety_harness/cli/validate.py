@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import groupby
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from safety_harness.admission.admit import Looker
 from safety_harness.admission.avoiders import with_avoider
 from safety_harness.admission.claims import property_of
 from safety_harness.admission.spaces import draw_admissible
-from safety_harness.campaign.plan import Plan, read_plan
-from safety_harness.certification.results import refuse_hopeless
 from safety_harness.cli.console import (
     AS_EXPECTED,
     BAD_INPUT,
@@ -31,6 +30,9 @@ from safety_harness.scenario.model import Scenario
 from safety_harness.shipped.contents import located
 from safety_harness.space.read import space_of
 from safety_harness.space.space import ScenarioSpace
+
+if TYPE_CHECKING:  # a plan takes a second to import
+    from safety_harness.campaign.plan import Plan
 
 
 def validate(paths: Sequence[Path], avoider: str | None = None) -> int:
@@ -84,6 +86,9 @@ def validate(paths: Sequence[Path], avoider: str | None = None) -> int:
 
 def _checked_plan(path: Path, looker: Looker) -> Plan:
     """A plan of whose strata a draw can be tried; it is said if certify will refuse it."""
+    from safety_harness.campaign.plan import read_plan
+    from safety_harness.certification.results import refuse_hopeless
+
     plan = read_plan(path)
     try:
         refuse_hopeless(plan)
