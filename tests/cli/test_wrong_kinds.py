@@ -40,7 +40,7 @@ BINARY = {"run.trace", "ledger.sqlite", "model.safetensors"}
 SCENARIOS = {"base.yaml", "suite.yaml"}
 # Each command with FILE in the place of the file, and the files that it takes.
 COMMANDS: dict[str, set[str]] = {
-    "validate FILE": {*SCENARIOS, "space.yaml"},
+    "validate FILE": {*SCENARIOS, "space.yaml", "plan.yaml"},
     "run FILE --out out": SCENARIOS,
     "show FILE --out out": {*SCENARIOS, "space.yaml"},
     "fmt --check FILE": {*SCENARIOS, "space.yaml", "plan.yaml", "report"},
