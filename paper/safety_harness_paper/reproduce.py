@@ -25,6 +25,7 @@ from safety_harness.cli.progress import paced_lines
 from safety_harness.compiled import source_hash_of
 from safety_harness.exceptions import InputError, ModelError, OutputError, Place, SettingsError
 from safety_harness.report.words import count_words
+from safety_harness.scenario.files import told
 from safety_harness_paper.document import About, write_document
 from safety_harness_paper.document import document as document_of
 from safety_harness_paper.part import Part
@@ -72,12 +73,11 @@ def reproduce(
         interrupted = True
         done = {task: kept for task in in_order(wanted) if (kept := workshop.kept(task)) is not None}
     results, missing = _results(parts, chosen, tasks, done, workshop.failed)
-    command = _command(what, scale, out, seed, jobs)
     about = About(
         scale=chosen.name,
         seed=seed,
         trainings=chosen.seeds,
-        command=command,
+        command=_command(what, scale, told(out), seed, jobs),
         package_version=metadata.version("safety-harness"),
         source_hash=source_hash_of(*Path(__file__).parent.glob("*.py")),
         software=tuple((name, metadata.version(name)) for name in LIBRARIES),
@@ -98,7 +98,8 @@ def reproduce(
         say(f"missing: {name}: {why}")
     say(f"page: {out / PAGE} (for programs: {DATA})")
     if interrupted:
-        say(f"interrupted; finished steps are kept. To go on: {command}")
+        again = _command(what, scale, out, seed, jobs)
+        say(f"interrupted; finished steps are kept. To go on: {again}")
         return INTERRUPTED
     return DIFFERS if missing else AS_EXPECTED
 

@@ -18,6 +18,7 @@ from safety_harness.properties.entry import CatalogueEntry, count
 from safety_harness.properties.giving_way import LEAST_WAY_M, Finding, worst_of
 from safety_harness.properties.measured import reads
 from safety_harness.properties.positions import gone_towards, opposite_position, reach_m, spare_m, stopped_m
+from safety_harness.properties.proposals import PROPOSAL
 from safety_harness.properties.unexercised import (
     millimetres,
     no_decision,
@@ -154,7 +155,7 @@ class CertainIsUsed:
     unit: Unit = Unit.LENGTH
     sentence: str = "certain answers are used"
 
-    @reads(*READS, also=[*ALSO, "decision.proposed_position_in_base_m", "decision.outcome"])
+    @reads(*READS, also=[*ALSO, *PROPOSAL, "decision.outcome"])
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge each decision whose answer was certain and usable."""
         findings: list[Finding] = []

@@ -34,7 +34,9 @@ class ActedWithinRegion:
         used = proposals(trace)
         used = used[used["outcome"] == DecisionOutcome.PROPOSED]
         if not len(used):
-            return unexercised(self, "answers acted on = 0; a hand within the region exercises it")
+            return unexercised(
+                self, "answers acted on = 0; a usable one to a question within the region exercises it"
+            )
         depths_m = [
             region.depth_m(one["hand_position_in_base_m"], one["tcp_position_in_base_m"]) for one in used
         ]

@@ -20,6 +20,7 @@ from safety_harness.properties.base import Evaluation
 from safety_harness.properties.catalogue import CATALOGUE
 from safety_harness.properties.entry import CatalogueEntry
 from safety_harness.properties.unexercised import beside, nearest_of
+from safety_harness.scenario.gate import AskedRegion, GateRule, PositionBox
 from safety_harness.scenario.model import Claim, MovingHand, Verdict
 from safety_harness.scenario.moves import MoveTo, Wait, Withdraw
 from safety_harness.scenario.obstacles import Obstacle
@@ -32,7 +33,11 @@ SLOW = replace(
 OUT_OF_REACH = Displaced((2.0, 0.0, 0.0))
 OFF = (0.04, -0.12, 0.06)
 NUMBER = r"(-?[\d.]+)"
-OF_THE_AVOIDER = "computing time not modelled|gives no spread|no answer had a spread"  # which no number tells
+OF_THE_AVOIDER = (  # which no number tells
+    "computing time not modelled|gives no spread|no answer had a spread|the gate has no region"
+)
+EVERYWHERE = PositionBox(low_m=(-9.0, -9.0, -9.0), high_m=(9.0, 9.0, 9.0))
+REGION = GateRule(questions_within=AskedRegion(hand=EVERYWHERE, tcp=EVERYWHERE))
 
 
 def visit(place: tuple[float, float, float] = (0.84, -0.35, 0.25), stays_s: float = 0.6) -> MovingHand:
@@ -49,6 +54,7 @@ class Situation:
     avoider: Avoider = CERTAIN
     settings: Settings = DEFAULTS
     obstacles: tuple[Obstacle, ...] = ()
+    gate: GateRule | None = None
 
     @lru_cache(maxsize=40)  # noqa: B019
     def trace(self) -> Trace:
@@ -58,7 +64,8 @@ class Situation:
             offset=self.offset,
             settings=self.settings,
         )
-        return run_kinematic(admit(replace(what, obstacles=self.obstacles), avoider=self.avoider))
+        what = replace(what, obstacles=self.obstacles, gate=self.gate)
+        return run_kinematic(admit(what, avoider=self.avoider))
 
     def judged(self, entry: CatalogueEntry) -> Evaluation:
         trace = self.trace()
@@ -96,6 +103,8 @@ def followed(now: Situation, reason: str) -> Situation:
         "one that does exercises it": {"avoider": CERTAIN},
         "one of an avoider that states both exercises it": {"avoider": CERTAIN},
         "a box in the cell exercises it": {"obstacles": (BOX,)},
+        "questions within exercises it": {"gate": REGION},
+        "a usable one to a question within": {"hand": visit(), "avoider": CERTAIN, "duration_s": 2.5},
         "one usable answer exercises it": {"avoider": CERTAIN},
         "neither within reach exercises it": {"avoider": OUT_OF_REACH, "settings": TOO_FAR},
         "beyond .* mm.* exercises it": {"hand": visit(stays_s=0.1), "duration_s": 3.0},
