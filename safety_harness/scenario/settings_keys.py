@@ -107,7 +107,7 @@ def _value(default: Any, number: QuantityValue) -> Value:
 
 _KEYS: dict[type[Any], tuple[Key, ...]] = {
     type(group): tuple(_setting_key(one.name, one.default, one.metadata) for one in fields(group))
-    for group in vars(DEFAULTS).values()
+    for group in (getattr(DEFAULTS, one.name) for one in fields(DEFAULTS))
 }
 
 

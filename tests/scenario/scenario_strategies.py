@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import replace
+from dataclasses import fields, replace
 from enum import Enum
 from pathlib import Path
 from typing import Any
@@ -168,7 +168,7 @@ def setting_values(key: Key, default: Any) -> st.SearchStrategy[Any]:
 
 def _groups() -> dict[str, st.SearchStrategy[Any]]:
     strategies = {}
-    for name in vars(DEFAULTS):
+    for name in (one.name for one in fields(DEFAULTS)):
         group = getattr(DEFAULTS, name)
         values = {
             key.attribute: setting_values(key, getattr(group, key.attribute))
