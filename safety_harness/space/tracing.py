@@ -29,9 +29,8 @@ Values = Sequence[float]
 _Computed = Callable[[Values], Any]  # from a point's values
 _Check = tuple[_Computed, bool]  # a comparison, and how it has to come out
 
-_NEVER_DRAWN = frozenset(
-    id(getattr(DEFAULTS, one.name)) for one in fields(DEFAULTS)
-)  # the groups of settings as they are by default
+# The groups of settings as they are by default.
+_NEVER_DRAWN = frozenset(id(getattr(DEFAULTS, one.name)) for one in fields(DEFAULTS))
 
 
 def value_at(root: object, path: Path) -> Any:
