@@ -60,6 +60,25 @@ def tally_of(ledger: Ledger) -> CampaignTally:
 
 
 @dataclass(frozen=True)
+class LedgerState:
+    """What is said of a ledger, computed once; ``bounds`` and ``fingerprint`` of a complete campaign alone.
+
+    ``bounds`` are empty also where episodes depend on each other.
+    """
+
+    tally: CampaignTally
+    bounds: tuple[ProbabilityBounds, ...]
+    fingerprint: str | None
+
+
+def state_of(ledger: Ledger) -> LedgerState:
+    """Of what is there now: of a million episodes it takes its time."""
+    tally = tally_of(ledger)
+    bounds = bounds_in(ledger) if tally.complete and not ledger.dependent else ()
+    return LedgerState(tally, bounds, fingerprint_of(ledger) if tally.complete else None)
+
+
+@dataclass(frozen=True)
 class FallbackTally:
     """In how many ``decisions`` the avoider gave no answer, in how many ``episodes``, and why most often."""
 

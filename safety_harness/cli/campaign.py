@@ -33,6 +33,7 @@ from safety_harness.exceptions import LedgerError, ScenarioError
 if TYPE_CHECKING:
     from safety_harness.campaign.ledger import Ledger
     from safety_harness.campaign.plan import Plan
+    from safety_harness.campaign.summary import LedgerState
 
 _LedgerFile = Annotated[Path, Argument(help="The ledger of a campaign.", metavar="LEDGER")]
 _Cluster = Annotated[
@@ -134,7 +135,7 @@ def resume(
 def _carry_on(plan: Plan, path: Path, workers: int | None, cluster: str | None, part: str) -> int:
     from safety_harness.campaign.ledger import Ledger
     from safety_harness.campaign.session import carry_on, processes
-    from safety_harness.campaign.summary import fallback_of, tally_of
+    from safety_harness.campaign.summary import fallback_of
     from safety_harness.cli.progress import watching_campaign
     from safety_harness.interrupts import one_more_ctrl_c
     from safety_harness.properties.answered import is_claimed
@@ -151,9 +152,7 @@ def _carry_on(plan: Plan, path: Path, workers: int | None, cluster: str | None, 
         carry_on(plan, path, make_crew, on_progress=show, enough=interrupted, part=numbers)
         stopped = interrupted()
     with Ledger.open(path, check=False) as ledger:
-        tally = tally_of(ledger)
-        _say_ledger(ledger)
-        _write_page(ledger, path.with_suffix(".html"))
+        tally = _say_ledger(ledger, path.with_suffix(".html")).tally
         unlike = bool(ledger.repeated.words)
         unanswered = fallback_of(ledger).unanswered and not is_claimed(claim.claim for claim in plan.claims)
     if stopped and not tally.complete:
@@ -162,14 +161,19 @@ def _carry_on(plan: Plan, path: Path, workers: int | None, cluster: str | None, 
     return DIFFERS if tally.failed or unanswered or unlike else AS_EXPECTED
 
 
-def _say_ledger(ledger: Ledger) -> None:
-    """How it stands, once: its bounds and its fingerprint take their time."""
+def _say_ledger(ledger: Ledger, page: Path | None = None) -> LedgerState:
+    """How it stands, in lines or as JSON, and as a page."""
+    from safety_harness.campaign.summary import state_of
     from safety_harness.cli.campaign_lines import ledger_data, ledger_lines
 
+    state = state_of(ledger)
     if asked_for_json():
-        document(**ledger_data(ledger))
+        document(**ledger_data(ledger, state))
     else:
-        result(*ledger_lines(ledger))
+        result(*ledger_lines(ledger, state))
+    if page is not None:
+        _write_page(ledger, state, page)
+    return state
 
 
 def _numbers(part: str, plan: Plan) -> tuple[int, int]:
@@ -195,13 +199,11 @@ def status(
     from safety_harness.campaign.ledger import Ledger
 
     with Ledger.open(ledger, check=False) as opened:
-        _say_ledger(opened)
-        if html is not None:
-            _write_page(opened, html)
+        _say_ledger(opened, html)
     return AS_EXPECTED
 
 
-def _write_page(ledger: Ledger, path: Path) -> None:
+def _write_page(ledger: Ledger, state: LedgerState, path: Path) -> None:
     import shlex
     from datetime import UTC, datetime
 
@@ -211,7 +213,7 @@ def _write_page(ledger: Ledger, path: Path) -> None:
 
     words = ["safety-harness", "campaign", "status", str(told(ledger.path)), "--html", str(told(path))]
     with writing(path):
-        write_page(path, ledger, command=shlex.join(words), generated_at=datetime.now(UTC))
+        write_page(path, ledger, state, command=shlex.join(words), generated_at=datetime.now(UTC))
     say(f"page: {path}")
     document(page=path)
 

@@ -12,38 +12,37 @@ from safety_harness.campaign.rare import RareViolation
 from safety_harness.campaign.summary import (
     CampaignTally,
     ClaimCounts,
-    bounds_in,
+    LedgerState,
     fallback_of,
-    fingerprint_of,
-    tally_of,
 )
 from safety_harness.certification.verdicts import confidence_words, percent
 from safety_harness.properties.base import Unit
 from safety_harness.proportions import share_words
 from safety_harness.report.machine import SI_UNITS
 from safety_harness.report.words import rounded_down, rounded_up
+from safety_harness.statistics.binomial import ProbabilityBounds
 from safety_harness.statistics.paired import PairedComparison
 from safety_harness.statistics.sample import EpisodeOutcome
 
 _MOST_REASONS = 5
 
 
-def ledger_lines(ledger: Ledger) -> Iterator[str]:
+def ledger_lines(ledger: Ledger, state: LedgerState) -> Iterator[str]:
     """How a campaign stands; once it is complete, with its bounds."""
-    declared, tally = ledger.declared, tally_of(ledger)
+    declared, tally = ledger.declared, state.tally
     yield f"{ledger.path}: {declared.title}"
     yield _summary(declared, tally)
     yield from (*_failure_lines(ledger), *_fallback_lines(ledger), *_overruled_lines(ledger))
     yield f"  {ledger.repeated.line}"
     yield from worst_lines(declared.claims, declared.units, tally)
     if tally.complete:
-        yield from _bound_lines(ledger)
-        yield f"fingerprint of the results: {fingerprint_of(ledger)}"
+        yield from _bound_lines(ledger, state.bounds)
+        yield f"fingerprint of the results: {state.fingerprint}"
 
 
-def ledger_data(ledger: Ledger) -> dict[str, object]:
+def ledger_data(ledger: Ledger, state: LedgerState) -> dict[str, object]:
     """The same for programs: margins in SI; null where there is none."""
-    declared, tally = ledger.declared, tally_of(ledger)
+    declared, tally = ledger.declared, state.tally
     whole = tally.complete
     strata = zip(declared.strata, tally.strata, strict=True)
     return {
@@ -66,8 +65,8 @@ def ledger_data(ledger: Ledger) -> dict[str, object]:
         "overruling": overruling_in(ledger).named,
         "repeatability": ledger.repeated,
         "dependent": ledger.dependent or None,
-        "bounds": bounds_in(ledger) if whole and not ledger.dependent else None,
-        "fingerprint": fingerprint_of(ledger) if whole else None,
+        "bounds": state.bounds or None,
+        "fingerprint": state.fingerprint,
     }
 
 
@@ -149,11 +148,11 @@ def _overruled_lines(ledger: Ledger) -> list[str]:
     return [f"  {whole}", *([f"    by stratum: {by}"] if by else [])] if whole else []
 
 
-def _bound_lines(ledger: Ledger) -> list[str]:
+def _bound_lines(ledger: Ledger, bounds: Sequence[ProbabilityBounds]) -> list[str]:
     """The chance of a violation between its bounds, as a report has them: all hold together."""
     if ledger.dependent:
         return [ledger.dependent]
-    declared, bounds = ledger.declared, bounds_in(ledger)
+    declared = ledger.declared
     targets = dict(zip(declared.claims, declared.targets, strict=True))
     each = confidence_words(bounds[0].confidence)
     fallback = fallback_of(ledger).words

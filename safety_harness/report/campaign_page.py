@@ -11,7 +11,7 @@ from typing import Any
 from safety_harness.admission.trial import judge
 from safety_harness.campaign.ledger import Declared, Ledger
 from safety_harness.campaign.overruled import overruling_in
-from safety_harness.campaign.summary import CampaignTally, bounds_in, fallback_of, fingerprint_of, tally_of
+from safety_harness.campaign.summary import CampaignTally, LedgerState, fallback_of
 from safety_harness.properties.base import Unit
 from safety_harness.proportions import share_words
 from safety_harness.report.evidence import JudgedRun
@@ -39,11 +39,12 @@ _FAILED = (
 Cells = tuple[Any, ...]
 
 
-def write_page(path: Path, ledger: Ledger, *, command: str, generated_at: datetime) -> None:
+def write_page(
+    path: Path, ledger: Ledger, state: LedgerState, *, command: str, generated_at: datetime
+) -> None:
     """Write the page whole or not at all; ``command`` makes it again.  Raises OSError."""
-    declared, tally = ledger.declared, tally_of(ledger)
-    bounds = bounds_in(ledger) if tally.complete and not ledger.dependent else ()
-    rows = list(_claims(declared, tally, bounds))
+    declared, tally = ledger.declared, state.tally
+    rows = list(_claims(declared, tally, state.bounds))
     verdicts = [str(row[2]) for row in rows]
     worst = list(ledger.all(_WORST))
     shown = list(_shown(ledger, worst))
@@ -67,7 +68,7 @@ def write_page(path: Path, ledger: Ledger, *, command: str, generated_at: dateti
         ),
         ledger=told(ledger.path),
         plan=told(declared.plan_file),
-        fingerprint=fingerprint_of(ledger) if tally.complete else None,
+        fingerprint=state.fingerprint,
     )
     write_whole(path, page)
 

@@ -10,6 +10,7 @@ import pytest
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.overruled import compare_overruling, overruled_episodes, overruling_in
 from safety_harness.campaign.rows import ClaimJudgement, Row
+from safety_harness.campaign.summary import state_of
 from safety_harness.cli.campaign_lines import ledger_lines
 from safety_harness.exceptions import StatisticsError
 from safety_harness.statistics.sample import EpisodeOutcome
@@ -46,7 +47,7 @@ def test_counts_are_there_again_by_stratum_and_together(tmp_path: Path) -> None:
         assert overruling_in(ledger, 0) == OVERRULED + OVERRULED + OVERRULED + Overruling(10)
         assert overruling_in(ledger, 1) == Overruling(4)
         assert overruling_in(ledger).proposals == 26
-        lines = [line.strip() for line in ledger_lines(ledger)]
+        lines = [line.strip() for line in ledger_lines(ledger, state_of(ledger))]
     counts = "9 uncertain, 3 table; 6 replaced by the opposite pose, 3 by a stop"
     assert f"overruled 9 of 26 proposals (34.6 %): {counts}" in lines
     assert "by stratum: near 40.9 %, nearer 0 %" in lines

@@ -26,6 +26,7 @@ import safety_harness
 import safety_harness_paper
 from safety_harness.campaign.episodes import failed_row
 from safety_harness.campaign.identity import Identity
+from safety_harness.campaign.summary import state_of
 from safety_harness.certification.delta import delta_between
 from safety_harness.certification.delta_page import render as delta_page
 from safety_harness.certification.folder import junit_xml
@@ -188,7 +189,7 @@ def campaigned() -> str:
             ledger.declared = spoilt(replace(ledger.declared, world=KINEMATIC))
             for stratum, runs in enumerate((30, 20)):
                 ledger.record(failed_row(plan_in(folder), stratum, k, MARKUP) for k in range(runs))
-            write_campaign(folder / "page.html", ledger, command=MARKUP, generated_at=WHEN)
+            write_campaign(folder / "page.html", ledger, state_of(ledger), command=MARKUP, generated_at=WHEN)
         return (folder / "page.html").read_text()
 
 

@@ -14,6 +14,7 @@ from safety_harness.admission.trial import run_kinematic
 from safety_harness.campaign.episodes import EpisodeRunner, trace_bytes
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.rows import ClaimJudgement, Row
+from safety_harness.campaign.summary import state_of
 from safety_harness.report import campaign_page
 from safety_harness.report.campaign_page import NOT_SHOWN, REFUTED, SHOWN, write_page
 from safety_harness.simulation.worlds import PYBULLET
@@ -37,7 +38,7 @@ def row(episode: int, stratum: int, margin: float) -> Row:
 
 
 def page_of(ledger: Ledger, folder: Path) -> str:
-    write_page(folder / "campaign.html", ledger, command="again", generated_at=WHEN)
+    write_page(folder / "campaign.html", ledger, state_of(ledger), command="again", generated_at=WHEN)
     return (folder / "campaign.html").read_text()
 
 
