@@ -133,7 +133,7 @@ oldest newest: .venv-lock/installed
 	.venv-$@/bin/python $(INSTALL) --constraint .venv-$@/versions --editable '.[images,onnx]' pytest jsonschema
 	.venv-$@/bin/python -m pip check
 	.venv-$@/bin/safety-harness run scenarios/rendered-images.yaml --out reports/$@
-	.venv-$@/bin/python -m pytest -q --assert=plain -W ignore::DeprecationWarning -p no:cacheprovider $(QUICK) -k 'not type_check'
+	.venv-$@/bin/python -m pytest -q --assert=plain -W ignore::DeprecationWarning -p no:cacheprovider $(QUICK) -k 'not type_check and not test_rare and not doc'
 
 # Beside what other people install.
 CROWD := torch==2.13.0 stable-baselines3 gymnasium mujoco pin rosbags

@@ -18,7 +18,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
-from functools import lru_cache
+from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
@@ -43,7 +43,7 @@ PACKAGE = Path(__file__).parent
 _IMPORT = re.compile(r"^\s*from (\w+)\.([\w.]+) import ", re.MULTILINE)
 
 
-@lru_cache
+@cache
 def _package_of(file: Path) -> Path:
     """Ours if the file lies in it, else the outermost package that it lies in, else its folder."""
     if PACKAGE in file.parents:
@@ -52,12 +52,22 @@ def _package_of(file: Path) -> Path:
     return packages[-1] if packages else file.parent
 
 
+@cache
+def _name(file: Path) -> bytes:
+    return file.relative_to(_package_of(file)).as_posix().encode()
+
+
+@cache  # read once, though sixty files import the same ones
+def _content(file: Path) -> bytes:
+    return file.read_bytes()
+
+
 def _hash(files: Iterable[Path]) -> str:
     """Sixteen hex digits over the versions of numba and numpy, and names and contents of files."""
     digest = hashlib.sha256(f"numba {numba.__version__} numpy {np.__version__}".encode())
     for path in sorted(files):
-        digest.update(path.relative_to(_package_of(path)).as_posix().encode())
-        digest.update(path.read_bytes())
+        digest.update(_name(path))
+        digest.update(_content(path))
     return digest.hexdigest()[:16]
 
 
@@ -66,17 +76,17 @@ def _package_sources() -> Iterator[Path]:
     return (path for path in PACKAGE.rglob("*.py") if PACKAGE / "shipped" not in path.parent.parents)
 
 
-@lru_cache(maxsize=1)
+@cache
 def source_hash() -> str:
     """The hash over every Python file of the package: what a trace's provenance names."""
     return _hash(_package_sources())
 
 
-@lru_cache
+@cache
 def _imports(file: Path) -> tuple[Path, ...]:
     """The files of this package, and of the file's own, that a file imports directly."""
     packages = {package.name: package for package in (_package_of(file), PACKAGE)}
-    found = _IMPORT.findall(file.read_text(encoding="utf-8"))
+    found = _IMPORT.findall(_content(file).decode())
     return tuple(
         packages[name] / (rest.replace(".", "/") + ".py") for name, rest in found if name in packages
     )
@@ -114,7 +124,7 @@ def cache_root() -> Path:
         return Path(os.devnull) / "safety_harness"  # no folder, which ``cache_problem`` says
 
 
-@lru_cache
+@cache
 def cache_problem(root: Path) -> str:
     """Why machine code cannot be kept in ``root``; empty if it can, and then the folder is there."""
     try:
@@ -132,7 +142,7 @@ def _cannot_keep(root: Path, error: OSError) -> str:
     )
 
 
-@lru_cache
+@cache
 def cache_folder(file: Path) -> Path:
     """The folder for the machine code of ``file``; marked as used today if it is there, where it can be."""
     folder = cache_root() / _hash(sources_of(file))

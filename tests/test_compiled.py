@@ -25,6 +25,7 @@ def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def package_hash() -> str:
+    module._content.cache_clear()
     return source_hash.__wrapped__()
 
 
@@ -61,6 +62,7 @@ def test_another_numba_is_another_hash(package: Path, monkeypatch: pytest.Monkey
 
 def folder_name(file: Path) -> str:
     module._imports.cache_clear()
+    module._content.cache_clear()
     return cache_folder.__wrapped__(file).name
 
 

@@ -13,10 +13,8 @@ from dataclasses import dataclass
 from math import sqrt
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.optimize import minimize_scalar
-from scipy.signal import correlate
-from scipy.stats import t as student_t
 
 from safety_harness.exceptions import LogError
 from safety_harness.logs.model import Body, CellLog
@@ -76,7 +74,7 @@ def align(log: CellLog, body: Body) -> Offset:
         inside = (body_s >= begin) & (body_s <= end)
         parts.append(fit.best(ahead_s, inside)[0])
     spread_s = float(np.std(parts, ddof=1))
-    half_s = float(student_t.ppf(0.5 + LEVEL / 2.0, PARTS - 1)) * spread_s
+    half_s = float(scipy.stats.t.ppf(0.5 + LEVEL / 2.0, PARTS - 1)) * spread_s
     return Offset(
         hands_ahead_s=ahead_s,
         known_to_s=float(np.abs(np.array(parts) - ahead_s).max()) + half_s / sqrt(PARTS),
@@ -117,7 +115,7 @@ class _Fit:
         tried = near_s + np.arange(-0.1, 0.1 + 1e-9, GRID_S / 2.0)
         first = float(tried[int(np.argmin([self.residual(one, of) for one in tried]))])
         bounds = first - GRID_S, first + GRID_S
-        found = minimize_scalar(
+        found = scipy.optimize.minimize_scalar(
             self.residual, bounds=bounds, args=(of,), method="bounded", options={"xatol": 1e-6}
         )
         return float(found.x), float(found.fun)
@@ -126,11 +124,11 @@ class _Fit:
 def _peak_s(joints_s: Floats, tool_m: Floats, body_s: Floats, places: Floats) -> float:
     """Where the speeds of tool and body correlate best, if half of the shorter recording overlaps."""
     tool, body = _speed(joints_s, tool_m), _speed(body_s, places)
-    products = correlate(body, tool, method="fft")
-    overlap = correlate(np.ones(len(body)), np.ones(len(tool)), method="fft")
+    products = scipy.signal.correlate(body, tool, method="fft")
+    overlap = scipy.signal.correlate(np.ones(len(body)), np.ones(len(tool)), method="fft")
     power = np.sqrt(
-        np.maximum(correlate(body**2, np.ones(len(tool)), method="fft"), 1e-12)
-        * np.maximum(correlate(np.ones(len(body)), tool**2, method="fft"), 1e-12)
+        np.maximum(scipy.signal.correlate(body**2, np.ones(len(tool)), method="fft"), 1e-12)
+        * np.maximum(scipy.signal.correlate(np.ones(len(body)), tool**2, method="fft"), 1e-12)
     )
     alike = np.where(overlap >= 0.5 * min(len(body), len(tool)), products / power, -np.inf)
     steps = int(np.argmax(alike)) - (len(tool) - 1)

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.special import ndtr
 
 from safety_harness.avoidance.learned import LearnedAvoider
 from safety_harness.avoidance.model_file import PERCEPTRON, SeenSpace, load_model
@@ -226,7 +226,7 @@ def _questions(at: Field, regions: list[ProofRegion]) -> QuestionLaw:
             if normal is None:
                 continue
             start, end = ((side - normal[0]) / normal[1] for side in (low, high))
-            if not ndtr(end) - ndtr(start) >= LEAST_INSIDE:
+            if not scipy.special.ndtr(end) - scipy.special.ndtr(start) >= LEAST_INSIDE:
                 expected = f"at least {LEAST_INSIDE:g} of each axis within the region {region.name}"
                 raise at.error(expected, got=f"mean {normal[0]:g} m, std {normal[1]:g} m, axis {axis % 3}")
     samples, confidence, seed = (given.optional(key) for key in ("samples", "confidence", "seed"))

@@ -12,9 +12,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.optimize import minimize_scalar
-from scipy.stats import t as student_t
 
 Floats = NDArray[np.float64]
 BLOCKS, CONFIDENCE, USUALLY = 10, 0.95, 0.95
@@ -110,7 +109,9 @@ def fit_of(time_s: Floats, recorded: Floats, simulated_s: Floats, simulated: Flo
     tried = np.arange(-most_s, most_s + STEP_S / 2.0, STEP_S)
     first = float(tried[int(np.argmin([left(one) for one in tried]))])
     bounds = max(first - STEP_S, -most_s), min(first + STEP_S, most_s)
-    late_s = float(minimize_scalar(left, bounds=bounds, method="bounded", options={"xatol": 1e-7}).x)
+    late_s = float(
+        scipy.optimize.minimize_scalar(left, bounds=bounds, method="bounded", options={"xatol": 1e-7}).x
+    )
     late_s = min((0.0, late_s, first), key=left)  # an exact one is not missed by a rounding
     rates = _at(time_s - late_s, simulated_s, np.gradient(simulated, simulated_s, axis=0))
     varied_radps = float(np.sqrt(rates.var(axis=0).sum()))
@@ -152,7 +153,7 @@ def _jackknife(rows: Floats, of: Callable[[Floats], Floats]) -> tuple[Floats, Fl
     total = blocks.sum(axis=0)
     without = np.array([of(total - block) for block in blocks])
     spread = np.sqrt((BLOCKS - 1) / BLOCKS * ((without - without.mean(axis=0)) ** 2).sum(axis=0))
-    return of(total), float(student_t.ppf(0.5 + CONFIDENCE / 2.0, BLOCKS - 1)) * spread
+    return of(total), float(scipy.stats.t.ppf(0.5 + CONFIDENCE / 2.0, BLOCKS - 1)) * spread
 
 
 def _estimate(value: float, half: float) -> Estimate:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.special import bdtrik
 
 from safety_harness.avoidance.measures import gained_m, is_sure, off_m, optimum_in_base_m
 from safety_harness.controller.desired import reachable
@@ -34,7 +34,7 @@ def quantile(values: ArrayN, share: float) -> Figure:
     An end that no value bounds is infinite.
     """
     n, ordered = len(values), np.sort(values)
-    below, above = np.nan_to_num(bdtrik([TAIL, 1.0 - TAIL], n, share), nan=-1.0)
+    below, above = np.nan_to_num(scipy.special.bdtrik([TAIL, 1.0 - TAIL], n, share), nan=-1.0)
     low, high = int(np.floor(below)), int(np.ceil(above))  # 0-based: the order statistics low and high
     return Figure(
         float(np.quantile(ordered, share)),

@@ -6,8 +6,8 @@ import warnings
 from collections.abc import Hashable, Sequence
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.stats import qmc
 
 from safety_harness.search.cube import Cube, Points, Scores
 from safety_harness.seeds import Branch, generator
@@ -36,7 +36,9 @@ class QuasiRandom:
     name = "quasi-random"
 
     def __init__(self, cube: Cube, *, claims: int, seed: int) -> None:
-        self._sequence = qmc.Sobol(cube.dimension, scramble=True, rng=generator(seed, Branch.SEARCH))
+        self._sequence = scipy.stats.qmc.Sobol(
+            cube.dimension, scramble=True, rng=generator(seed, Branch.SEARCH)
+        )
 
     def propose(self, count: int) -> Points:
         """The next points of the sequence."""

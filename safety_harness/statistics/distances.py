@@ -11,7 +11,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import bdtrc
+import scipy
 
 from safety_harness.statistics.binomial import chance_of_each
 from safety_harness.statistics.sample import EpisodeOutcome, Floats, IndependentSample, fixed_length, refusal
@@ -109,7 +109,7 @@ def _check_content(content: float) -> None:
 def _rank(n: int, share: float, confidence: float) -> int:
     """The greatest r with P(Bin(n, share) >= r) >= confidence; 0 if there is none."""
     ranks = np.arange(1, n + 1)
-    return int(np.count_nonzero(bdtrc(ranks - 1, n, share) >= confidence))  # it falls with r
+    return int(np.count_nonzero(scipy.special.bdtrc(ranks - 1, n, share) >= confidence))  # it falls with r
 
 
 def _tested(sample: IndependentSample) -> Floats:

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import bdtr, bdtrik
+import scipy
 
 from safety_harness.exceptions import Place, StatisticsError
 from safety_harness.proportions import upper_bound
@@ -85,9 +85,9 @@ def power(aim: Aim, runs: int, *, probability: float, tested: float = 1.0) -> fl
         raise refusal("power", "shares between 0 and 1", f"{probability:g} and {tested:g}")
     if runs < 1 or tested == 1.0:
         return _power_of(aim, runs, probability)
-    first, last = (int(bdtrik(chance, runs, tested)) for chance in (_TAIL, 1.0 - _TAIL))
+    first, last = (int(scipy.special.bdtrik(chance, runs, tested)) for chance in (_TAIL, 1.0 - _TAIL))
     likely = np.arange(first, min(runs, last + 1) + 1)
-    at_most = bdtr(likely, runs, tested)
+    at_most = scipy.special.bdtr(likely, runs, tested)
     chances = np.diff(at_most, prepend=0.0)  # the first takes the tail below it, which is within _TAIL
     return float(sum(c * _power_of(aim, int(n), probability) for n, c in zip(likely, chances, strict=True)))
 
@@ -99,7 +99,7 @@ def runs_for_power(aim: Aim, *, probability: float, wanted: float = 0.9, most_al
     """
     for allowed in range(most_allowed + 1 if probability < aim.target else 0):
         runs = runs_needed(aim, allowed=allowed)
-        if bdtr(allowed, runs, probability) >= wanted:
+        if scipy.special.bdtr(allowed, runs, probability) >= wanted:
             return runs
     expected = f"a target clearly above the true probability {probability:g}"
     hint = f"more than {most_allowed} violations would have to be allowed"
@@ -116,13 +116,13 @@ def runs_for_tested(tested: int, *, share: float, wanted: float = 0.9) -> int:
     if share == 1.0:
         return tested
     least, most = tested, 2 * tested
-    while bdtr(tested - 1, most, share) > 1.0 - wanted:
+    while scipy.special.bdtr(tested - 1, most, share) > 1.0 - wanted:
         least, most = most + 1, 2 * most
         if most > MOST_RUNS:
             raise refusal("share", f"a share by which {MOST_RUNS:.0e} runs are enough", f"{share:g}")
     while least < most:
         middle = (least + most) // 2
-        enough = bdtr(tested - 1, middle, share) <= 1.0 - wanted
+        enough = scipy.special.bdtr(tested - 1, middle, share) <= 1.0 - wanted
         least, most = (least, middle) if enough else (middle + 1, most)
     return most
 
@@ -147,4 +147,4 @@ def refuse_if_impossible(aim: Aim, planned: int, *, tested: float = 1.0, place: 
 
 def _power_of(aim: Aim, trials: int, probability: float) -> float:
     allowed = allowed_violations(aim, trials)
-    return 0.0 if allowed is None else float(bdtr(allowed, trials, probability))
+    return 0.0 if allowed is None else float(scipy.special.bdtr(allowed, trials, probability))

@@ -31,7 +31,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import ndtr, stdtrit
+import scipy
 
 from safety_harness.seeds import Branch, generator
 from safety_harness.statistics.binomial import chance_of_each
@@ -131,7 +131,7 @@ class _Judged:
 
     def __call__(self, normal: Floats) -> Floats:
         """Points ``normal`` (n, d) -> margins (n,)."""
-        found = np.asarray(self._margins(np.minimum(ndtr(normal), _BELOW_ONE)), np.float64)
+        found = np.asarray(self._margins(np.minimum(scipy.special.ndtr(normal), _BELOW_ONE)), np.float64)
         self.count += len(normal)
         if found.shape != (len(normal),) or np.isnan(found).any():
             got = f"{np.count_nonzero(np.isnan(found))} that are no number, of shape {found.shape}"
@@ -148,7 +148,7 @@ def interval_of(replicates: Floats, chance: float, rng: np.random.Generator) -> 
     n, mean = len(replicates), float(replicates.mean())
     if np.all(replicates == replicates[0]):
         return 0.0, 1.0
-    half = float(stdtrit(n - 1, 1.0 - chance)) * float(replicates.std(ddof=1)) / math.sqrt(n)
+    half = float(scipy.special.stdtrit(n - 1, 1.0 - chance)) * float(replicates.std(ddof=1)) / math.sqrt(n)
     low = max(mean - half, 0.0)
     if not replicates.all() or float(replicates.max()) >= _MOST_OF_SUM * n * mean:
         return low, 1.0

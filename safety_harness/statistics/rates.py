@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from scipy.special import gammaincinv
+import scipy
 
 from safety_harness.statistics.binomial import ProbabilityBounds, bounds_of
 from safety_harness.statistics.sample import IndependentSample
@@ -23,7 +23,7 @@ def most_an_hour(count: int, hours: float, chance: float) -> float:
 
     Garwood (1936): the rate under which as few events or fewer have that chance.
     """
-    return float(gammaincinv(count + 1, 1.0 - chance)) / hours
+    return float(scipy.special.gammaincinv(count + 1, 1.0 - chance)) / hours
 
 
 @dataclass(frozen=True)

@@ -19,8 +19,8 @@ import math
 from collections.abc import Callable
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy.special import betainc, betaln, xlog1py, xlogy
 
 from safety_harness.statistics.sample import Floats
 
@@ -47,17 +47,21 @@ def anytime_lower(count: int, trials: int, chance: float) -> float:
 def evidence_below(share: ArrayLike, count: ArrayLike, trials: ArrayLike) -> Floats:
     """Log M_n of the upper bound, elementwise: how clearly the truth is below ``share``."""
     p, k, n = (np.asarray(values, np.float64) for values in (share, count, trials))
+    special = scipy.special
     with np.errstate(divide="ignore"):
-        below = np.log(betainc(k + _SCALE, n - k + 1.0, p))
-    mixture = betaln(k + _SCALE, n - k + 1.0) + below + math.log(_SCALE) - xlogy(k + _SCALE, p)
-    return np.asarray(mixture - xlog1py(n - k, -p))
+        below = np.log(special.betainc(k + _SCALE, n - k + 1.0, p))
+    mixture = (
+        special.betaln(k + _SCALE, n - k + 1.0) + below + math.log(_SCALE) - special.xlogy(k + _SCALE, p)
+    )
+    return np.asarray(mixture - special.xlog1py(n - k, -p))
 
 
 def evidence_apart(share: ArrayLike, count: ArrayLike, trials: ArrayLike) -> Floats:
     """Log M_n of the lower bound, elementwise: how clearly the truth is another than ``share``."""
     p, k, n = (np.asarray(values, np.float64) for values in (share, count, trials))
-    mixture = betaln(k + _JEFFREYS, n - k + _JEFFREYS) - betaln(_JEFFREYS, _JEFFREYS)
-    return np.asarray(mixture - xlogy(k, p) - xlog1py(n - k, -p))
+    special = scipy.special
+    mixture = special.betaln(k + _JEFFREYS, n - k + _JEFFREYS) - special.betaln(_JEFFREYS, _JEFFREYS)
+    return np.asarray(mixture - special.xlogy(k, p) - special.xlog1py(n - k, -p))
 
 
 def _crossing(beyond: Callable[[float], bool], low: float, high: float) -> float:
