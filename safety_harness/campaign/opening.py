@@ -189,6 +189,7 @@ _WHEN = " ".join(f"WHEN {int(outcome)} THEN '{outcome.name.lower()}'" for outcom
 OUTCOME = f"CASE j.outcome {_WHEN} END"  # of a judgement j, in words
 OVERRULED = "e.overruled_replaced + e.overruled_stopped"  # of an episode e
 
+
 def _tables(counts: tuple[str, ...]) -> str:
     return f"""
 CREATE TABLE about (key TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;
