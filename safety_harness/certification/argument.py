@@ -281,7 +281,9 @@ def _deployment(evidence: Evidence) -> Answers:
     for part in evidence.system.under_test:
         if part.gate is not None and "question" in part.gate.name:
             yield f"The gate takes no answer to other questions: {part.gate.name}", "system", OPEN
-    cells = [one for one in _credibility(evidence) if one[1] == "recorded-cells"]
+    cells = [
+        (f"Came back: {one[0]}", *one[1:]) for one in _credibility(evidence) if one[1] == "recorded-cells"
+    ]
     yield from cells or [("No log of a cell came back: judge, monitor, certify --cell", "learned", DOUBT)]
 
 
