@@ -21,7 +21,7 @@ from safety_harness.scenario.files import read_bytes, resolved
 from safety_harness.scenario.nodes import Mapping, Node, Scalar
 from safety_harness.scenario.references import file_and_name
 from safety_harness.scenario.robots import AnyRobot, OwnRobot
-from safety_harness.shipped.contents import contents, is_installed, located
+from safety_harness.shipped.contents import PREFIX, contents, is_installed, located
 from safety_harness.simulation.worlds import libraries_of, worlds_by_label
 from safety_harness.space.space import ScenarioSpace
 from safety_harness.trace.provenance import provenance
@@ -158,21 +158,26 @@ def _files_of(robot: AnyRobot) -> Iterator[Path]:
 
 
 def _names(paths: Sequence[Path]) -> dict[Path, str]:
-    """Each file relative to the folder that all are in; what an installation ships, to a folder ``shipped``.
+    """Each file relative to the folder that all are in; what ships and is named so, to a folder ``shipped``.
 
-    For the plan, the first of them, says "shipped:" of those, and where they lie is this machine's matter;
-    unless it is shipped itself.
+    For "shipped:" in a plan says where those lie on whichever machine, unless the plan is shipped itself.  In
+    an installation nobody names them otherwise; in a checkout it is so where a file of the user's says it.
     """
-    ours = {path for path in paths if is_installed() and contents() in path.parents}
-    if paths[0] in ours:
-        ours = set()
-    root = Path(os.path.commonpath([path.parent for path in paths if path not in ours]))
+    ours = {path for path in paths if contents() in path.parents}
+    own = [path for path in paths if path not in ours]
+    if paths[0] in ours or not (is_installed() or any(map(_says_shipped, own))):
+        ours, own = set(), list(paths)
+    root = Path(os.path.commonpath([path.parent for path in own]))
     return {
         path: f"shipped/{path.relative_to(contents()).as_posix()}"
         if path in ours
         else path.relative_to(root).as_posix()
         for path in paths
     }
+
+
+def _says_shipped(path: Path) -> bool:
+    return path.suffix in (".yaml", ".yml") and PREFIX.encode() in path.read_bytes()
 
 
 def unpacked(files: Sequence[PlanFile], folder: Path) -> Path:

@@ -22,7 +22,7 @@ import numpy as np
 
 from safety_harness.admission.repeatability import DrivenAgain, RepeatabilityResult
 from safety_harness.campaign.identity import Identity, PlanFile
-from safety_harness.campaign.opening import connect, create, explained, refuse_any_file, unusable
+from safety_harness.campaign.opening import connect, counts_in, create, explained, refuse_any_file, unusable
 from safety_harness.campaign.plan import Plan
 from safety_harness.campaign.rows import Row
 from safety_harness.properties.base import Unit
@@ -128,6 +128,11 @@ class Ledger:
         return tuple(
             PlanFile(name, data) for name, data in self.all("SELECT name, data FROM file ORDER BY place")
         )
+
+    @cached_property
+    def counts(self) -> tuple[str, ...]:
+        """The names of what it counts of overruled proposals; the others are read as 0."""
+        return counts_in(self.connection)
 
     @cached_property
     def draws_sha256(self) -> str:

@@ -79,6 +79,7 @@ def connect(path: Path, *, write: bool, check: bool = True, alone: bool = False)
                 (found,) = connection.execute(f"PRAGMA {kind}_check(1)").fetchone()
                 if found != "ok":
                     raise unusable(path, _WHOLE, f"damage: {' '.join(found.split())}")
+            _count_nothing_else(connection)
             if not write:
                 connection.execute("PRAGMA query_only = ON")
         except BaseException:
@@ -115,7 +116,7 @@ def _refuse_other_tables(connection: sqlite3.Connection, path: Path) -> None:
     """LedgerError unless every table is one: a view in its place would say what is not there, for ever."""
     connection.execute("PRAGMA trusted_schema = OFF")
     with closing(sqlite3.connect(":memory:")) as whole:
-        create(whole)
+        create(whole, COUNTS[: len(counts_in(connection))])
         known = dict(whole.execute(_KINDS))
         columns = {name: _columns(whole, name) for name, kind in known.items() if kind == "table"}
     found = dict(connection.execute(_KINDS))
@@ -188,7 +189,9 @@ _WHEN = " ".join(f"WHEN {int(outcome)} THEN '{outcome.name.lower()}'" for outcom
 OUTCOME = f"CASE j.outcome {_WHEN} END"  # of a judgement j, in words
 OVERRULED = "e.overruled_replaced + e.overruled_stopped"  # of an episode e
 
-_TABLES = f"""
+
+def _tables(counts: tuple[str, ...]) -> str:
+    return f"""
 CREATE TABLE about (key TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;
 CREATE TABLE file (place INTEGER PRIMARY KEY, name TEXT NOT NULL UNIQUE, data BLOB NOT NULL);
 CREATE TABLE stratum (
@@ -206,7 +209,7 @@ CREATE TABLE episode (
     decisions INTEGER NOT NULL, proposed INTEGER NOT NULL, opposite INTEGER NOT NULL,
     stopped INTEGER NOT NULL,
     faults INTEGER NOT NULL, late INTEGER NOT NULL,
-    {" INTEGER NOT NULL, ".join(COUNTS)} INTEGER NOT NULL,
+    {" INTEGER NOT NULL, ".join(counts)} INTEGER NOT NULL,
     cell INTEGER REFERENCES cell, mishap TEXT, failure TEXT,
     seconds REAL NOT NULL, worker TEXT NOT NULL,
     PRIMARY KEY (stratum, episode)
@@ -230,7 +233,7 @@ CREATE TABLE repeated (
 );
 CREATE VIEW episodes AS
     SELECT s.name AS stratum, e.episode, e.seed, e.draws, e.decisions, e.proposed, e.opposite, e.stopped,
-        e.faults, e.late, {OVERRULED} AS overruled, e.{", e.".join(COUNTS)},
+        e.faults, e.late, {OVERRULED} AS overruled, e.{", e.".join(counts)},
         c.words AS cell, e.mishap, e.failure, e.seconds, e.worker
     FROM episode e JOIN stratum s ON s.id = e.stratum LEFT JOIN cell c ON c.id = e.cell;
 CREATE VIEW results AS
@@ -240,9 +243,21 @@ CREATE VIEW results AS
 """
 
 
-def create(connection: sqlite3.Connection) -> None:
-    """Make the tables, within the transaction that is open."""
-    for statement in _TABLES.split(";\n")[:-1]:
+def create(connection: sqlite3.Connection, counts: tuple[str, ...] = COUNTS) -> None:
+    """Make the tables, within the transaction that is open; an older program's had fewer ``counts``."""
+    for statement in _tables(counts).split(";\n")[:-1]:
         connection.execute(statement)
     connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
     connection.execute(f"PRAGMA user_version = {VERSION}")
+
+
+def counts_in(connection: sqlite3.Connection) -> tuple[str, ...]:
+    """Those of ``COUNTS`` that the ledger was made with: later programs know more reasons to overrule."""
+    columns = {row[1] for row in connection.execute("PRAGMA main.table_info(episode)")}
+    return tuple(name for name in COUNTS if name in columns)
+
+
+def _count_nothing_else(connection: sqlite3.Connection) -> None:
+    """What an older program could not count is read as 0: a view of that name stands before the table."""
+    if absent := [f"0 AS {name}" for name in COUNTS if name not in counts_in(connection)]:
+        connection.execute(f"CREATE TEMP VIEW episode AS SELECT *, {', '.join(absent)} FROM main.episode")

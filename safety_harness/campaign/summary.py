@@ -22,25 +22,21 @@ from safety_harness.campaign.rows import Row
 from safety_harness.properties.answered import fallback_words
 from safety_harness.statistics.binomial import ProbabilityBounds, Sides, bounds_of
 from safety_harness.statistics.sample import EpisodeOutcome
-from safety_harness.trace.overruling import COUNTS
 
 _COUNTS = "SELECT stratum, claim, outcome, count(*), min(margin), episode FROM judgement GROUP BY 1, 2, 3"
 _FAILED = (
     "SELECT stratum, count(DISTINCT episode) FROM judgement "
     f"WHERE outcome = {int(EpisodeOutcome.FAILED)} GROUP BY 1"
 )
-_OF_EPISODE = (
-    "e.episode, e.seed, e.draws, e.decisions, e.proposed, e.opposite, e.stopped, e.faults, e.late, "
-    f"e.{', e.'.join(COUNTS)}, c.words, e.mishap, e.failure"
-)
 _JUDGED = "SELECT claim, episode, outcome, margin, worst_time_s, exercised FROM judgement WHERE stratum = ?"
-# Everything that is the same wherever an episode runs, in an order that is.
-_SAME = (
-    f"SELECT {_OF_EPISODE} FROM episode e LEFT JOIN cell c ON c.id = e.cell WHERE e.stratum = ? "
-    "ORDER BY e.episode",
-    f"{_JUDGED} ORDER BY claim, episode",
-    "SELECT episode FROM trace WHERE stratum = ? ORDER BY episode",
-)
+
+
+def _of_episode(ledger: Ledger) -> str:
+    """The columns of what is the same wherever an episode runs, as the ledger was made with them."""
+    return (
+        "e.episode, e.seed, e.draws, e.decisions, e.proposed, e.opposite, e.stopped, e.faults, e.late, "
+        f"e.{', e.'.join(ledger.counts)}, c.words, e.mishap, e.failure"
+    )
 
 
 def tally_of(ledger: Ledger) -> CampaignTally:
@@ -113,9 +109,15 @@ def bounds_in(ledger: Ledger) -> tuple[ProbabilityBounds, ...]:
 
 def fingerprint_of(ledger: Ledger) -> str:
     """SHA-256 of every result, bit for bit: two ledgers of a plan with the same results have the same."""
+    same = (  # in an order that is
+        f"SELECT {_of_episode(ledger)} FROM episode e LEFT JOIN cell c ON c.id = e.cell "
+        "WHERE e.stratum = ? ORDER BY e.episode",
+        f"{_JUDGED} ORDER BY claim, episode",
+        "SELECT episode FROM trace WHERE stratum = ? ORDER BY episode",
+    )
     digest = hashlib.sha256(ledger.declared.identity.sha256.encode())
     for stratum in range(len(ledger.declared.strata)):
-        for question in _SAME:
+        for question in same:
             for row in ledger.all(question, stratum):
                 digest.update(repr(row).encode())  # of a float: the shortest text that gives it again
     return digest.hexdigest()
@@ -199,8 +201,7 @@ class CampaignTally:
 
 
 _LEAF, _NODE = b"\x00", b"\x01"
-_EPISODE = (
-    f"SELECT e.stratum, {_OF_EPISODE}, t.violation, t.data FROM episode e "
+_OF_STRATUM = (
     "LEFT JOIN cell c ON c.id = e.cell LEFT JOIN trace t ON t.stratum = e.stratum AND t.episode = e.episode "
     "WHERE e.stratum = ? ORDER BY e.episode"
 )
@@ -213,10 +214,11 @@ def root_of(ledger: Ledger) -> str:
 
 def _rows(ledger: Ledger) -> Iterator[bytes]:
     declared = ledger.declared
+    episodes = f"SELECT e.stratum, {_of_episode(ledger)}, t.violation, t.data FROM episode e {_OF_STRATUM}"
     for stratum in range(len(declared.strata)):
         question = f"{_JUDGED} AND claim = ? ORDER BY episode"
         claims = [ledger.all(question, stratum, claim) for claim in range(len(declared.claims))]
-        for (*row, data), *judged in zip(ledger.all(_EPISODE, stratum), *claims, strict=True):
+        for (*row, data), *judged in zip(ledger.all(episodes, stratum), *claims, strict=True):
             trace = None if data is None else hashlib.sha256(data).hexdigest()
             yield json.dumps([*row, trace, judged], separators=(",", ":")).encode()
 

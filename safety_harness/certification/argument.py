@@ -109,7 +109,8 @@ def argument_of(evidence: Evidence) -> Element:
         below=tuple(_hazards(evidence)),
         name="by hazard",
     )
-    stages = tuple(_stages(evidence)) if system.card or evidence.proven else ()
+    known = evidence.learned
+    stages = tuple(_stages(evidence)) if system.card or evidence.proven or (known and known.networks) else ()
     by_stage = Element(
         ElementKind.STRATEGY,
         "By the stages of AMLAS, for the learned part",
@@ -233,6 +234,9 @@ def _stages(evidence: Evidence) -> Iterator[Element]:
     runs = f"{sum(one.made for one in evidence.strata)} declared runs"
     hashes = [value for name, value in evidence.system.facts if "sha256" in value and name == "Avoider"]
 
+    life = dict(evidence.learned.life) if evidence.learned else {}
+    told = [(f"{name}: {text}", "learned", OPEN) for name, text in life.items() if name.endswith("trained")]
+
     def carded(*names: str) -> Solutions:
         return [(f"{name}: {card[name]}", "system", OPEN) for name in names if name in card]
 
@@ -242,7 +246,7 @@ def _stages(evidence: Evidence) -> Iterator[Element]:
             "safety requirements: what is asked of it follows from the system's risk",
             [(risks, "rates", OPEN)] if evidence.hazards else [],
         ),
-        ("data: what it learned from is known", carded("Training data", "Seen hands")),
+        ("data: what it learned from is known", carded("Training data", "Seen hands") + told),
         ("learning: how it was made can be repeated", carded("Made by", "Recipe")),
         (
             "verification: it does what is asked",
@@ -251,13 +255,36 @@ def _stages(evidence: Evidence) -> Iterator[Element]:
                 *([(f"{len(proven.claims)} claims about every question", "proven", OPEN)] if proven else []),
             ],
         ),
-        ("deployment: what was verified answers in the cell, and its service is watched", []),
+        (
+            "deployment: what was verified answers in the cell, and its service is watched",
+            list(_deployment(evidence)) if evidence.learned else [],
+        ),
     )
     for number, (text, solutions) in enumerate(stages, start=1):
         below = tuple(Element(ElementKind.SOLUTION, *one) for one in solutions)
+        if number == len(stages) and below:
+            below += (Element(ElementKind.GOAL, IN_THE_CELL, "learned", name="AMLAS stage 6, in the cell"),)
         frozen = tuple(Element(ElementKind.CONTEXT, one, "system") for one in hashes if number == 4)
         name = f"AMLAS stage {number}"
         yield Element(ElementKind.GOAL, f"Stage {number}, {text}", "system", OPEN, below, frozen, name=name)
+
+
+IN_THE_CELL = (
+    "Not covered here: the cell's controller loads this very file, somebody reads the monitor and acts, and "
+    "nobody trains it on"
+)
+
+
+def _deployment(evidence: Evidence) -> Answers:
+    """What the project has of it: how another network is noticed, and what a cell's logs came to."""
+    yield "Frozen and known by its hash: another network takes another report", "learned", OPEN
+    for part in evidence.system.under_test:
+        if part.gate is not None and "question" in part.gate.name:
+            yield f"The gate takes no answer to other questions: {part.gate.name}", "system", OPEN
+    cells = [
+        (f"Came back: {one[0]}", *one[1:]) for one in _credibility(evidence) if one[1] == "recorded-cells"
+    ]
+    yield from cells or [("No log of a cell came back: judge, monitor, certify --cell", "learned", DOUBT)]
 
 
 Solutions = list[tuple[str, str, str]]  # text, place, state

@@ -28,13 +28,16 @@ from safety_harness.certification.evidence import (
     ClaimResult,
     ClaimStatus,
     Evidence,
+    TrainingDistance,
     read_evidence,
 )
 from safety_harness.certification.folder import JSON, read_manifest
+from safety_harness.certification.stored import cells_of
 from safety_harness.certification.verdicts import at_least, at_most, percent
 from safety_harness.certification.verify_files import check_files
 from safety_harness.exceptions import InputError, LedgerError, Place, StatisticsError
 from safety_harness.scenario.typed_json import plain
+from safety_harness.search.coverage import AXES, SEEN
 
 FORMAT = "safety-harness delta 1"
 NONE = "–"
@@ -357,6 +360,7 @@ def _parts(before: Evidence, after: Evidence) -> Iterator[PartChange]:
         for name, was, now in _both(of(before), of(after)):
             if was != now:
                 yield PartChange(part, name, NONE if was is None else was, NONE if now is None else now)
+    yield from _only_earlier(before, after)
 
 
 def _software(evidence: Evidence) -> dict[str, str]:
@@ -405,13 +409,50 @@ def _hazards(evidence: Evidence) -> dict[str, str]:
     }
 
 
+def _learned(evidence: Evidence) -> dict[str, str]:
+    """By stratum how far it lies from the training, and what is said of the learned part."""
+    if evidence.learned is None:
+        return {}
+    return dict(evidence.learned.life) | {one.stratum: _distance(one) for one in evidence.learned.strata}
+
+
+def _distance(one: TrainingDistance) -> str:
+    runs = ", ".join(f"{count} {name}" for name, count in zip(SEEN, one.runs, strict=True))
+    if one.share_outside is None:
+        return f"runs: {runs}; no decision is stored"
+    far_m = one.largest_outside_m
+    far = "" if far_m is None else f", {1e3 * far_m:.0f} mm at most"
+    return f"runs: {runs}; hands outside of training: {percent(one.share_outside)} of {one.decisions}{far}"
+
+
+def _coverage(evidence: Evidence) -> dict[str, str]:
+    """How many runs were where, by each axis of the map."""
+    found, _ = cells_of(evidence.coverage)
+    runs = {
+        f"{axis}: {word}": f"{count} runs"
+        for axis in AXES
+        for word, count in found.along(axis).items()
+        if count
+    }
+    return {"cells": f"{len(found.counts)} with {evidence.coverage.runs} runs"} | runs
+
+
+def _only_earlier(before: Evidence, after: Evidence) -> Iterator[PartChange]:
+    """What was tried and is not any more."""
+    was, now = (cells_of(one.coverage)[0].counts.keys() for one in (before, after))
+    if lost := len(was - now):
+        yield PartChange("coverage", "cells of which only the earlier report has runs", str(lost), NONE)
+
+
 _PARTS: dict[str, Callable[[Evidence], dict[str, str]]] = {
     "software": _software,
     "system": _system,
     "settings": _settings,
     "plan": _plan,
     "hazard": _hazards,
+    "training": _learned,
     "space": _spaces,
+    "coverage": _coverage,
     "file": _files,
     "proof": _proofs,
     "results": lambda evidence: {"root over all rows": evidence.record.rows_sha256[:16]},

@@ -1,22 +1,30 @@
-"""What a report says of the learned part: how far the strata lie from its training, its life in service."""
+"""What a report says of the learned part: its training, how far the strata lie from that, its service."""
 
 from __future__ import annotations
 
+import os
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from pathlib import Path
 
 import numpy as np
 
-from safety_harness.admission.avoiders import avoider_sha256
+from safety_harness.admission.avoiders import folder_of, is_a_program
+from safety_harness.admission.driving import named_system
+from safety_harness.avoidance.model_file import onnx_bytes, onnx_metadata
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import Plan
 from safety_harness.certification.evidence import LearnedPart, TrainingDistance
 from safety_harness.certification.stored import Stored
 from safety_harness.certification.system import model_of
+from safety_harness.controller.named import LEARNED
+from safety_harness.exceptions import on_one_line
+from safety_harness.scenario.files import resolved
 from safety_harness.scenario.model import Scenario
 from safety_harness.scenario.references import ONNX_SUFFIX
 from safety_harness.search.counterexample import seen_of
 from safety_harness.search.coverage import AXES, SEEN
+from safety_harness.shipped.contents import located
 
 LIFE = (
     (
@@ -41,6 +49,18 @@ LIFE = (
         "simulators against the log, which certify --cell takes in. No run of a cell enters a bound here",
     ),
 )
+TRAINING = "training"  # among the metadata of an ONNX file
+MOST_LETTERS = 2000
+NOT_STATED = "not stated: on what, and how. The metadata of an ONNX file may say it under the name 'training'"
+PROGRAM = (
+    "not stated: a program may have a learned part in it, and its hash is not that of the weights which it "
+    "loads. The plan may say under about: what was learned, and on what; a network that is given as an ONNX "
+    "file is known by its hash, and its metadata may say it under the name 'training'"
+)
+POLICY = (
+    "by PPO in the space reaching-hands, random seed 0, 1.5 million actions of 40 ms (the package's "
+    "examples/train_a_policy.py). How far hands lie from those of its training is not measured"
+)
 _CELLS = (
     "SELECT c.words, count(*) FROM episode e JOIN cell c ON c.id = e.cell "
     "WHERE e.stratum = ? GROUP BY c.words"
@@ -48,22 +68,39 @@ _CELLS = (
 
 
 def learned_of(plan: Plan, ledger: Ledger, stored: Sequence[Stored]) -> LearnedPart | None:
-    """None where no stratum's avoider is a network."""
+    """None where nothing that is under test can be learned: what ships without a network."""
     scenarios = [plan.with_avoider(stratum.space.simplest) for stratum in plan.strata]
     learned = {place: one for place, one in enumerate(scenarios) if _is_network(one)}
-    if not learned:
+    told = dict(pair for one in scenarios for pair in _told(one))
+    if not told and not learned:
         return None
-    networks = ((one.avoider, avoider_sha256(one)) for one in learned.values())
+    networks = ((str(one.under_test), str(named_system(one).tested.sha256)) for one in learned.values())
+    asked = {place: one for place, one in learned.items() if not one.driven}
     return LearnedPart(
         networks=tuple(dict.fromkeys(networks)),
-        seen=tuple(dict.fromkeys(seen_of(one).source for one in learned.values())),
-        strata=tuple(_distance(plan, ledger, stored, place, scenario) for place, scenario in learned.items()),
-        life=LIFE,
+        seen=tuple(dict.fromkeys(seen_of(one).source for one in asked.values())),
+        strata=tuple(_distance(plan, ledger, stored, place, scenario) for place, scenario in asked.items()),
+        life=(*told.items(), *(LIFE if learned else ())),
     )
 
 
 def _is_network(scenario: Scenario) -> bool:
-    return model_of(scenario) is not None or scenario.avoider.endswith(ONNX_SUFFIX)
+    reference = scenario.under_test
+    in_onnx = reference.endswith(ONNX_SUFFIX) or (scenario.driven and reference == LEARNED)
+    return in_onnx or model_of(scenario) is not None
+
+
+def _told(scenario: Scenario) -> Iterator[tuple[str, str]]:
+    """What is stated of the training of a part without a card, or how it can be."""
+    reference = scenario.under_test
+    if is_a_program(reference):
+        yield f"{reference}, whether learned", PROGRAM
+    elif scenario.driven and reference == LEARNED:
+        yield f"{reference}, trained", POLICY
+    elif reference.endswith(ONNX_SUFFIX):
+        file = resolved(located((folder_of(scenario) or Path()) / os.path.expanduser(reference)))
+        text = onnx_metadata(file, onnx_bytes(file)).get(TRAINING, "").strip()
+        yield f"{reference}, trained", on_one_line(text)[:MOST_LETTERS] if text else NOT_STATED
 
 
 def _distance(

@@ -21,8 +21,9 @@ from safety_harness.certification.evidence import (
     by_gravity,
 )
 from safety_harness.certification.figures import bounds_figure, margins_figure, separation_figure
+from safety_harness.certification.result_tables import confidence_alone
 from safety_harness.certification.stored import cells_of
-from safety_harness.certification.tables import TABLES, confidence_alone
+from safety_harness.certification.tables import TABLES
 from safety_harness.certification.verdicts import confidence_words, percent
 from safety_harness.report.attribution_picture import draw_attributions
 from safety_harness.report.coverage_map import coverage_map

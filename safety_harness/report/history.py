@@ -12,7 +12,7 @@ from typing import Any
 
 from markupsafe import Markup
 
-from safety_harness.exceptions import OutputError, Place
+from safety_harness.exceptions import InputError, Place
 from safety_harness.proportions import share_words
 from safety_harness.report.axes import Picture
 from safety_harness.report.machine import FORMAT, SI_UNITS
@@ -87,14 +87,14 @@ class History:
 def read_history(folder: Path) -> History:
     """Every report.json below ``folder``, in the order of their folders' names, numbers as numbers.
 
-    Raises OutputError for fewer than two, and for a file that is no report of this version.
+    Raises InputError for fewer than two, and for a file that is no report of this version.
     """
     files = sorted(
         folder.rglob(REPORT), key=lambda file: _natural(file.parent.relative_to(folder).as_posix())
     )
     if len(files) < 2:
         expected = f"a folder with the {REPORT} of two revisions at least, at any depth"
-        raise OutputError(place=Place(file=folder), expected=expected, got=str(len(files)))
+        raise InputError(place=Place(file=folder), expected=expected, got=str(len(files)))
     revisions = tuple(_revision(file, file.parent.relative_to(folder).as_posix()) for file in files)
     named = dict.fromkeys(key for one in revisions for key in one.claims)
     courses = tuple(
@@ -126,9 +126,8 @@ def _revision(file: Path, name: str) -> Revision:
         sources = dict.fromkeys(run["source_hash"] for run in found["runs"])
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         got = f"{type(error).__name__}: {error}"
-        raise OutputError(
-            place=Place(file=file), expected=f'a report with format "{FORMAT}"', got=got
-        ) from error
+        expected = f'a report with format "{FORMAT}"'
+        raise InputError(place=Place(file=file), expected=expected, got=got) from error
     return Revision(name, ", ".join(sources), claims, overruling)
 
 

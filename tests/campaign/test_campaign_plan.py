@@ -31,6 +31,18 @@ def test_a_plan_is_what_its_text_says(tmp_path: Path) -> None:
     assert not plan.stop_early
 
 
+def test_a_plan_that_names_what_ships_is_the_same_wherever_it_is_unpacked(tmp_path: Path) -> None:
+    own = "scenario space: mine\nextends: shipped:nominal\nduration: 400 ms\n"
+    plan = plan_in(tmp_path / "mine", PLAN, own)
+    assert [file.name for file in plan.files] == [
+        "plan.yaml",
+        "short.yaml",
+        "shipped/scenarios/spaces/nominal.yaml",
+    ]
+    again = read_plan(unpacked(plan.files, tmp_path / "elsewhere" / "deeper"))
+    assert again.identity == plan.identity
+
+
 def test_the_shipped_plans_can_be_read() -> None:
     plans = [file for file in sorted((ROOT / "plans").glob("*.yaml")) if kind_of(file) is FileKind.PLAN]
     assert len(plans) >= 2

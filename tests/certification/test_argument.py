@@ -141,8 +141,17 @@ def test_the_stages_of_the_learned_part_stand_where_something_is_learned() -> No
     known = evidence()
     (stages,) = [one for one in argument_of(known).below if "AMLAS" in one.text]
     assert len(stages.below) == 6
-    assert [one.undeveloped for one in stages.below][-1], "no log of the cell in use is in a report"
-    without = replace(known, proven=None, system=replace(known.system, card=()))
+    *_, deployment = stages.below
+    texts = [one.text for one in deployment.below]
+    assert [one.undeveloped for one in deployment.below] == [False] * (len(texts) - 1) + [True]
+    assert any("its hash" in text for text in texts)
+    assert any(text.startswith(("No log of a cell came back", "Came back: ")) for text in texts)
+    assert texts[-1].startswith("Not covered here: the cell's controller loads this very file")
+    *_, unstated = next(
+        one for one in argument_of(replace(known, learned=None)).below if "AMLAS" in one.text
+    ).below
+    assert unstated.undeveloped
+    without = replace(known, proven=None, learned=None, system=replace(known.system, card=()))
     assert not any("AMLAS" in one.text for one in every(argument_of(without)))
 
 

@@ -201,6 +201,24 @@ def test_another_seed_or_a_new_claim_carries_no_run_over() -> None:
         assert not any(one.carries for one in delta(before, after).carried if "runs of" in one.what)
 
 
+def test_training_distance_and_coverage_that_are_others_are_told_and_what_only_the_earlier_tried() -> None:
+    before = evidence()
+    assert before.learned is not None
+    first, *rest = before.learned.strata
+    farther = replace(first, share_outside=0.75, largest_outside_m=0.9)
+    fewer = replace(before.coverage, cells=before.coverage.cells[1:])
+    found = delta(
+        before,
+        replace(before, learned=replace(before.learned, strata=(farther, *rest)), coverage=fewer),
+    )
+    told = {(one.part, one.name): one for one in found.parts}
+    assert "75 % of" in told["training", first.stratum].after
+    assert "900 mm at most" in told["training", first.stratum].after
+    assert told["coverage", "cells of which only the earlier report has runs"].before == "1"
+    assert told["coverage", "cells"].before != told["coverage", "cells"].after
+    assert found.regressions == ()
+
+
 def test_the_page_and_the_json_say_it_all() -> None:
     before = with_a_finding(replace(evidence(), proven=PROVEN))
     found = delta(before, without_the_proof(no_longer_shown(worse(evidence()))))

@@ -13,16 +13,17 @@ from safety_harness.avoidance.shipped import shipped_model
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.session import plan_of
 from safety_harness.certification.counterexamples import FAULT, MOST_ASKED
-from safety_harness.certification.evidence import Evidence, as_text, read_evidence
-from safety_harness.certification.learned import learned_of
+from safety_harness.certification.evidence import Evidence, LearnedPart, as_text, read_evidence
+from safety_harness.certification.learned import NOT_STATED, PROGRAM, TRAINING, learned_of
 from safety_harness.certification.page import render
 from safety_harness.certification.stored import Stored, random_traces
 from safety_harness.cli.certify import certify, verify
 from safety_harness.cli.console import AS_EXPECTED, DIFFERS
+from safety_harness.controller.named import LEARNED_FILE
 from safety_harness.search.counterexample import circumstances, seen_of, sure_about_unseen
 from tests.campaign.plans import PLAN, plan_in
 from tests.certification import made_up_evidence
-from tests.search.short_space import TEXT
+from tests.search.short_space import CRASHING, TEXT
 
 NETWORK = (
     PLAN.replace("opposite pose", "mc-dropout")
@@ -88,6 +89,42 @@ def test_an_avoider_that_is_no_network_has_no_learned_part(tmp_path: Path) -> No
     with Ledger.create(tmp_path / "ledger.sqlite", plan) as ledger:
         assert learned_of(plan, ledger, []) is None
     assert '"learned"' not in as_text(made_up_evidence.evidence(only_shown=True))
+
+
+def learned_in(folder: Path, tested: str) -> LearnedPart:
+    plan = plan_in(folder, PLAN.replace("avoider: opposite pose", tested), TEXT)
+    with Ledger.create(folder / "ledger.sqlite", plan) as ledger:
+        found = learned_of(plan, ledger, [])
+    assert found is not None
+    return found
+
+
+def test_a_learned_controller_is_known_by_its_hash_and_its_training_is_told(tmp_path: Path) -> None:
+    found = learned_in(tmp_path, "controller: learned policy")
+    assert found.networks == (("learned policy", hashlib.sha256(LEARNED_FILE.read_bytes()).hexdigest()),)
+    assert found.strata == ()  # of what it saw in training nothing is measured
+    assert dict(found.life)["learned policy, trained"].startswith("by PPO in the space reaching-hands")
+    assert "With an unknown hash" in dict(found.life)
+
+
+@pytest.mark.parametrize("stated", ["on ten hours of one cell", ""])
+def test_the_metadata_of_an_onnx_file_may_state_its_training(tmp_path: Path, stated: str) -> None:
+    onnx = pytest.importorskip("onnx", exc_type=ImportError)
+    model = onnx.load(LEARNED_FILE)
+    model.metadata_props.add(key=TRAINING, value=stated)
+    onnx.save(model, tmp_path / "mine.onnx")
+    found = learned_in(tmp_path, "controller: mine.onnx")
+    assert found.networks[0][1] == hashlib.sha256((tmp_path / "mine.onnx").read_bytes()).hexdigest()
+    assert dict(found.life)["mine.onnx, trained"] == (stated or NOT_STATED)
+
+
+def test_of_a_program_it_is_said_that_nothing_is_stated_and_how_it_can_be(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text(CRASHING)
+    found = learned_in(tmp_path, "avoider: mine.py:Crashing")
+    assert (found.networks, found.strata) == ((), ())
+    assert found.life == (("mine.py:Crashing, whether learned", PROGRAM),)
+    unstated = replace(made_up_evidence.evidence(only_shown=True), learned=found)
+    assert "not stated: a program may have a learned part" in render(unstated, {})
 
 
 def test_declared_failures_say_whose_fault_they_are_as_searched_ones_do(evidence: Evidence) -> None:

@@ -11,7 +11,7 @@ from page import parse
 from typer.testing import CliRunner
 
 from safety_harness.cli.main import app
-from safety_harness.exceptions import OutputError
+from safety_harness.exceptions import InputError
 from safety_harness.report.history import read_history
 from safety_harness.report.machine import FORMAT
 
@@ -87,10 +87,10 @@ def test_the_command_writes_a_page_and_fails_with_what_turned(tmp_path: Path) ->
 def test_a_file_that_is_no_report_is_named(tmp_path: Path, text: str) -> None:
     folder = written(tmp_path, a=report("holds", 0.02), b=report("holds", 0.02))
     (folder / "b" / "report.json").write_text(text)
-    with pytest.raises(OutputError, match=r"b/report\.json.*format"):
+    with pytest.raises(InputError, match=r"b/report\.json.*format"):
         read_history(folder)
 
 
 def test_one_revision_is_no_history(tmp_path: Path) -> None:
-    with pytest.raises(OutputError, match="two revisions at least"):
+    with pytest.raises(InputError, match="two revisions at least"):
         read_history(written(tmp_path, a=report("holds", 0.02)))

@@ -8,7 +8,8 @@ Outputs
     tcp_velocity_mps (1, 3), tcp_angular_velocity_radps (1, 3), joint_velocity_radps (1, n): as of ``Move``.
     stop (1,), if there is one: above one half it is a protective stop.
 Metadata
-    name, if it is to be called otherwise than by its file; ticks, how long each action is held, 1 by default.
+    name, if it is to be called otherwise than by its file; ticks, how long each action is held, 1 by default;
+    training, what it was trained on, which only evidence reports read.
 """
 
 from __future__ import annotations
