@@ -216,7 +216,7 @@ def _in_full(runs: Sequence[JudgedRun]) -> list[bool]:
 
 
 def _tabled(sections: Sequence[Row]) -> list[tuple[bool, Sequence[Row]]]:
-    """(whether they are read later, sections): whose rows stand in the table of verdicts as the page opens."""
+    """(whether they are read later, sections): those whose verdicts the table opens with, and the rest."""
     rows = np.cumsum([len(section["claims"]) for section in sections])
     first = int(np.searchsorted(rows, MOST_AT_ONCE)) + 1
     return [(later, part) for later, part in ((False, sections[:first]), (True, sections[first:])) if part]

@@ -1,4 +1,4 @@
-"""Runs for the page: of each claim that caught a fault, the first that it caught, run again as it was caught."""
+"""Runs for the page: of each claim that caught a fault, the first such fault, run again as it was caught."""
 
 from __future__ import annotations
 
