@@ -10,6 +10,7 @@ from markupsafe import Markup
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.page_parts import render_page
 from safety_harness.report.replay import Replays
+from safety_harness.report.words import with_minus
 from safety_harness.whole_file import write_whole
 from safety_harness_paper.choices import CHOICES
 from safety_harness_paper.document import About, comparison_words
@@ -53,6 +54,7 @@ def render(results: Sequence[Result], about: About, runs: Runs = ()) -> str:
         word_class=WORD_CLASS,
         state_class=STATE_CLASS,
         words=comparison_words,
+        minus=with_minus,
         replays=bool(runs),
         seen=[
             (words, run, replays.of(run, f"seen-{number}"))

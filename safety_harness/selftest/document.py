@@ -16,6 +16,7 @@ from safety_harness.certification.tools import FaultState
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.page_parts import render_page
 from safety_harness.report.replay import Replays
+from safety_harness.report.words import with_minus
 from safety_harness.selftest.outcome import (
     HARMLESS_HEAD,
     HEAD,
@@ -120,6 +121,7 @@ def render(outcomes: Sequence[FaultOutcome], about: SelfTestRun, runs: CaughtRun
         names=HEAD,
         harmless_names=HARMLESS_HEAD,
         state_class=STATE_CLASS,
+        minus=with_minus,
         replays=bool(runs),
         seen=[
             (one, run, replays.of(run, f"seen-{number}")) for number, (one, run) in enumerate(runs, start=1)
