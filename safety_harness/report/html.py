@@ -64,6 +64,7 @@ from safety_harness.whole_file import write_whole
 Row = dict[str, Any]
 MOST_SLOWINGS = 20  # stretches that a table has; the report for programs has all
 MOST_IN_FULL = 20  # runs that are drawn; a page of a thousand has to open at once
+MOST_TOLD = 20  # verdicts that are not as expected, or runs cut short, before all else; the table has all
 MOST_AT_ONCE = 100  # rows of verdicts, or runs that are not drawn, that a browser reads as it opens a page
 
 
@@ -136,6 +137,8 @@ def render(
         summary=summary,
         replays=True,
         sections=sections,
+        unlike=[(one, row) for one in sections for row in one["claims"] if not row["as_expected"]],
+        most_told=MOST_TOLD,
         tabled=_tabled(sections),
         parted=_parted(sections),
         most_full=MOST_IN_FULL,

@@ -254,10 +254,9 @@ def test_the_slash_leads_to_the_filter_and_a_link_unfolds_its_run(browser: Any, 
 
 @pytest.fixture(scope="module")
 def long_report(tmp_path_factory: pytest.TempPathFactory) -> str:
-    """A page of more runs than a browser reads as it opens it; each has two claims."""
+    """A page of more runs than a browser reads as it opens it; each has three claims."""
     path = tmp_path_factory.mktemp("long") / "report.html"
-    made = factory.holds_run()
-    runs = []
+    made, runs = factory.violated_run(), []
     for k in range(1, 131):
         named = replace(made.trace.scenario, title=f"{factory.HOSTILE} {k} & 'more'")
         runs.append(replace(made, trace=replace(made.trace, scenario=named)))
@@ -273,17 +272,31 @@ def test_a_long_table_finds_and_sorts_rows_that_were_never_laid_out(browser: Any
     show(browser, long_report, width=1280)
     assert len(browser.execute_script(TITLES)) == 40
     counted = browser.find_element("css selector", ".filter output")
-    assert counted.text == "260 rows, the first 40 shown"
+    assert counted.text == "390 rows, the first 40 shown"
     find = browser.find_element("css selector", ".filter input")
     find.send_keys(" 127 & 'more'")
-    assert browser.execute_script(TITLES) == [f"{factory.HOSTILE} 127 & 'more'"] * 2  # as it was written
+    assert browser.execute_script(TITLES) == [f"{factory.HOSTILE} 127 & 'more'"] * 3  # as it was written
     assert browser.execute_script("return document.querySelectorAll('.verdicts b').length") == 0
     find.clear()
     browser.execute_script("document.querySelector('.verdicts thead button').click()")
     sort = "return [...document.querySelectorAll('.verdicts thead button')].forEach((one) => one.click())"
     browser.execute_script(sort)
     browser.execute_script("document.querySelector('.more').click()")
-    assert len(browser.execute_script(TITLES)) == 260
+    assert len(browser.execute_script(TITLES)) == 390
+
+
+@pytest.mark.parametrize("width", [390, 1280])
+def test_an_address_asks_for_rows_that_were_never_laid_out(
+    browser: Any, long_report: str, width: int
+) -> None:
+    forget(browser)
+    show(browser, f"{long_report}#find=127&verdict=violated", width=width)
+    assert len(browser.execute_script(TITLES)) == 2
+    assert browser.get_log("browser") == []
+    cells = (
+        "return [...document.querySelectorAll('.verdicts tbody th')].every((one) => one.offsetWidth > 200)"
+    )
+    assert browser.execute_script(cells)
 
 
 def test_a_link_opens_a_run_that_was_not_read_yet_and_all_are_read_in_time(
@@ -300,4 +313,4 @@ def test_a_link_opens_a_run_that_was_not_read_yet_and_all_are_read_in_time(
 def test_a_long_page_has_all_of_it_without_scripts(long_report: str) -> None:
     page = parse(Path(unquote(urlparse(long_report).path)).read_text())
     assert len(page.all("article", "folds")) == 130
-    assert sum(len(one.all("tr")) - 1 for one in page.all("table", "verdicts")) == 260
+    assert sum(len(one.all("tr")) - 1 for one in page.all("table", "verdicts")) == 390

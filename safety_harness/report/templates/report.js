@@ -2,6 +2,15 @@
 for (const heading of document.querySelectorAll(".again > th")) {  // the name of the row above, which a filter may hide
   heading.append(...[...heading.parentElement.previousElementSibling.cells[0].childNodes].map((one) => one.cloneNode(true)));
 }
+// On a narrow screen rows become cards: then each cell says its heading, and what a table's parts are is said too.
+let labelled = false;
+const labelRow = (row, table) => {
+  row.setAttribute("role", "row");
+  [...row.cells].forEach((cell, column) => {
+    cell.setAttribute("role", cell.tagName === "TD" ? "cell" : cell.scope === "col" ? "columnheader" : "rowheader");
+    if (cell.scope !== "col") cell.dataset.label = table.tHead.rows[0].cells[column].textContent;
+  });
+};
 // A row of a table: in the document, or, of a long table, text until it is shown.
 const plain = (markup) => markup.replace(/<[^>]*>/g, "").replace(/&(#3[49]|[lg]t|amp);/g, (name) => (
   { "&#34;": '"', "&#39;": "'", "&lt;": "<", "&gt;": ">", "&amp;": "&" }[name]));
@@ -131,11 +140,12 @@ for (const table of document.querySelectorAll("table[data-filter]")) {
     const asked = new URLSearchParams(forms.flatMap((one) => [...new FormData(one)]).filter(([, one]) => one)).toString();
     history.replaceState(null, "", asked ? `#${asked}` : location.pathname + location.search);
   };
-  const read = () => {
+  const read = (event) => {
     if (!location.hash.includes("=")) return;
     const asked = new URLSearchParams(location.hash.slice(1));
     for (const control of form.elements) if (control.name) control.value = asked.get(control.name) ?? "";
     show();
+    if (event && !clear.disabled) form.scrollIntoView();  // a link led here
   };
   form.addEventListener("input", () => { show(); told(); });
   more.addEventListener("click", () => { whole = true; show(); });
@@ -153,15 +163,6 @@ addEventListener("keydown", (event) => {
   event.preventDefault();
   forms[0].elements.find.focus();
 });
-// On a narrow screen rows become cards: then each cell says its heading, and what a table's parts are is said too.
-let labelled = false;
-const labelRow = (row, table) => {
-  row.setAttribute("role", "row");
-  [...row.cells].forEach((cell, column) => {
-    cell.setAttribute("role", cell.tagName === "TD" ? "cell" : cell.scope === "col" ? "columnheader" : "rowheader");
-    if (cell.scope !== "col") cell.dataset.label = table.tHead.rows[0].cells[column].textContent;
-  });
-};
 const label = () => {
   if (!narrow.matches) return;
   narrow.removeEventListener("change", label);
