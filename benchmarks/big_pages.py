@@ -3,9 +3,8 @@
 Run: python benchmarks/big_pages.py [FILE.md] [--runs N]...
 
 Runs are copies of three of the tests' own, under other names.  A page is opened five times in a browser
-and a word typed into its filter: the median of the times until it is laid out, of what the page's thread computed
-until then (which a busy machine does not lengthen), and of the first search, which reads every row, and of
-later ones.
+and a word typed into its filter: the median of the times until it is laid out, and of those of the first
+search, which reads every row, and of later ones.
 """
 
 from __future__ import annotations
@@ -61,26 +60,16 @@ def runs_of(count: int) -> Iterator[JudgedRun]:
         )
 
 
-def computed_ms(browser: Any) -> float:
-    """By the page's thread since its process began."""
-    found = browser.execute_cdp_cmd("Performance.getMetrics", {})["metrics"]
-    return 1e3 * float(next(one["value"] for one in found if one["name"] == "TaskDuration"))
-
-
-def measured(browser: Any, page: Path) -> tuple[float, float, float, float]:
-    """Milliseconds: to open it, computed for that, the first search, the slowest of later ones; medians."""
-    opened, computed, first, later = [], [], [], []
+def measured(browser: Any, page: Path) -> tuple[float, float, float]:
+    """Milliseconds: to open it, of the first search, of the slowest of later ones; medians."""
+    opened, first, later = [], [], []
     for _ in range(OPENED):
-        browser.get("about:blank")  # and its process, as the page then has one of its own
-        before_ms = computed_ms(browser)
         show(browser, page.as_uri(), width=1280)
         opened.append(browser.execute_script(OPEN_MS))
-        after_ms = computed_ms(browser)
-        computed.append(after_ms - before_ms if after_ms >= before_ms else after_ms)
         one, *others = browser.execute_script(SEARCH_MS)
         first.append(one)
         later.append(max(others))
-    return tuple(map(statistics.median, (opened, computed, first, later)))  # type: ignore[return-value]
+    return statistics.median(opened), statistics.median(first), statistics.median(later)
 
 
 def main() -> None:
@@ -96,25 +85,24 @@ def main() -> None:
         "# Pages of many runs",
         "",
         f"Written by `make bench-big_pages` at {revision}; Chromium, 1280 px; medians of {OPENED}.",
+        f"Load of the machine as it began: {os.getloadavg()[0]:.1f} on {os.cpu_count()} processors.",
         "",
-        f"Load of the machine, of {os.cpu_count()} processors, as it began: {os.getloadavg()[0]:.1f}.",
-        "",
-        "| runs | verdicts | MB | open, ms | computed for that, ms | first search, ms | later searches, at most, ms |",
-        "|---:|---:|---:|---:|---:|---:|---:|",
+        "| runs | verdicts | MB | open, ms | first search, ms | later searches, at most, ms |",
+        "|---:|---:|---:|---:|---:|---:|",
     ]
     with tempfile.TemporaryDirectory() as folder:
         browser = started(Path(folder) / "profile")
         browser.set_page_load_timeout(300)
-        browser.execute_cdp_cmd("Performance.setTimeDomain", {"timeDomain": "threadTicks"})
-        browser.execute_cdp_cmd("Performance.enable", {})
         for count in given.runs or RUNS:
             page, runs = Path(folder) / f"{count}.html", list(runs_of(count))
             said = {"title": "Many runs", "command": "safety-harness run scenarios", "interrupted": False}
             write_report(page, runs, generated_at=datetime.now(UTC), **said)  # type: ignore[arg-type]
             verdicts = sum(len(run.trace.scenario.claims) for run in runs)
             megabytes = page.stat().st_size / 1e6
-            times = " | ".join(f"{one:.0f}" for one in measured(browser, page))
-            lines.append(f"| {count:,} | {verdicts:,} | {megabytes:.1f} | {times} |")
+            opened, first, later = measured(browser, page)
+            lines.append(
+                f"| {count:,} | {verdicts:,} | {megabytes:.1f} | {opened:.0f} | {first:.0f} | {later:.0f} |"
+            )
             print(lines[-1], flush=True)
         browser.quit()
     given.file.write_text("\n".join(lines) + "\n")
