@@ -10,6 +10,7 @@ search, which reads every row, and of later ones.
 from __future__ import annotations
 
 import argparse
+import os
 import statistics
 import subprocess
 import sys
@@ -84,6 +85,7 @@ def main() -> None:
         "# Pages of many runs",
         "",
         f"Written by `make bench-big_pages` at {revision}; Chromium, 1280 px; medians of {OPENED}.",
+        f"Load of the machine as it began: {os.getloadavg()[0]:.1f} on {os.cpu_count()} processors.",
         "",
         "| runs | verdicts | MB | open, ms | first search, ms | later searches, at most, ms |",
         "|---:|---:|---:|---:|---:|---:|",

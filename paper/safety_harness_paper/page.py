@@ -7,7 +7,10 @@ from pathlib import Path
 
 from markupsafe import Markup
 
+from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.page_parts import render_page
+from safety_harness.report.replay import Replays
+from safety_harness.report.words import with_minus
 from safety_harness.whole_file import write_whole
 from safety_harness_paper.choices import CHOICES
 from safety_harness_paper.document import About, comparison_words
@@ -27,13 +30,17 @@ STATE_CLASS = {
 }
 
 
-def write_page(path: Path, results: Sequence[Result], about: About) -> None:
+Runs = Sequence[tuple[str, JudgedRun]]  # what was measured, and one episode of it
+
+
+def write_page(path: Path, results: Sequence[Result], about: About, runs: Runs = ()) -> None:
     """Write the page whole or not at all; it asks nothing of the network.  Raises OSError."""
-    write_whole(path, render(results, about))
+    write_whole(path, render(results, about, runs))
 
 
-def render(results: Sequence[Result], about: About) -> str:
-    """The page as text; the same arguments give the same bytes."""
+def render(results: Sequence[Result], about: About, runs: Runs = ()) -> str:
+    """The page as text; the same arguments give the same bytes.  ``runs`` are replayed in 3-D on it."""
+    replays = Replays()
     return render_page(
         "reproduction.html.j2",
         of="safety_harness_paper",
@@ -47,6 +54,12 @@ def render(results: Sequence[Result], about: About) -> str:
         word_class=WORD_CLASS,
         state_class=STATE_CLASS,
         words=comparison_words,
+        minus=with_minus,
+        replays=bool(runs),
+        seen=[
+            (words, run, replays.of(run, f"seen-{number}"))
+            for number, (words, run) in enumerate(runs, start=1)
+        ],
         drawings={result.name: _drawings(result) for result in results},
     )
 

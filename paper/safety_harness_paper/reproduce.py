@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import platform
 import shlex
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from importlib import metadata
 from importlib.util import find_spec
 from pathlib import Path
 
+from safety_harness.admission.trial import judge
 from safety_harness.campaign.pool import one_thread_each
 from safety_harness.cli.console import (
     AS_EXPECTED,
@@ -24,13 +25,16 @@ from safety_harness.cli.console import (
 from safety_harness.cli.progress import paced_lines
 from safety_harness.compiled import source_hash_of
 from safety_harness.exceptions import InputError, ModelError, OutputError, Place, SettingsError
+from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.words import count_words
 from safety_harness.scenario.files import told
+from safety_harness.trace.store import load_trace
 from safety_harness_paper.document import About, write_document
 from safety_harness_paper.document import document as document_of
 from safety_harness_paper.part import Part
 from safety_harness_paper.plan import measuring_order, parts_named
 from safety_harness_paper.result import Result
+from safety_harness_paper.safety import NEAREST
 from safety_harness_paper.scale import Scale, scale_named
 from safety_harness_paper.work import Done, Task, Workshop, in_order
 
@@ -87,7 +91,7 @@ def reproduce(
         missing=tuple(missing),
     )
     try:
-        _write(out, results, about)
+        _write(out, results, about, _nearest(done))
     except OSError as error:
         explain(OutputError.of(out, error))
         return BAD_INPUT
@@ -148,10 +152,25 @@ def _results(
     return results, missing
 
 
-def _write(out: Path, results: Sequence[Result], about: About) -> None:
+def _nearest(done: Mapping[Task, Done]) -> list[tuple[str, JudgedRun]]:
+    """The episodes that measurements kept, each with the measurement's words."""
+    found = []
+    for task in in_order(done):
+        file = done[task].folder / NEAREST if task in done else None
+        if file is None or not file.is_file():
+            continue
+        try:
+            trace = load_trace(file)
+            found.append((task.label, JudgedRun(trace, judge(trace, file=file), "")))
+        except InputError as error:
+            explain(error)
+    return found
+
+
+def _write(out: Path, results: Sequence[Result], about: About, runs: Sequence[tuple[str, JudgedRun]]) -> None:
     from safety_harness_paper.page import write_page
 
-    write_page(out / PAGE, results, about)
+    write_page(out / PAGE, results, about, runs)
     write_document(out / DATA, results, about)
 
 

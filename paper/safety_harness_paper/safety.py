@@ -20,9 +20,11 @@ from safety_harness.learning.evaluation import leaf
 from safety_harness.properties.base import Property
 from safety_harness.properties.hand_distance import HandDistance
 from safety_harness.properties.protective_separation import ProtectiveSeparation
+from safety_harness.scenario.model import Claim, Verdict
 from safety_harness.settings import GateKind, Settings
 from safety_harness.space.read import parse_space
 from safety_harness.space.space import ScenarioSpace
+from safety_harness.trace.store import save_trace
 from safety_harness.trace.trace import Trace
 from safety_harness_paper.avoiders import BAYESIAN, DNN, NONE, OPPOSITE, with_networks
 from safety_harness_paper.networks import avoider_in
@@ -34,6 +36,7 @@ DISTANCE, SEPARATION, OWN_SPEEDS = (
     "protective separation kept",
     "protective separation kept from hands at their own speeds",
 )
+NEAREST = "nearest.trace"  # in a measurement's folder: the episode in which a hand came nearest
 NOWHERE_M = 1e-6  # a critical distance that no hand ever comes within
 _DRAW, _EPISODES = 4, 5
 
@@ -143,7 +146,10 @@ def whole_behaviour(
 def measure_episodes(
     folder: Path, dnn: Done, bayesian: Done, *, episodes: int, draw_seed: int, system: int, settings: Settings
 ) -> Json:
-    """The margin and verdict of each episode, how its decisions ended, and where it came nearest."""
+    """The margin and verdict of each episode, how its decisions ended, and where it came nearest.
+
+    Of the episode in which a hand came nearest the trace is kept in ``folder``.
+    """
     name, avoider_name, gate = SYSTEMS[system]
     avoiders: dict[str, Avoider] = {
         DNN: avoider_in(dnn),
@@ -160,6 +166,7 @@ def measure_episodes(
     }
     drawn = draw_admissible(nominal_space(), draw_seed, episodes)
     found: list[Json] = []
+    least_m = np.inf
     for scenario in drawn.scenarios:
         trace = run_trial(admit(replace(scenario, settings=own), avoider=avoiders[avoider_name]))
         outcomes = trace.decisions["outcome"]
@@ -167,6 +174,12 @@ def measure_episodes(
             {name: _judged(claim, trace) for name, claim in claims.items()}
             | {"decisions": [int(np.count_nonzero(outcomes == code)) for code in range(3)]}
         )
+        margin_m = found[-1][DISTANCE]["margin_m"]
+        if margin_m is not None and margin_m < least_m:
+            least_m = margin_m
+            claim = Claim(sentence=DISTANCE, expected=Verdict.HOLDS)
+            kept = replace(trace, scenario=replace(trace.scenario, claims=(claim,)))
+            save_trace(kept, folder / NEAREST)
     return {"system": name, "drawn": drawn.drawn, "episodes": found}
 
 

@@ -16,6 +16,7 @@ from safety_harness.exceptions import ModelError
 from safety_harness_paper import reproduce as command
 from safety_harness_paper.plan import PARTS
 from safety_harness_paper.reproduce import DATA, PAGE, WORK, reproduce
+from safety_harness_paper.safety import SYSTEMS
 from safety_harness_paper.work import Done, Workshop
 
 WORDS = {"reproduced", "direction only", "not reproduced", "no figure of the paper"}
@@ -51,6 +52,7 @@ def test_the_page_says_what_the_json_says_and_needs_nothing_else(finished: Path)
             assert row["ours_words"] in page
     assert "Quick scale." in page
     assert page.count("<svg") > 10
+    assert 1 <= page.count('<figure class="replay"') <= len(SYSTEMS)
     assert not re.search(r"(src|href)=\"(?!#|data:)", page)
     ids = re.findall(r'\bid="([^"]+)"', page)
     assert len(ids) == len(set(ids))

@@ -6,6 +6,7 @@ import shlex
 from collections.abc import Sequence
 from dataclasses import replace
 from datetime import datetime
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -63,6 +64,8 @@ from safety_harness.whole_file import write_whole
 Row = dict[str, Any]
 MOST_SLOWINGS = 20  # stretches that a table has; the report for programs has all
 MOST_IN_FULL = 20  # runs that are drawn; a page of a thousand has to open at once
+MOST_TOLD = 20  # verdicts that are not as expected, or runs cut short, before all else; the table has all
+MOST_AT_ONCE = 100  # rows of verdicts, or runs that are not drawn, that a browser reads as it opens a page
 
 
 def write_report(
@@ -123,16 +126,21 @@ def render(
     summary["interrupted"] = interrupted
     fallback = summary["decisions"].fallback
     replays = Replays()
+    sections = [
+        _section(run, number, replays if full else None)
+        for number, (run, full) in enumerate(zip(runs, _in_full(runs), strict=True), start=1)
+    ]
     return render_page(
         "report.html.j2",
         title=f"{title}; {fallback}" if fallback else title,
         made=(generated_at, command),
         summary=summary,
         replays=True,
-        sections=[
-            _section(run, number, replays if full else None)
-            for number, (run, full) in enumerate(zip(runs, _in_full(runs), strict=True), start=1)
-        ],
+        sections=sections,
+        unlike=[(one, row) for one in sections for row in one["claims"] if not row["as_expected"]],
+        most_told=MOST_TOLD,
+        tabled=_tabled(sections),
+        parted=_parted(sections),
         most_full=MOST_IN_FULL,
         most_open=MOST_OPEN,
         coverage=tallies(runs) if coverage is None else coverage,
@@ -210,12 +218,30 @@ def _in_full(runs: Sequence[JudgedRun]) -> list[bool]:
     return [k in drawn for k in range(len(runs))]
 
 
+def _tabled(sections: Sequence[Row]) -> list[tuple[bool, Sequence[Row]]]:
+    """(whether they are read later, sections): those whose verdicts the table opens with, and the rest."""
+    rows = np.cumsum([len(section["claims"]) for section in sections])
+    first = int(np.searchsorted(rows, MOST_AT_ONCE)) + 1
+    return [(later, part) for later, part in ((False, sections[:first]), (True, sections[first:])) if part]
+
+
+def _parted(sections: Sequence[Row]) -> list[tuple[bool, Sequence[Row]]]:
+    """(whether they are read later, sections), in order: all but the first and those that are drawn are."""
+
+    def part(section: Row) -> tuple[int, bool]:
+        hundred = section["number"] // MOST_AT_ONCE
+        return hundred, hundred > 0 and not section["full"]
+
+    return [(later, list(found)) for (_, later), found in groupby(sections, part)]
+
+
 def _section(run: JudgedRun, number: int, replays: Replays | None) -> Row:
     """What the page shows about one run; everything, if it is given the page's ``replays``."""
     run = replace(run, trace=as_measured(run.trace))
     counts = [f"{run.count(verdict)} {verdict.value}" for verdict in Verdict if run.count(verdict)]
     section = {
         "id": f"run-{number}",
+        "number": number,
         "run": run,
         "full": replays is not None,
         "outcome": ", ".join(counts),

@@ -13,7 +13,10 @@ from pathlib import Path
 from typing import Any
 
 from safety_harness.certification.tools import FaultState
+from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.page_parts import render_page
+from safety_harness.report.replay import Replays
+from safety_harness.report.words import with_minus
 from safety_harness.selftest.outcome import (
     HARMLESS_HEAD,
     HEAD,
@@ -92,14 +95,20 @@ def _outcome(one: FaultOutcome) -> dict[str, Any]:
     }
 
 
-def write_page(path: Path, outcomes: Sequence[FaultOutcome], about: SelfTestRun) -> None:
+CaughtRuns = Sequence[tuple[FaultOutcome, JudgedRun]]
+
+
+def write_page(
+    path: Path, outcomes: Sequence[FaultOutcome], about: SelfTestRun, runs: CaughtRuns = ()
+) -> None:
     """Write the page whole or not at all; it asks nothing of the network.  Raises OSError."""
-    write_whole(path, render(outcomes, about))
+    write_whole(path, render(outcomes, about, runs))
 
 
-def render(outcomes: Sequence[FaultOutcome], about: SelfTestRun) -> str:
-    """The page as text; the same arguments give the same bytes."""
+def render(outcomes: Sequence[FaultOutcome], about: SelfTestRun, runs: CaughtRuns = ()) -> str:
+    """The page as text; the same arguments give the same bytes.  ``runs`` are replayed in 3-D on it."""
     faults, harmless = in_table(outcomes)
+    replays = Replays()
     return render_page(
         "selftest.html.j2",
         style="tables.css",
@@ -112,4 +121,9 @@ def render(outcomes: Sequence[FaultOutcome], about: SelfTestRun) -> str:
         names=HEAD,
         harmless_names=HARMLESS_HEAD,
         state_class=STATE_CLASS,
+        minus=with_minus,
+        replays=bool(runs),
+        seen=[
+            (one, run, replays.of(run, f"seen-{number}")) for number, (one, run) in enumerate(runs, start=1)
+        ],
     )

@@ -27,6 +27,7 @@ from safety_harness.selftest.catalogue import EVERY
 from safety_harness.selftest.document import SelfTestRun, document, write_document, write_page
 from safety_harness.selftest.fault import SeededFault
 from safety_harness.selftest.outcome import FaultOutcome, outcome_of
+from safety_harness.selftest.replayed import caught_runs
 from safety_harness.selftest.suite import SelfTestPlan
 from safety_harness.selftest.system import ChangedSystem
 from safety_harness.selftest.trial import SAME_TWICE, FaultTrials, Rung, words_on
@@ -52,8 +53,8 @@ class SelfTestSession:
     broken: str = ""
 
     def __post_init__(self) -> None:
-        episodes = self.plan.episodes()
-        self.remarks, self._episodes = tuple(sound_remarks(episodes)), len(episodes)
+        self._episodes = self.plan.episodes()
+        self.remarks = tuple(sound_remarks(self._episodes))
         self._begun_s = time.monotonic()
 
     @property
@@ -88,15 +89,17 @@ class SelfTestSession:
         write_document(self.out / DATA, self.tried, self._about())
 
     def write_page(self) -> None:
-        """The page.  Raises OSError."""
-        write_page(self.out / PAGE, self.tried, self._about())
+        """The page, with runs in 3-D unless the self-test was broken off.  Raises OSError."""
+        whole = not (self.interrupted or self.broken)
+        runs = caught_runs(self.tried, self._episodes) if whole else []
+        write_page(self.out / PAGE, self.tried, self._about(), runs)
 
     def _about(self) -> SelfTestRun:
         return SelfTestRun(
             profile=self.plan.profile.name,
             avoider=self.plan.avoider,
             scenarios=str(self.plan.folder),
-            episodes=self._episodes,
+            episodes=len(self._episodes),
             planned=len(self.numbers),
             seconds=round(time.monotonic() - self._begun_s, 1),
             command=self.command,

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import base64
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
+from urllib.parse import unquote, urlparse
 
 import factory
 import pytest
 from browsing import assert_quiet, colour, forget, show
+from page import parse
 
 from safety_harness.report.html import write_report
 
@@ -247,3 +250,67 @@ def test_the_slash_leads_to_the_filter_and_a_link_unfolds_its_run(browser: Any, 
     )
     assert browser.execute_async_script("setTimeout(arguments[0], 50)") is None
     assert browser.execute_script("return document.querySelector('#run-2 > details').open")
+
+
+@pytest.fixture(scope="module")
+def long_report(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """A page of more runs than a browser reads as it opens it; each has three claims."""
+    path = tmp_path_factory.mktemp("long") / "report.html"
+    made, runs = factory.violated_run(), []
+    for k in range(1, 131):
+        named = replace(made.trace.scenario, title=f"{factory.HOSTILE} {k} & 'more'")
+        runs.append(replace(made, trace=replace(made.trace, scenario=named)))
+    said = {"title": "Long", "command": "", "interrupted": False}
+    write_report(path, runs, generated_at=datetime(2025, 11, 21, tzinfo=UTC), **said)  # type: ignore[arg-type]
+    return Path(path).as_uri()
+
+
+TITLES = "return [...document.querySelectorAll('.verdicts tbody th a')].map((one) => one.textContent)"
+
+
+def test_a_long_table_finds_and_sorts_rows_that_were_never_laid_out(browser: Any, long_report: str) -> None:
+    show(browser, long_report, width=1280)
+    assert len(browser.execute_script(TITLES)) == 40
+    counted = browser.find_element("css selector", ".filter output")
+    assert counted.text == "390 rows, the first 40 shown"
+    find = browser.find_element("css selector", ".filter input")
+    find.send_keys(" 127 & 'more'")
+    assert browser.execute_script(TITLES) == [f"{factory.HOSTILE} 127 & 'more'"] * 3  # as it was written
+    assert browser.execute_script("return document.querySelectorAll('.verdicts b').length") == 0
+    find.clear()
+    browser.execute_script("document.querySelector('.verdicts thead button').click()")
+    sort = "return [...document.querySelectorAll('.verdicts thead button')].forEach((one) => one.click())"
+    browser.execute_script(sort)
+    browser.execute_script("document.querySelector('.more').click()")
+    assert len(browser.execute_script(TITLES)) == 390
+
+
+@pytest.mark.parametrize("width", [390, 1280])
+def test_an_address_asks_for_rows_that_were_never_laid_out(
+    browser: Any, long_report: str, width: int
+) -> None:
+    forget(browser)
+    show(browser, f"{long_report}#find=127&verdict=violated", width=width)
+    assert len(browser.execute_script(TITLES)) == 2
+    assert browser.get_log("browser") == []
+    cells = (
+        "return [...document.querySelectorAll('.verdicts tbody th')].every((one) => one.offsetWidth > 200)"
+    )
+    assert browser.execute_script(cells)
+
+
+def test_a_link_opens_a_run_that_was_not_read_yet_and_all_are_read_in_time(
+    browser: Any, long_report: str
+) -> None:
+    show(browser, f"{long_report}#run-130", width=1280)
+    assert browser.execute_script("return document.querySelector('#run-130 > details').open")
+    left = "document.querySelector('noscript.runs')"
+    wait = f"const done = arguments[0], look = () => {left} ? setTimeout(look, 20) : done();"
+    browser.execute_async_script(wait + "look()")
+    assert browser.execute_script("return document.querySelectorAll('article.folds').length") == 130
+
+
+def test_a_long_page_has_all_of_it_without_scripts(long_report: str) -> None:
+    page = parse(Path(unquote(urlparse(long_report).path)).read_text())
+    assert len(page.all("article", "folds")) == 130
+    assert sum(len(one.all("tr")) - 1 for one in page.all("table", "verdicts")) == 390

@@ -2,13 +2,61 @@
 for (const heading of document.querySelectorAll(".again > th")) {  // the name of the row above, which a filter may hide
   heading.append(...[...heading.parentElement.previousElementSibling.cells[0].childNodes].map((one) => one.cloneNode(true)));
 }
+// On a narrow screen rows become cards: then each cell says its heading, and what a table's parts are is said too.
+let labelled = false;
+const labelRow = (row, table) => {
+  row.setAttribute("role", "row");
+  [...row.cells].forEach((cell, column) => {
+    cell.setAttribute("role", cell.tagName === "TD" ? "cell" : cell.scope === "col" ? "columnheader" : "rowheader");
+    if (cell.scope !== "col") cell.dataset.label = table.tHead.rows[0].cells[column].textContent;
+  });
+};
+// A row of a table: in the document, or, of a long table, text until it is shown.
+const plain = (markup) => markup.replace(/<[^>]*>/g, "").replace(/&(#3[49]|[lg]t|amp);/g, (name) => (
+  { "&#34;": '"', "&#39;": "'", "&lt;": "<", "&gt;": ">", "&amp;": "&" }[name]));
+class Row {
+  constructor(table, element, markup) { Object.assign(this, { table, made: element, markup }); }
+  has(word) {  // markup that lacks a word need not be read
+    const near = this.text ?? (this.made || /[&<>"']/.test(word) ? this.words : (this.lower ??= this.markup.toLowerCase()));
+    return near.includes(word) && this.words.includes(word);
+  }
+  get words() { return (this.text ??= (this.made?.textContent ?? plain(this.markup)).toLowerCase()); }
+  get element() {
+    if (this.made) return this.made;
+    const body = document.createElement("tbody");
+    body.innerHTML = this.markup;
+    this.made = body.rows[0];
+    if (labelled) labelRow(this.made, this.table);
+    return this.made;
+  }
+  cell(column) {  // what it sorts and filters by, and its words
+    if (this.made) {
+      const cell = this.made.cells[column], { sort, value } = cell.dataset;
+      return { sort, value, link: cell.querySelector("a")?.textContent, words: cell.textContent };
+    }
+    const markup = (this.cells ??= this.markup.split(/<\/t[dh]>/))[column];
+    const found = (pattern) => { const one = markup.match(pattern)?.[1]; return one === undefined ? one : plain(one); };
+    return { sort: found(/^[^>]* data-sort="([^"]*)"/), value: found(/^[^>]* data-value="([^"]*)"/), link: found(/<a [^>]*>(.*?)<\/a>/), words: plain(markup) };
+  }
+}
 const rows = new Map();  // of each table, also those that are not shown
-const rowsOf = (table) => rows.get(table) ?? rows.set(table, [...table.tBodies[0].rows]).get(table);
+const laterRows = (table) => {
+  const later = table.nextElementSibling;
+  if (!later?.matches("noscript.rows")) return [];
+  let named = "";  // the heading of the row above
+  return later.textContent.split("<tbody>")[1].split("</tr>").slice(0, -1).map((markup) => {
+    const [whole, empty] = markup.match(/<th scope="row">(.*?)<\/th>/s);
+    if (empty) named = whole;
+    return new Row(table, null, empty ? markup : markup.replace(whole, () => named));
+  });
+};
+const rowsOf = (table) => rows.get(table)
+  ?? rows.set(table, [...[...table.tBodies[0].rows].map((row) => new Row(table, row)), ...laterRows(table)]).get(table);
 // A number as people write it, with its unit or another number after it; "" where there is none.
 const amount = (text) => text.replace("\u2212", "-").replace(/,/g, "").match(/^[-+]?[\d.]+/)?.[0] ?? "";
 const shows = new Map();  // what lays out the rows of a table again
 for (const table of document.querySelectorAll("table.sortable")) {
-  shows.set(table, () => table.tBodies[0].append(...rowsOf(table)));
+  shows.set(table, () => table.tBodies[0].append(...rowsOf(table).map((row) => row.element)));
   const headings = [...table.tHead.rows[0].cells];
   headings.forEach((heading, column) => {
     const button = document.createElement("button");
@@ -22,7 +70,7 @@ for (const table of document.querySelectorAll("table.sortable")) {
       heading.setAttribute("aria-sort", down ? "descending" : "ascending");
       table.classList.add("sorted");
       const number = heading.classList.contains("number");
-      const key = ({ cells: { [column]: cell } }) => cell.dataset.sort ?? cell.dataset.value ?? (number ? amount : String)(cell.textContent.trim());
+      const key = (row) => (({ sort, value, words }) => sort ?? value ?? (number ? amount : String)(words.trim()))(row.cell(column));
       const compare = (a, b) => {
         const x = key(a), y = key(b);
         if (x === "" || y === "") return (x === "") - (y === "");
@@ -38,17 +86,15 @@ for (const table of document.querySelectorAll("table.sortable")) {
 // in the address after "#", where a page that is a file may write.  Only rows that are shown are in the document, and of
 // more than MOST_ROWS the first; a browser that has to lay out ten thousand does not keep up with typing.
 const narrow = matchMedia("(max-width: 56rem)");
-const MOST_ROWS = narrow.matches ? 40 : 100, FEWEST_ROWS = 6;
+const MOST_ROWS = narrow.matches ? 40 : 100, FIRST_ROWS = 40, FEWEST_ROWS = 6;
+const MOST_CHOICES = 200;  // of a list to choose from; of a column with more, words are asked for
 const forms = [];
 for (const table of document.querySelectorAll("table[data-filter]")) {
   const rows = rowsOf(table), body = table.tBodies[0];
   if (rows.length < FEWEST_ROWS) continue;
   const headings = [...table.tHead.rows[0].cells];
   const values = new Map(rows.map((row) => [row, []]));
-  const value = (row, column) => values.get(row)[column] ??= (({ cells: { [column]: cell } }) =>
-    cell.dataset.value ?? (cell.querySelector("a, .claim > :last-child") ?? cell).textContent.trim())(row);
-  const texts = new Map();
-  const text = (row) => texts.get(row) ?? texts.set(row, row.textContent.toLowerCase()).get(row);
+  const value = (row, column) => values.get(row)[column] ??= (({ value, link, words }) => value ?? (link ?? words).trim())(row.cell(column));
   const form = document.createElement("form"), count = document.createElement("output"), number = forms.push(form);
   form.className = "filter";
   const part = table.closest("article")?.querySelector("h2, h3");
@@ -63,8 +109,10 @@ for (const table of document.querySelectorAll("table[data-filter]")) {
   const find = field("Find", Object.assign(document.createElement("input"), { type: "search" }));
   const choices = headings.flatMap((heading, column) => {
     if (!("filter" in heading.dataset)) return [];
+    const all = new Set(rows.map((row) => value(row, column)));
+    if (all.size > MOST_CHOICES) return [[field(heading.textContent, Object.assign(document.createElement("input"), { type: "search" })), column]];
     const select = document.createElement("select");
-    for (const one of ["", ...new Set(rows.map((row) => value(row, column)))]) select.add(new Option(one || "all", one));
+    for (const one of ["", ...all]) select.add(new Option(one || "all", one));
     return [[field(heading.textContent, select), column]];
   });
   const button = (type, textContent) => Object.assign(document.createElement("button"), { type, textContent });
@@ -73,14 +121,15 @@ for (const table of document.querySelectorAll("table[data-filter]")) {
   table.before(form);
   table.after(more);
   more.className = "more copy-button";
-  let most = MOST_ROWS;
+  let whole = false;  // all rows are shown, however many
   const show = () => {
     const words = find.value.toLowerCase().split(/\s+/).filter(Boolean);
-    const wanted = choices.filter(([select]) => select.value).map(([select, column]) => [column, select.value]);
-    const found = rows.filter((row) => wanted.every(([column, one]) => value(row, column) === one)
-      && words.every((word) => text(row).includes(word)));
-    const all = found.length === rows.length;
-    body.replaceChildren(...found.slice(0, most));
+    const wanted = choices.filter(([control]) => control.value).map(([{ type, value: asked }, column]) => (type === "search"
+      ? (row) => value(row, column).toLowerCase().includes(asked.toLowerCase()) : (row) => value(row, column) === asked));
+    const found = rows.filter((row) => wanted.every((one) => one(row))
+      && words.every((word) => row.has(word)));
+    const all = found.length === rows.length, most = whole || found.length <= MOST_ROWS ? found.length : FIRST_ROWS;
+    body.replaceChildren(...found.slice(0, most).map((row) => row.element));
     table.classList.toggle("filtered", !all);
     clear.disabled = all && !find.value;
     more.hidden = found.length <= most;
@@ -91,16 +140,17 @@ for (const table of document.querySelectorAll("table[data-filter]")) {
     const asked = new URLSearchParams(forms.flatMap((one) => [...new FormData(one)]).filter(([, one]) => one)).toString();
     history.replaceState(null, "", asked ? `#${asked}` : location.pathname + location.search);
   };
-  const read = () => {
+  const read = (event) => {
     if (!location.hash.includes("=")) return;
     const asked = new URLSearchParams(location.hash.slice(1));
     for (const control of form.elements) if (control.name) control.value = asked.get(control.name) ?? "";
     show();
+    if (event && !clear.disabled) form.scrollIntoView();  // a link led here
   };
   form.addEventListener("input", () => { show(); told(); });
-  more.addEventListener("click", () => { most = Infinity; show(); });
+  more.addEventListener("click", () => { whole = true; show(); });
   shows.set(table, show);
-  addEventListener("beforeprint", () => { most = Infinity; show(); });
+  addEventListener("beforeprint", () => { whole = true; show(); });
   form.addEventListener("reset", () => setTimeout(() => { show(); told(); find.focus(); }));
   form.addEventListener("submit", (event) => event.preventDefault());
   addEventListener("hashchange", read);
@@ -113,27 +163,35 @@ addEventListener("keydown", (event) => {
   event.preventDefault();
   forms[0].elements.find.focus();
 });
-// On a narrow screen rows become cards: then each cell says its heading, and what a table's parts are is said too.
 const label = () => {
   if (!narrow.matches) return;
   narrow.removeEventListener("change", label);
+  labelled = true;
   for (const table of document.querySelectorAll("table.cards")) {
-    const names = [...table.tHead.rows[0].cells].map((heading) => heading.textContent);
     table.setAttribute("role", "table");
     for (const part of [table.tHead, ...table.tBodies]) part.setAttribute("role", "rowgroup");
-    for (const row of [table.tHead.rows[0], ...rowsOf(table)]) {
-      row.setAttribute("role", "row");
-      [...row.cells].forEach((cell, column) => {
-        cell.setAttribute("role", cell.tagName === "TD" ? "cell" : cell.scope === "col" ? "columnheader" : "rowheader");
-        if (cell.scope !== "col") cell.dataset.label = names[column];
-      });
-    }
+    for (const row of [table.tHead.rows[0], ...rowsOf(table).map((one) => one.made).filter(Boolean)]) labelRow(row, table);
   }
 };
 narrow.addEventListener("change", label);
 label();
+// Runs that are not drawn are text too, until the browser has time, or one of them is asked for.
+const laterRuns = new Set(document.querySelectorAll("noscript.runs"));
+const readRuns = (one) => {
+  if (!laterRuns.delete(one)) return;
+  const part = document.createElement("div");
+  part.className = "runs";
+  part.innerHTML = one.textContent;
+  one.replaceWith(part);
+};
+const readMore = () => {
+  for (const one of laterRuns) { readRuns(one); break; }
+  if (laterRuns.size) requestIdleCallback(readMore);
+};
+if (laterRuns.size) addEventListener("load", () => (window.requestIdleCallback ? requestIdleCallback(readMore) : laterRuns.forEach(readRuns)));
 const unfold = () => {
   const id = new URLSearchParams(`id=${location.hash.slice(1)}`).get("id");  // decodes, and no address is an error
+  for (const one of laterRuns) if (id && one.textContent.includes(` id="${id}" `)) readRuns(one);
   const target = document.getElementById(id);
   for (let part = target; part; part = part.parentElement) if (part.tagName === "DETAILS") part.open = true;
   if (!target) return;
@@ -160,5 +218,6 @@ for (const code of document.querySelectorAll("code.copy")) {
   });
 }
 addEventListener("beforeprint", () => {
+  laterRuns.forEach(readRuns);
   document.querySelectorAll("details").forEach((part) => { part.open = true; });
 });
