@@ -73,6 +73,10 @@ def advance_tracks(
             tracks[slot]["id"] = _greatest_id(tracks) + 1
             initialise(tracks[slot], boxes[j], capture_time_s, parameters[0])
             tracks[slot]["box"] = j
+    for i in range(tracks.shape[0]):  # tracks are equal whatever frames they had
+        tracks[i]["box"] = 0
+        for j in range(FEW_BOXES):
+            tracks[i]["distance_px"][j] = 0.0
     return True
 
 
@@ -201,10 +205,10 @@ def _distance_px(track: np.void, box: NDArray[np.float64]) -> float:
 @njit_no_nrt
 def _has_track(tracks: NDArray[np.void], box: int) -> bool:
     """Is the box one of a track's?"""
+    found = False
     for i in range(tracks.shape[0]):
-        if tracks[i]["box"] == box:
-            return True
-    return False
+        found = found or tracks[i]["box"] == box
+    return found
 
 
 @compiled
