@@ -46,11 +46,9 @@ def invert(matrix: NDArray[np.float64], inverse_out: NDArray[np.float64]) -> boo
     """Gauss-Jordan inverse with partial pivoting; False if a pivot is 0 or not finite.
 
     ``matrix`` (n, n) is left as it is; ``inverse_out`` (n, n) gets A^-1, by the row operations that turn
-    (A | I) into (I | A^-1).  An exactly singular matrix (a straight elbow gives one) is an answer here, not
-    an exception.  ValueError for more than 15 rows.
+    (A | I) into (I | A^-1); n is at most 15.  An exactly singular matrix (a straight elbow gives one) is an
+    answer here, not an exception.
     """
-    if matrix.shape[0] > 15:
-        raise ValueError("a matrix of at most 15 rows can be inverted in place")
     return invert_with(matrix, matrix.shape[0], inverse_out)
 
 
@@ -59,7 +57,7 @@ def invert_with(matrix: NDArray[np.float64], n: int, inverse_out: NDArray[np.flo
     """``invert``; where n is a constant of the caller, loops are laid open.
 
     ``matrix`` and ``inverse_out`` (n, n).  A column of A that is done with gives its place to the column of
-    A^-1 that is begun; rows that were swapped, noted in four bits each, leave columns to be swapped back.
+    A^-1 that is begun; rows that were swapped leave columns to be swapped back.
     """
     work, pivots = inverse_out, 0
     for i in range(n):
