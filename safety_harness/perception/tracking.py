@@ -195,7 +195,7 @@ def _assign(
 
 @njit_no_nrt
 def _distance_px(track: np.void, box: NDArray[np.float64]) -> float:
-    """Of a box (5,) from a track in the image; infinite for a pair that cannot be."""
+    """Of ``box`` (5,) from a track in the image; infinite for a pair that cannot be."""
     if not (track["valid"] and _is_measurement(box)):
         return inf
     du, dv = box[0] - track["mean"][0], box[1] - track["mean"][1]
