@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from safety_harness.compiled import compiled, njit_no_nrt
+from safety_harness.compiled import njit_no_nrt
 from safety_harness.controller.records import ParameterRecords, StateRecords
 from safety_harness.geometry.arrays import Array6
 from safety_harness.servoing.control import camera_twist
@@ -18,7 +18,7 @@ LIMIT_TCP_SPEED = int(Limit.TCP_SPEED)
 LIMIT_TCP_ACCELERATION = int(Limit.TCP_ACCELERATION)
 
 
-@compiled
+@njit_no_nrt
 def servo_twist(
     parameters: ParameterRecords,
     states: StateRecords,
@@ -50,7 +50,8 @@ def servo_twist(
     if not good:
         s.mode = OBJECT_LOST
         s.gain = 0.0
-        s.camera_twist[:] = 0.0
+        for i in range(6):
+            s.camera_twist[i] = 0.0
         return
     rotation_tcp, twist = s.transform_tcp_to_base, twist_in_base_out
     c = s.twist_in_base  # room until ``shaped`` fills it

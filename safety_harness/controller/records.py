@@ -93,7 +93,7 @@ def state_dtype(hands: int, joints: int = JOINTS) -> np.dtype[Any]:
             ("limits", np.int64),
             # what a tick works with
             ("jacobian", np.float64, (6, joints)),
-            ("room", np.float64, (2, 6, 6)),  # of ``joint_velocity_with``
+            ("room", np.float64, (6, 6)),  # of ``joint_velocity_with``
             ("wanted_twist_in_base", np.float64, (6,)),
             ("twist_in_base", np.float64, (6,)),
             ("transform_sensor_to_base", np.float64, (4, 4)),

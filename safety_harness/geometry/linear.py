@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.compiled import compiled, inlined
+from safety_harness.compiled import compiled, inlined, njit_no_nrt
 
 
 @compiled
@@ -41,29 +41,28 @@ def solve_in_place(matrix: NDArray[np.float64], vector: NDArray[np.float64]) -> 
     return True
 
 
-@compiled
+@njit_no_nrt
 def invert(matrix: NDArray[np.float64], inverse_out: NDArray[np.float64]) -> bool:
     """Gauss-Jordan inverse with partial pivoting; False if a pivot is 0 or not finite.
 
     ``matrix`` (n, n) is left as it is; ``inverse_out`` (n, n) gets A^-1, by the row operations that turn
-    (A | I) into (I | A^-1).  An exactly singular matrix (a straight elbow gives one) is an answer here, not
-    an exception.
+    (A | I) into (I | A^-1); n is at most 15.  An exactly singular matrix (a straight elbow gives one) is an
+    answer here, not an exception.
     """
-    return invert_with(matrix, matrix.shape[0], np.empty((matrix.shape[0], matrix.shape[0])), inverse_out)
+    return invert_with(matrix, matrix.shape[0], inverse_out)
 
 
 @inlined
-def invert_with(
-    matrix: NDArray[np.float64], n: int, work: NDArray[np.float64], inverse_out: NDArray[np.float64]
-) -> bool:
-    """``invert`` with room to ``work`` (n, n); where n is a constant of the caller, rows are vectors.
+def invert_with(matrix: NDArray[np.float64], n: int, inverse_out: NDArray[np.float64]) -> bool:
+    """``invert``; where n is a constant of the caller, loops are laid open.
 
-    ``matrix`` and ``inverse_out`` (n, n).
+    ``matrix`` and ``inverse_out`` (n, n).  A column of A that is done with gives its place to the column of
+    A^-1 that is begun; rows that were swapped leave columns to be swapped back.
     """
+    work, pivots = inverse_out, 0
     for i in range(n):
         for j in range(n):
             work[i, j] = matrix[i, j]
-            inverse_out[i, j] = 1.0 if i == j else 0.0
     for column in range(n):
         pivot = column
         for row in range(column + 1, n):
@@ -73,19 +72,25 @@ def invert_with(
         if not (largest > 0.0 and largest < np.inf):  # also catches NaN
             return False
         if pivot != column:
+            pivots |= pivot << 4 * column
             for j in range(n):
                 work[column, j], work[pivot, j] = work[pivot, j], work[column, j]
-                inverse_out[column, j], inverse_out[pivot, j] = inverse_out[pivot, j], inverse_out[column, j]
         scale = 1.0 / work[column, column]
-        for j in range(n):  # what lies before is read no more, and a whole row is as quick as a part
+        work[column, column] = 1.0
+        for j in range(n):
             work[column, j] *= scale
-            inverse_out[column, j] *= scale
         for row in range(n):
             if row != column:
                 factor = work[row, column]
+                work[row, column] = 0.0
                 for j in range(n):
                     work[row, j] -= factor * work[column, j]
-                    inverse_out[row, j] -= factor * inverse_out[column, j]
+    if pivots != 0:
+        for column in range(n - 1, -1, -1):
+            pivot = (pivots >> 4 * column) & 15  # never row 0, which only column 0 could have
+            if pivot != 0:
+                for i in range(n):
+                    work[i, column], work[i, pivot] = work[i, pivot], work[i, column]
     return True
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.compiled import compiled
+from safety_harness.compiled import njit_no_nrt
 from safety_harness.geometry.rotations import rotation_from_vector
 from safety_harness.geometry.transforms import transform_from
 from safety_harness.settings import Camera
@@ -18,7 +18,7 @@ NEAR_PLANE_M = 0.01  # nothing nearer than this is in focus, or in front of the 
 BORDER_PX = 1.0  # an object that reaches this far into the border may be cropped
 
 
-@compiled
+@njit_no_nrt
 def principal_point_px(width_px: int, height_px: int) -> tuple[float, float]:
     """(c_u, c_v): the middle of the image, where pixel centres are integers."""
     return 0.5 * (width_px - 1), 0.5 * (height_px - 1)
@@ -39,7 +39,7 @@ def transform_camera_to_tcp(camera: Camera, *, calibrated: bool) -> NDArray[np.f
     return transform_from(rotation, offset_in_tcp)
 
 
-@compiled
+@njit_no_nrt
 def polygon_in_camera(
     polygon_m: NDArray[np.float64],  # (n, 2)
     transform_object_to_camera: NDArray[np.float64],  # (4, 4)
@@ -52,7 +52,7 @@ def polygon_in_camera(
             out[k, row] = t[row, 0] * polygon_m[k, 0] + t[row, 1] * polygon_m[k, 1] + t[row, 3]
 
 
-@compiled
+@njit_no_nrt
 def object_plane(
     transform_object_to_camera: NDArray[np.float64],  # (4, 4)
     out: NDArray[np.float64],  # (3,)
@@ -69,7 +69,7 @@ def object_plane(
     return bool(np.isfinite(out[0]) and np.isfinite(out[1]) and np.isfinite(out[2]))
 
 
-@compiled
+@njit_no_nrt
 def project(
     points_in_camera: NDArray[np.float64],  # (n, 3)
     normalised_out: NDArray[np.float64],  # (n, 2)
@@ -84,7 +84,7 @@ def project(
     return True
 
 
-@compiled
+@njit_no_nrt
 def polygon_inside_image(
     normalised: NDArray[np.float64],  # (n, 2) x, y
     focal_px: float,

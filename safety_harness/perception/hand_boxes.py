@@ -12,7 +12,7 @@ from math import isfinite, nan, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.compiled import compiled
+from safety_harness.compiled import compiled, inlined, njit_no_nrt
 from safety_harness.geometry.segments import point_segment_distance, segment_segment_distance
 from safety_harness.perception.camera import principal_point_px
 from safety_harness.settings import DetectorKind, HandSensor
@@ -36,7 +36,7 @@ def sensor_principal_point_px(sensor: HandSensor) -> tuple[float, float]:
     return principal_point_px(sensor.width_px, sensor.height_px)
 
 
-@compiled
+@njit_no_nrt
 def _front_depth(centre: NDArray[np.float64], radius_m: float, x: float, y: float) -> float:
     """Depth [m] at which the ray d = (x, y, 1) enters the sphere about ``centre`` (3,) C; NaN if it misses.
 
@@ -53,7 +53,7 @@ def _front_depth(centre: NDArray[np.float64], radius_m: float, x: float, y: floa
     return depth_m
 
 
-@compiled
+@njit_no_nrt
 def sphere_box(
     centre_in_camera: NDArray[np.float64],  # (3,) [m]
     radius_m: float,
@@ -93,7 +93,7 @@ def sphere_box(
     return True
 
 
-@compiled
+@njit_no_nrt
 def box_in_image(
     centre_in_camera: NDArray[np.float64],  # (3,) [m]
     radius_m: float,
@@ -172,7 +172,7 @@ def line_of_sight_blocked(
     return False
 
 
-@compiled
+@njit_no_nrt
 def position_from_box(
     box: NDArray[np.float64],  # (5,)
     focal_px: float,
@@ -195,8 +195,17 @@ def position_from_box(
     in the corner of a 640 x 480 image with f = 615 px and r = 60 mm about 2.0 mm at Z = 1 m and
     6.7 mm at Z = 0.3 m.  It is zero on the axis.  A wrong assumed radius adds its error along the ray.
     """
-    x, y = (box[0] - c_u) / focal_px, (box[1] - c_v) / focal_px
-    depth_m = box[2] + assumed_radius_m / sqrt(x * x + y * y + 1.0)
-    position_in_camera_out[0] = x * depth_m
-    position_in_camera_out[1] = y * depth_m
-    position_in_camera_out[2] = depth_m
+    x, y, z = place_of_pixel(box[0], box[1], box[2], focal_px, c_u, c_v, assumed_radius_m)
+    position_in_camera_out[0] = x
+    position_in_camera_out[1] = y
+    position_in_camera_out[2] = z
+
+
+@inlined
+def place_of_pixel(
+    u_px: float, v_px: float, z_m: float, focal_px: float, c_u: float, c_v: float, assumed_radius_m: float
+) -> tuple[float, float, float]:
+    """(X, Y, Z) [m] of ``position_from_box`` in the camera frame."""
+    x, y = (u_px - c_u) / focal_px, (v_px - c_v) / focal_px
+    depth_m = z_m + assumed_radius_m / sqrt(x * x + y * y + 1.0)
+    return x * depth_m, y * depth_m, depth_m

@@ -14,13 +14,14 @@ from math import isfinite
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.compiled import compiled
+from safety_harness.compiled import njit_no_nrt
 from safety_harness.exceptions import Place, SettingsError
 from safety_harness.perception.hand_boxes import sensor_principal_point_px
 from safety_harness.settings import HandFilter, HandSensor
 
 PAIRS = 4  # u, v, z, area: pair i has its value in mean[i] and its rate in mean[5 + i]
 ASPECT = 4
+FEW_BOXES = 4  # for which all pairings with tracks are tried
 
 TRACK = np.dtype(
     [
@@ -31,6 +32,9 @@ TRACK = np.dtype(
         ("mean", np.float64, (9,)),  # eq. 7: px, px, m, px^2, 1, and per second
         ("pair_covariance", np.float64, (4, 3)),  # rows u, v, z, area: var(value), cov, var(rate)
         ("aspect_variance", np.float64),
+        # of the frame that is being taken in
+        ("box", np.int64),  # this track's own; -1: it shows none
+        ("distance_px", np.float64, (FEW_BOXES,)),  # of its first boxes; infinite: it is not this track's
     ],
     align=True,
 )
@@ -112,7 +116,7 @@ def _require(settings: HandFilter | HandSensor, names: tuple[str, ...], *, zero_
             )
 
 
-@compiled
+@njit_no_nrt
 def initialise(track: np.void, box: NDArray[np.float64], time_s: float, parameters: np.void) -> None:
     """Start ``track`` (a ``TRACK`` record) at rest where ``box`` (5,) was seen at ``time_s``: x = (box, 0).
 
@@ -137,7 +141,7 @@ def initialise(track: np.void, box: NDArray[np.float64], time_s: float, paramete
     track["valid"] = True
 
 
-@compiled
+@njit_no_nrt
 def predict(track: np.void, dt_s: float, parameters: np.void) -> None:
     """Advance a track by ``dt_s`` >= 0: value + dt rate, and growing uncertainty (``wait``)."""
     mean = track["mean"]
@@ -146,7 +150,7 @@ def predict(track: np.void, dt_s: float, parameters: np.void) -> None:
     wait(track, dt_s, parameters)
 
 
-@compiled
+@njit_no_nrt
 def wait(track: np.void, dt_s: float, parameters: np.void) -> None:
     """Advance a track's clock and covariance by ``dt_s`` >= 0, and leave its mean alone.
 
@@ -172,7 +176,7 @@ def wait(track: np.void, dt_s: float, parameters: np.void) -> None:
     track["time_s"] += dt_s
 
 
-@compiled
+@njit_no_nrt
 def update(track: np.void, box: NDArray[np.float64], parameters: np.void) -> None:
     """Correct a track by ``box`` (5,), seen at the time of its state.
 

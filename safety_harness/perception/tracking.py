@@ -11,9 +11,9 @@ from math import inf, isfinite, nan, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.compiled import compiled
-from safety_harness.perception.hand_boxes import BOX_LENGTH, position_from_box
-from safety_harness.perception.hand_filter import TRACK, initialise, predict, update, wait
+from safety_harness.compiled import compiled, njit_no_nrt
+from safety_harness.perception.hand_boxes import place_of_pixel
+from safety_harness.perception.hand_filter import FEW_BOXES, TRACK, initialise, predict, update, wait
 from safety_harness.scenario.model import HAND_SLOTS
 from safety_harness.trace.records import TRACKS_PER_HAND
 
@@ -26,7 +26,7 @@ def no_tracks(hand_slots: int = HAND_SLOTS[0]) -> NDArray[np.void]:
     return np.zeros(TRACKS_PER_HAND * hand_slots, TRACK)
 
 
-@compiled
+@njit_no_nrt
 def advance_tracks(
     tracks: NDArray[np.void],  # (n,) of TRACK, changed in place
     boxes: NDArray[np.float64],  # (n, 5); only the first ``count`` rows are read
@@ -60,26 +60,27 @@ def advance_tracks(
     for i in range(tracks.shape[0]):
         if tracks[i]["valid"]:
             _predict_to(tracks[i], capture_time_s, parameters[0])
-    box_of_track = np.full(tracks.shape[0], -1)
-    track_of_box = np.full(count, -1)
-    _assign(tracks, boxes, count, parameters[0]["gate_px"], track_of_box)
-    for j in range(count):
-        if track_of_box[j] >= 0:
-            box_of_track[track_of_box[j]] = j
-            update(tracks[track_of_box[j]], boxes[j], parameters[0])
+    _assign(tracks, boxes, count, parameters[0]["gate_px"])
+    for i in range(tracks.shape[0]):
+        if tracks[i]["box"] >= 0:
+            update(tracks[i], boxes[tracks[i]["box"]], parameters[0])
     for i in range(tracks.shape[0]):
         if capture_time_s - tracks[i]["last_seen_s"] > parameters[0]["track_timeout_s"]:
             tracks[i]["valid"] = False
     for j in range(count):
-        if track_of_box[j] < 0 and _is_measurement(boxes[j]):
-            slot = _slot_for_new_track(tracks, box_of_track)
+        if not _has_track(tracks, j) and _is_measurement(boxes[j]):
+            slot = _slot_for_new_track(tracks)
             tracks[slot]["id"] = _greatest_id(tracks) + 1
             initialise(tracks[slot], boxes[j], capture_time_s, parameters[0])
-            box_of_track[slot] = j
+            tracks[slot]["box"] = j
+    for i in range(tracks.shape[0]):  # tracks are equal whatever frames they had
+        tracks[i]["box"] = 0
+        for j in range(FEW_BOXES):
+            tracks[i]["distance_px"][j] = 0.0
     return True
 
 
-@compiled
+@njit_no_nrt
 def predict_positions(
     tracks: NDArray[np.void],  # (n,) of TRACK
     at_time_s: float,
@@ -98,24 +99,18 @@ def predict_positions(
     now (``advance_tracks`` keeps that depth positive); likewise if the extrapolation is not
     finite.  So a tracked hand always has a position, and never one behind the sensor.
     """
-    box = np.empty(BOX_LENGTH)
+    focal_px, radius_m = parameters[0]["focal_px"], parameters[0]["assumed_radius_m"]
+    c_u, c_v = parameters[0]["c_u"], parameters[0]["c_v"]
     for i in range(tracks.shape[0]):
         valid_out[i] = tracks[i]["valid"]
         if not tracks[i]["valid"]:
-            positions_in_base_out[i, :] = nan
+            for row in range(3):
+                positions_in_base_out[i, row] = nan
             continue
-        _extrapolated_box(tracks[i], at_time_s - tracks[i]["time_s"], box)
-        if not _is_place(box):
-            _extrapolated_box(tracks[i], 0.0, box)
-        position_from_box(
-            box,
-            parameters[0]["focal_px"],
-            parameters[0]["c_u"],
-            parameters[0]["c_v"],
-            parameters[0]["assumed_radius_m"],
-            positions_in_base_out[i],
-        )
-        x, y, z = positions_in_base_out[i, 0], positions_in_base_out[i, 1], positions_in_base_out[i, 2]
+        u, v, depth_m = _extrapolated(tracks[i], at_time_s - tracks[i]["time_s"])
+        if not _is_place(u, v, depth_m):
+            u, v, depth_m = _extrapolated(tracks[i], 0.0)
+        x, y, z = place_of_pixel(u, v, depth_m, focal_px, c_u, c_v, radius_m)
         for row in range(3):
             positions_in_base_out[i, row] = (
                 transform_sensor_to_base[row, 0] * x
@@ -125,28 +120,26 @@ def predict_positions(
             )
 
 
-@compiled
-def _is_place(box: NDArray[np.float64]) -> bool:
-    """Tell whether u, v and z of ``box`` (5,) denote a point in front of the sensor."""
-    return isfinite(box[0]) and isfinite(box[1]) and isfinite(box[2]) and box[2] > 0.0
+@njit_no_nrt
+def _is_place(u_px: float, v_px: float, z_m: float) -> bool:
+    """Tell whether u, v and z of a box denote a point in front of the sensor."""
+    return isfinite(u_px) and isfinite(v_px) and isfinite(z_m) and z_m > 0.0
 
 
-@compiled
+@njit_no_nrt
 def _is_measurement(box: NDArray[np.float64]) -> bool:
     """Tell whether ``box`` (5,) is finite, with a positive depth and area."""
-    return _is_place(box) and isfinite(box[3]) and box[3] > 0.0 and isfinite(box[4])
+    return _is_place(box[0], box[1], box[2]) and isfinite(box[3]) and box[3] > 0.0 and isfinite(box[4])
 
 
-@compiled
-def _extrapolated_box(track: np.void, dt_s: float, box_out: NDArray[np.float64]) -> None:
-    """Fill ``box_out`` (5,) with value + dt rate of each pair, and the aspect ratio as it is."""
+@njit_no_nrt
+def _extrapolated(track: np.void, dt_s: float) -> tuple[float, float, float]:
+    """(u, v, z) of a track's box: value + dt rate of each pair."""
     mean = track["mean"]
-    for i in range(4):
-        box_out[i] = mean[i] + dt_s * mean[5 + i]
-    box_out[4] = mean[4]
+    return mean[0] + dt_s * mean[5], mean[1] + dt_s * mean[6], mean[2] + dt_s * mean[7]
 
 
-@compiled
+@njit_no_nrt
 def _predict_to(track: np.void, time_s: float, parameters: np.void) -> None:
     dt_s = time_s - track["time_s"]
     if track["mean"][2] + dt_s * track["mean"][7] > 0.0:
@@ -156,26 +149,23 @@ def _predict_to(track: np.void, time_s: float, parameters: np.void) -> None:
     track["time_s"] = time_s  # exactly, not by a sum of steps
 
 
-@compiled
+@njit_no_nrt
 def _assign(
     tracks: NDArray[np.void],  # (n,) of TRACK
     boxes: NDArray[np.float64],  # (n, 5)
     count: int,
     gate_px: float,
-    track_of_box_out: NDArray[np.int64],  # (count,), filled with -1
 ) -> None:
-    """Find the cheapest pairing: of few by trying all of them, else as ``_assign_many``."""
+    """Write into each track its box by the cheapest pairing: of few by trying all, else ``_assign_many``."""
     slots = tracks.shape[0]
-    distance = np.full((count, slots), inf)
+    for i in range(slots):
+        tracks[i]["box"] = -1
+    if count > FEW_BOXES or float(slots + 1) ** count > MOST_TRIED:
+        _assign_many(tracks, boxes, count, gate_px)
+        return
     for j in range(count):
         for i in range(slots):
-            if tracks[i]["valid"] and _is_measurement(boxes[j]):
-                du = boxes[j, 0] - tracks[i]["mean"][0]
-                dv = boxes[j, 1] - tracks[i]["mean"][1]
-                distance[j, i] = sqrt(du * du + dv * dv)
-    if float(slots + 1) ** count > MOST_TRIED:
-        _assign_many(distance, gate_px, track_of_box_out)
-        return
+            tracks[i]["distance_px"][j] = _distance_px(tracks[i], boxes[j])
     least = inf
     for code in range((slots + 1) ** count):
         total = 0.0
@@ -186,31 +176,53 @@ def _assign(
             rest //= slots + 1
             if i == slots:
                 total += gate_px
-            elif used & (1 << i) or not distance[j, i] <= gate_px:
+            elif used & (1 << i) or not tracks[i]["distance_px"][j] <= gate_px:
                 total = inf
             else:
-                total += distance[j, i]
+                total += tracks[i]["distance_px"][j]
                 used |= 1 << i
         if total < least:
             least = total
             rest = code
+            for i in range(slots):
+                tracks[i]["box"] = -1
             for j in range(count - 1, -1, -1):
                 i = rest % (slots + 1)
                 rest //= slots + 1
-                track_of_box_out[j] = i if i < slots else -1
+                if i < slots:
+                    tracks[i]["box"] = j
+
+
+@njit_no_nrt
+def _distance_px(track: np.void, box: NDArray[np.float64]) -> float:
+    """Of ``box`` (5,) from a track in the image; infinite for a pair that cannot be."""
+    if not (track["valid"] and _is_measurement(box)):
+        return inf
+    du, dv = box[0] - track["mean"][0], box[1] - track["mean"][1]
+    return sqrt(du * du + dv * dv)
+
+
+@njit_no_nrt
+def _has_track(tracks: NDArray[np.void], box: int) -> bool:
+    """Is the box one of a track's?"""
+    found = False
+    for i in range(tracks.shape[0]):
+        found = found or tracks[i]["box"] == box
+    return found
 
 
 @compiled
 def _assign_many(
-    distance: NDArray[np.float64],  # (count, tracks), infinite for a pair that cannot be
+    tracks: NDArray[np.void],  # (n,) of TRACK
+    boxes: NDArray[np.float64],  # (n, 5)
+    count: int,
     gate_px: float,
-    track_of_box_out: NDArray[np.int64],  # (count,), filled with -1
 ) -> None:
     """The cheapest pairing by shortest augmenting ways (Hungarian method), count^2 (tracks + count) steps.
 
     Every box may have a column of its own at ``gate_px`` beside the tracks; columns and boxes count from 1.
     """
-    count, slots = distance.shape
+    slots = tracks.shape[0]
     size, gate = slots + count + 1, gate_px if gate_px < FARTHEST_PX else FARTHEST_PX
     box_price, column_price = np.zeros(count + 1), np.zeros(size)
     box_of, before = np.zeros(size, np.int64), np.zeros(size, np.int64)
@@ -225,8 +237,8 @@ def _assign_many(
                     continue
                 cost = gate
                 if k <= slots:
-                    close = distance[one - 1, k - 1] <= gate
-                    cost = distance[one - 1, k - 1] if close else 2.0 * gate  # dearer than its own
+                    distance_px = _distance_px(tracks[k - 1], boxes[one - 1])
+                    cost = distance_px if distance_px <= gate else 2.0 * gate  # dearer than its own
                 cost -= box_price[one] + column_price[k]
                 if cost < least[k]:
                     least[k], before[k] = cost, column
@@ -244,18 +256,18 @@ def _assign_many(
             column = before[column]
     for k in range(1, slots + 1):
         if box_of[k] != 0:
-            track_of_box_out[box_of[k] - 1] = k - 1
+            tracks[k - 1]["box"] = box_of[k] - 1
 
 
-@compiled
-def _slot_for_new_track(tracks: NDArray[np.void], box_of_track: NDArray[np.int64]) -> int:
+@njit_no_nrt
+def _slot_for_new_track(tracks: NDArray[np.void]) -> int:
     """The free slot seen longest ago; without a free one, the unpaired track seen longest ago.
 
     There is always one of them: a box without a pair leaves a slot unpaired, as boxes are no more than slots.
     """
     best = -1
     for i in range(tracks.shape[0]):
-        if box_of_track[i] >= 0:
+        if tracks[i]["box"] >= 0:
             continue
         if best < 0:
             best = i
@@ -267,7 +279,7 @@ def _slot_for_new_track(tracks: NDArray[np.void], box_of_track: NDArray[np.int64
     return best
 
 
-@compiled
+@njit_no_nrt
 def _greatest_id(tracks: NDArray[np.void]) -> int:
     """Slots keep the id of a dropped track until they are used again, so no id comes twice."""
     greatest = 0

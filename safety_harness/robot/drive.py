@@ -20,7 +20,7 @@ from typing import Any, NewType
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.compiled import compiled, inlined
+from safety_harness.compiled import compiled, inlined, njit_no_nrt
 from safety_harness.geometry.arrays import ArrayN, ArrayNx3, ArrayNx4x4
 from safety_harness.geometry.linear import copy_vector
 from safety_harness.robot.dynamics import joint_torques, masses_dtype, torque_share
@@ -99,7 +99,7 @@ def drive(settings: Settings, joints: int, model: DriveModel | None = None) -> D
     return DriveRecords(drives)
 
 
-@compiled
+@njit_no_nrt
 def drive_tick(
     drives: DriveRecords, demanded_radps: ArrayN, protective_stop: bool, tcp_speed_mps: float, time_s: float
 ) -> bool:
@@ -129,7 +129,7 @@ def drive_tick(
         copy_vector(d.setpoint_radps, d.braking_from_radps)
     if d.braking:
         left = 1.0 - (time_s + 0.5 * d.control_period_s - d.braking_from_s) / d.stop_time_s
-        if left <= 0.0 and not protective_stop and not np.any(d.setpoint_radps):
+        if left <= 0.0 and not protective_stop and _stand_still(drives):
             # At standstill and released: this tick obeys.  The controller takes its demand for done, and
             # one tick later the arm would start with twice the step.
             d.stopping = False
@@ -138,6 +138,15 @@ def drive_tick(
         for i in range(d.setpoint_radps.shape[0]):
             d.setpoint_radps[i] = d.braking_from_radps[i] * max(left, 0.0)
     return True
+
+
+@inlined
+def _stand_still(drives: DriveRecords) -> bool:
+    """Is every set point zero?"""
+    stand, setpoint_radps = True, drives[0].setpoint_radps
+    for i in range(setpoint_radps.shape[0]):
+        stand = stand and setpoint_radps[i] == 0.0
+    return stand
 
 
 @inlined

@@ -17,6 +17,7 @@ from safety_harness.geometry.arrays import (
     Array3,
     Array4x4,
     Array6,
+    Array6x6,
     Array6xN,
     ArrayN,
     ArrayNx3,
@@ -279,23 +280,23 @@ def joint_velocity(
     the least singular value and costs nothing; only where it is below the bound is the singular value itself
     computed.  Another number of joints than six takes ``_pseudo_inverse_velocity``.
     """
-    room = np.empty((2, TWIST, TWIST))
+    room = np.empty((TWIST, TWIST))
     return joint_velocity_with(jacobian, twist, min_singular_value, room, joint_velocity_out)
 
 
-@compiled
+@njit_no_nrt
 def joint_velocity_with(
     jacobian: Array6xN,
     twist: Array6,  # v, w in the Jacobian's frame
     min_singular_value: float,
-    room: NDArray[np.float64],  # (2, 6, 6), overwritten
+    room: Array6x6,  # overwritten
     joint_velocity_out: ArrayN,
 ) -> bool:
     """``joint_velocity`` with room to work in: making some costs as much as using it."""
     if jacobian.shape[1] != TWIST:
         return _pseudo_inverse_velocity(jacobian, twist, min_singular_value, joint_velocity_out)
-    n, inverse = TWIST, room[1]  # a constant: loops are laid open
-    regular = invert_with(jacobian, n, room[0], inverse)
+    n, inverse = TWIST, room  # a constant: loops are laid open
+    regular = invert_with(jacobian, n, inverse)
     norm2 = 0.0
     for i in range(n):
         for j in range(n):

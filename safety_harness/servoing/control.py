@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.compiled import compiled
+from safety_harness.compiled import compiled, njit_no_nrt
 from safety_harness.exceptions import Place, SettingsError
 from safety_harness.geometry.arrays import Array4x4, Array6, Array6x6, Array31
 from safety_harness.geometry.linear import solve_in_place
@@ -122,7 +122,7 @@ def _refuse_threefold_symmetry(moments: Array31, place: Place) -> None:
         )
 
 
-@compiled
+@njit_no_nrt
 def camera_twist(
     choice: int,  # DESIRED, CURRENT or MEAN
     desired_interaction: Array6x6,  # L*
@@ -153,19 +153,35 @@ def camera_twist(
                 total += desired_interaction_pinv[row, column] * error[column]
             out[row] = -gain * total
     else:
-        parallel = np.zeros(3)
-        parallel[2] = 1.0 / current_features[A_N]
-        matrix = np.empty((6, 6))
-        if not interaction_matrix(moments, parallel, desired_area, desired_depth_m, dense, matrix):
-            return False
         for row in range(6):
             out[row] = -gain * error[row]
-            if choice == MEAN:
-                for column in range(6):
-                    matrix[row, column] = 0.5 * (matrix[row, column] + desired_interaction[row, column])
-        if not solve_in_place(matrix, out):
+        depth_m, mean = current_features[A_N], choice == MEAN
+        if not _solve(desired_interaction, moments, depth_m, desired_area, desired_depth_m, dense, mean, out):
             return False
     finite = True
     for k in range(6):
         finite = finite and np.isfinite(out[k])
     return finite
+
+
+@compiled
+def _solve(
+    desired_interaction: Array6x6,
+    moments: Array31,
+    depth_m: float,
+    desired_area: float,
+    desired_depth_m: float,
+    dense: bool,
+    mean: bool,
+    vector: Array6,  # overwritten
+) -> bool:
+    """Solve L x = ``vector`` with L that of now, at ``depth_m``, or its ``mean`` with L*."""
+    parallel, matrix = np.zeros(3), np.empty((6, 6))
+    parallel[2] = 1.0 / depth_m
+    if not interaction_matrix(moments, parallel, desired_area, desired_depth_m, dense, matrix):
+        return False
+    if mean:
+        for row in range(6):
+            for column in range(6):
+                matrix[row, column] = 0.5 * (matrix[row, column] + desired_interaction[row, column])
+    return solve_in_place(matrix, vector)

@@ -7,20 +7,20 @@ from math import pi
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.compiled import compiled
+from safety_harness.compiled import inlined, njit_no_nrt
 from safety_harness.geometry.arrays import Array6, Array31
 from safety_harness.perception.moments import M00, XG, YG, mu_index
 
 X_N, Y_N, A_N, GAMMA, DELTA, ALPHA = range(6)
 
 
-@compiled
+@njit_no_nrt
 def area(moments: Array31, dense: bool) -> float:
     """The a of eq. 3 from ``moments`` (31,): m00 of a dense object, mu20 + mu02 (eq. 5) of a discrete one."""
     return float(moments[M00] if dense else moments[mu_index(2, 0)] + moments[mu_index(0, 2)])
 
 
-@compiled
+@njit_no_nrt
 def brackets(
     moments: Array31,
     out: NDArray[np.float64],  # (3, 2)
@@ -34,17 +34,28 @@ def brackets(
     They are real and imaginary parts of the complex moments of order five with the rotational
     symmetries 1, 3 and 5, which is why the sums of squares are invariant to a turn of the image.
     """
+    c_1, s_1, c_2, s_2, c_3, s_3 = bracket_pairs(moments)
+    out[0, 0], out[0, 1] = c_1, s_1
+    out[1, 0], out[1, 1] = c_2, s_2
+    out[2, 0], out[2, 1] = c_3, s_3
+
+
+@inlined
+def bracket_pairs(moments: Array31) -> tuple[float, float, float, float, float, float]:
+    """(c_1, s_1, c_2, s_2, c_3, s_3) of ``brackets``."""
     mu50, mu32, mu14 = moments[mu_index(5, 0)], moments[mu_index(3, 2)], moments[mu_index(1, 4)]
     mu05, mu23, mu41 = moments[mu_index(0, 5)], moments[mu_index(2, 3)], moments[mu_index(4, 1)]
-    out[0, 0] = mu50 + 2.0 * mu32 + mu14
-    out[0, 1] = mu05 + 2.0 * mu23 + mu41
-    out[1, 0] = mu50 - 2.0 * mu32 - 3.0 * mu14
-    out[1, 1] = mu05 - 2.0 * mu23 - 3.0 * mu41
-    out[2, 0] = mu50 - 10.0 * mu32 + 5.0 * mu14
-    out[2, 1] = mu05 - 10.0 * mu23 + 5.0 * mu41
+    return (
+        mu50 + 2.0 * mu32 + mu14,
+        mu05 + 2.0 * mu23 + mu41,
+        mu50 - 2.0 * mu32 - 3.0 * mu14,
+        mu05 - 2.0 * mu23 - 3.0 * mu41,
+        mu50 - 10.0 * mu32 + 5.0 * mu14,
+        mu05 - 10.0 * mu23 + 5.0 * mu41,
+    )
 
 
-@compiled
+@njit_no_nrt
 def features(moments: Array31, desired_area: float, desired_depth_m: float, dense: bool, out: Array6) -> bool:
     """(x_n, y_n, a_n) [m], gamma, delta [-], alpha [rad] by eqs. 3 to 5; False if one is not finite.
 
@@ -56,11 +67,8 @@ def features(moments: Array31, desired_area: float, desired_depth_m: float, dens
     frame.  alpha is the direction of the object's long axis, in (-pi/2, pi/2]; written with
     atan2 it has no jump at 45 degrees.
     """
-    c = np.empty((3, 2))
-    brackets(moments, c)
-    in1 = c[0, 0] ** 2 + c[0, 1] ** 2
-    in2 = c[1, 0] ** 2 + c[1, 1] ** 2
-    in3 = c[2, 0] ** 2 + c[2, 1] ** 2
+    c_1, s_1, c_2, s_2, c_3, s_3 = bracket_pairs(moments)
+    in1, in2, in3 = c_1**2 + s_1**2, c_2**2 + s_2**2, c_3**2 + s_3**2
     a_n = desired_depth_m * np.sqrt(desired_area / area(moments, dense))
     mu20, mu02 = moments[mu_index(2, 0)], moments[mu_index(0, 2)]
     out[X_N] = a_n * moments[XG]
@@ -75,7 +83,7 @@ def features(moments: Array31, desired_area: float, desired_depth_m: float, dens
     return finite
 
 
-@compiled
+@njit_no_nrt
 def feature_error(current: Array6, desired: Array6, out: Array6) -> float:
     """Fill ``out`` with e = f - f*; returns |e|^2, the squared error of eq. 15 in metres and radians.
 

@@ -55,6 +55,9 @@ SENSORS = np.dtype(
         # what a picture is made with
         ("transform_camera_to_base", np.float64, (4, 4)),
         ("transform_base_to_camera", np.float64, (4, 4)),
+        ("transform_hand_sensor_to_base", np.float64, (4, 4)),
+        ("transform_base_to_hand_sensor", np.float64, (4, 4)),
+        ("hand_in_sensor", np.float64, (3,)),
     ],
     align=True,
 )

@@ -8,11 +8,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.compiled import compiled
+from safety_harness.compiled import compiled, njit_no_nrt
 from safety_harness.geometry.arrays import Array3, Array4x4, Array5, Array31, ArrayNx2x3, ArrayNx3
 from safety_harness.geometry.linear import copy_matrix
-from safety_harness.geometry.transforms import compose_into, inverse_transform, invert_into
-from safety_harness.perception.camera import polygon_inside_image, project
+from safety_harness.geometry.transforms import compose_into, invert_into
+from safety_harness.perception.camera import NEAR_PLANE_M, polygon_inside_image
 from safety_harness.perception.hand_boxes import box_in_image, line_of_sight_blocked, sphere_box
 from safety_harness.perception.moments import point_moments, polygon_moments
 from safety_harness.perception.raster import raster_moments
@@ -31,14 +31,16 @@ def exact_object(
     base_to_camera = s.transform_base_to_camera
     compose_into(transform_tcp_to_base, s.transform_camera_to_tcp, s.transform_camera_to_base)
     invert_into(s.transform_camera_to_base, base_to_camera)
-    points, image = np.empty((n, 3)), np.empty((n, 2))
+    image = np.empty((n, 2))
     for k in range(n):
-        for i in range(3):
-            points[k, i] = base_to_camera[i, 3]
-            for j in range(3):
-                points[k, i] += base_to_camera[i, j] * polygon_in_base_m[k, j]
-    if not project(points, image):
-        return False
+        x, y, z = base_to_camera[0, 3], base_to_camera[1, 3], base_to_camera[2, 3]
+        for j in range(3):
+            x += base_to_camera[0, j] * polygon_in_base_m[k, j]
+            y += base_to_camera[1, j] * polygon_in_base_m[k, j]
+            z += base_to_camera[2, j] * polygon_in_base_m[k, j]
+        if not z > NEAR_PLANE_M:  # as ``project``
+            return False
+        image[k, 0], image[k, 1] = x / z, y / z
     if not polygon_inside_image(image, s.object_focal_px, s.object_width_px, s.object_height_px):
         return False
     if not s.object_dense:
@@ -53,15 +55,22 @@ def exact_object(
 @compiled
 def sensor_pose(sensors: SensorRecords, transform_tcp_to_base: Array4x4) -> Array4x4:
     """The hand sensor's true pose ``transform_sensor_to_base``: fixed, or carried by the hand-eye camera."""
-    s, pose = sensors[0], np.empty((4, 4))
-    if s.eye_in_hand:
-        compose_into(transform_tcp_to_base, s.transform_camera_to_tcp, pose)
-    else:
-        copy_matrix(s.transform_sensor_to_base, pose)
+    pose = np.empty((4, 4))
+    put_sensor_pose(sensors, transform_tcp_to_base, pose)
     return pose
 
 
-@compiled
+@njit_no_nrt
+def put_sensor_pose(sensors: SensorRecords, transform_tcp_to_base: Array4x4, pose_out: Array4x4) -> None:
+    """Fill ``pose_out`` (4, 4) with the ``sensor_pose``."""
+    s = sensors[0]
+    if s.eye_in_hand:
+        compose_into(transform_tcp_to_base, s.transform_camera_to_tcp, pose_out)
+    else:
+        copy_matrix(s.transform_sensor_to_base, pose_out)
+
+
+@njit_no_nrt
 def hand_box(
     sensors: SensorRecords,
     transform_base_to_sensor: Array4x4,
@@ -73,7 +82,7 @@ def hand_box(
     The ideal sensor sees beyond the image; it still has to have the hand in front of it.
     """
     s = sensors[0]
-    centre = np.empty(3)
+    centre = s.hand_in_sensor
     for i in range(3):
         centre[i] = transform_base_to_sensor[i, 3]
         for j in range(3):
@@ -95,7 +104,7 @@ def hand_box(
     )
 
 
-@compiled
+@njit_no_nrt
 def exact_boxes(
     sensors: SensorRecords,
     hands: HandRecords,
@@ -109,8 +118,9 @@ def exact_boxes(
     The ideal sensor sees through the robot.
     """
     s = sensors[0]
-    pose = sensor_pose(sensors, transform_tcp_to_base)
-    base_to_sensor = inverse_transform(pose)
+    pose, base_to_sensor = s.transform_hand_sensor_to_base, s.transform_base_to_hand_sensor
+    put_sensor_pose(sensors, transform_tcp_to_base, pose)
+    invert_into(pose, base_to_sensor)
     count = 0
     for k in range(hands.shape[0]):
         if not hands[k].present:
@@ -118,9 +128,22 @@ def exact_boxes(
         position = hands[k].position_in_base_m
         if not hand_box(sensors, base_to_sensor, position, boxes_out[count]):
             continue
-        if not s.ideal and line_of_sight_blocked(
-            pose[:3, 3].copy(), position, s.hand_radius_m, capsule_endpoints_in_base_m, capsules["radius_m"]
-        ):
+        if not s.ideal and _blocked(sensors, position, capsules, capsule_endpoints_in_base_m):
             continue
         count += 1
     return count
+
+
+@compiled
+def _blocked(
+    sensors: SensorRecords,
+    position_in_base_m: Array3,
+    capsules: CapsuleRecords,
+    capsule_endpoints_in_base_m: ArrayNx2x3,
+) -> bool:
+    """Is a part of the arm between the hand sensor and a hand?"""
+    s = sensors[0]
+    eye = s.transform_hand_sensor_to_base[:3, 3].copy()
+    return line_of_sight_blocked(
+        eye, position_in_base_m, s.hand_radius_m, capsule_endpoints_in_base_m, capsules["radius_m"]
+    )

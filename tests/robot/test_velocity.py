@@ -104,6 +104,28 @@ def test_invert_agrees_with_numpy(n: int) -> None:
         assert np.array_equal(matrix, kept)
 
 
+def beside_the_identity(matrix: np.ndarray) -> np.ndarray:
+    """A^-1 by turning (A | I) into (I | A^-1), row by row."""
+    n = len(matrix)
+    rows = np.hstack([matrix, np.eye(n)])
+    for column in range(n):
+        pivot = column + int(np.argmax(np.abs(rows[column:, column])))
+        rows[[column, pivot]] = rows[[pivot, column]]
+        rows[column] *= 1.0 / rows[column, column]
+        for row in range(n):
+            if row != column:
+                rows[row] -= rows[row, column] * rows[column]
+    return rows[:, n:]
+
+
+def test_invert_in_place_gives_each_number_of_the_elimination_beside_the_identity() -> None:
+    """The bits of every trace hang on it."""
+    rng, inverse = np.random.default_rng(9), np.empty((6, 6))
+    for matrix in [*random_jacobians(50), *rng.standard_normal((50, 6, 6))]:
+        assert invert(matrix, inverse)
+        assert np.array_equal(inverse, beside_the_identity(matrix))
+
+
 def test_invert_swaps_rows_where_the_diagonal_is_zero() -> None:
     matrix, inverse = np.array([[0.0, 2.0, 0.0], [0.0, 0.0, 4.0], [8.0, 0.0, 0.0]]), np.empty((3, 3))
     assert invert(matrix, inverse)
