@@ -94,7 +94,7 @@ def test_of_very_many_violations_the_worst_are_listed(
     few = campaign_page._WORST.replace(f"LIMIT {campaign_page.MOST_EPISODES}", "LIMIT 4")
     monkeypatch.setattr(campaign_page, "_WORST", few)
     words = words_of(page_of(ledger, tmp_path))
-    assert "The worst first, 4 of 25." in words
+    assert "The worst of each claim first, 4 of 25." in words
     assert "near 20 hand" not in words
 
 
