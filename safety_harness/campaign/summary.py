@@ -16,7 +16,6 @@ import json
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
-from itertools import islice
 
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.opening import unusable
@@ -49,9 +48,6 @@ _SAME = (
     f"{_JUDGED} ORDER BY claim, episode",
     "SELECT episode FROM trace WHERE stratum = ? ORDER BY episode",
 )
-
-
-_AT_ONCE = 1000  # rows whose text is hashed together
 
 
 def tally_of(ledger: Ledger) -> CampaignTally:
@@ -129,9 +125,8 @@ def fingerprint_of(ledger: Ledger) -> str:
     digest = hashlib.sha256(ledger.declared.identity.sha256.encode())
     for stratum in range(len(ledger.declared.strata)):
         for question in _SAME:
-            rows = ledger.all(question, stratum)
-            while some := list(islice(rows, _AT_ONCE)):  # of a float: the shortest text that gives it again
-                digest.update("".join(map(repr, some)).encode())
+            for row in ledger.all(question, stratum):
+                digest.update(repr(row).encode())  # of a float: the shortest text that gives it again
     return digest.hexdigest()
 
 
