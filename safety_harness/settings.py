@@ -22,7 +22,7 @@ from dataclasses import dataclass, field, fields, replace
 from enum import Enum
 from functools import cached_property
 from math import pi, radians
-from typing import TypeVar
+from typing import Any, TypeVar
 
 Vector3 = tuple[float, float, float]
 _TURN_RAD = 2.0 * pi
@@ -368,7 +368,7 @@ class Settings:
     def __hash__(self) -> int:  # kept: admission asks for it eleven times a scenario
         return self._hash
 
-    def __getstate__(self) -> dict[str, object]:  # without what is kept: hashes of text differ by process
+    def __getstate__(self) -> dict[str, Any]:  # without what is kept: hashes of text differ by process
         return {one.name: getattr(self, one.name) for one in fields(self)}
 
     @cached_property
