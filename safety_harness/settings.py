@@ -365,7 +365,7 @@ class Settings:
     def _hash(self) -> int:
         return hash(tuple(getattr(self, one.name) for one in fields(self)))
 
-    def __hash__(self) -> int:  # kept: admission asks for it eleven times a scenario
+    def __hash__(self) -> int:  # kept: admission asks for it several times a scenario
         return self._hash
 
     def __getstate__(self) -> dict[str, Any]:  # without what is kept: hashes of text differ by process
