@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -200,7 +200,7 @@ class EpisodeRunner:
         return self._random[stratum]
 
 
-def _decided(run: Trace) -> dict[str, int]:
+def _decided(run: Trace) -> dict[str, Any]:
     """How many decisions there were of each kind; all 0 without any, as in most runs."""
     if len(run.decisions) == 0:
         return {}
