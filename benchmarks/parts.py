@@ -48,7 +48,7 @@ def parts_of(episodes: int, avoider: str | None) -> dict[str, float]:
     from million import plan_in
 
     from safety_harness.admission.trial import run_all
-    from safety_harness.campaign.episodes import EpisodeRunner
+    from safety_harness.campaign.episodes import EpisodeRunner, root_seed
     from safety_harness.campaign.ledger import Ledger
     from safety_harness.campaign.plan import read_plan
     from safety_harness.exceptions import InputError
@@ -62,7 +62,9 @@ def parts_of(episodes: int, avoider: str | None) -> dict[str, float]:
         with Ledger.create(Path(folder) / "ledger.sqlite", plan) as ledger:
             for first in range(0, episodes, BATCH):
                 times = [time.process_time()]
-                drawn = [runner.scenario(0, first + k, 0) for k in range(BATCH)]
+                group = range(first, first + BATCH)
+                values = plan.strata[0].space.values_of_draws([root_seed(plan, 0, k) for k in group], 0)
+                drawn = [runner.scenario(0, k, 0, row) for k, row in zip(group, values, strict=True)]
                 times.append(time.process_time())
                 admitted = []
                 for one in drawn:

@@ -18,11 +18,11 @@ claim about a hand.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from enum import Enum
 from functools import cached_property
 from math import pi, radians
-from typing import TypeVar
+from typing import Any, TypeVar
 
 Vector3 = tuple[float, float, float]
 _TURN_RAD = 2.0 * pi
@@ -360,6 +360,16 @@ class Settings:
     motion: Motion = field(default_factory=Motion)
     avoidance: Avoidance = field(default_factory=Avoidance)
     braking: Braking = field(default_factory=Braking)
+
+    @cached_property
+    def _hash(self) -> int:
+        return hash(tuple(getattr(self, one.name) for one in fields(self)))
+
+    def __hash__(self) -> int:  # kept: admission asks for it several times a scenario
+        return self._hash
+
+    def __getstate__(self) -> dict[str, Any]:  # without what is kept: hashes of text differ by process
+        return {one.name: getattr(self, one.name) for one in fields(self)}
 
     @cached_property
     def steady(self) -> Settings:

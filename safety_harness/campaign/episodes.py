@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -177,7 +177,6 @@ class EpisodeRunner:
             judgement_of(property_of(one.claim, run.scenario).evaluate(run), run, broken)
             for one in self.plan.claims
         )
-        decided = run.decisions["outcome"]
         cell = cell_of(run, self._admitter.seen_of(run.scenario))
         return Row(
             stratum=stratum,
@@ -185,12 +184,7 @@ class EpisodeRunner:
             seed=root_seed(self.plan, stratum, episode),
             judgements=judgements,
             draws=draws,
-            decisions=len(decided),
-            proposed=int(np.count_nonzero(decided == Decided.PROPOSED)),
-            opposite=int(np.count_nonzero(decided == Decided.OPPOSITE)),
-            stopped=int(np.count_nonzero(decided == Decided.STOP)),
-            faults=int(np.count_nonzero(unanswered(run))),
-            late=int(np.count_nonzero(run.decisions["proposed_failed"] & Check.LATE)),
+            **_decided(run),
             overruling=Overruling.of([run]),
             cell="" if cell is None else str(cell),
             mishap=fault_of(run),
@@ -204,6 +198,21 @@ class EpisodeRunner:
         if stratum not in self._random:
             self._random[stratum] = random_episodes(self.plan, stratum)
         return self._random[stratum]
+
+
+def _decided(run: Trace) -> dict[str, Any]:
+    """How many decisions there were of each kind; all 0 without any, as in most runs."""
+    if len(run.decisions) == 0:
+        return {}
+    outcome, failed = run.decisions["outcome"], run.decisions["proposed_failed"]
+    return {
+        "decisions": len(outcome),
+        "proposed": int(np.count_nonzero(outcome == Decided.PROPOSED)),
+        "opposite": int(np.count_nonzero(outcome == Decided.OPPOSITE)),
+        "stopped": int(np.count_nonzero(outcome == Decided.STOP)),
+        "faults": int(np.count_nonzero(unanswered(run))),
+        "late": int(np.count_nonzero(failed & Check.LATE)),
+    }
 
 
 def why_broken(trace: Trace) -> str:

@@ -10,6 +10,7 @@ import hashlib
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import TypeVar
 
@@ -205,6 +206,7 @@ def _systems(
             yield stratum.name, named_system(scenario)
 
 
+@lru_cache(maxsize=256)  # asked for with every episode
 def stratum_number(name: str) -> int:
     """The number of a stratum in the tree of seeds: 63 bits of its name's SHA-256."""
     return int.from_bytes(hashlib.sha256(name.encode()).digest()[:8], "big") >> 1

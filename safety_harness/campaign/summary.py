@@ -18,12 +18,19 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 
 from safety_harness.campaign.ledger import Ledger
+from safety_harness.campaign.opening import unusable
 from safety_harness.campaign.rows import Row
 from safety_harness.properties.answered import fallback_words
 from safety_harness.statistics.binomial import ProbabilityBounds, Sides, bounds_of
-from safety_harness.statistics.sample import EpisodeOutcome
+from safety_harness.statistics.sample import JUDGED, EpisodeOutcome
 
-_COUNTS = "SELECT stratum, claim, outcome, count(*), min(margin), episode FROM judgement GROUP BY 1, 2, 3"
+# One pass in the order of the rows; of equal margins the first episode is the one beside min().
+_COUNTS = (
+    "SELECT stratum, claim, count(*), "
+    f"{', '.join(f'count(*) FILTER (WHERE outcome = {int(one)})' for one in EpisodeOutcome)}, "
+    f"min(margin) FILTER (WHERE outcome IN ({', '.join(str(int(one)) for one in JUDGED)})), episode "
+    "FROM judgement GROUP BY 1, 2"
+)
 _FAILED = (
     "SELECT stratum, count(DISTINCT episode) FROM judgement "
     f"WHERE outcome = {int(EpisodeOutcome.FAILED)} GROUP BY 1"
@@ -47,9 +54,11 @@ def tally_of(ledger: Ledger) -> CampaignTally:
         strata[stratum].done = done
     for stratum, after in ledger.all("SELECT id, stopped_after FROM stratum"):
         strata[stratum].stopped_after = after
-    for stratum, claim, outcome, count, margin, episode in ledger.all(_COUNTS):
-        least = math.nan if margin is None else margin
-        strata[stratum].claims[claim].add(EpisodeOutcome(outcome), least, episode, count)
+    for stratum, claim, rows, *counts, margin, episode in ledger.all(_COUNTS):
+        if sum(counts) != rows:
+            raise unusable(ledger.path, f"outcomes from 0 to {len(counts) - 1}", "another in a judgement")
+        worst = (math.nan, -1) if margin is None else (margin, episode)
+        strata[stratum].claims[claim] = ClaimCounts(dict(zip(EpisodeOutcome, counts, strict=True)), *worst)
     for stratum, count in ledger.all(_FAILED):
         strata[stratum].failed = count
     return CampaignTally(strata)
@@ -131,10 +140,10 @@ class ClaimCounts:
     worst: float = math.nan
     worst_episode: int = -1
 
-    def add(self, outcome: EpisodeOutcome, margin: float, episode: int, times: int = 1) -> None:
+    def add(self, outcome: EpisodeOutcome, margin: float, episode: int) -> None:
         """Count; of equal margins the first episode's is kept."""
-        self.counts[outcome] += times
-        tested = outcome in (EpisodeOutcome.HOLDS, EpisodeOutcome.VIOLATED) and not math.isnan(margin)
+        self.counts[outcome] += 1
+        tested = outcome in JUDGED and not math.isnan(margin)
         if tested and (math.isnan(self.worst) or (margin, episode) < (self.worst, self.worst_episode)):
             self.worst, self.worst_episode = margin, episode
 

@@ -131,6 +131,9 @@ def changes(before: Trace, after: Trace) -> list[str]:
     return lines or ["  the software is the same as when the trace was made"]
 
 
+A_CLAIM = "a claim at least, there or as --claim SENTENCE: nothing is judged without"
+
+
 def _claims(sentences: Sequence[str]) -> tuple[Claim, ...]:
     """What the command line claims."""
     place = Place(field="--claim")
@@ -158,6 +161,8 @@ def judge_again(
     for path in paths:
         try:
             run = judged_run(path, sentences, out)
+            if not run.evaluations:  # nothing to say is not "as expected"
+                raise TraceError(place=Place(file=path, field="claims"), expected=A_CLAIM, got="none")
         except InputError as error:
             if not keep_going:
                 raise
@@ -193,8 +198,7 @@ def judged_run(path: Path, sentences: Sequence[str] = (), out: Path | None = Non
 def _of_log(path: Path, claims: Sequence[Claim], out: Path | None) -> JudgedRun:
     found = recorded(path, claims)
     if not found.trace.scenario.claims:
-        expected = "a claim at least, there or as --claim SENTENCE: nothing is judged without"
-        raise LogError(place=Place(file=path, field="claims"), expected=expected, got="none")
+        raise LogError(place=Place(file=path, field="claims"), expected=A_CLAIM, got="none")
     file = None
     if out is not None:
         file = out / TRACES / f"{found.trace.scenario.name}.trace"

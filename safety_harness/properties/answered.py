@@ -78,8 +78,7 @@ def unanswered(trace: Trace) -> NDArray[np.bool_]:
 
 def fault_of(trace: Trace) -> str:
     """What the avoider did first instead of answering, without its numbers; empty if it always answered."""
-    silent = unanswered(trace)
-    if not silent.any():
+    if len(trace.decisions) == 0 or not (silent := unanswered(trace)).any():
         return ""
     return f"the avoider gave no answer: {_NUMBER.sub('...', _words(trace, int(np.argmax(silent))))}"
 

@@ -12,8 +12,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
+from functools import lru_cache
 from math import isclose, isfinite
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -142,11 +143,17 @@ def unreadable(trace: Trace, fields: Sequence[str]) -> str | None:
 def first_unreal(trace: Trace) -> dict[str, int]:
     """By field the first tick at which it is not finite, of a hand that is there; others are left out."""
     rows, present = as_numbers(trace.ticks), trace.ticks["hand_present"]
-    fields, hands = columns(trace.ticks.dtype), present.shape[1]
-    of_each = [(c.stop - c.start) // hands * (name in OF_HANDS) for name, c in fields.items()]
-    told = np.array([(c.start, c.stop, each) for c, each in zip(fields.values(), of_each, strict=True)])
-    first = _first_unreal(rows, nonfinite_count(trace), told, present).tolist()
+    first = _first_unreal(rows, nonfinite_count(trace), _told(trace.ticks.dtype), present).tolist()
+    fields = columns(trace.ticks.dtype)
     return {name: tick for name, tick in zip(fields, first, strict=True) if tick < len(rows)}
+
+
+@lru_cache(maxsize=64)
+def _told(dtype: np.dtype[Any]) -> NDArray[np.int64]:
+    """(f, 3) as ``_first_unreal`` wants them."""
+    hands = dtype["hand_present"].shape[0]
+    of_each = {name: (c, c.stop - c.start) for name, c in columns(dtype).items()}
+    return np.array([(c.start, c.stop, n // hands * (name in OF_HANDS)) for name, (c, n) in of_each.items()])
 
 
 @once_a_trace

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
+from functools import lru_cache, partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -94,16 +95,20 @@ def bad_ticks(trace: Trace) -> NDArray[np.bool_]:
     bad = np.zeros(len(trace.ticks), np.bool_)
     ticks, time_s, lacking = trace.ticks, trace.time_s, trace.known.missing(READ)
     bad[1:] = ~(time_s[1:] > time_s[:-1])
-    fields = [
-        (c.start, c.stop, _needs(name)) for name, c in columns(ticks.dtype).items() if name not in lacking
-    ]
     present, visible, tracked = (
         np.zeros_like(ticks[name]) if name in lacking else ticks[name]
         for name in ("hand_present", "object_visible", "track_valid")
     )
-    kinds = np.array(fields).reshape(-1, 3)
+    kinds = _kinds(ticks.dtype, lacking)
     _mark(as_numbers(ticks), nonfinite_count(trace), kinds, present, visible, tracked, bad)
     return bad
+
+
+@lru_cache(maxsize=64)
+def _kinds(dtype: np.dtype[Any], lacking: tuple[str, ...]) -> NDArray[np.int64]:
+    """(f, 3) as ``_mark`` wants them, of the fields of a tick that were measured."""
+    kept = [(c.start, c.stop, _needs(name)) for name, c in columns(dtype).items() if name not in lacking]
+    return np.array(kept, np.int64).reshape(-1, 3)
 
 
 @compiled

@@ -169,9 +169,9 @@ def _least_speed_left(
             if k + 1 < rates_radps.shape[0]:
                 before, after, dt = joints_rad[k, j], joints_rad[k + 1, j], time_s[k + 1] - time_s[k]
                 mean = abs(after - before) / dt
-                rounding = EPSILON * (abs(before) + abs(after) + 2.0 * mean * abs(time_s[k + 1])) / dt
-                if limit_radps[j] < mean <= limit_radps[j] + rounding:
-                    mean = limit_radps[j]
+                if limit_radps[j] < mean:
+                    rounding = EPSILON * (abs(before) + abs(after) + 2.0 * mean * abs(time_s[k + 1])) / dt
+                    mean = limit_radps[j] if mean <= limit_radps[j] + rounding else mean
                 speed = max(speed, mean)
             turns |= speed > MOVES
             if limit_radps[j] - speed < least:

@@ -6,7 +6,9 @@ a position could have been used: whether it can be reached is a claim of its own
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from math import ceil
 
 import numpy as np
@@ -147,7 +149,7 @@ class RepulsivePosesReachable:
 
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge every decision's position."""
-        return reads(*WAYS, also=self.reads)(RepulsivePosesReachable._worst)(self, trace)
+        return _judging(self.reads)(self, trace)
 
     def _worst(self, trace: Trace) -> Evaluation:
         field = "proposed_position_in_base_m" if self.proposed else "chosen_position_in_base_m"
@@ -164,6 +166,11 @@ class RepulsivePosesReachable:
             return unexercised(self, no_position(trace))
         reason = f"worst of {count}" if count > 1 else "one position"
         return judged(self, trace, worst, worst_time_s, reason, exercised=count)
+
+
+@lru_cache(maxsize=2)
+def _judging(names: tuple[str, ...]) -> Callable[[RepulsivePosesReachable, Trace], Evaluation]:
+    return reads(*WAYS, also=names)(RepulsivePosesReachable._worst)
 
 
 def reach_m(trace: Trace, decision: np.void, position_in_base_m: NDArray[np.float64]) -> float:

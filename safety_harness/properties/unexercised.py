@@ -111,7 +111,7 @@ def no_predicted_hand(trace: Trace) -> str:
 
 def _not_all_seen(trace: Trace) -> bool:
     """Are the words on hands that came near, predicted or true, more than is known?"""
-    return any(trace.known.of(name).limited for name in SEEN)
+    return not trace.known.whole and any(trace.known.of(name).limited for name in SEEN)
 
 
 def no_decision(trace: Trace) -> str:

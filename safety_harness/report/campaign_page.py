@@ -31,7 +31,9 @@ CSS = {SHOWN: "holds", REFUTED: "violated", NOT_SHOWN: "inconclusive", NO_TARGET
 _WORST = (
     "SELECT j.stratum, j.episode, j.claim, j.margin, j.worst_time_s, t.episode IS NOT NULL FROM judgement j "
     "LEFT JOIN trace t ON t.stratum = j.stratum AND t.episode = j.episode "
-    f"WHERE j.outcome = {int(EpisodeOutcome.VIOLATED)} ORDER BY j.margin LIMIT {MOST_EPISODES}"
+    f"WHERE j.outcome = {int(EpisodeOutcome.VIOLATED)} "
+    "ORDER BY row_number() OVER (PARTITION BY j.claim ORDER BY j.margin, j.stratum, j.episode), j.claim "
+    f"LIMIT {MOST_EPISODES}"  # each claim's worst, then each claim's next: metres are not radians
 )
 _FAILED = (
     "SELECT failure, count(*), min(episode) FROM episode WHERE failure IS NOT NULL GROUP BY 1 ORDER BY 2 DESC"

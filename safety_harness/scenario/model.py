@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from enum import Enum
+from math import ceil
 from pathlib import Path
 from typing import Any, get_args
 
@@ -431,4 +432,4 @@ class Scenario:
     @property
     def ticks(self) -> int:
         """How many control ticks the scenario lasts: the least number that covers the duration."""
-        return int(np.ceil(self.duration_s / self.settings.clock.control_period_s - 1e-9))
+        return ceil(self.duration_s / self.settings.clock.control_period_s - 1e-9)

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from functools import reduce
+from operator import add
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,7 +58,7 @@ class Overruling:
     @classmethod
     def of(cls, traces: Iterable[Trace]) -> Overruling:
         """Of all ``traces`` together."""
-        return sum((cls._of_one(trace) for trace in traces), cls())
+        return reduce(add, map(cls._of_one, traces)) if (traces := list(traces)) else cls()
 
     @classmethod
     def _of_one(cls, trace: Trace) -> Overruling:

@@ -11,6 +11,7 @@ from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from safety_harness.admission.repeatability import RepeatabilityResult
@@ -100,6 +101,24 @@ def test_the_tally_counts_outcomes_and_finds_the_worst_margin(tmp_path: Path, pl
         by_hand.strata[0].add(row(4, margin=-0.9))
         ledger.record([row(4, margin=-0.9)])
         assert tally_of(ledger) == by_hand
+
+
+def test_of_equal_margins_the_first_episode_is_the_worst_whatever_its_outcome(
+    tmp_path: Path, plan: Plan
+) -> None:
+    with ledger_in(tmp_path, plan) as ledger:
+        ledger.record([row(3, margin=0.0), row(2, margin=0.0), row(1, margin=np.nan), row(4, margin=0.5)])
+        found = tally_of(ledger).of_claim(0)
+        assert (found.worst, found.worst_episode) == (0.0, 2)
+
+
+def test_an_outcome_that_there_is_not_is_not_left_out_of_the_counts(tmp_path: Path, plan: Plan) -> None:
+    with ledger_in(tmp_path, plan) as ledger:
+        ledger.record([row(0), row(1)])
+        with ledger.transaction():
+            ledger.connection.execute("UPDATE judgement SET outcome = 7 WHERE episode = 1")
+        with pytest.raises(LedgerError, match="outcomes from 0 to 4"):
+            tally_of(ledger)
 
 
 def test_a_sample_is_the_whole_stream_or_none(tmp_path: Path, plan: Plan) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -56,3 +57,13 @@ def test_what_cannot_be_claimed_ends_with_2_and_says_where(
     assert out == ""
     assert err.startswith("error: --claim\n")
     assert told in err
+
+
+def test_a_trace_without_a_claim_is_not_as_expected_but_refused(
+    visit: Trace, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "claimless.trace"
+    save_trace(replace(visit, scenario=replace(visit.scenario, claims=())), file)
+    assert judge_again([file]) == BAD_INPUT
+    assert "nothing is judged without" in capsys.readouterr().err
+    assert judge_again([file], ["joint speeds within limits"]) == AS_EXPECTED

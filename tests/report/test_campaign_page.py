@@ -94,7 +94,7 @@ def test_of_very_many_violations_the_worst_are_listed(
     few = campaign_page._WORST.replace(f"LIMIT {campaign_page.MOST_EPISODES}", "LIMIT 4")
     monkeypatch.setattr(campaign_page, "_WORST", few)
     words = words_of(page_of(ledger, tmp_path))
-    assert "The worst first, 4 of 25." in words
+    assert "The worst of each claim first, 4 of 25." in words
     assert "near 20 hand" not in words
 
 
@@ -106,3 +106,13 @@ def test_the_worst_that_are_kept_are_replayed(ledger: Ledger, tmp_path: Path) ->
     page = page_of(ledger, tmp_path)
     assert page.count('data-packed="') == 1
     assert "nearer, episode 0" in words_of(page)
+
+
+def test_margins_of_different_units_are_not_put_in_one_order(ledger: Ledger, tmp_path: Path) -> None:
+    """A metre beyond a distance is not worse than half a degree beyond an angle: each claim has its worst."""
+    small = ClaimJudgement(EpisodeOutcome.VIOLATED, -1e-6, 0.25, 1)
+    second = replace(row(0, 1, 0.2), judgements=(ClaimJudgement(EpisodeOutcome.UNTESTED), small))
+    ledger.record([second])
+    listed = [(claim, margin) for _, _, claim, margin, *_ in ledger.all(campaign_page._WORST)]
+    assert listed[:3] == [(0, -0.025), (1, -1e-6), (0, -0.024)]
+    assert len(listed) == 26
