@@ -196,12 +196,14 @@ def examine(
     low: Floats,
     high: Floats,
     codes: Codes,
+    spreads_m: Floats,
 ) -> None:
     """Fill ``codes`` (n,): PROVEN, REFUTED (all of it), OUTSIDE, or the axis along which to halve a box.
 
     ``low``, ``high`` (n, 6) are boxes of hands and TCPs in the base frame [m]; OUTSIDE are those in which
     every hand is nearer than ``near_m`` to the TCP, or farther than ``far_m``.  ``optimum`` (10,) is of
-    ``optimum_constants``; with UNSURE a spread above ``doubt_m`` will do as well.
+    ``optimum_constants``; with UNSURE a spread above ``doubt_m`` will do as well.  ``spreads_m`` (n, 2) is
+    filled with bounds of the spread, NaN for none.
     """
     members, columns = network.weight.shape[0], PERCEPTRON_INPUTS + network.bias.shape[1]
     most = columns - OUTPUTS  # symbols of a member: the axes, and one a ReLU
@@ -225,7 +227,7 @@ def examine(
             farthest += (gap + wide) ** 2
         nearest, farthest = sqrt(nearest), sqrt(farthest)
         if farthest < near_m - MARGIN or nearest > far_m + MARGIN:
-            codes[n] = OUTSIDE
+            codes[n], spreads_m[n, :] = OUTSIDE, np.nan
             continue
         whole = nearest >= near_m + MARGIN and farthest <= far_m - MARGIN
         count = mean_answer(
@@ -239,6 +241,8 @@ def examine(
             for k in range(count):
                 reach += abs(g[k, o])
             decided = decided and reach < FARTHEST_M
+        spreads_m[n, 0] = spread[0] if decided else np.nan
+        spreads_m[n, 1] = spread[1] if decided else np.nan
         if kind in (OPTIMUM, UNSURE):
             decided = (
                 _off_optimum(optimum, centre, half, p, g, count, slack, scratch, found, weight) and decided
