@@ -132,7 +132,7 @@ def test_nor_are_pairs_that_are_not_as_far_apart_as_the_region_has_them(tmp_path
         tcp_high_m=(0.7, -0.09, 0.3),
         apart_m=(0.1, 0.6),
     )
-    assert "to hands 456.2 to 639.3 mm" in "to " + outside_words(gate.questions_within, region)
+    assert "hands 458 to 638.9 mm from the TCP" in outside_words(gate.questions_within, region)
     assert outside_words(gate.questions_within, replace(region, apart_m=(0.4, 0.7))) == ""
 
 
