@@ -413,7 +413,7 @@ class CertifiedClaim:
     verdict: str
     confirmed: str
     maps: tuple[BoxMap, ...]
-    gates: tuple[str, ...] = ()
+    gates: tuple[str, ...]
 
 
 @dataclass(frozen=True, kw_only=True)
