@@ -111,6 +111,7 @@ def evidence_of(certified: CertifiedNetwork, file: Path) -> tuple[CertifiedProof
             verdict=proof.verdict,
             confirmed=line,
             maps=() if proof.verdict == "proven" else tuple(maps_of(proof)),
+            gates=(),
         )
         for proof, line in zip(proofs, lines, strict=True)
     )
