@@ -405,13 +405,17 @@ class Record:
 
 @dataclass(frozen=True, kw_only=True)
 class CertifiedClaim:
-    """``claim`` and ``region`` as the certificate calls them, ``confirmed`` in the checker's words."""
+    """``claim`` and ``region`` as the certificate calls them, ``confirmed`` in the checker's words.
+
+    ``gates`` say of each stratum whether the region has all questions whose answers its gate takes.
+    """
 
     claim: str
     region: str
     verdict: str
     confirmed: str
     maps: tuple[BoxMap, ...]
+    gates: tuple[str, ...]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -98,7 +98,7 @@ def gather(
         trials,
         declaration=declaration,
         origin=origin,
-        proven=stored_proof(folder),
+        proven=stored_proof(folder, plan),
         notes=read_notes(folder),
     )
 

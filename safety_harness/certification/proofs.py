@@ -9,17 +9,19 @@ from __future__ import annotations
 import hashlib
 import json
 import shutil
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
 from safety_harness.campaign.plan import Plan
 from safety_harness.certification.evidence import CertifiedClaim, CertifiedProofs
+from safety_harness.certification.gated import gate_words
 from safety_harness.certification.system import network_file_of
 from safety_harness.exceptions import InputError, OutputError, Place
 from safety_harness.proof.certificate import FORMAT, read_proofs
 from safety_harness.proof.check import check
 from safety_harness.proof.maps import maps_of
+from safety_harness.proof.plan import ProofRegion
 from safety_harness.scenario.files import read_bytes
 from safety_harness.scenario.typed_json import LARGEST_BYTES, of_format, parsed
 from safety_harness.whole_file import replacing
@@ -71,12 +73,20 @@ def networks_of(plan: Plan) -> list[bytes]:
     return [_bytes(file) for file in files if file is not None]
 
 
-def stored_proof(folder: Path) -> CertifiedProofs | None:
-    """That of a report's folder, confirmed again; None for none, InputError if it does not hold."""
+def stored_proof(folder: Path, plan: Plan) -> CertifiedProofs | None:
+    """That of a report's folder, confirmed again, beside the plan's gates; None for none.
+
+    InputError if it does not hold.
+    """
     if not (folder / FOLDER).exists():
         return None
     certified = CertifiedNetwork(*(_bytes(folder / name) for name in (CERTIFICATE, NETWORK)))
-    return evidence_of(certified, folder / CERTIFICATE)
+    found, regions = evidence_of(certified, folder / CERTIFICATE)
+    claims = (
+        replace(one, gates=gate_words(plan, found.network_sha256, region))
+        for one, region in zip(found.claims, regions, strict=True)
+    )
+    return replace(found, claims=tuple(claims))
 
 
 def without_proof(folder: Path) -> None:
@@ -85,8 +95,8 @@ def without_proof(folder: Path) -> None:
 
 
 @lru_cache(maxsize=2)
-def evidence_of(certified: CertifiedNetwork, file: Path) -> CertifiedProofs:
-    """InputError for whatever the checker does not confirm; ``file`` is where it came from."""
+def evidence_of(certified: CertifiedNetwork, file: Path) -> tuple[CertifiedProofs, tuple[ProofRegion, ...]]:
+    """With each claim's region; InputError for whatever is not confirmed; ``file`` is where it came from."""
     try:
         lines = check(certified.certificate, certified.network)
     except Exception as error:  # whatever a stranger's certificate makes of the checker
@@ -101,10 +111,13 @@ def evidence_of(certified: CertifiedNetwork, file: Path) -> CertifiedProofs:
             verdict=proof.verdict,
             confirmed=line,
             maps=() if proof.verdict == "proven" else tuple(maps_of(proof)),
+            gates=(),
         )
         for proof, line in zip(proofs, lines, strict=True)
     )
-    return CertifiedProofs(network_sha256=hashlib.sha256(certified.network).hexdigest(), claims=tuple(claims))
+    sha256 = hashlib.sha256(certified.network).hexdigest()
+    regions = tuple(proof.planned.region for proof in proofs)
+    return CertifiedProofs(network_sha256=sha256, claims=tuple(claims)), regions
 
 
 def _bytes(file: Path) -> bytes:

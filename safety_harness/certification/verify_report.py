@@ -228,7 +228,7 @@ def check_proof(report: ReportFolder) -> Examination | None:
     faults: list[str] = []
     unchecked: list[str] = []
     try:
-        now = stored_proof(report.folder)
+        now = stored_proof(report.folder, report.plan)
     except InputError as error:
         faults, now = [str(error)], None
     if recorded is None and now is None and not faults:

@@ -29,44 +29,24 @@ OF_AXES, OF_CURVES = 0.4, 3.0  # tried: how much each counts where to halve
 
 
 @njit_no_nrt
-def _lengths(c: Floats, g: Floats, slack: Floats, frame: Floats, out: Floats) -> None:
-    """Fill ``out`` (2,) with bounds of |c + sum e_k g_k + slack|; ``c`` (3,), ``g`` (k, 3), ``slack`` (3,).
+def _lengths(c: Floats, g: Floats, slack: Floats, out: Floats) -> None:
+    """Fill ``out`` (2,) with bounds of |c + d|, d = sum e_k g_k + slack.
 
-    In a frame with its first axis along c, ``frame`` (3, 3) being scratch: |q| >= q . n, and |q|^2 is the sum
-    of three squares, each bounded.
+    |c + d| is at least its part along c; its square is |c|^2 + 2 c . d + |d|^2, with |d| bounded by axis.
+
+    ``c`` (3,), ``g`` (k, 3), ``slack`` (3,).
     """
-    length = sqrt(c[0] * c[0] + c[1] * c[1] + c[2] * c[2])
-    if length < NEAREST_M:
-        frame[0, 0], frame[0, 1], frame[0, 2] = 1.0, 0.0, 0.0
-    else:
-        for o in range(3):
-            frame[0, o] = c[o] / length
-    least = 0
+    norm, dot, wide = sqrt(c[0] * c[0] + c[1] * c[1] + c[2] * c[2]), 0.0, 0.0
+    for k in range(g.shape[0]):
+        dot += abs(g[k, 0] * c[0] + g[k, 1] * c[1] + g[k, 2] * c[2])
     for o in range(3):
-        if abs(frame[0, o]) < abs(frame[0, least]):
-            least = o
-    dot, norm = frame[0, least], 0.0
-    for o in range(3):
-        frame[1, o] = (1.0 if o == least else 0.0) - dot * frame[0, o]
-        norm += frame[1, o] * frame[1, o]
-    for o in range(3):
-        frame[1, o] /= sqrt(norm)
-    for o in range(3):
-        a, b = (o + 1) % 3, (o + 2) % 3
-        frame[2, o] = frame[0, a] * frame[1, b] - frame[0, b] * frame[1, a]
-    out[1] = 0.0
-    for n in range(3):
-        middle, radius = 0.0, 0.0
-        for o in range(3):
-            middle += c[o] * frame[n, o]
-            radius += slack[o] * abs(frame[n, o])
+        dot += slack[o] * abs(c[o])
+        reach = slack[o]
         for k in range(g.shape[0]):
-            radius += abs(g[k, 0] * frame[n, 0] + g[k, 1] * frame[n, 1] + g[k, 2] * frame[n, 2])
-        radius *= UP
-        if n == 0:
-            out[0] = max(0.0, middle - radius)
-        out[1] += (abs(middle) + radius) * (abs(middle) + radius)
-    out[1] = sqrt(out[1]) * UP
+            reach += abs(g[k, o])
+        wide += reach * reach
+    out[0] = max(0.0, norm - dot / norm * UP) if norm > NEAREST_M else 0.0
+    out[1] = sqrt(norm * norm + (2.0 * dot + wide) * UP) * UP
 
 
 @njit_no_nrt
@@ -92,7 +72,7 @@ def _off_optimum(
     claim.
 
     ``optimum`` (10,), ``centre`` (6,), ``half`` (6,), ``p`` (3,), ``g`` (n, 3), ``slack`` (3,),
-    ``scratch`` (8, 3), ``weight`` (6,).
+    ``scratch`` (4, 3), ``weight`` (6,).
     """
     axis, radius, cos, sin, pull = optimum[3:6], optimum[6], optimum[7], optimum[8], optimum[9]
     way, vector, c, bounds = scratch[0], scratch[1], scratch[2], scratch[3]
@@ -139,7 +119,7 @@ def _off_optimum(
                     change -= axis[i] * axis[o]
                 change -= vector[i] * vector[o] / (norm * norm)
                 g[3 + i, o] += scale * change / norm * half[3 + i]
-        _lengths(c, g[:count], slack, scratch[5:8], bounds)
+        _lengths(c, g[:count], slack, bounds)
         for i in range(PERCEPTRON_INPUTS):
             for o in range(3):
                 weight[i] += OF_AXES * abs(g[i, o])
@@ -216,12 +196,14 @@ def examine(
     low: Floats,
     high: Floats,
     codes: Codes,
+    spreads_m: Floats,
 ) -> None:
     """Fill ``codes`` (n,): PROVEN, REFUTED (all of it), OUTSIDE, or the axis along which to halve a box.
 
     ``low``, ``high`` (n, 6) are boxes of hands and TCPs in the base frame [m]; OUTSIDE are those in which
     every hand is nearer than ``near_m`` to the TCP, or farther than ``far_m``.  ``optimum`` (10,) is of
-    ``optimum_constants``; with UNSURE a spread above ``doubt_m`` will do as well.
+    ``optimum_constants``; with UNSURE a spread above ``doubt_m`` will do as well.  ``spreads_m`` (n, 2) is
+    filled with bounds of the spread, NaN for none.
     """
     members, columns = network.weight.shape[0], PERCEPTRON_INPUTS + network.bias.shape[1]
     most = columns - OUTPUTS  # symbols of a member: the axes, and one a ReLU
@@ -232,7 +214,7 @@ def examine(
     each_g, each_r = np.empty((members, PERCEPTRON_INPUTS, 3)), np.empty((members, 3))
     centre, half, weight, own_weight = np.empty(6), np.empty(6), np.empty(6), np.empty(6)
     g = np.empty((symbols + PERCEPTRON_INPUTS, 3))
-    p, slack, scratch, found, spread = np.empty(3), np.empty(3), np.empty((8, 3)), np.empty(2), np.empty(2)
+    p, slack, scratch, found, spread = np.empty(3), np.empty(3), np.empty((4, 3)), np.empty(2), np.empty(2)
     for n in range(low.shape[0]):
         nearest, farthest = 0.0, 0.0
         for i in range(6):
@@ -245,7 +227,7 @@ def examine(
             farthest += (gap + wide) ** 2
         nearest, farthest = sqrt(nearest), sqrt(farthest)
         if farthest < near_m - MARGIN or nearest > far_m + MARGIN:
-            codes[n] = OUTSIDE
+            codes[n], spreads_m[n, :] = OUTSIDE, np.nan
             continue
         whole = nearest >= near_m + MARGIN and farthest <= far_m - MARGIN
         count = mean_answer(
@@ -259,6 +241,8 @@ def examine(
             for k in range(count):
                 reach += abs(g[k, o])
             decided = decided and reach < FARTHEST_M
+        spreads_m[n, 0] = spread[0] if decided else np.nan
+        spreads_m[n, 1] = spread[1] if decided else np.nan
         if kind in (OPTIMUM, UNSURE):
             decided = (
                 _off_optimum(optimum, centre, half, p, g, count, slack, scratch, found, weight) and decided
@@ -271,7 +255,7 @@ def examine(
             for o in range(3):
                 scratch[0, o] = p[o] - centre[3 + o]
                 g[3 + o, o] -= half[3 + o]
-            _lengths(scratch[0], g[:count], slack, scratch[5:8], found)
+            _lengths(scratch[0], g[:count], slack, found)
             for i in range(6):
                 weight[i] += abs(g[i, 0]) + abs(g[i, 1]) + abs(g[i, 2])
         at_least = kind in (AT_LEAST, AWAY)

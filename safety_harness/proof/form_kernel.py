@@ -4,7 +4,8 @@ A unit's value is c + sum_k g_k e_k + r e', every e in [-1, 1]: the first six e 
 (hand, then TCP), the others what ReLUs may add; r is its slack.  An affine map keeps the form.  For l <= z <=
 u with l < 0 < u and any s in [0, 1], relu(z) - s z lies in [0, 2 m], 2 m = max(-s l, (1 - s) u): with s = u /
 (u - l) this is the least such band (Singh et al. 2018, DeepZ).  In a deep network slack, which each layer
-multiplies by |W|, would grow beyond all bounds: there a ReLU makes it a symbol too.
+multiplies by |W|, would grow beyond all bounds: there the ReLUs of every layer, or of every
+``network.gathers`` of them, make it symbols too.
 
 **Rounding.**  The bounds are of what the *program* computes: what that rounds is ``network.error``, or in
 float64 (``avoidance.perceptron_kernel``) as little as here.  A sum of n products is off by gamma (|b| + sum
@@ -43,8 +44,11 @@ def _rectify(
     share: Floats,
     first: int,
     last: int,
+    gathers: bool,
 ) -> int:
     """ReLU of the units from ``first`` to before ``last``, in place; returns the count of symbols after it.
+
+    Of a deep network a unit that has a symbol has its slack in it; if it ``gathers``, each has one.
 
     ``units`` (4, n), ``g`` (k, n), ``share`` (6, n), ``of_symbol`` (k,); ``share`` is filled with how much of
     a unit's width each axis causes.
@@ -73,7 +77,7 @@ def _rectify(
             share[i, j] = (
                 abs(g[i, j]) / r * (1.0 if first == PERCEPTRON_INPUTS else slope) if half > 0.0 else 0.0
             )
-        if network.deep:
+        if gathers or (network.gathers > 0 and half > 0.0):
             half, units[SLACK, j] = half + units[SLACK, j], 0.0
         if half > 0.0:
             g[count, :last] = 0.0
@@ -162,7 +166,8 @@ def _answer(
         for q in range(width):
             slack[q] *= UP
         if layer + 1 < widths.shape[0]:
-            count = _rectify(network, units, g, count, of_symbol, share, first, last)
+            gathers = network.gathers > 0 and layer % network.gathers == network.gathers - 1
+            count = _rectify(network, units, g, count, of_symbol, share, first, last, gathers)
             for j in range(first, last):
                 if not units[SIZE, j] < MOST:
                     units[Z, j] = np.nan

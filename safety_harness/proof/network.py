@@ -60,7 +60,7 @@ class ReluNetwork(NamedTuple):
     bias: Floats  # (m, units)
     bias_error: Floats
     rounding: float
-    deep: bool
+    gathers: int  # of so many layers, the last makes slack symbols; 0: none does
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,7 +182,7 @@ def packed(layers: Sequence[AffineForm], members: int = 1) -> ReluNetwork:
         bias=constants("value"),
         bias_error=constants("error"),
         rounding=16.0 * (terms + 8) * DOUBLE,
-        deep=len(layers) > SHALLOW,
+        gathers=1 if len(layers) > SHALLOW else 0,
     )
 
 

@@ -76,10 +76,24 @@ def examined(
     doubt_m: float = np.nan,
 ) -> Codes:
     """The codes (n,) of boxes, with ``constants`` (10,); of a module, so that other processes can."""
-    codes = np.empty(len(boxes[0]), np.uint8)
+    return examined_with_spreads(network, constants, claim, region, boxes, doubt_m)[0]
+
+
+def examined_with_spreads(
+    network: ReluNetwork,
+    constants: Floats,
+    claim: DecisionClaim,
+    region: ProofRegion,
+    boxes: Boxes,
+    doubt_m: float = np.nan,
+) -> tuple[Codes, Floats]:
+    """The codes, and bounds (n, 2) of the spread [m], with ``constants`` (10,)."""
+    codes, spreads_m = np.empty(len(boxes[0]), np.uint8), np.empty((len(boxes[0]), 2))
     near_m, far_m = region.apart_m
-    examine(network, constants, int(claim.kind), claim.limit_m, doubt_m, near_m, far_m, *boxes, codes)
-    return codes
+    examine(
+        network, constants, int(claim.kind), claim.limit_m, doubt_m, near_m, far_m, *boxes, codes, spreads_m
+    )
+    return codes, spreads_m
 
 
 def work(

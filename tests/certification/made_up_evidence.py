@@ -432,5 +432,6 @@ def proven() -> CertifiedProofs:
         verdict="refuted",
         confirmed=f"refuted: away 0 m {HOSTILE}",
         maps=(drawn,),
+        gates=(f"{HOSTILE}: no gate keeps to a region.",),
     )
     return CertifiedProofs(network_sha256=HASH, claims=(one,))

@@ -59,7 +59,9 @@ def with_outcome(found: Evidence, change: Callable[[ClaimResult], ClaimResult]) 
 
 PROVEN = CertifiedProofs(
     network_sha256=HASH,
-    claims=(CertifiedClaim(claim="leads away", region="near", verdict="proven", confirmed="", maps=()),),
+    claims=(
+        CertifiedClaim(claim="leads away", region="near", verdict="proven", confirmed="", maps=(), gates=()),
+    ),
 )
 OPENED = OpenFinding(text="seen: 3 of 40 runs could not be carried on", place="strata")
 

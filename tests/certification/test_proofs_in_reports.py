@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,17 +17,19 @@ from safety_harness.campaign.session import LEDGER, carry_on, plan_of, processes
 from safety_harness.certification.certify import Certification
 from safety_harness.certification.evidence import read_evidence
 from safety_harness.certification.folder import stored_files, write_folder, write_manifest
+from safety_harness.certification.gated import outside_words
 from safety_harness.certification.gather import gather
-from safety_harness.certification.proofs import CERTIFICATE, FOLDER, read_certified
+from safety_harness.certification.proofs import CERTIFICATE, FOLDER, read_certified, stored_proof
 from safety_harness.certification.verify import verify
 from safety_harness.exceptions import InputError
 from safety_harness.proof.certificate import write_certificate
-from safety_harness.proof.plan import read_proof_plan
+from safety_harness.proof.plan import ProofRegion, read_proof_plan
 from safety_harness.proof.session import Effort, fresh
 from safety_harness.proof.session import carry_on as prove
 from tests.campaign.plans import PLAN as PLAN_OF_RUNS
 from tests.campaign.plans import plan_in
 from tests.proof.regions import PLAN, plan_file
+from tests.search.short_space import TEXT
 
 FEW = PLAN_OF_RUNS.replace("runs: 30", "runs: 2").replace("runs: 20", "runs: 1")
 QUIET = FEW.replace("opposite pose", "student").replace(
@@ -84,8 +87,53 @@ def test_what_the_checker_confirms_is_told_apart_from_what_is_shown(report: Path
     page = (report / "evidence.html").read_text()
     part = page[page.index('id="proven"') :]
     assert steps.confirmed in part
+    assert steps.gates[0] in part
     assert "undecided, by the hand from above" in part
     assert "Proven is another word than shown" in part
+
+
+WITHIN = """
+gate:
+  questions within:
+    hand: {from: [610 mm, -490 mm, -190 mm], to: [690 mm, -410 mm, -110 mm]}
+    tcp: {from: [650 mm, -140 mm, 260 mm], to: [700 mm, -90 mm, 300 mm]}
+"""
+
+
+@pytest.mark.parametrize(
+    ("gate", "told"),
+    [
+        ("", "no gate keeps to a region"),
+        (WITHIN, "answers to questions of this region alone"),
+        (WITHIN.replace("to: [700 mm", "to: [700.5 mm"), "beyond its boxes (TCP x by 0.5 mm)"),
+        (WITHIN.replace("-490 mm", "-500.01 mm"), "beyond its boxes (hand y by 0.01 mm)"),
+        (WITHIN.replace("610 mm", "from 610 mm to 620 mm"), "varies from run to run"),
+    ],
+)
+def test_whether_the_gate_keeps_to_the_region_is_told_with_each_claim(
+    made: Path, tmp_path: Path, gate: str, told: str
+) -> None:
+    found = stored_proof(made, plan_in(tmp_path, QUIET, TEXT + gate))
+    assert found is not None
+    (line,) = found.claims[1].gates
+    assert line.startswith("near, nearer: ")
+    assert told in line
+
+
+def test_nor_are_pairs_that_are_not_as_far_apart_as_the_region_has_them(tmp_path: Path) -> None:
+    gate = plan_in(tmp_path, QUIET, TEXT + WITHIN).strata[0].space.simplest.gate
+    assert gate is not None
+    assert gate.questions_within is not None
+    region = ProofRegion(
+        name="near",
+        hand_low_m=(0.6, -0.5, -0.2),
+        hand_high_m=(0.7, -0.4, -0.1),
+        tcp_low_m=(0.65, -0.14, 0.26),
+        tcp_high_m=(0.7, -0.09, 0.3),
+        apart_m=(0.1, 0.6),
+    )
+    assert "hands 458 to 638.9 mm from the TCP" in outside_words(gate.questions_within, region)
+    assert outside_words(gate.questions_within, replace(region, apart_m=(0.4, 0.7))) == ""
 
 
 def test_it_stands_until_its_certificate_says_something_false(report: Path) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import base64
 import json
+import sys
 import time
 import zlib
 from collections.abc import Callable
@@ -58,7 +59,7 @@ claims:
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("certificate")
     plan = read_proof_plan(plan_file(folder, TEXT))
-    proofs = list(carry_on(plan, fresh(plan), Effort(seconds=120.0, halvings=13)))
+    proofs = list(carry_on(plan, fresh(plan), Effort(seconds=1e6, halvings=13)))
     write_certificate(folder / "certificate.json", plan, proofs)
     return folder
 
@@ -100,7 +101,8 @@ def test_the_checker_shares_no_code_and_is_short() -> None:
             [node.module or ""] if isinstance(node, ast.ImportFrom) else [a.name for a in node.names]
         )
     }
-    assert "safety_harness" not in modules
+    assert modules - sys.stdlib_module_names == {"numpy", "onnx"}
+    assert not {"importlib", "runpy"} & modules
     assert sum(bool(line.strip()) for line in text.splitlines()) <= 200
 
 
@@ -187,6 +189,9 @@ def refuses_all(document: dict[str, Any], count: int, seed: int) -> None:
         altered = deepcopy(document)
         alter = ALTERATIONS[int(rng.integers(len(ALTERATIONS)))]
         alter(altered, rng)
+        pairs = zip(altered["claims"], document["claims"], strict=True)
+        changed = [one for one, was in pairs if one != was]  # the others are confirmed, which takes long
+        altered["claims"] = changed or altered["claims"]
         with pytest.raises((ValueError, TypeError, zlib.error)):
             confirmed(altered)
 
@@ -204,7 +209,7 @@ def test_that_of_an_ensemble_is_confirmed_with_its_spread(tmp_path: Path) -> Non
     text = TEXT.replace("avoider: student", "avoider: student-ensemble")
     text = text.replace("within 4 mm of the optimum", "uncertain or within 4 mm of the optimum")
     plan = read_proof_plan(plan_file(tmp_path, text))
-    proofs = list(carry_on(plan, fresh(plan), Effort(seconds=60.0, halvings=9)))
+    proofs = list(carry_on(plan, fresh(plan), Effort(seconds=1e6, halvings=9)))
     write_certificate(tmp_path / "certificate.json", plan, proofs)
     model, data = shipped_model("student-ensemble").read_bytes(), (tmp_path / "certificate.json").read_bytes()
     lines = check.check(data, model)
@@ -220,8 +225,8 @@ def test_that_of_an_ensemble_is_confirmed_with_its_spread(tmp_path: Path) -> Non
 def test_it_is_taken_up_where_it_ended(made: Path) -> None:
     plan = read_proof_plan(made / "proofs.yaml")
     before = taken_up(made / "certificate.json", plan)
-    after = list(carry_on(plan, before, Effort(seconds=60.0, halvings=15)))
-    straight = list(carry_on(plan, fresh(plan), Effort(seconds=60.0, halvings=15)))
+    after = list(carry_on(plan, before, Effort(seconds=1e6, halvings=15)))
+    straight = list(carry_on(plan, fresh(plan), Effort(seconds=1e6, halvings=15)))
     for one, other in zip(after, straight, strict=True):
         assert all(np.array_equal(a, b) for a, b in zip(one.tree.levels, other.tree.levels, strict=True))
 

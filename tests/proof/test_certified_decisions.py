@@ -22,7 +22,7 @@ from safety_harness.cli.replay import judge_again
 from safety_harness.exceptions import TraceError
 from safety_harness.proof.box_kernel import PROVEN, REFUTED
 from safety_harness.proof.claims import ClaimKind, DecisionClaim, optimum_constants
-from safety_harness.proof.decisions import AWAY, certified
+from safety_harness.proof.decisions import AWAY, CHEAP, certified
 from safety_harness.proof.network import network_of
 from safety_harness.proof.plan import ProofRegion
 from safety_harness.proof.tree import examined
@@ -55,6 +55,21 @@ def test_bounds_of_a_residual_network_hold_its_own_answer_and_hardly_more(name: 
                 assert codes.tolist() == [code], (kind, limit_m)
         exact = DecisionClaim(kind, value_m)
         assert examined(network, optimum_constants(), exact, region, region.corners())[0] < PROVEN
+
+
+def test_the_cheap_bound_decides_nothing_otherwise_than_the_tight_one() -> None:
+    tight, decided = network_of(load_model(shipped_model("mc-dropout")), 5), 0
+    cheap = tight._replace(gathers=CHEAP)
+    for half_m in (0.0, 0.01, 0.03):
+        region = ProofRegion.about(TCP, HAND - half_m, HAND + half_m)
+        for claim in (AWAY, DecisionClaim(ClaimKind.AT_MOST, 0.10), DecisionClaim(ClaimKind.AT_MOST, 0.12)):
+            one, other = (
+                examined(network, optimum_constants(), claim, region, region.corners())[0]
+                for network in (cheap, tight)
+            )
+            assert one < PROVEN or one == other
+            decided += int(one >= PROVEN)
+    assert decided >= 3
 
 
 def test_a_seed_has_its_own_masks() -> None:
