@@ -28,6 +28,7 @@ from safety_harness.certification.evidence import (
     HazardEvidence,
     by_gravity,
 )
+from safety_harness.certification.system import DATA, LEARNING
 from safety_harness.certification.verdicts import at_most, gravest, percent
 from safety_harness.report.page_parts import templates
 from safety_harness.report.svg import plain
@@ -237,8 +238,8 @@ def _stages(evidence: Evidence) -> Iterator[Element]:
     life = dict(evidence.learned.life) if evidence.learned else {}
     told = [(f"{name}: {text}", "learned", OPEN) for name, text in life.items() if name.endswith("trained")]
 
-    def carded(*names: str) -> Solutions:
-        return [(f"{name}: {card[name]}", "system", OPEN) for name in names if name in card]
+    def carded(*begin: str) -> Solutions:
+        return [(f"{name}: {text}", "system", OPEN) for name, text in card.items() if name.startswith(begin)]
 
     stages: tuple[tuple[str, Solutions], ...] = (
         ("scoping: where the learned part answers is stated", [("The strata of the plan", "strata", OPEN)]),
@@ -246,8 +247,8 @@ def _stages(evidence: Evidence) -> Iterator[Element]:
             "safety requirements: what is asked of it follows from the system's risk",
             [(risks, "rates", OPEN)] if evidence.hazards else [],
         ),
-        ("data: what it learned from is known", carded("Training data", "Seen hands") + told),
-        ("learning: how it was made can be repeated", carded("Made by", "Recipe")),
+        ("data: what it learned from is known", carded(DATA, "Seen hands") + told),
+        ("learning: how it was made can be repeated", carded(LEARNING)),
         (
             "verification: it does what is asked",
             [

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any
@@ -23,13 +24,17 @@ from safety_harness.scenario.references import MODEL_SUFFIX
 from safety_harness.settings import DecisionCost, Settings
 from safety_harness.shipped.contents import located
 
+DATA, LEARNING = "Data: ", "Learning: "  # how names begin of the data set's sheet and of the log of learning
 CARD = {  # what is shown of a model's card
-    "command": "Made by",
-    "data": "Training data",
-    "recipe": "Recipe",
-    "software": "Software",
-    "seed": "Seed",
-    "metrics": "Metrics",
+    "command": LEARNING + "made by",
+    "recipe": LEARNING + "recipe",
+    "software": LEARNING + "software",
+    "seed": LEARNING + "seed",
+    "metrics": LEARNING + "what came of it",
+}
+ANSWERS = {
+    "eq13": "equation 13 of the paper, for the best of {candidates} random candidates: others, other answers",
+    "continuous": "equation 13 of the paper, for its continuous optimum: no noise of random candidates",
 }
 
 
@@ -76,18 +81,34 @@ def card_of(model: Model) -> Iterator[tuple[str, str]]:
     yield "Network", f"{model.kind}, {model.members} member(s), dropout {model.dropout.value}"
     if model.passes > 1:
         yield "Passes", f"{model.passes}, dropout probability {model.dropout_probability:g}"
-    for key, title in CARD.items():
-        if key in model.card:
-            yield title, _plain(model.card[key])
+    data = model.card.get("data")
+    if isinstance(data, Mapping):
+        yield from _datasheet(data, model.card.get("recipe", {}))
     seen = model.seen
     yield "Seen hands", f"{_corner(seen.hand_low_m)} to {_corner(seen.hand_high_m)} mm in the base frame"
     yield "Seen TCPs", f"{_corner(seen.tcp_low_m)} to {_corner(seen.tcp_high_m)} mm in the base frame"
+    for key, title in CARD.items():
+        if key in model.card:
+            yield title, _plain(model.card[key])
     if model.calibration is not None:
         known = model.calibration
         residual = " / ".join(f"{value * 1e3:.1f}" for value in known.residual_std_m)
         intervals = f"intervals of {known.interval_multiplier:.3f} times the spread"
         words = f"{known.samples} held-out samples: {intervals} and the residual {residual} mm together"
         yield "Calibration", words
+
+
+def _datasheet(data: Mapping[str, Any], recipe: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """Of the set that ``train`` draws, as far as a card says it: what is in it, and what is not."""
+    yield DATA + "a sample", "where one hand and the TCP are in the base frame; no image, person or motion"
+    asked = "{tcps} TCPs, each with the same {hands} hands; split {split}, {training_samples} to learn from"
+    origin = "drawn from the regions of the space {space!r}, seed {seed}; sha256 {sha256}"
+    answer = ANSWERS.get(str(recipe.get("target")), "not stated")
+    for name, text in ("how many", asked), ("where from", origin), ("answers", answer):
+        known = {key: value for key, value in data.items() if isinstance(value, str | int)}
+        with suppress(KeyError):  # a card that does not say it
+            yield DATA + name, text.format(**known)
+    yield DATA + "not in it", "two hands at once, recorded hands, and what lies outside of the corners below"
 
 
 def _corner(point_m: tuple[float, ...]) -> str:

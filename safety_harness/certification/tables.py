@@ -178,16 +178,21 @@ def calibration(evidence: Evidence) -> CellTable:
     )
 
 
-def coverage(evidence: Evidence) -> tuple[CellTable, ...]:
-    """Runs for each word of each axis of the coverage map, none left out."""
+def domain(evidence: Evidence) -> CellTable:
+    """The operational domain: what is in and was tried, what is in and was not, and what is out."""
     cells, _ = cells_of(evidence.coverage)
-    return tuple(
-        table_of(
-            f"By {axis}",
-            cells.along(axis).items(),
-            {axis.capitalize(): lambda one: words(one[0]), "Runs": lambda one: count(one[1])},
-        )
-        for axis in AXES
+    rows = [("stratum", one.name, one.made) for one in evidence.strata]
+    rows += [(axis, word, runs) for axis in AXES for word, runs in cells.along(axis).items()]
+    inside = [
+        (words(of), words(what), words("in, tried" if runs else "in, untested"), count(runs))
+        for of, what, runs in rows
+    ]
+    never = words("what no run simulates", href="not-shown")
+    return CellTable(
+        "In is what the plan's strata can draw; untested is what none of its runs came to (to some of it no "
+        "run can come).",
+        ("Of", "What", "Standing", "Runs"),
+        (*inside, (words("simulation"), never, words("out"), words(DASH))),
     )
 
 
@@ -317,7 +322,7 @@ _EVERY: tuple[Callable[..., object], ...] = (
         overruling,
         training,
         separation,
-        coverage,
+        domain,
         counterexamples,
         whose_fault,
         calibration,

@@ -236,7 +236,7 @@ def evidence(*, only_shown: bool = False, counterexamples: int = 2) -> Evidence:
             ),
             card=(
                 ("Network", "regression ResNet, dropout after each stage"),
-                ("Training data", "5,000,000 samples"),
+                ("Data: how many", "5,000,000 samples"),
             ),
             limits=("says nothing useful about TCPs and hands outside the seen space",),
             gate=(("Kind", "full"), ("Spread at most", "17.8 mm"), ("Decision deadline", "100 ms")),
