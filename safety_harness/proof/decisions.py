@@ -9,6 +9,7 @@ Then one cheap bound of the whole box (``CHEAP``) decides most; the rest is boun
 
 from __future__ import annotations
 
+from functools import lru_cache
 from itertools import product
 
 import numpy as np
@@ -16,7 +17,7 @@ import numpy as np
 from safety_harness.avoidance.asking import Question, ask
 from safety_harness.avoidance.flaky import asked_in, difference
 from safety_harness.avoidance.learned import LearnedAvoider
-from safety_harness.avoidance.model_file import Model
+from safety_harness.avoidance.model_file import Dropout, Model
 from safety_harness.proof.box_kernel import MARGIN, PROVEN, REFUTED, UNDECIDED
 from safety_harness.proof.claims import ClaimKind, DecisionClaim, optimum_constants
 from safety_harness.proof.network import ReluNetwork, network_of
@@ -50,7 +51,7 @@ def certified(avoider: LearnedAvoider, question: Question, half_m: float) -> Cer
     tcps = np.broadcast_to(question.tcp_position_in_base_m, hands.shape)
     answers, spreads = avoider.propose_many(hands, tcps, np.full(len(hands), question.seed, np.uint64))
     threshold_m, away = avoider.spread_threshold_m, AWAY.margins(hands, tcps, answers) >= 0.0
-    network = network_of(avoider.model, question.seed)
+    network = _network_of(avoider.model, 0 if avoider.model.dropout is Dropout.NONE else question.seed)
     region = ProofRegion.about(question.tcp_position_in_base_m, hands.min(axis=0), hands.max(axis=0))
     cheap = network._replace(gathers=network.gathers * CHEAP)
     (code,), ((least_m, most_m),) = examined_with_spreads(
@@ -67,6 +68,9 @@ def certified(avoider: LearnedAvoider, question: Question, half_m: float) -> Cer
     return CertifiedDecision(
         certain=certain, away=_same(away, away_known, code, cheap, network, AWAY, region)
     )
+
+
+_network_of = lru_cache(maxsize=1)(network_of)  # without dropout the same for every decision
 
 
 def _same(

@@ -107,7 +107,7 @@ def test_it_is_part_of_a_trace_on_request_alone(
     assert after.certified is not None
     assert len(after.certified.decisions) == len(trace.decisions) > 0
     assert all(one.whole is not Sameness.NONE for one in after.certified.decisions)
-    judge_again([out / "run.trace"], (), keep_going=False, out=out)
+    judge_again([out / "run.trace"], ("trace finite and monotone",), keep_going=False, out=out)
     page = (out / "report.html").read_text()
     assert after.certified.words in page
     assert after.certified.decisions[0].words in page
