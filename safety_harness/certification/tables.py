@@ -179,20 +179,20 @@ def calibration(evidence: Evidence) -> CellTable:
 
 
 def domain(evidence: Evidence) -> CellTable:
-    """The operational domain: what is in and was tried, what is in and was not, and what is out."""
+    """The operational domain: what is in, what of it was tried and what was not, and what is out."""
     cells, _ = cells_of(evidence.coverage)
-    rows = [("stratum", one.name, one.made) for one in evidence.strata]
-    rows += [(axis, word, runs) for axis in AXES for word, runs in cells.along(axis).items()]
+    rows = [("stratum", one.name, one.made, "in, ") for one in evidence.strata]
+    rows += [(axis, word, runs, "") for axis in AXES for word, runs in cells.along(axis).items()]
     inside = [
-        (words(of), words(what), words("in, tried" if runs else "in, untested"), count(runs))
-        for of, what, runs in rows
+        (words(of), words(what), words(where + ("tried" if runs else "untested")), count(runs))
+        for of, what, runs, where in rows
     ]
     never = words("what no run simulates", href="not-shown")
     return CellTable(
-        "In is what the plan's strata can draw; untested is what none of its runs came to (to some of it no "
-        "run can come).",
+        "In are the plan's strata. Below them is where their runs came to, by the axes of the map; to some "
+        "of what is untested no run can come. Out is what no run simulates.",
         ("Of", "What", "Standing", "Runs"),
-        (*inside, (words("simulation"), never, words("out"), words(DASH))),
+        (*inside, (words("simulation"), never, words("out"), number(DASH))),
     )
 
 
