@@ -126,7 +126,7 @@ def test_a_plan_says_how_questions_are_distributed(tmp_path: Path) -> None:
     plan = read_proof_plan(with_distribution(tmp_path, more))
     assert plan.questions is not None
     assert plan.questions.normals_m[:4] == ((0.65, 0.05), (-0.45, 0.1), (-0.15, 0.08), None)
-    proofs = list(carry_on(plan, fresh(plan), Effort(seconds=5.0, halvings=8)))
+    proofs = list(carry_on(plan, fresh(plan), Effort(seconds=1e6, halvings=8)))
     steps, near = joint_bounds(plan, proofs)
     assert (steps.samples, near.samples, near.high) == (500, 0, 0.0)  # of which all is proven
     assert steps.confidence == pytest.approx(0.975)
