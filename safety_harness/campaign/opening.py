@@ -259,5 +259,6 @@ def counts_in(connection: sqlite3.Connection) -> tuple[str, ...]:
 
 def _count_nothing_else(connection: sqlite3.Connection) -> None:
     """What an older program could not count is read as 0: a view of that name stands before the table."""
-    if absent := [f"0 AS {name}" for name in COUNTS if name not in counts_in(connection)]:
+    there = counts_in(connection)
+    if absent := [f"0 AS {name}" for name in COUNTS if name not in there]:
         connection.execute(f"CREATE TEMP VIEW episode AS SELECT *, {', '.join(absent)} FROM main.episode")

@@ -81,9 +81,9 @@ def card_of(model: Model) -> Iterator[tuple[str, str]]:
     yield "Network", f"{model.kind}, {model.members} member(s), dropout {model.dropout.value}"
     if model.passes > 1:
         yield "Passes", f"{model.passes}, dropout probability {model.dropout_probability:g}"
-    data = model.card.get("data")
+    data, recipe = model.card.get("data"), model.card.get("recipe")
     if isinstance(data, Mapping):
-        yield from _datasheet(data, model.card.get("recipe", {}))
+        yield from _datasheet(data, recipe if isinstance(recipe, Mapping) else {})
     seen = model.seen
     yield "Seen hands", f"{_corner(seen.hand_low_m)} to {_corner(seen.hand_high_m)} mm in the base frame"
     yield "Seen TCPs", f"{_corner(seen.tcp_low_m)} to {_corner(seen.tcp_high_m)} mm in the base frame"
@@ -104,8 +104,8 @@ def _datasheet(data: Mapping[str, Any], recipe: Mapping[str, Any]) -> Iterator[t
     asked = "{tcps} TCPs, each with the same {hands} hands; split {split}, {training_samples} to learn from"
     origin = "drawn from the regions of the space {space!r}, seed {seed}; sha256 {sha256}"
     answer = ANSWERS.get(str(recipe.get("target")), "not stated")
+    known = {key: value for key, value in data.items() if isinstance(value, str | int)}
     for name, text in ("how many", asked), ("where from", origin), ("answers", answer):
-        known = {key: value for key, value in data.items() if isinstance(value, str | int)}
         with suppress(KeyError):  # a card that does not say it
             yield DATA + name, text.format(**known)
     yield DATA + "not in it", "two hands at once, recorded hands, and what lies outside of the corners below"
