@@ -13,8 +13,9 @@ fold into weights beforehand, and for the rounding of W and E here.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -33,7 +34,7 @@ from safety_harness.avoidance.model_file import (
     Model,
 )
 from safety_harness.avoidance.perceptron_kernel import fold_perceptron
-from safety_harness.avoidance.resnet_kernel import FULL_PLACES, fold
+from safety_harness.avoidance.resnet_kernel import FULL_PLACES, FoldedNetwork, fold
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -83,6 +84,11 @@ class AffineForm:
     def width(self) -> int:
         """How many numbers it has."""
         return int(next(iter(self.value.values())).shape[-1])
+
+    @property
+    def is_shared(self) -> bool:
+        """All members have the same, whatever their masks."""
+        return all(value.ndim == 2 or len(value) == 1 for value in self.value.values())
 
     @property
     def sizes(self) -> dict[int, Floats]:
@@ -147,12 +153,16 @@ def question(unit: float = 0.0) -> AffineForm:
 
 @dataclass(eq=False)
 class Layers:
-    """The ReLU layers of a network so far."""
+    """The ReLU layers of a network so far; none that is ``known``, of the same network, is made again."""
 
     found: list[AffineForm] = field(default_factory=list)
+    known: dict[int, AffineForm] = field(default_factory=dict)
 
-    def relu(self, form: AffineForm) -> AffineForm:
+    def relu(self, make: Callable[[], AffineForm]) -> AffineForm:
         """One more."""
+        form = self.known.get(len(self.found)) or make()
+        if form.is_shared:
+            self.known[len(self.found)] = form
         self.found.append(form)
         own = np.eye(form.width)
         return AffineForm({len(self.found): own}, {len(self.found): 0.0 * own})
@@ -166,8 +176,12 @@ def packed(layers: Sequence[AffineForm], members: int = 1) -> ReluNetwork:
 
     def flat(parts: Iterable[Floats]) -> Floats:
         """(members, N) one after another, row by row."""
-        each = (np.broadcast_to(part, (members, *part.shape[-2:])).reshape(members, -1) for part in parts)
-        return np.concatenate(list(each), axis=1)
+        rows = [part.reshape(-1, part.shape[-2] * part.shape[-1]) for part in parts]
+        found, end = np.empty((members, sum(row.shape[1] for row in rows))), 0
+        for row in rows:
+            begin, end = end, end + row.shape[1]
+            found[:, begin:end] = row
+        return found
 
     def constants(name: str) -> Floats:
         return flat(getattr(form, name).get(CONSTANT, np.zeros((1, form.width))) for form in layers)
@@ -206,10 +220,17 @@ def network_of(model: Model, seed: int = 0) -> ReluNetwork:
     return packed(forms, model.members)
 
 
+@lru_cache(maxsize=1)
+def _folded(model: Model) -> tuple[FoldedNetwork, dict[int, AffineForm]]:
+    """With those layers that no mask changes, once they are known."""
+    return fold(model), {}
+
+
 def _resnet(model: Model, seed: int) -> ReluNetwork:
     """As ``avoidance.resnet_kernel`` computes it, in float32: the same layers, shortcuts and dropout."""
-    own, layers = fold(model), Layers()
+    own, known = _folded(model)
     passes = own.passes if own.places else 1
+    layers = Layers(known=known if passes > 1 else {})  # one pass alone has the shape of what is shared
     factors = np.empty((own.places, passes, WIDTH), np.float32)
     fill_factors(np.uint64(seed), own.probability, factors)
     weight, bias, drop = own.weight.astype(float), own.bias.astype(float), factors.astype(float)
@@ -218,14 +239,18 @@ def _resnet(model: Model, seed: int) -> ReluNetwork:
         before = form.scaled(drop[layer], SINGLE) if own.places == FULL_PLACES else form
         return before.linear(weight[:, layer], bias[:, layer], SINGLE)
 
+    def block(x: AffineForm, layer: int, *, within: bool) -> AffineForm:
+        h = layers.relu(lambda: connected(x, layer))
+        g = layers.relu(lambda: connected(h, layer + 1))
+        return layers.relu(
+            lambda: connected(g, layer + 2).plus(x if within else connected(x, layer + 3), SINGLE)
+        )
+
     first, one = np.eye(PERCEPTRON_INPUTS, WIDTH) / own.input_std[:, None], np.eye(WIDTH)[INPUTS - 1]
     x = question().linear(first, one - own.input_mean @ first, SINGLE)
-    for block in range(STAGES * BLOCKS):
-        stage, within = divmod(block, BLOCKS)
-        layer = stage * STAGE_LAYERS + 3 * within + (within > 0)
-        h = layers.relu(connected(x, layer))
-        h = connected(layers.relu(connected(h, layer + 1)), layer + 2)
-        x = layers.relu(h.plus(x if within else connected(x, layer + 3), SINGLE))
+    for number in range(STAGES * BLOCKS):
+        stage, within = divmod(number, BLOCKS)
+        x = block(x, stage * STAGE_LAYERS + 3 * within + (within > 0), within=within > 0)
         if own.places == STAGES and within == BLOCKS - 1:
             x = x.scaled(drop[stage], SINGLE)
     scale = own.scale_out.astype(float)[..., None] * np.eye(WIDTH)

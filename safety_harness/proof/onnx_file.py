@@ -126,7 +126,7 @@ def _computed(operator: str, given: list[Any], more: Mapping[str, Any], layers: 
     rest = given[1:] if shown[0] else given[:1]
     alone = shown[0] and not any(shown[1:])
     if operator == "Relu" and len(given) == 1:
-        return layers.relu(first)
+        return layers.relu(lambda: first)
     if operator == "Concat" and all(shown) and more.get("axis") in (1, -1):
         return joined(given)
     if operator in ("Identity", "Flatten") and more.get("axis", 1) in (1, -1):

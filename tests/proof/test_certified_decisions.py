@@ -14,7 +14,7 @@ from safety_harness import admit
 from safety_harness.admission.trial import run_kinematic
 from safety_harness.avoidance.asking import Question
 from safety_harness.avoidance.learned import LearnedAvoider
-from safety_harness.avoidance.model_file import load_model
+from safety_harness.avoidance.model_file import Model, load_model
 from safety_harness.avoidance.shipped import shipped_model
 from safety_harness.cli.console import BAD_INPUT, DIFFERS
 from safety_harness.cli.prove import prove
@@ -37,6 +37,18 @@ RESNETS = ("mc-dropout", "mc-dropout-full", "ensemble", "deterministic")
 @pytest.fixture(scope="module")
 def trace() -> Trace:
     return run_kinematic(admit(scenario(VISIT, duration_s=1.6, avoider="mc-dropout")))
+
+
+@pytest.mark.parametrize("name", RESNETS)
+@pytest.mark.parametrize("passes", [1, 10])
+def test_what_is_known_from_other_masks_changes_nothing(name: str, passes: int) -> None:
+    def fresh() -> Model:
+        return replace(load_model(shipped_model(name)), passes=passes)
+
+    asked = fresh()
+    network_of(asked, 6)
+    for again, alone in zip(network_of(asked, 5), network_of(fresh(), 5), strict=True):
+        np.testing.assert_array_equal(again, alone)
 
 
 @pytest.mark.parametrize("name", RESNETS)
