@@ -17,6 +17,7 @@ import one_thread  # noqa: F401 (before every library that reads its variables)
 # isort: split
 
 import argparse
+import json
 import re
 import statistics
 import subprocess
@@ -58,7 +59,7 @@ from safety_harness.trace.records import Check
 from safety_harness.trace.trace import Trace
 
 ROOT = Path(__file__).parents[1]
-TABLES = Path(__file__).with_name("SHIELD.md")
+TABLES, CONTACTS = Path(__file__).with_name("SHIELD.md"), Path(__file__).with_name("shield_contacts.json")
 SHIELDED = ("shielded/reaching-hands", "shielded/unseen-both")
 OF_COST = ("nominal", "unseen-hand", "unseen-tcp", "unseen-both", "reaching-hands", "recorded-variations")
 NOISY = OF_COST[-2:]
@@ -124,42 +125,59 @@ def draws(
 
 
 def contacts(given: argparse.Namespace) -> str:
-    """What the ledgers of the two plans hold by now, with the exact bounds of each world together."""
+    """What the ledgers of the two plans hold, with those noted before, and the exact bounds of each world.
+
+    A part (``campaign run PLAN --part 1/37 --ledger FOLDER/PLAN.1of37.sqlite``) is noted in CONTACTS, so that
+    it counts when its ledger is gone: by its name, under the source that ran it.
+    """
+    noted = json.loads(CONTACTS.read_text()) if CONTACTS.exists() else {}
     rows = [
-        "| space | world | episodes | of | came near | touched | failed | at most, of those | of all "
-        "| least distance |",
-        "|---|---|---|---|---|---|---|---|---|---|",
+        "| stratum | world | source | episodes | of | came near | touched | failed | at most, of those "
+        "| of all | least distance |",
+        "|---" * 11 + "|",
     ]
-    made = []
     for name in PLANS:
-        path = given.ledgers / f"{name}.sqlite"
-        if not path.exists():
-            print(f"{path} is not there: make shield-all makes it", file=sys.stderr)
-            continue
-        with Ledger.open(path, check=False) as ledger:
-            world = read_plan(ROOT / f"plans/{name}.yaml").world.label
-            source = dict(ledger.declared.identity.parts)["the source of this package"]
-            made.append(f"{world} with the source {source[:12]}")
-            for planned, one in zip(ledger.declared.strata, tally_of(ledger).strata, strict=True):
-                rows.append(_of_stratum(planned, world, one))
+        plan, sources = read_plan(ROOT / f"plans/{name}.yaml"), noted.setdefault(name, {})
+        for path in sorted(given.ledgers.glob(f"{name}*.sqlite")):
+            with Ledger.open(path, check=False) as ledger:
+                source = dict(ledger.declared.identity.parts)["the source of this package"]
+                sources.setdefault(source, {})[path.stem] = [_noted(one) for one in tally_of(ledger).strata]
+        for source, parts in sources.items():
+            for k, planned in enumerate(plan.strata):
+                cells = [planned.name, plan.world.label, source[:12]]
+                rows.append(_together(cells, planned.runs, [one[k] for one in parts.values()]))
+    CONTACTS.write_text(json.dumps(noted, indent=1) + "\n")
     text = (
         "A bound is one-sided and exact, and counts an episode that failed as one that was touched; the two "
     )
     text += "of a world hold together with 95 % confidence. *Came near*: a hand within the critical distance "
-    text += "of the arm, which the claim asks for; in the others none was near enough to be touched. Run, "
-    text += f"whatever revision wrote this: {', '.join(made) or 'nothing yet'}.\n\n"
+    text += (
+        "of the arm, which the claim asks for; in the others none was near enough to be touched. *Source*: "
+    )
+    text += f"of the package that ran them. What each part of a plan found is in `{CONTACTS.name}`.\n\n"
     return text + "\n".join(rows)
 
 
-def _of_stratum(name: str, world: str, one: StratumTally) -> str:
+def _noted(one: StratumTally) -> dict[str, float]:
     counts = one.claims[0].counts
-    broken = counts[EpisodeOutcome.VIOLATED]
-    failed = counts[EpisodeOutcome.FAILED] + counts[EpisodeOutcome.INCONCLUSIVE]
-    tested = counts[EpisodeOutcome.HOLDS] + broken
-    bounds = [upper_bound(broken + failed, n, 0.05 / len(SHIELDED)) if n else 1.0 for n in (tested, one.done)]
-    cells = [name, world, f"{one.done:,}", f"{one.planned:,}", f"{tested:,}", broken, failed]
-    cells += [*(f"{bound:.2g}" for bound in bounds), f"{one.claims[0].worst * 1e3:.0f} mm" if tested else "-"]
-    return f"| {' | '.join(map(str, cells))} |"
+    return {
+        "done": one.done,
+        "held": counts[EpisodeOutcome.HOLDS],
+        "violated": counts[EpisodeOutcome.VIOLATED],
+        "failed": counts[EpisodeOutcome.FAILED] + counts[EpisodeOutcome.INCONCLUSIVE],
+        "worst_m": one.claims[0].worst,
+    }
+
+
+def _together(cells: list[object], planned: int, parts: list[dict[str, float]]) -> str:
+    """A line of what several parts of a stratum found."""
+    done, held, broken, failed = (
+        sum(int(part[key]) for part in parts) for key in ("done", "held", "violated", "failed")
+    )
+    tested, worst_m = held + broken, float(np.nanmin([part["worst_m"] for part in parts]))
+    bounds = [upper_bound(broken + failed, n, 0.05 / len(SHIELDED)) if n else 1.0 for n in (tested, done)]
+    cells += [f"{done:,}", f"{planned:,}", f"{tested:,}", broken, failed, *(f"{one:.2g}" for one in bounds)]
+    return f"| {' | '.join(map(str, cells))} | {worst_m * 1e3:.0f} mm |"
 
 
 def longer(scenario: Scenario) -> Scenario:
@@ -384,7 +402,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     for name in given.sections or SECTIONS:
         begun_s, at = time.monotonic(), revision()
         body = SECTIONS[name](given)
-        written(name, f"{body}\n\nTook {(time.monotonic() - begun_s) / 60.0:.1f} min.", at)
+        took_min = (time.monotonic() - begun_s) / 60.0
+        written(name, f"{body}\n\nTook {took_min:.1f} min." if took_min >= 0.1 else body, at)
         print(body, flush=True)
 
 
