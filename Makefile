@@ -91,7 +91,7 @@ accessibility: $(VENV)/tested
 sample: $(VENV)/installed
 	$(BIN)/python benchmarks/sample_reports.py
 
-# The full numbers of benchmarks/SHIELD.md: millions of episodes of the shielded spaces, 30,000 in PyBullet. Days;
+# The full numbers of benchmarks/SHIELD.md: a million episodes of each shielded space, 30,000 in PyBullet: hours;
 # Ctrl-C whenever you like, and the same again goes on.
 shield-all: $(VENV)/benchmarks
 	$(BIN)/safety-harness campaign run plans/shield-million.yaml --ledger reports/shield/shield-million.sqlite
