@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from dataclasses import KW_ONLY, dataclass, field
 from functools import partial
-from itertools import islice
+from itertools import chain, islice
 
 import numpy as np
 
@@ -67,7 +67,9 @@ class CampaignRunner:
         self._begun_s = time.monotonic()
         self._kept = [sorted(self.ledger.violations_kept(s)) for s in range(len(self.plan.strata))]
         self._stopping = Stopping(self.plan, self.ledger)
-        self._episodes = [self._missing(s) for s in range(len(self.plan.strata))]
+        missing = [self._missing(s) for s in range(len(self.plan.strata))]
+        self._left = [sum(map(len, ranges)) for ranges in missing]
+        self._episodes = [chain.from_iterable(ranges) for ranges in missing]
         self._stratum = 0
 
     @property
@@ -78,8 +80,18 @@ class CampaignRunner:
     @property
     def left_s(self) -> float:
         """Seconds that the rest will take at this rate; infinite while nothing is known."""
-        left = sum(s.planned - s.done for s in self.tally.strata if not s.complete)
+        strata = zip(self.tally.strata, self._left, strict=True)
+        left = sum(left for stratum, left in strata if not stratum.complete)
         return left / self.rate if self.done_now else float("inf")
+
+    @property
+    def standing(self) -> tuple[int, int]:
+        """Episodes done and planned: of this part, if it runs one."""
+        first, of = self.part
+        if of == 1:
+            return self.tally.done, self.tally.planned
+        planned = sum(len(range(first, stratum.planned, of)) for stratum in self.tally.strata)
+        return planned - sum(self._left), planned
 
     def run(self) -> bool:
         """Until nothing is left, or ``enough``; whether the campaign is complete.
@@ -141,6 +153,7 @@ class CampaignRunner:
                 self.repeatability.take_run(row.driven, drawn)
             self._rows.append(row)
             self.done_now += 1
+            self._left[row.stratum] -= 1
             self._spent_s += row.seconds
         if event.last:
             del self._out[event.chunk]
@@ -157,6 +170,7 @@ class CampaignRunner:
                 why = f"failed to run, {self._tried[key]} times: {event.why}"
                 self._rows.append(failed_row(self.plan, *key, why))
                 self.done_now += 1
+                self._left[event.chunk.stratum] -= 1
             else:
                 self._again.append(Chunk(event.chunk.stratum, (episode,), event.chunk.keep_violations))
 
@@ -182,10 +196,10 @@ class CampaignRunner:
         most = MOST_TOGETHER if self.plan.world.batch else MOST_IN_CHUNK
         return max(1, min(int(CHUNK_S / max(each_s, 1e-6)), most))
 
-    def _missing(self, stratum: int) -> Iterator[int]:
+    def _missing(self, stratum: int) -> list[range]:
         first, of = self.part
-        ranges = list(self.ledger.missing(stratum))
-        return (episode for one in ranges for episode in one if episode % of == first)
+        missing = self.ledger.missing(stratum)
+        return [range(one.start + (first - one.start) % of, one.stop, of) for one in missing]
 
     def _drop_surplus(self) -> None:
         """Of violations, the traces of the first are kept: later ones may have come before it was known."""

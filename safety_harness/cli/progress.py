@@ -208,8 +208,10 @@ def watching_campaign(plan: Plan) -> Iterator[Callable[[CampaignRunner], None]]:
 
 def _head(progress: CampaignRunner) -> str:
     tally = progress.tally
-    share = tally.done / tally.planned if tally.planned else 1.0
-    head = f"{tally.done}/{tally.planned} episodes ({int(100 * share)} %), {progress.rate:.1f} a second, "
+    (done, planned), (part, of) = progress.standing, progress.part
+    share = done / planned if planned else 1.0
+    episodes = "episodes" if of == 1 else f"episodes of part {part + 1}/{of}"
+    head = f"{done}/{planned} {episodes} ({int(100 * share)} %), {progress.rate:.1f} a second, "
     head += _time_left(progress.left_s)
     if not progress.crew.size:
         head += "; NO WORKER IS THERE"

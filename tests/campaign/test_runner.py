@@ -140,8 +140,13 @@ def test_what_was_asked_to_end_ends_with_what_was_under_way_and_goes_on_later(
 
 def test_parts_are_apart_and_together_the_whole(tmp_path: Path, plan: Plan) -> None:
     with ledger_in(tmp_path, plan) as ledger:
-        assert not CampaignRunner(plan, ledger, Here(2), part=(0, 2)).run()
+        first = CampaignRunner(plan, ledger, Here(2), part=(0, 2))
+        assert first.standing == (0, 25)
+        assert not first.run()
+        assert first.standing == (25, 25)
+        assert first.left_s == 0.0
         assert ledger.outcomes(0, 0)[0].tolist() == list(range(0, 30, 2))
+        assert CampaignRunner(plan, ledger, Here(2), part=(1, 2)).standing == (0, 25)
         assert CampaignRunner(plan, ledger, Here(2), part=(1, 2)).run()
 
 
