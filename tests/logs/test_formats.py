@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from binascii import crc32
 from dataclasses import replace
 from pathlib import Path
+from struct import pack_into, unpack_from
 
 import numpy as np
 import pytest
@@ -90,3 +92,28 @@ def test_a_bag_that_was_cut_off_is_refused(streams: Streams, tmp_path: Path, sha
         with pytest.raises(LogError) as refused:
             read_log(_log(tmp_path, said(f"{name}#/joint_states", f"{name}#/hand", f"{name}#/elbow", "")))
         assert refused.value.place.file is not None
+
+
+def test_a_byte_that_was_changed_in_a_recording_with_checksums_is_refused(
+    streams: Streams, tmp_path: Path
+) -> None:
+    bag = write_bag(tmp_path / "run", joint_messages(streams) + poses(streams), StoragePlugin.MCAP)
+    (data,) = bag.glob("*.mcap")
+    log = _log(tmp_path, said("run#/joint_states", "run#/hand", "run#/elbow", ""))
+    content, middles = bytearray(data.read_bytes()), []
+    at = 8
+    while content[at] != 0x02:  # the footer
+        (length,) = unpack_from("<Q", content, at + 1)
+        if content[at] == 0x06:  # a chunk: two times, its size, its checksum, which this writer leaves out
+            (named,), start = unpack_from("<I", content, at + 37), at + 9 + length
+            (stored,) = unpack_from("<Q", content, at + 41 + named)
+            pack_into("<I", content, at + 33, crc32(content[start - stored : start]))
+            middles.append(start - stored // 2)
+        at += 9 + length
+    data.write_bytes(content)
+    read_log(log)
+    content[middles[0]] ^= 1
+    data.write_bytes(content)
+    with pytest.raises(LogError, match="checksum") as refused:
+        read_log(log)
+    assert refused.value.place.file is not None
