@@ -52,6 +52,7 @@ LARGEST_PAGE_BYTES = 2**28
 TOLERANCE_PX = 0.1
 PROOF = (CERTIFICATE, NETWORK)
 _PLOT = re.compile(rb'<svg (?=[^<>]*role="img")(?![^<>]*"coverage-map-).*?</svg>', re.DOTALL)
+_STYLE = re.compile(rb"<style\b.*?</style>", re.DOTALL)
 _TAG = re.compile(rb"<\w[^<>]*>")
 _WHERE = re.compile(rb'( (?:d|x|y)=")([^"]*)"')
 _NUMBER = re.compile(rb"-?\d+(?:\.\d+)?")
@@ -88,8 +89,10 @@ def differences(there: bytes, made: bytes) -> tuple[str, ...]:
     """In which lines a page differs from the one that is made here, in words; none within the tolerance."""
     (text, places), (own_text, own_places) = _parted(there), _parted(made)
     if text != own_text:
-        pairs = zip_longest(text.splitlines(), own_text.splitlines(), fillvalue=b"")
-        return few([_shown(one, other) for one, other in pairs if one != other])
+        styles = ("its style sheet is another",) * (_STYLE.findall(text) != _STYLE.findall(own_text))
+        texts = (_STYLE.sub(b"<style>", one).splitlines() for one in (text, own_text))
+        pairs = zip_longest(*texts, fillvalue=b"")
+        return (*styles, *few([_shown(one, other) for one, other in pairs if one != other]))
     off = max((abs(a - b) for a, b in zip(places, own_places, strict=True)), default=0.0)
     return () if off <= TOLERANCE_PX + 1e-9 else (f"a line of a plot is {off:.1f} px from its place",)
 

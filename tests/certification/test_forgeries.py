@@ -231,9 +231,12 @@ def test_whoever_says_it_was_other_software_hides_no_text(
 ) -> None:
     monkeypatch.setattr(verify_report, "render", drawn)
     TEXTS["the runs in the argument's picture"](report)
+    TEXTS["a colour of the style sheet"](report)
     other_software(report)
     said_of_it = "\n".join(checked(report)["pages"].unchecked)
     assert "near: 777 of" in said_of_it
+    assert "its style sheet is another" in said_of_it
+    assert "--violated" not in said_of_it
     assert "other software" in said_of_it
 
 
