@@ -60,7 +60,7 @@ class Margins:
 
 def share(p: float) -> str:
     """A probability as people read it."""
-    return f"{p:.2%}".replace("%", " %") if p >= 1e-3 else f"{p:.1e}"
+    return f"{p:.2%}".replace("%", " %") if p >= 1e-3 else f"{p:.1e}" if p else "0"
 
 
 def of_splitting(nearer_m: float, how: Splitting, plain: Floats, each_s: float) -> str:
@@ -84,9 +84,9 @@ def of_splitting(nearer_m: float, how: Splitting, plain: Floats, each_s: float) 
 
 
 def as_many(found: RareEstimate) -> float:
-    """Independent runs with the standard error of these replications."""
+    """Independent runs with the standard error of these replications; NaN if all say the same."""
     mean, spread = float(np.mean(found.replicates)), float(np.var(found.replicates, ddof=1))
-    return mean * (1.0 - mean) * len(found.replicates) / spread
+    return mean * (1.0 - mean) * len(found.replicates) / spread if spread > 0.0 else np.nan
 
 
 def main() -> None:
@@ -108,11 +108,11 @@ def main() -> None:
     text = f"""# Rare violations
 
 Written by `python benchmarks/rare_in_kinematic.py` at {revision}: the opposite pose in the
-nominal space, kinematic world. Splitting with {how.replications} replications of {how.particles} particles and
-{how.steps} steps; intervals at 95 %. *As many plain runs say*: whose standard error is that of the
+nominal space, kinematic world. Splitting with {how.replications} replications of
+{how.particles} particles and {how.steps} steps; intervals at 95 %. *As many plain runs say*: whose standard error is that of the
 replications; the last column is what these would have cost over what splitting did, at
-{1e3 * each_s:.1f} ms of one processor a plain run. A bound of 1e-4 with 95 % confidence, by {bound:,.0f} plain
-runs without a violation, takes {bound * each_s:.0f} s.
+{1e3 * each_s:.1f} ms of one processor a plain run. A bound of 1e-4 with 95 % confidence, by
+{bound:,.0f} plain runs without a violation, takes {bound * each_s:.0f} s.
 
 | {" | ".join(COLUMNS)} |
 {"|---" * len(COLUMNS)}|
