@@ -109,10 +109,10 @@ def main() -> None:
 
 Written by `python benchmarks/rare_in_kinematic.py` at {revision}: the opposite pose in the
 nominal space, kinematic world. Splitting with {how.replications} replications of
-{how.particles} particles and {how.steps} steps; intervals at 95 %. *As many plain runs say*: whose standard error is that of the
-replications; the last column is what these would have cost over what splitting did, at
-{1e3 * each_s:.1f} ms of one processor a plain run. A bound of 1e-4 with 95 % confidence, by
-{bound:,.0f} plain runs without a violation, takes {bound * each_s:.0f} s.
+{how.particles} particles and {how.steps} steps; intervals at 95 %. *As many plain runs say*: whose
+standard error is that of the replications; the last column is what these would have cost over what
+splitting did, at {1e3 * each_s:.1f} ms of one processor a plain run. A bound of 1e-4 with 95 %
+confidence, by {bound:,.0f} plain runs without a violation, takes {bound * each_s:.0f} s.
 
 | {" | ".join(COLUMNS)} |
 {"|---" * len(COLUMNS)}|
