@@ -17,6 +17,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +27,7 @@ from scipy.special import ndtri
 from safety_harness.proportions import lower_bound, upper_bound
 from safety_harness.statistics.binomial import Sides, bounds_of, ends_of
 from safety_harness.statistics.distances import distribution_of, tolerance_bound
+from safety_harness.statistics.importance import Importance, weigh
 from safety_harness.statistics.model_gap import bridged_bound
 from safety_harness.statistics.paired import compare, compare_margins
 from safety_harness.statistics.rare import Splitting, split
@@ -220,24 +222,38 @@ def rare(times: int) -> Iterator[Row]:
     def radius(points: Floats) -> Floats:
         return np.asarray(np.linalg.norm(ndtri(np.maximum(points, 1e-300)), axis=1))
 
+    def along(points: Floats) -> Floats:
+        return np.asarray(ndtri(np.maximum(points, 1e-300)).sum(axis=1) / np.sqrt(points.shape[1]))
+
     known: list[tuple[str, Callable[[Floats], Floats], int, float]] = [
         (f"{s} sigma", lambda u, s=s: s - tail(u), 2, float(stats.norm.sf(s)))  # type: ignore[misc]
         for s in (2, 3, 4)
     ]
     known.append(("4 sigma, both tails", lambda u: 4.0 - np.abs(tail(u)), 2, 2.0 * float(stats.norm.sf(4))))
     known.append(("outside r = 8, 30-d", lambda u: 8.0 - radius(u), 30, float(stats.chi2.sf(64, 30))))
-    few = Splitting(particles=100, steps=3, replications=8)
-    usual = Splitting(particles=200)
-    for name, margins, dimensions, truth, how in [(*one, usual) for one in known] + [(*known[2], few)]:
-        samples = max(runs * 6 // 100, 20) if dimensions > 2 else runs
-        found = [split(margins, dimensions, seed=k, how=how) for k in range(samples)]
+    known.append(
+        ("4.5 sigma along a diagonal, 15-d", lambda u: 4.5 - along(u), 15, float(stats.norm.sf(4.5)))
+    )
+    few, usual = Splitting(particles=100, steps=3, replications=8), Splitting(particles=200)
+    cases = (
+        [(*one, usual) for one in known[:-1]] + [(*known[2], few)] + [(*one, Importance()) for one in known]
+    )
+    for name, margins, dimensions, truth, how in cases:
+        if isinstance(how, Importance):
+            samples, estimated = runs, partial(weigh, how=how)
+            kind = f"importance, {how.runs} after a pilot of {how.pilot} a step"
+        else:
+            samples = max(runs * 6 // 100, 20) if dimensions > 2 else runs
+            estimated = partial(split, how=how)
+            kind = f"splitting, {how.replications} of {how.particles} particles, {how.steps} steps"
+        found = [estimated(margins, dimensions, seed=k) for k in range(samples)]
         values = np.array([one.value for one in found]) / truth
         spent = np.mean([one.evaluations for one in found])
+        silent = np.mean([one.high >= 1.0 for one in found])
         where = (
             f"{name}, p = {truth:.2g}; mean {values.mean():.3f} p, deviation {values.std():.3f} p, "
-            f"{spent:,.0f} points"
+            f"{spent:,.0f} points, {silent:.1%} say nothing"
         )
-        kind = f"splitting, {how.replications} of {how.particles} particles, {how.steps} steps"
         ends = np.array([(one.low, one.high) for one in found])
         student = np.array([student_upper(np.array(one.replicates)) for one in found])
         held = float(np.mean((ends[:, 0] <= truth) & (truth <= ends[:, 1])))

@@ -1,9 +1,9 @@
-"""What splitting costs beside plain sampling on the system itself, and whether they agree: RARE.md.
+"""What rare violations cost by importance sampling, splitting and plain sampling, and do they agree: RARE.md.
 
 Run: python benchmarks/rare_in_kinematic.py [--brute N] [--particles N] [--steps N] [--replications N].
 The nominal space in the kinematic world with the opposite pose: how often a hand comes nearer than so many
-millimetres, of all runs, from independent draws with the exact interval, and by splitting.  Of a distance
-below 0 the arm is as deep in the hand.
+millimetres, of all runs, from independent draws with the exact interval, and by the two ways of
+``campaign rare``.  Of a distance below 0 the arm is as deep in the hand.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import one_thread  # noqa: F401 (before every library that reads its variables)
 import argparse
 import subprocess
 import time
+from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 
@@ -23,6 +24,7 @@ from scipy import stats
 
 from safety_harness.search.trials import Trials, in_kinematic
 from safety_harness.space.read import read_space
+from safety_harness.statistics.importance import weigh
 from safety_harness.statistics.rare import RareEstimate, Splitting, split
 from safety_harness.statistics.sample import Floats
 
@@ -33,8 +35,8 @@ CLAIM, CLAIMED_M = "hand distance never below 50 mm", 0.050
 NEARER_M = (0.050, 0.020, -0.010, -0.040, -0.060)
 BATCH = 64
 COLUMNS = (
-    *("nearer than", "share, by splitting", "runs", "processor", "plain sampling"),
-    *("as many plain runs say", "plain over splitting"),
+    *("nearer than", "by", "share", "runs", "processor"),
+    *("as many plain runs say", "plain sampling over it"),
 )
 
 
@@ -63,23 +65,31 @@ def share(p: float) -> str:
     return f"{p:.2%}".replace("%", " %") if p >= 1e-3 else f"{p:.1e}" if p else "0"
 
 
-def of_splitting(nearer_m: float, how: Splitting, plain: Floats, each_s: float) -> str:
-    """A line of the table: what splitting says, what plain sampling does, and what that would have cost."""
-    begun_s, margins = time.process_time(), Margins(seed=1)
-    found = split(partial(margins, nearer_m=nearer_m), margins.dimension, seed=1, how=how)
-    seconds = time.process_time() - begun_s
+def rows(nearer_m: float, how: Splitting, plain: Floats, each_s: float) -> Iterator[str]:
+    """Lines of the table: what each way says, and what plain sampling that says as much would have cost."""
     violated = int(np.count_nonzero(plain < nearer_m - CLAIMED_M))
     exact = stats.binomtest(violated, len(plain)).proportion_ci(0.95)
-    many = as_many(found)
-    cells = [
+    words = f"{share(violated / len(plain))} ({share(exact.low)} to {share(exact.high)})"
+    yield row(nearer_m, "plain draws", words, len(plain), len(plain) * each_s, len(plain), 1.0)
+    for name, estimated in (("importance", weigh), ("splitting", partial(split, how=how))):
+        begun_s, margins = time.process_time(), Margins(seed=1)
+        found = estimated(partial(margins, nearer_m=nearer_m), margins.dimension, seed=1)
+        seconds, many = time.process_time() - begun_s, as_many(found)
+        words = f"{share(found.value)} ({share(found.low)} to {share(found.high)})"
+        yield row(nearer_m, name, words, found.evaluations, seconds, many, many * each_s / seconds)
+
+
+def row(nearer_m: float, by: str, found: str, runs: int, seconds: float, many: float, over: float) -> str:
+    """One line."""
+    cells = (
         f"{1e3 * nearer_m:.0f} mm",
-        f"{share(found.value)} ({share(found.low)} to {share(found.high)})",
-        f"{found.evaluations:,}",
+        by,
+        found,
+        f"{runs:,}",
         f"{seconds:.0f} s",
-        f"{violated} of {len(plain):,} ({share(exact.low)} to {share(exact.high)})",
         f"{many:,.0f}",
-        f"{many * each_s / seconds:.1f}",
-    ]
+        f"{over:.1f}",
+    )
     return f"| {' | '.join(cells)} |"
 
 
@@ -108,19 +118,20 @@ def main() -> None:
     text = f"""# Rare violations
 
 Written by `python benchmarks/rare_in_kinematic.py` at {revision}: the opposite pose in the
-nominal space, kinematic world. Splitting with {how.replications} replications of
-{how.particles} particles and {how.steps} steps; intervals at 95 %. *As many plain runs say*: whose
-standard error is that of the replications; the last column is what these would have cost over what
-splitting did, at {1e3 * each_s:.1f} ms of one processor a plain run. A bound of 1e-4 with 95 %
-confidence, by {bound:,.0f} plain runs without a violation, takes {bound * each_s:.0f} s.
+nominal space, kinematic world, with 95 % intervals. Importance sampling as `campaign rare` has it,
+splitting with {how.replications} replications of {how.particles} particles and {how.steps} steps.
+*As many plain runs say*: whose standard error is that of the replications; the last column is what
+these would have cost over what it did, at {1e3 * each_s:.1f} ms of one processor a plain run. A bound of
+1e-4 with 95 % confidence, by {bound:,.0f} plain runs without a violation, takes {bound * each_s:.0f} s.
 
 | {" | ".join(COLUMNS)} |
 {"|---" * len(COLUMNS)}|
 """
     for nearer_m in NEARER_M:
-        text += of_splitting(nearer_m, how, plain, each_s) + "\n"
-        PAGE.write_text(text)
-        print(text.splitlines()[-1], flush=True)
+        for line in rows(nearer_m, how, plain, each_s):
+            text += line + "\n"
+            PAGE.write_text(text)
+            print(line, flush=True)
 
 
 if __name__ == "__main__":

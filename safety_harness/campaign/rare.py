@@ -1,4 +1,4 @@
-"""How often a plan's rare violations come, by splitting: far fewer runs than as many draws would take.
+"""How often a plan's rare violations come: far fewer runs than as many plain draws would take.
 
 What is estimated is the share of *all admitted* draws of a stratum that violate a claim, whether or not the
 others test it.  A draw that is refused, or a run that does not test the claim, is farther from a violation
@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -25,6 +26,7 @@ from safety_harness.search.trials import least_hand_distance_m
 from safety_harness.seeds import Branch
 from safety_harness.seeds import seed as leaf
 from safety_harness.space.space import ScenarioSpace
+from safety_harness.statistics.importance import Importance, weigh
 from safety_harness.statistics.rare import RareEstimate, Splitting, split
 from safety_harness.statistics.sample import EpisodeOutcome, Floats, refusal
 from safety_harness.trace.trace import Trace
@@ -59,7 +61,7 @@ class RareViolation:
 
 
 def rare_violations(
-    plan: Plan, how: Splitting, on_run: Callable[[int], None] = lambda done: None
+    plan: Plan, how: Importance | Splitting, on_run: Callable[[int], None] = lambda done: None
 ) -> Iterator[RareViolation]:
     """Of each claim in each stratum, one after another; ``on_run`` is told how many runs were made.
 
@@ -78,11 +80,11 @@ def rare_violations(
         least, most = (bound(admitted, ADMITTED_OF, each / 4) for bound in (lower_bound, upper_bound))
         for number, claim in enumerate(plan.claims):
             draws = _Draws(plan, stratum, claim, leaf(seed, Branch.CAMPAIGN, number), on_run)
-            found = split(
+            estimated = partial(weigh, how=how) if isinstance(how, Importance) else partial(split, how=how)
+            found = estimated(
                 draws,
                 stratum.space.dimension,
                 seed=leaf(seed, Branch.STATISTICS, number),
-                how=how,
                 confidence=1.0 - each / 2,
                 model_only=plan.world.model_only,
             )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from enum import StrEnum
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -42,6 +43,15 @@ _Cluster = Annotated[
 ]
 _Part = Annotated[str, Option(help="Only the K-th of N parts, for 'merge'.", metavar="K/N")]
 _ABOUT = "Run a declared plan, hundreds or millions of episodes, into a ledger that loses nothing."
+
+
+class RareWay(StrEnum):
+    """How rare violations are counted."""
+
+    IMPORTANCE = "importance"
+    SPLITTING = "splitting"
+
+
 commands = Typer(no_args_is_help=True, help=_ABOUT, short_help=_ABOUT)
 _command = partial(
     command, commands, interrupted="interrupted; what was committed is in the ledger", failed=DIFFERS
@@ -384,25 +394,46 @@ def attribute(
 @_command("rare")
 def rare_violations(
     plan: Annotated[Path, Argument(help="A plan: a file, or shipped:NAME.", metavar="PLAN")],
-    particles: Annotated[int, Option(help="Runs on each level.", min=10)] = 200,
-    steps: Annotated[int, Option(help="Moves of each on a level.", min=1)] = 5,
+    by: Annotated[RareWay, Option(help="Draws from where violations are, or the way there in steps.")] = (
+        RareWay.IMPORTANCE
+    ),
+    pilot: Annotated[
+        int | None, Option(help="Of importance: draws of each step to where violations are: 500.", min=10)
+    ] = None,
+    runs: Annotated[int | None, Option(help="Of importance: draws after the pilot: 5000.", min=100)] = None,
+    particles: Annotated[int | None, Option(help="Of splitting: runs on each level: 200.", min=10)] = None,
+    steps: Annotated[int | None, Option(help="Of splitting: moves of each on a level: 5.", min=1)] = None,
     replications: Annotated[int, Option(help="Independent repetitions.", min=3)] = 20,
 ) -> int:
-    """Estimate how often rare violations come, by splitting: for shares below one in a thousand.
+    """Estimate how often rare violations come, by importance sampling or splitting: below one in a hundred.
 
     Of all runs of a stratum, those that do not test the claim among them, with an interval; and how many
-    independent runs would say it as well. Nothing is written; all of a plan's intervals hold together with
-    its confidence, approximately. Exit code 0; 1: for some claim nothing can be said, or its target is
+    independent runs would say it as well. Importance sampling takes the fewest runs, and says so where it
+    cannot be trusted; splitting then takes more. Nothing is written; all of a plan's intervals hold together
+    with its confidence, approximately. Exit code 0; 1: for some claim nothing can be said, or its target is
     exceeded; 2: bad input, or a run that says nothing; 130: interrupted.
     """
     from safety_harness.campaign.plan import read_plan
     from safety_harness.campaign.rare import rare_violations as estimated
     from safety_harness.cli.campaign_lines import rare_line
     from safety_harness.cli.progress import one_line
+    from safety_harness.exceptions import StatisticsError
+    from safety_harness.statistics.importance import Importance
     from safety_harness.statistics.rare import Splitting
 
     read = read_plan(plan)
-    how = Splitting(particles=particles, steps=steps, replications=replications)
+    given = {
+        RareWay.IMPORTANCE: {"pilot": pilot, "runs": runs},
+        RareWay.SPLITTING: {"particles": particles, "steps": steps},
+    }
+    for way, options in given.items():
+        if way is not by and (name := next((key for key, count in options.items() if count), "")):
+            raise StatisticsError.of_option(f"--{name}", f"--by {way} with it", f"--by {by}")
+    said = {name: count for name, count in given[by].items() if count is not None}
+    if by is RareWay.IMPORTANCE:
+        how: Importance | Splitting = Importance(**said, replications=replications)
+    else:
+        how = Splitting(**{"particles": 200, "steps": 5} | said, replications=replications)
     found, unlike = [], False
     with one_line() as show:
         for one in estimated(read, how, lambda done: show(f"{done:,} draws of a claim in a stratum")):

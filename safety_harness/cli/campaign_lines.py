@@ -21,6 +21,7 @@ from safety_harness.proportions import share_words
 from safety_harness.report.machine import SI_UNITS
 from safety_harness.report.words import rounded_down, rounded_up
 from safety_harness.statistics.binomial import ProbabilityBounds
+from safety_harness.statistics.importance import LARGEST_SHAPE
 from safety_harness.statistics.paired import PairedComparison
 from safety_harness.statistics.sample import EpisodeOutcome
 
@@ -176,12 +177,14 @@ def _bound_lines(ledger: Ledger, bounds: Sequence[ProbabilityBounds]) -> list[st
 
 
 def rare_line(one: RareViolation) -> str:
-    """What splitting says of one claim in one stratum."""
+    """How often one claim is violated in one stratum."""
     found, where = one.estimate, f"{one.stratum}: {one.claim.sentence}"
     ran = f"{found.evaluations:,} draws{', model only' if found.model_only else ''}"
     if one.high >= 1.0:
-        reached = f"{found.reached} of {len(found.replicates)} replications found a violation"
-        return f"{where}: nothing can be said ({reached}; {ran})"
+        why = f"{found.reached} of {len(found.replicates)} replications found a violation"
+        if found.reached and found.pareto_shape is not None and found.pareto_shape > LARGEST_SHAPE:
+            why = "a few draws carry most of the weight: try --by splitting, or more --pilot draws"
+        return f"{where}: nothing can be said ({why}; {ran})"
     line = f"{where}: {one.share:.3g} of all runs violate it ({one.low:.3g} to {one.high:.3g}; {ran})"
     many = one.as_many_draws
     return line + f"; independent runs would take {many:,.0f} for the same standard error"

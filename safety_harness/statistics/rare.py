@@ -72,7 +72,7 @@ class RareEstimate:
 
     ``replicates`` are the replications' estimates, of which ``reached`` are above 0; ``levels`` the margins
     of the steps (SI), ``evaluations`` how many points were judged.  ``model_only``: the margins came from a
-    simplified world.
+    simplified world.  ``pareto_shape``: of the weights of importance sampling, None of splitting.
     """
 
     value: float
@@ -84,6 +84,7 @@ class RareEstimate:
     levels: tuple[float, ...]
     evaluations: int
     model_only: bool
+    pareto_shape: float | None = None
 
 
 def split(
@@ -100,7 +101,7 @@ def split(
     StatisticsError for margins that are NaN, or not one for each point.
     """
     chance = chance_of_each(confidence, 2)
-    judged = _Judged(margins)
+    judged = Judged(margins)
     settings = how or Splitting()
     shape = (settings.particles, dimensions)
     pilot, *rngs, last = (generator(seed, Branch.STATISTICS, 2, r) for r in range(settings.replications + 2))
@@ -122,7 +123,7 @@ def split(
     )
 
 
-class _Judged:
+class Judged:
     """Margins of points in standard normal space, checked and counted."""
 
     def __init__(self, margins: Margins) -> None:
@@ -167,7 +168,7 @@ def _pilot(particles: _Particles, how: Splitting) -> tuple[list[float], list[flo
     lengths: list[float] = []
     length = 0.5
     while True:
-        level = _next_level(particles.margins, how.survivors)
+        level = next_level(particles.margins, how.survivors)
         if level <= 0.0 or len(levels) == _MOST_LEVELS or (levels and level >= levels[-1]):
             levels.append(0.0)
             return levels, lengths
@@ -179,7 +180,7 @@ def _pilot(particles: _Particles, how: Splitting) -> tuple[list[float], list[flo
         lengths.append(length)
 
 
-def _next_level(found: Floats, survivors: float) -> float:
+def next_level(found: Floats, survivors: float) -> float:
     """The margin below which that share of the particles is, or 0 if none is below it and above 0.
 
     ``found`` (n,) are the particles' margins.
@@ -206,7 +207,7 @@ def _replication(particles: _Particles, steps: int, levels: list[float], lengths
 class _Particles:
     """Points (n, d) of standard normal space, drawn from it at first, and their margins (n,)."""
 
-    def __init__(self, judged: _Judged, shape: tuple[int, int], rng: np.random.Generator) -> None:
+    def __init__(self, judged: Judged, shape: tuple[int, int], rng: np.random.Generator) -> None:
         self._judged, self._rng = judged, rng
         self.points: Floats = rng.standard_normal(shape)
         self.margins = judged(self.points)

@@ -12,6 +12,7 @@ from safety_harness.campaign.episodes import EpisodeRunner
 from safety_harness.campaign.plan import Plan
 from safety_harness.campaign.rare import RareViolation, rare_violations
 from safety_harness.exceptions import StatisticsError
+from safety_harness.statistics.importance import Importance
 from safety_harness.statistics.rare import Splitting
 from safety_harness.statistics.sample import EpisodeOutcome, Floats
 from tests.campaign.plans import PLAN, plan_in
@@ -31,18 +32,19 @@ def plan(tmp_path: Path) -> Plan:
     return plan_in(tmp_path, ONE)
 
 
-def only(plan: Plan, how: Splitting = HOW) -> RareViolation:
+def only(plan: Plan, how: Importance | Splitting = HOW) -> RareViolation:
     (found,) = rare_violations(plan, how)
     return found
 
 
-def test_it_says_of_the_system_what_as_many_draws_say(plan: Plan) -> None:
-    found = only(plan)
+@pytest.mark.parametrize("how", [HOW, Importance(pilot=40, runs=240, replications=6)])
+def test_it_says_of_the_system_what_as_many_draws_say(plan: Plan, how: Importance | Splitting) -> None:
+    found = only(plan, how)
     rows = EpisodeRunner(plan).run(0, range(200))
     violated = sum(row.judgements[0].outcome is EpisodeOutcome.VIOLATED for row in rows)
     assert 0 < violated < 200
     assert found.low < violated / 200 < found.high
-    assert found.estimate.reached == HOW.replications
+    assert found.estimate.reached == how.replications
     assert found.estimate.model_only
 
 

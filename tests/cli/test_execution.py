@@ -115,7 +115,7 @@ EXECUTES: dict[str, str | None] = {
     "campaign pilot": "plan.yaml --runs 1",
     "campaign run": "plan.yaml --workers 1",
     "campaign resume": "begun.sqlite --workers 1",
-    "campaign rare": "plan.yaml --particles 10 --steps 1 --replications 3",
+    "campaign rare": "plan.yaml --by splitting --particles 10 --steps 1 --replications 3",
 }
 
 

@@ -1,0 +1,145 @@
+"""Importance sampling on problems with known answers."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+import scipy.stats
+from acceptance import misses_are_no_more_than
+from scipy.special import ndtri
+
+from safety_harness.exceptions import StatisticsError
+from safety_harness.statistics.importance import LARGEST_SHAPE, Importance, pareto_shape, weigh
+from safety_harness.statistics.rare import Margins, split
+from safety_harness.statistics.sample import Floats
+
+QUICK = Importance(pilot=200, runs=1000, replications=10)
+
+
+def normal(points: Floats) -> Floats:
+    return np.asarray(ndtri(np.maximum(points, 1e-300)))
+
+
+def tail(sigma: float) -> Margins:
+    return lambda points: sigma - normal(points)[:, 0]
+
+
+def diagonal(sigma: float) -> Margins:
+    """Along a direction in which all coordinates take part alike."""
+    return lambda points: sigma - normal(points).sum(axis=1) / np.sqrt(points.shape[1])
+
+
+def two_tails(sigma: float) -> Margins:
+    return lambda points: sigma - np.abs(normal(points)[:, 0])
+
+
+def outside_a_sphere(radius: float) -> Margins:
+    return lambda points: radius - np.linalg.norm(normal(points), axis=1)
+
+
+KNOWN: list[tuple[Margins, int, float]] = [
+    (tail(2.0), 2, float(scipy.stats.norm.sf(2.0))),
+    (tail(4.0), 5, float(scipy.stats.norm.sf(4.0))),
+    (diagonal(4.5), 15, float(scipy.stats.norm.sf(4.5))),
+    (two_tails(4.0), 2, 2.0 * float(scipy.stats.norm.sf(4.0))),
+]
+
+
+@pytest.mark.parametrize(("margins", "dimensions", "truth"), KNOWN)
+def test_the_known_answer_lies_in_the_interval(margins: Margins, dimensions: int, truth: float) -> None:
+    found = weigh(margins, dimensions, seed=3, confidence=0.999)
+    assert found.low <= truth <= found.high < 1.6 * truth
+    assert found.value == pytest.approx(truth, rel=0.2)
+    assert found.reached == 20
+    assert found.pareto_shape is not None
+    assert found.pareto_shape < LARGEST_SHAPE
+
+
+def test_it_takes_far_fewer_runs_than_splitting() -> None:
+    truth = float(scipy.stats.norm.sf(4.0))
+    weighed, gone_there = weigh(tail(4.0), 2, seed=4), split(tail(4.0), 2, seed=4)
+    for one in (weighed, gone_there):
+        assert one.value == pytest.approx(truth, rel=0.25)
+    assert weighed.evaluations * 20 < gone_there.evaluations
+    assert weighed.high - weighed.low < 1.5 * (gone_there.high - gone_there.low)
+
+
+@pytest.mark.parametrize(("margins", "dimensions", "truth"), KNOWN[1:3])
+def test_estimates_are_right_on_average_and_intervals_hold_as_often_as_they_say(
+    margins: Margins, dimensions: int, truth: float
+) -> None:
+    runs, missed, too_low, values = 60, 0, 0, []
+    for seed in range(runs):
+        found = weigh(margins, dimensions, seed=seed, how=QUICK, confidence=0.9)
+        missed += not found.low <= truth <= found.high
+        too_low += found.high < truth
+        values.append(found.value)
+    assert misses_are_no_more_than(missed, runs, 0.1)
+    assert misses_are_no_more_than(too_low, runs, 0.05)
+    error = np.std(values, ddof=1) / np.sqrt(runs)
+    assert abs(np.mean(values) - truth) < 4.0 * error
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_where_a_few_draws_carry_the_weight_nothing_is_said(seed: int) -> None:
+    """All around in thirty dimensions: the replications agree on far too little."""
+    found = weigh(outside_a_sphere(9.0), 30, seed=seed)
+    assert found.high == 1.0
+    assert found.pareto_shape is not None
+    assert found.pareto_shape > LARGEST_SHAPE
+
+
+def test_of_what_never_happens_nothing_is_said() -> None:
+    found = weigh(lambda points: np.ones(len(points)), 3, seed=1)
+    assert (found.value, found.low, found.high, found.reached) == (0.0, 0.0, 1.0, 0)
+
+
+def test_what_always_happens_is_sure() -> None:
+    found = weigh(lambda points: -np.ones(len(points)), 3, seed=1)
+    assert found.value == pytest.approx(1.0, abs=0.05)
+    assert found.low <= 1.0 <= found.high
+
+
+def test_a_region_aside_is_missed_as_plain_draws_would_miss_it() -> None:
+    """Nearly all violations are where the margins do not lead: it is no bound to show a target with."""
+    aside = 1e-3
+
+    def margins(points: Floats) -> Floats:
+        return np.where(points[:, 1] < aside, -1.0, 5.0 - normal(points)[:, 0])
+
+    highs = [weigh(margins, 2, seed=seed, how=QUICK).high for seed in range(20)]
+    assert any(high < aside for high in highs)
+
+
+def test_margins_that_are_no_numbers_are_refused() -> None:
+    with pytest.raises(StatisticsError, match="no number"):
+        weigh(lambda points: np.full(len(points), np.nan), 2, seed=1)
+
+
+@pytest.mark.parametrize(
+    "change", [{"pilot": 0}, {"runs": 1}, {"replications": 1}, {"best": 1.0}, {"plain": 0.0}]
+)
+def test_settings_that_make_no_sense_are_refused(change: dict[str, float]) -> None:
+    with pytest.raises(StatisticsError):
+        dataclasses.replace(QUICK, **change)  # type: ignore[arg-type]
+
+
+def test_the_same_seed_says_the_same() -> None:
+    assert weigh(tail(3.0), 3, seed=5, how=QUICK) == weigh(tail(3.0), 3, seed=5, how=QUICK)
+    assert weigh(tail(3.0), 3, seed=5, how=QUICK) != weigh(tail(3.0), 3, seed=6, how=QUICK)
+
+
+@pytest.mark.parametrize("shape", [0.1, 0.5, 1.0, 2.0])
+def test_the_shape_of_a_tail_is_that_of_the_distribution_it_is_drawn_from(shape: float) -> None:
+    found = [
+        pareto_shape(scipy.stats.genpareto(shape).rvs(4000, random_state=np.random.default_rng(seed)))
+        for seed in range(20)
+    ]
+    assert np.mean(found) == pytest.approx(shape, abs=0.12)
+
+
+def test_of_a_handful_of_weights_the_tail_may_be_any() -> None:
+    assert pareto_shape(np.arange(1.0, 20.0)) == np.inf
+    assert pareto_shape(np.ones(100)) == 0.0
