@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 from collections.abc import Iterator, Sequence
 
 from safety_harness.campaign.ledger import Declared, Ledger
@@ -21,7 +22,7 @@ from safety_harness.proportions import share_words
 from safety_harness.report.machine import SI_UNITS
 from safety_harness.report.words import rounded_down, rounded_up
 from safety_harness.statistics.binomial import ProbabilityBounds
-from safety_harness.statistics.importance import LARGEST_SHAPE
+from safety_harness.statistics.importance import FEWEST_WEIGHTS, LARGEST_SHAPE
 from safety_harness.statistics.paired import PairedComparison
 from safety_harness.statistics.sample import EpisodeOutcome
 
@@ -182,8 +183,10 @@ def rare_line(one: RareViolation) -> str:
     ran = f"{found.evaluations:,} draws{', model only' if found.model_only else ''}"
     if one.high >= 1.0:
         why = f"{found.reached} of {len(found.replicates)} replications found a violation"
-        if found.reached and found.pareto_shape is not None and found.pareto_shape > LARGEST_SHAPE:
-            why = "a few draws carry most of the weight: try --by splitting, or more --pilot draws"
+        if found.reached and (found.pareto_shape or 0.0) > LARGEST_SHAPE:
+            why = "a few draws carry most of the weight: try more --pilot draws, or --by splitting"
+            if found.pareto_shape == math.inf:
+                why = f"fewer than {FEWEST_WEIGHTS} draws violate it: try more --runs, or --by splitting"
         return f"{where}: nothing can be said ({why}; {ran})"
     line = f"{where}: {one.share:.3g} of all runs violate it ({one.low:.3g} to {one.high:.3g}; {ran})"
     many = one.as_many_draws

@@ -19,7 +19,17 @@ from safety_harness.campaign.episodes import failed_row
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.rows import ClaimJudgement, Row
 from safety_harness.campaign.summary import fingerprint_of, tally_of
-from safety_harness.cli.campaign import compare, export, merge, query, resume, run, status
+from safety_harness.cli.campaign import (
+    RareWay,
+    compare,
+    export,
+    merge,
+    query,
+    rare_violations,
+    resume,
+    run,
+    status,
+)
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, DIFFERS, INTERRUPTED
 from safety_harness.cli.main import app
 from safety_harness.report.words import rounded_up
@@ -278,6 +288,24 @@ def test_ledgers_that_disagree_are_not_merged(
     assert merge(tmp_path / "whole.sqlite", copies) == BAD_INPUT
     assert "episode 4" in capsys.readouterr().err
     assert sorted(path.name for path in tmp_path.glob("*.sqlite")) == ["a.sqlite", "b.sqlite"]
+
+
+def test_how_often_it_is_violated_is_estimated_or_it_is_said_why_not(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("safety_harness.campaign.rare.ADMITTED_OF", 50)
+    plan_in(tmp_path, SMALL.replace("150 mm", "50 mm"))
+    plan = tmp_path / "plan.yaml"
+    assert rare_violations(plan, pilot=40, runs=240, replications=6) == DIFFERS
+    for line in capsys.readouterr().out.splitlines():
+        if "joint speeds" in line:  # which are never violated
+            assert "nothing can be said (0 of 6 replications found a violation" in line
+        else:
+            assert "of all runs violate it" in line
+    assert rare_violations(plan, particles=10) == BAD_INPUT
+    assert "--by splitting with it" in capsys.readouterr().err
+    assert rare_violations(plan, by=RareWay.SPLITTING, runs=100) == BAD_INPUT
+    assert "--by importance with it" in capsys.readouterr().err
 
 
 def test_bad_input_is_told_and_nothing_is_run(
