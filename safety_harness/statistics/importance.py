@@ -26,7 +26,7 @@ from scipy.special import logsumexp
 
 from safety_harness.seeds import Branch, generator
 from safety_harness.statistics.binomial import chance_of_each
-from safety_harness.statistics.rare import Judged, Margins, RareEstimate, interval_of, next_level
+from safety_harness.statistics.rare import JudgedMargins, Margins, RareEstimate, interval_of, next_level
 from safety_harness.statistics.sample import Floats, refusal
 
 LARGEST_SHAPE = 0.7
@@ -69,7 +69,7 @@ def weigh(
 
     StatisticsError for margins that are NaN, or not one for each point.
     """
-    judged, settings = Judged(margins), how or Importance()
+    judged, settings = JudgedMargins(margins), how or Importance()
     pilot, rng, last = (generator(seed, Branch.STATISTICS, 4, part) for part in range(3))
     proposal, levels = _pilot(judged, dimensions, settings, pilot)
     each = settings.runs // settings.replications
@@ -118,7 +118,7 @@ class _Mixture:
 
 
 def _pilot(
-    judged: Judged, dimensions: int, how: Importance, rng: np.random.Generator
+    judged: JudgedMargins, dimensions: int, how: Importance, rng: np.random.Generator
 ) -> tuple[_Mixture, list[float]]:
     """The mixture that is fitted to violations, or to what came nearest, and the levels on the way."""
     mixture = _Mixture(np.ones(1), np.zeros((1, dimensions)), np.ones((1, dimensions)))

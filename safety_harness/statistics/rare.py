@@ -101,7 +101,7 @@ def split(
     StatisticsError for margins that are NaN, or not one for each point.
     """
     chance = chance_of_each(confidence, 2)
-    judged = Judged(margins)
+    judged = JudgedMargins(margins)
     settings = how or Splitting()
     shape = (settings.particles, dimensions)
     pilot, *rngs, last = (generator(seed, Branch.STATISTICS, 2, r) for r in range(settings.replications + 2))
@@ -123,7 +123,7 @@ def split(
     )
 
 
-class Judged:
+class JudgedMargins:
     """Margins of points in standard normal space, checked and counted."""
 
     def __init__(self, margins: Margins) -> None:
@@ -207,7 +207,7 @@ def _replication(particles: _Particles, steps: int, levels: list[float], lengths
 class _Particles:
     """Points (n, d) of standard normal space, drawn from it at first, and their margins (n,)."""
 
-    def __init__(self, judged: Judged, shape: tuple[int, int], rng: np.random.Generator) -> None:
+    def __init__(self, judged: JudgedMargins, shape: tuple[int, int], rng: np.random.Generator) -> None:
         self._judged, self._rng = judged, rng
         self.points: Floats = rng.standard_normal(shape)
         self.margins = judged(self.points)
