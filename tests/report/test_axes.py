@@ -81,7 +81,7 @@ def test_marks_and_words_outside_are_left_out_and_a_curve_is_cut_off() -> None:
 
 
 @example([(0, 0), (1, 0), (1, 0), (0, 0)])
-@given(st.lists(st.tuples(st.integers(-30, 30), st.integers(-3, 3)), min_size=2, max_size=40))
+@given(st.lists(st.tuples(st.integers(-30, 30), st.integers(-3, 3)), min_size=2, max_size=20))
 def test_a_thinned_curve_passes_through_every_place_and_turns_where_it_turned(
     places: list[tuple[int, int]],
 ) -> None:
