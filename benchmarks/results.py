@@ -24,6 +24,10 @@ from pathlib import Path
 
 from ratios import Ratio, shown
 
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from safety_harness.campaign.session import processor
+
 HERE = Path(__file__).parent
 RESULTS = HERE / "RESULTS.md"
 BENCHMARKS = (
@@ -84,7 +88,8 @@ def table(rows: list[tuple[Ratio, str, str]]) -> str:
             versions.append(f"{library} not installed")
     where = (
         f"{datetime.datetime.now(datetime.UTC):%Y-%m-%d}, {platform.system()} {platform.machine()}, "
-        f"{os.cpu_count()} cores, Python {platform.python_version()}; {', '.join(versions)}.\n\n"
+        f"{os.cpu_count()} cores of {processor()}, Python {platform.python_version()}; "
+        f"{', '.join(versions)}.\n\n"
     )
     head = "| what | ratio | turns | aim | | | load | script |\n|---|---|---|---|---|---|---|---|\n"
     return HEAD + where + head + "".join(row_of(*row) + "\n" for row in rows)

@@ -59,7 +59,7 @@ def carry_on(
         if known is None:
             ledger = stack.enter_context(Ledger.create(path, plan))
         crew = stack.enter_context(closing(make_crew(plan)))
-        machine = f"{platform.node()}, {platform.machine()}, {_processor()}"
+        machine = f"{platform.node()}, {platform.machine()}, {processor()}"
         ledger.begin_session(datetime.now(UTC).isoformat(timespec="seconds"), f"{crew.size}", machine)
         runner = CampaignRunner(plan, ledger, crew, on_progress=on_progress, enough=enough, part=part)
         complete = runner.run()
@@ -96,7 +96,7 @@ def plan_of(ledger: Ledger) -> Iterator[Plan]:
         yield plan
 
 
-def _processor() -> str:
+def processor() -> str:
     """What the machine calls its processor; results are bit for bit the same within a family of these."""
     lines: list[str] = []
     with suppress(OSError):
