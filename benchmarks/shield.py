@@ -142,7 +142,10 @@ def contacts(given: argparse.Namespace) -> str:
             with Ledger.open(path, check=False) as ledger:
                 source = dict(ledger.declared.identity.parts)["the source of this package"]
                 sources.setdefault(source, {})[path.stem] = [_noted(one) for one in tally_of(ledger).strata]
-        for source, parts in sources.items():
+        told = list(sources.items())
+        if len(told) > 1:
+            told.append(("all", {part: found for _, parts in told for part, found in parts.items()}))
+        for source, parts in told:
             for k, planned in enumerate(plan.strata):
                 cells = [planned.name, plan.world.label, source[:12]]
                 rows.append(_together(cells, planned.runs, [one[k] for one in parts.values()]))
@@ -154,7 +157,8 @@ def contacts(given: argparse.Namespace) -> str:
     text += (
         "of the arm, which the claim asks for; in the others none was near enough to be touched. *Source*: "
     )
-    text += f"of the package that ran them. What each part of a plan found is in `{CONTACTS.name}`.\n\n"
+    text += "of the package that ran them; *all* holds if no change between them changed what a run does. "
+    text += f"What each part of a plan found is in `{CONTACTS.name}`.\n\n"
     return text + "\n".join(rows)
 
 
