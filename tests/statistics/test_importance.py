@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import scipy.stats
 from acceptance import misses_are_no_more_than
-from scipy.special import ndtri
+from known_problems import normal, outside_a_sphere, tail, two_tails
 
 from safety_harness.exceptions import StatisticsError
 from safety_harness.statistics.importance import LARGEST_SHAPE, Importance, pareto_shape, weigh
@@ -18,25 +18,9 @@ from safety_harness.statistics.sample import Floats
 QUICK = Importance(pilot=200, runs=1000, replications=10)
 
 
-def normal(points: Floats) -> Floats:
-    return np.asarray(ndtri(np.maximum(points, 1e-300)))
-
-
-def tail(sigma: float) -> Margins:
-    return lambda points: sigma - normal(points)[:, 0]
-
-
 def diagonal(sigma: float) -> Margins:
     """Along a direction in which all coordinates take part alike."""
     return lambda points: sigma - normal(points).sum(axis=1) / np.sqrt(points.shape[1])
-
-
-def two_tails(sigma: float) -> Margins:
-    return lambda points: sigma - np.abs(normal(points)[:, 0])
-
-
-def outside_a_sphere(radius: float) -> Margins:
-    return lambda points: radius - np.linalg.norm(normal(points), axis=1)
 
 
 KNOWN: list[tuple[Margins, int, float]] = [

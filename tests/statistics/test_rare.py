@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import scipy.stats
 from acceptance import misses_are, misses_are_no_more_than
+from known_problems import normal, outside_a_sphere, tail, two_tails
 from scipy.special import ndtri
 
 from safety_harness.exceptions import StatisticsError
@@ -16,22 +17,6 @@ from safety_harness.statistics.rare import Margins, Splitting, interval_of, spli
 from safety_harness.statistics.sample import Floats
 
 QUICK = Splitting(particles=150, steps=6, replications=12)
-
-
-def normal(points: Floats) -> Floats:
-    return np.asarray(ndtri(np.maximum(points, 1e-300)))
-
-
-def tail(sigma: float) -> Margins:
-    return lambda points: sigma - normal(points)[:, 0]
-
-
-def two_tails(sigma: float) -> Margins:
-    return lambda points: sigma - np.abs(normal(points)[:, 0])
-
-
-def outside_a_sphere(radius: float) -> Margins:
-    return lambda points: radius - np.linalg.norm(normal(points), axis=1)
 
 
 KNOWN: list[tuple[Margins, int, float]] = [
