@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import multiprocessing
 import os
 import signal
@@ -17,12 +16,6 @@ def one_thread_each() -> None:
     """Libraries that are imported from now on, here and in new processes, take one thread unless told so."""
     for name in THREADS:
         os.environ.setdefault(name, "1")
-
-
-def rarely_collected() -> None:
-    """What is there now stays, so that to look for garbage in it is in vain: a tenth of an episode's time."""
-    gc.freeze()
-    gc.set_threshold(20_000)
 
 
 @contextmanager
@@ -47,4 +40,3 @@ def _begin(begin: Callable[[], None] | None) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if begin is not None:
         begin()
-    rarely_collected()

@@ -25,7 +25,7 @@ from typing import Protocol
 from safety_harness.campaign.episodes import EpisodeRunner
 from safety_harness.campaign.identity import Identity
 from safety_harness.campaign.plan import read_plan
-from safety_harness.campaign.pool import one_thread_each, rarely_collected
+from safety_harness.campaign.pool import one_thread_each
 from safety_harness.campaign.rows import Row
 from safety_harness.exceptions import CampaignError, InputError
 
@@ -116,7 +116,6 @@ def work(connection: Connection, lifeline: Connection, make: Callable[[], RunsEp
     threading.Thread(target=_end_with, args=(lifeline,), daemon=True).start()
     try:
         bench = make()
-        rarely_collected()
         while True:
             connection.send(_Free(resident_bytes(os.getpid())))
             chunk: Chunk | None = connection.recv()
