@@ -240,6 +240,15 @@ def test_whoever_says_it_was_other_software_hides_no_text(
     assert "other software" in said_of_it
 
 
+def test_what_looks_like_a_style_sheet_and_is_none_is_shown(
+    report: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(verify_report, "render", drawn)
+    written(PAGE, "<head>", "<head><!--<style>-->All is well.</style>")(report)
+    other_software(report)
+    assert "All is well." in "\n".join(checked(report)["pages"].unchecked)
+
+
 # What nothing but the report itself says, or only a run made again would tell: a lodged seal does.
 SEALED: dict[str, Touch] = {
     "a row": in_ledger("UPDATE judgement SET margin = margin + 1e-9 WHERE claim = 1 AND episode = 5"),
