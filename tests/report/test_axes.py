@@ -81,7 +81,7 @@ def test_marks_and_words_outside_are_left_out_and_a_curve_is_cut_off() -> None:
 
 
 @example([(0, 0), (1, 0), (1, 0), (0, 0)])
-@given(st.lists(st.tuples(st.integers(-30, 30), st.integers(-3, 3)), min_size=2, max_size=20))
+@given(st.lists(st.tuples(st.integers(-30, 30), st.integers(-3, 3)), min_size=2, max_size=40))
 def test_a_thinned_curve_passes_through_every_place_and_turns_where_it_turned(
     places: list[tuple[int, int]],
 ) -> None:
@@ -94,8 +94,12 @@ def test_a_thinned_curve_passes_through_every_place_and_turns_where_it_turned(
     assert line[0] == expected[0]
     assert line[-1] == expected[-1]
     missing = [one for one in expected if one not in line]
-    for x, y in missing:  # on a level stretch between two places that are there
-        assert any(a[1] == b[1] == y and min(a[0], b[0]) <= x <= max(a[0], b[0]) for a, b in pairwise(line))
+    for (
+        x,
+        y,
+    ) in missing:  # on a level stretch between two places that are there; of a long path on a straight one
+        level = any(a[1] == b[1] == y and min(a[0], b[0]) <= x <= max(a[0], b[0]) for a, b in pairwise(line))
+        assert level or (len(places) > 20 and min(_off((x, y), a, b) for a, b in pairwise(line)) < 0.18)
 
 
 def _off(place: tuple[float, float], a: tuple[float, float], b: tuple[float, float]) -> float:
