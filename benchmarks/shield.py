@@ -143,8 +143,13 @@ def contacts(given: argparse.Namespace) -> str:
                 source = dict(ledger.declared.identity.parts)["the source of this package"]
                 sources.setdefault(source, {})[path.stem] = [_noted(one) for one in tally_of(ledger).strata]
         told = list(sources.items())
+        every = {part: found for _, parts in told for part, found in parts.items()}
+        if len({part.partition("of")[2] for part in every}) > 1:
+            sys.exit(
+                f"{name}: parts of different numbers overlap, and would count episodes twice: {[*every]}"
+            )
         if len(told) > 1:
-            told.append(("all", {part: found for _, parts in told for part, found in parts.items()}))
+            told.append(("all", every))
         for source, parts in told:
             for k, planned in enumerate(plan.strata):
                 cells = [planned.name, plan.world.label, source[:12]]
