@@ -25,7 +25,7 @@ from scipy import stats
 from safety_harness.search.trials import Trials, in_kinematic
 from safety_harness.space.read import read_space
 from safety_harness.statistics.importance import weigh
-from safety_harness.statistics.rare import RareEstimate, Splitting, split
+from safety_harness.statistics.rare import Splitting, split
 from safety_harness.statistics.sample import Floats
 
 ROOT = Path(__file__).parents[1]
@@ -74,7 +74,7 @@ def rows(nearer_m: float, how: Splitting, plain: Floats, each_s: float) -> Itera
     for name, estimated in (("importance", weigh), ("splitting", partial(split, how=how))):
         begun_s, margins = time.process_time(), Margins(seed=1)
         found = estimated(partial(margins, nearer_m=nearer_m), margins.dimension, seed=1)
-        seconds, many = time.process_time() - begun_s, as_many(found)
+        seconds, many = time.process_time() - begun_s, found.as_many_draws
         words = f"{share(found.value)} ({share(found.low)} to {share(found.high)})"
         yield row(nearer_m, name, words, found.evaluations, seconds, many, many * each_s / seconds)
 
@@ -91,12 +91,6 @@ def row(nearer_m: float, by: str, found: str, runs: int, seconds: float, many: f
         f"{over:.1f}",
     )
     return f"| {' | '.join(cells)} |"
-
-
-def as_many(found: RareEstimate) -> float:
-    """Independent runs with the standard error of these replications; NaN if all say the same."""
-    mean, spread = float(np.mean(found.replicates)), float(np.var(found.replicates, ddof=1))
-    return mean * (1.0 - mean) * len(found.replicates) / spread if spread > 0.0 else np.nan
 
 
 def main() -> None:

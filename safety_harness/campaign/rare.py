@@ -53,12 +53,6 @@ class RareViolation:
     admitted: int
     estimate: RareEstimate
 
-    @property
-    def as_many_draws(self) -> float:
-        """Independent draws with the standard error of these replications; NaN if none found a violation."""
-        found, spread = np.mean(self.estimate.replicates), np.var(self.estimate.replicates, ddof=1)
-        return float(found * (1 - found) * len(self.estimate.replicates) / spread) if spread > 0.0 else np.nan
-
 
 def rare_violations(
     plan: Plan, how: Importance | Splitting, on_run: Callable[[int], None] = lambda done: None

@@ -189,8 +189,7 @@ def rare_line(one: RareViolation) -> str:
                 why = f"fewer than {FEWEST_WEIGHTS} draws violate it: try more --runs, or --by splitting"
         return f"{where}: nothing can be said ({why}; {ran})"
     line = f"{where}: {one.share:.3g} of all runs violate it ({one.low:.3g} to {one.high:.3g}; {ran})"
-    many = one.as_many_draws
-    return line + f"; independent runs would take {many:,.0f} for the same standard error"
+    return line + f"; independent runs would take {found.as_many_draws:,.0f} for the same standard error"
 
 
 def difference_lines(found: Sequence[PairedComparison], confidence: float) -> list[str]:

@@ -19,14 +19,13 @@ it: above a shape of 0.7 (Vehtari, Simpson, Gelman, Yao and Gabry, 2024) there i
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import logsumexp
 
 from safety_harness.seeds import Branch, generator
-from safety_harness.statistics.binomial import chance_of_each
-from safety_harness.statistics.rare import JudgedMargins, Margins, RareEstimate, interval_of, next_level
+from safety_harness.statistics.rare import JudgedMargins, Margins, RareEstimate, estimate_of, next_level
 from safety_harness.statistics.sample import Floats, refusal
 
 LARGEST_SHAPE = 0.7
@@ -77,19 +76,9 @@ def weigh(
     found = weights * (judged(points) < 0.0)
     replicates = found.reshape(settings.replications, each).mean(axis=1)
     shape = pareto_shape(found[found > 0.0])
-    low, high = interval_of(replicates, chance_of_each(confidence, 2), last)
-    return RareEstimate(
-        value=float(replicates.mean()),
-        low=low,
-        high=high if shape <= LARGEST_SHAPE else 1.0,
-        confidence=confidence,
-        replicates=tuple(float(one) for one in replicates),
-        reached=int(np.count_nonzero(replicates)),
-        levels=tuple(levels),
-        evaluations=judged.count,
-        model_only=model_only,
-        pareto_shape=shape,
-    )
+    estimate = estimate_of(replicates, levels, judged.count, confidence, last, model_only=model_only)
+    high = estimate.high if shape <= LARGEST_SHAPE else 1.0  # also where the shape is no number
+    return replace(estimate, high=high, pareto_shape=shape)
 
 
 @dataclass(frozen=True, eq=False)

@@ -27,7 +27,7 @@ none found nothing can be said, nor of how sure replications are that all say th
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -86,6 +86,12 @@ class RareEstimate:
     model_only: bool
     pareto_shape: float | None = None
 
+    @property
+    def as_many_draws(self) -> float:
+        """Independent draws with the standard error of these replications; NaN if they do not differ."""
+        found, spread = np.mean(self.replicates), np.var(self.replicates, ddof=1)
+        return float(found * (1 - found) * len(self.replicates) / spread) if spread > 0.0 else np.nan
+
 
 def split(
     margins: Margins,
@@ -100,7 +106,6 @@ def split(
 
     StatisticsError for margins that are NaN, or not one for each point.
     """
-    chance = chance_of_each(confidence, 2)
     judged = JudgedMargins(margins)
     settings = how or Splitting()
     shape = (settings.particles, dimensions)
@@ -109,7 +114,20 @@ def split(
     replicates = np.array(
         [_replication(_Particles(judged, shape, rng), settings.steps, levels, lengths) for rng in rngs]
     )
-    low, high = interval_of(replicates, chance, last)
+    return estimate_of(replicates, levels, judged.count, confidence, last, model_only=model_only)
+
+
+def estimate_of(
+    replicates: Floats,
+    levels: Sequence[float],
+    evaluations: int,
+    confidence: float,
+    rng: np.random.Generator,
+    *,
+    model_only: bool,
+) -> RareEstimate:
+    """What ``replicates`` (n,) say together; ``rng`` is for the upper end."""
+    low, high = interval_of(replicates, chance_of_each(confidence, 2), rng)
     return RareEstimate(
         value=float(replicates.mean()),
         low=low,
@@ -118,7 +136,7 @@ def split(
         replicates=tuple(float(one) for one in replicates),
         reached=int(np.count_nonzero(replicates)),
         levels=tuple(levels),
-        evaluations=judged.count,
+        evaluations=evaluations,
         model_only=model_only,
     )
 

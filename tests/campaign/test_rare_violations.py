@@ -60,7 +60,7 @@ def test_of_draws_that_are_refused_the_share_is_none(plan: Plan, monkeypatch: py
     assert found.low < 0.001 < found.high < 0.003
     assert found.share == pytest.approx(2 * found.estimate.value)
     assert found.low < found.estimate.low * 2
-    assert found.as_many_draws > found.estimate.evaluations  # it is the cheaper way
+    assert found.estimate.as_many_draws > found.estimate.evaluations  # it is the cheaper way
 
 
 def test_a_run_that_fails_leaves_nothing_to_be_said(plan: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
