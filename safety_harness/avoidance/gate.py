@@ -24,12 +24,12 @@ from safety_harness.avoidance.asking import (
     takes_many,
 )
 from safety_harness.avoidance.avoider import Avoider, Proposal, Vector
-from safety_harness.avoidance.own_body import own_distance
+from safety_harness.avoidance.own_body import own_distances
 from safety_harness.avoidance.simple import OppositePose
 from safety_harness.controller.contract import Seen
-from safety_harness.robot.capsules import CapsuleSet
+from safety_harness.robot.capsules import CapsuleSet, arm_with
 from safety_harness.robot.inverse import InverseKinematics
-from safety_harness.robot.obstacles import BoxRecords, box_records, distance_from
+from safety_harness.robot.obstacles import BoxRecords, box_records, distances_m
 from safety_harness.scenario.gate import GateRule
 from safety_harness.scenario.obstacles import Obstacle
 from safety_harness.settings import GateKind, Settings
@@ -207,21 +207,21 @@ class Gate:
 
         It may always leave where it is.
         """
-        arm, capsules = self.kinematics.arm, self.capsules
-        joints = query.joint_position_rad
-        least_m = min(OWN_CLEARANCE_M, own_distance(arm, capsules, joints))
-        least_box_m = min(OWN_CLEARANCE_M, distance_from(self.boxes, arm, capsules, joints))
-        target = query.transform_tcp_to_base.copy()
-        steps = ceil(length_m / WAY_STEP_M)
-        for step in range(1, steps + 1):
-            target[:3, 3] = query.transform_tcp_to_base[:3, 3] + step / steps * way
-            following = self.kinematics.nearest(target, joints)
-            if following is None or not own_distance(arm, capsules, following) >= least_m:
-                return Check.ROBOT_ITSELF
-            if not distance_from(self.boxes, arm, capsules, following) >= least_box_m:
-                return Check.OBSTACLE
-            joints = following
-        return Check.NONE
+        arm, capsules, steps = self.kinematics.arm, self.capsules, ceil(length_m / WAY_STEP_M)
+        poses = np.repeat(query.transform_tcp_to_base[None], steps, axis=0)
+        poses[:, :3, 3] += (np.arange(1, steps + 1) / steps)[:, None] * way
+        joints = np.empty((steps + 1, len(query.joint_position_rad)))
+        joints[0] = query.joint_position_rad
+        joints[1:] = self.kinematics.followed(poses, query.joint_position_rad)
+        own_m = own_distances(arm, capsules, joints)
+        wrist = ~(own_m[1:] >= min(OWN_CLEARANCE_M, own_m[0]))  # also where there are no joints
+        wrong = wrist
+        if len(self.boxes) > 0:
+            box_m = distances_m(arm_with(arm, capsules), self.boxes, joints)
+            wrong = wrist | ~(box_m[1:] >= min(OWN_CLEARANCE_M, box_m[0]))
+        if not wrong.any():
+            return Check.NONE
+        return Check.ROBOT_ITSELF if wrist[wrong.argmax()] else Check.OBSTACLE
 
 
 def answer_to(avoider: Avoider, query: Query) -> Answer:

@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled
-from safety_harness.geometry.arrays import ArrayN
 from safety_harness.geometry.segments import ROUNDING_M, axes_lower_m, segment_segment_distance
 from safety_harness.robot.capsules import Arm, CapsuleSet, arm_with
 from safety_harness.robot.description import ArmModel
@@ -34,7 +33,7 @@ def body_and_wrist(arm: ArmModel, capsules: CapsuleSet) -> tuple[int, int]:
     postures = starts_of(arm)[:POSTURES]
     while wrist < joints:
         alone = capsules.of_links({*range(body + 1), wrist})
-        near = [_own_distance(arm_with(arm, alone), body, wrist, one) < NEAR_M for one in postures]
+        near = _own_distances(arm_with(arm, alone), body, wrist, postures) < NEAR_M
         if np.mean(near) <= 0.5:
             break
         wrist += 1
@@ -70,16 +69,23 @@ def wrist_distance(
     return float(least)
 
 
-def own_distance(arm: ArmModel, capsules: CapsuleSet, joint_position_rad: NDArray[np.float64]) -> float:
-    """``wrist_distance`` [m] of ``arm`` at ``joint_position_rad`` (n,)."""
-    return _own_distance(arm_with(arm, capsules), *body_and_wrist(arm, capsules), joint_position_rad)
+def own_distances(
+    arm: ArmModel, capsules: CapsuleSet, joint_positions_rad: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """(m,) ``wrist_distance`` [m] of ``arm`` at each of ``joint_positions_rad`` (m, n)."""
+    return _own_distances(arm_with(arm, capsules), *body_and_wrist(arm, capsules), joint_positions_rad)
 
 
 @compiled
-def _own_distance(arm: Arm, last: int, first: int, joint_position_rad: ArrayN) -> float:
-    """``wrist_distance`` [m] at the joint position (n,)."""
+def _own_distances(
+    arm: Arm, last: int, first: int, joint_positions_rad: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """(m,) ``wrist_distance`` [m] at each joint position of (m, n)."""
     frames = arm.reach_m.shape[0] + 2  # which has attributes without compiling too
     transforms, ends = np.empty((frames, 4, 4)), np.empty((arm.capsules.shape[0], 2, 3))
-    forward_kinematics(arm.chain[0], joint_position_rad, transforms)
-    place_capsules(arm.capsules, transforms, ends)
-    return wrist_distance(arm.capsules, last, first, ends)
+    found = np.empty(joint_positions_rad.shape[0])
+    for k in range(found.shape[0]):
+        forward_kinematics(arm.chain[0], joint_positions_rad[k], transforms)
+        place_capsules(arm.capsules, transforms, ends)
+        found[k] = wrist_distance(arm.capsules, last, first, ends)
+    return found

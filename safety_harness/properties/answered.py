@@ -94,6 +94,8 @@ def fallback_words(unanswered: int, decisions: int) -> str:
 
 def _own(trace: Trace) -> NDArray[np.bool_]:
     """(m,) questions whose answer no fault of the scenario suppresses; such a fault is marked at the tick."""
+    if not trace.scenario.faults:
+        return np.ones(len(trace.decisions), np.bool_)
     slow = nan = 0
     for k, fault in enumerate(trace.scenario.faults):
         slow |= (1 << k) * isinstance(fault, AvoiderLate | AvoiderSilent)

@@ -10,7 +10,7 @@ truncation is still a violation.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import Enum
 from functools import lru_cache
 from math import isclose, isfinite
@@ -254,5 +254,12 @@ def judged(
         verdict, reason = Verdict.INCONCLUSIVE, f"never exercised: {lacked() if lacked else reason}"
     elif not trace.complete:
         verdict, reason = Verdict.INCONCLUSIVE, f"the run was cut short ({trace.ended}): {reason}"
-    found = inconclusive(prop, reason, exercised=exercised)
-    return replace(found, verdict=verdict, margin=float(margin), worst_time_s=float(worst_time_s))
+    return Evaluation(
+        sentence=prop.sentence,
+        verdict=verdict,
+        unit=prop.unit,
+        margin=float(margin),
+        worst_time_s=float(worst_time_s),
+        reason=reason,
+        exercised=exercised,
+    )

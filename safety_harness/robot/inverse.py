@@ -101,6 +101,25 @@ class InverseKinematics:
             return nearest_found(self.arm.chain, *limits_rad, self._starts, poses, reference)
         return _nearest_of_each(self.arm.chain, self._geometry, poses, reference)
 
+    def followed(
+        self,
+        transforms_tcp_to_base: NDArray[np.float64],  # (m, 4, 4)
+        joint_position_rad: Array6,
+    ) -> NDArray[np.float64]:
+        """``nearest`` of poses (m, 4, 4) in turn, each to that of the one before it: (m, n), NaN from the first without.
+
+        ``joint_position_rad`` (n,): what the first is nearest to.
+        """
+        poses, joints = np.array(transforms_tcp_to_base), np.array(joint_position_rad)
+        if self._geometry is not None:
+            return _followed(self.arm.chain, self._geometry, poses, joints)
+        found = np.full((len(poses), len(joints)), np.nan)
+        for k, pose in enumerate(poses):
+            (joints,) = found[k : k + 1] = self.nearest_of_each(pose[None], joints)
+            if np.isnan(joints[0]):
+                break
+        return found
+
     def reach_along(
         self,
         joint_position_rad: Array6,
@@ -203,17 +222,51 @@ def _nearest_of_each(
     solutions = np.full((poses.shape[0], 6), np.nan)
     found, transforms, turned = np.empty((AT_ONCE, 6)), np.empty((FRAMES, 4, 4)), np.empty(6)
     for n in range(poses.shape[0]):
-        best = np.inf
-        for k in range(candidate_branches(geometries[0], poses[n], found)):
-            # first how near it is, then, which takes longer, whether it gives the pose
-            if not _turned_towards(geometries, reference, found[k], turned) < best:
-                continue
-            if _gives(chains, poses[n], found[k], transforms):
-                distance = _turned_towards(geometries, reference, found[k], turned)
-                if distance < best:
-                    best = distance
-                    copy_vector(turned, solutions[n])
+        _nearest(chains, geometries, poses[n], reference, found, transforms, turned, solutions[n])
     return solutions
+
+
+@compiled
+def _followed(
+    chains: ChainRecords,
+    geometries: ArmGeometryRecords,
+    poses: NDArray[np.float64],  # (n, 4, 4)
+    reference: Array6,
+) -> ArrayNx6:
+    """(n, 6): the nearest of the first pose to ``reference``, of each other to that before; NaN from the first without."""
+    solutions = np.full((poses.shape[0], 6), np.nan)
+    found, transforms, turned = np.empty((AT_ONCE, 6)), np.empty((FRAMES, 4, 4)), np.empty(6)
+    joints = reference.copy()
+    for n in range(poses.shape[0]):
+        if not _nearest(chains, geometries, poses[n], joints, found, transforms, turned, solutions[n]):
+            break
+        copy_vector(solutions[n], joints)
+    return solutions
+
+
+@compiled
+def _nearest(
+    chains: ChainRecords,
+    geometries: ArmGeometryRecords,
+    pose: Array4x4,
+    reference: Array6,
+    found: ArrayNx6,  # these three to work with
+    transforms: ArrayNx4x4,
+    turned: Array6,
+    solution: Array6,  # written, if there is one
+) -> bool:
+    """One of ``_nearest_of_each``; False without a solution."""
+    best = np.inf
+    for k in range(candidate_branches(geometries[0], pose, found)):
+        # first how near it is, then, which takes longer, whether it gives the pose
+        if not _turned_towards(geometries, reference, found[k], turned) < best:
+            continue
+        if _gives(chains, pose, found[k], transforms):
+            distance = _turned_towards(geometries, reference, found[k], turned)
+            if distance < best:
+                best = distance
+                copy_vector(turned, solution)
+    return best < np.inf
 
 
 @compiled

@@ -12,13 +12,13 @@ from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from itertools import product
-from math import isfinite
 
 import numpy as np
 from numpy.typing import NDArray
 
+from safety_harness.compiled import compiled
 from safety_harness.space.regions import SeenRegions
-from safety_harness.trace.records import DecisionOutcome, Mode
+from safety_harness.trace.records import DecisionOutcome, Mode, as_compiled
 from safety_harness.trace.trace import Trace
 
 # From the TCP, in the base: +x -x +y -y +z -z.
@@ -101,17 +101,13 @@ def cell_of(trace: Trace, seen: SeenRegions) -> CoverageCell | None:
     """Where a run belongs; None if no hand was there, or what it takes was not all measured or finite."""
     if not (_measured(trace, READ) and (trace.scenario.driven or _measured(trace, READ_OF_DECISIONS))):
         return None
-    distances = np.where(trace.ticks["hand_present"], trace.ticks["hand_distance_m"], np.inf)
-    least_m = float(distances.min(initial=np.inf))
-    clean = isfinite(least_m)  # as it always is, but for a NaN; without any it takes a third of the time
-    if not clean and not np.any(np.isfinite(distances)):
+    ticks = as_compiled(trace.ticks)
+    least_m, tick, hand = _nearest(ticks)
+    if hand < 0:
         return None
-    gravity, tick = _gravest(trace)
-    if tick is None:
-        tick = int(
-            np.argmin(distances) // distances.shape[1] if clean else np.nanargmin(distances.min(axis=1))
-        )
-    hand = int(np.nanargmin(distances[tick]))
+    gravity, gravest = _gravest(trace)
+    if gravest is not None:
+        tick, hand = gravest, max(_nearest(ticks[gravest : gravest + 1])[2], 0)
     hand_m = trace.ticks["hand_position_in_base_m"][:, hand]
     tcp_m = trace.ticks["transform_tcp_to_base"][tick, :3, 3]
     way_m = hand_m[tick] - tcp_m
@@ -119,10 +115,24 @@ def cell_of(trace: Trace, seen: SeenRegions) -> CoverageCell | None:
     return CoverageCell(
         direction=DIRECTIONS[2 * axis + int(way_m[axis] < 0.0)],
         speed=_speed(trace, hand_m, tick),
-        distance=_word(DISTANCES, _NEAR_M, least_m if clean else float(np.nanmin(distances))),
+        distance=_word(DISTANCES, _NEAR_M, least_m),
         seen=SEEN[int(not seen.hand.contains(hand_m[tick])) + 2 * int(not seen.tcp.contains(tcp_m))],
         outcome=OUTCOMES[gravity],
     )
+
+
+@compiled
+def _nearest(ticks: NDArray[np.void]) -> tuple[float, int, int]:
+    """How near a hand came [m], and the first such tick and hand of ``ticks`` (n,) ``as_compiled``.
+
+    Hand -1 if none was at a finite distance; a NaN is left out.
+    """
+    least_m, at, nearest = np.inf, 0, -1
+    for k in range(ticks.shape[0]):
+        for hand in range(ticks[k].hand_present.shape[0]):
+            if ticks[k].hand_present[hand] != 0 and ticks[k].hand_distance_m[hand] < least_m:
+                least_m, at, nearest = ticks[k].hand_distance_m[hand], k, hand
+    return least_m, at, nearest
 
 
 def _measured(trace: Trace, names: Iterable[str]) -> bool:

@@ -20,6 +20,7 @@ _NO_ANSWER = Check.NOT_FINITE | Check.LATE
 REASONS: tuple[Check, ...] = tuple(check for check in Check if check and not check & _NO_ANSWER)
 
 _READ = ("fault", "proposed_position_in_base_m", "outcome", "proposed_failed")  # of each decision
+_BITS = tuple((check, int(check)) for check in REASONS)  # a flag is slow to combine
 _NAMES = {check: str(check.name).lower() for check in REASONS}
 COUNTS = ("proposals", *(f"overruled_{what}" for what in ("replaced", "stopped", *_NAMES.values())))
 
@@ -64,13 +65,14 @@ class Overruling:
     def _of_one(cls, trace: Trace) -> Overruling:
         if len(trace.decisions) == 0 or not is_measured(trace):
             return cls()
-        vetoed = overruled(trace)
-        outcome, failed = trace.decisions["outcome"][vetoed], trace.decisions["proposed_failed"][vetoed]
+        in_time, vetoed = answered(trace), overruled(trace)
+        outcomes = trace.decisions["outcome"][vetoed].tolist()
+        failed = trace.decisions["proposed_failed"][vetoed].tolist()
         return cls(
-            int(np.count_nonzero(answered(trace))),
-            int(np.count_nonzero(outcome == DecisionOutcome.OPPOSITE)),
-            int(np.count_nonzero(outcome == DecisionOutcome.STOP)),
-            Counter({check: n for check in REASONS if (n := int(np.count_nonzero(failed & check)))}),
+            int(np.count_nonzero(in_time)),
+            outcomes.count(DecisionOutcome.OPPOSITE),
+            outcomes.count(DecisionOutcome.STOP),
+            Counter({check: n for check, bit in _BITS if (n := sum(one & bit != 0 for one in failed))}),
         )
 
     def __add__(self, other: Overruling) -> Overruling:

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from safety_harness.admission.poses import start_joint_position
 from safety_harness.avoidance.avoider import Avoider, Proposal
 from safety_harness.avoidance.gate import GateDecision, Query, leads_away
-from safety_harness.avoidance.own_body import own_distance
+from safety_harness.avoidance.own_body import own_distances
 from safety_harness.avoidance.simple import OppositePose
 from safety_harness.robot.kinematics import TCP
 from safety_harness.robot.robots import inverse_kinematics
@@ -319,7 +319,7 @@ def test_a_way_into_the_arms_own_body_is_refused_and_one_out_of_it_is_not() -> N
     assert PLAIN.check(inwards, outside) is Check.NONE
     assert GATE.check(np.array([0.42, 0.0, 0.0]), outside) is Check.NONE
     behind = at((0.30, 0.0, 0.0), np.array([0.0, 0.0, 0.2]))
-    assert own_distance(KINEMATICS.arm, GATE.capsules, inside.joint_position_rad) < 0.0
+    assert own_distances(KINEMATICS.arm, GATE.capsules, inside.joint_position_rad[None])[0] < 0.0
     assert GATE.check(outwards, behind) is Check.NONE
 
 

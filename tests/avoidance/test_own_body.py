@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from safety_harness.avoidance.own_body import body_and_wrist, own_distance
+from safety_harness.avoidance.own_body import body_and_wrist, own_distances
 from safety_harness.robot.capsules import load_capsules
 from safety_harness.robot.description import load_arm
 from safety_harness.robot.kinematics import forward_kinematics
@@ -41,7 +41,7 @@ def test_it_is_the_least_over_all_pairs_of_points_on_the_axes(joints: np.ndarray
             apart = axis_points(joints, wrist, count)[:, None] - axis_points(joints, body, count)
             radii = CAPSULES.radius_m[wrist] + CAPSULES.radius_m[body]
             least = min(least, float(np.linalg.norm(apart, axis=2).min()) - radii)
-    exact = own_distance(ARM, CAPSULES, joints)
+    (exact,) = own_distances(ARM, CAPSULES, joints[None])
     assert exact <= least + 1e-12
     assert exact == pytest.approx(least, abs=0.005)
 
@@ -49,10 +49,9 @@ def test_it_is_the_least_over_all_pairs_of_points_on_the_axes(joints: np.ndarray
 def test_turning_the_arm_about_its_pan_changes_nothing_while_the_upper_arm_is_nearest() -> None:
     joints = np.array([0.0, -1.27, 1.98, -2.27, -1.57, 0.3])
     turned = joints + [1.1, 0.0, 0.0, 0.0, 0.0, 0.0]
-    assert own_distance(ARM, CAPSULES, turned) == pytest.approx(
-        own_distance(ARM, CAPSULES, joints), abs=1e-12
-    )
+    before_m, after_m = own_distances(ARM, CAPSULES, np.array([joints, turned]))
+    assert after_m == pytest.approx(before_m, abs=1e-12)
 
 
 def test_a_joint_that_is_no_number_gives_no_distance() -> None:
-    assert np.isnan(own_distance(ARM, CAPSULES, np.array([0.0, np.nan, 0.0, 0.0, 0.0, 0.0])))
+    assert np.isnan(own_distances(ARM, CAPSULES, np.array([[0.0, np.nan, 0.0, 0.0, 0.0, 0.0]]))[0])
