@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import chain
 
 import numpy as np
@@ -25,7 +26,7 @@ Told = Callable[[str, float], None]
 class Effort:
     """How long to work: at most ``seconds`` in all, no box halved more than ``halvings`` times.
 
-    ``over`` maps, in other processes say, ``at_once`` batches of boxes; ``stopped`` ends the work, and
+    Until the processes have started and have their machine code no time is counted.  ``over`` maps, in other processes say, ``at_once`` batches of boxes; ``stopped`` ends the work, and
     ``told`` hears the claim and the share of all volume that is decided.
     """
 
@@ -39,6 +40,9 @@ class Effort:
 
 def carry_on(plan: ProofPlan, proofs: list[Proof], effort: Effort) -> Iterator[Proof]:
     """Each of the proofs, gone on with; what time one does not need, those after it have."""
+    for planned in [proof.planned for proof in proofs[:1]]:
+        judge = partial(examined, plan.network, optimum_constants(), planned.claim, planned.region)
+        list(effort.over(judge, [planned.region.corners()] * effort.at_once))
     end_s = time.monotonic() + effort.seconds
     for number, proof in enumerate(proofs):
         now_s = time.monotonic()

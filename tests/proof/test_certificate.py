@@ -8,7 +8,7 @@ import json
 import sys
 import time
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from copy import deepcopy
 from pathlib import Path
 from typing import Any
@@ -236,6 +236,24 @@ def test_nor_is_more_time_than_there_is_taken(made: Path) -> None:
     proofs = list(carry_on(plan, fresh(plan), Effort(seconds=0.4, halvings=60)))
     assert time.monotonic() - start_s < 10.0
     assert any(proof.tree.shares()["undecided"] for proof in proofs)
+
+
+def test_what_processes_take_to_start_is_no_time_of_a_claim(
+    made: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clock = [0.0]
+    starts_s = iter([100.0])
+
+    def over(judge: Callable[[Any], Any], boxes: Iterable[Any]) -> Iterator[Any]:
+        clock[0] += next(starts_s, 0.0)
+        return map(judge, boxes)
+
+    plan = read_proof_plan(made / "proofs.yaml")
+    whole = list(carry_on(plan, fresh(plan), Effort(seconds=1e6, halvings=9)))
+    monkeypatch.setattr(time, "monotonic", lambda: clock[0])
+    slow = list(carry_on(plan, fresh(plan), Effort(seconds=10.0, halvings=9, over=over)))
+    for one, other in zip(slow, whole, strict=True):
+        assert all(np.array_equal(a, b) for a, b in zip(one.tree.levels, other.tree.levels, strict=True))
 
 
 def test_a_certificate_of_another_plan_is_not_gone_on_with(made: Path, tmp_path: Path) -> None:
