@@ -26,8 +26,9 @@ Told = Callable[[str, float], None]
 class Effort:
     """How long to work: at most ``seconds`` in all, no box halved more than ``halvings`` times.
 
-    Until the processes have started and have their machine code no time is counted.  ``over`` maps, in other processes say, ``at_once`` batches of boxes; ``stopped`` ends the work, and
-    ``told`` hears the claim and the share of all volume that is decided.
+    Until the processes have started and have their machine code no time is counted.  ``over`` maps, in other
+    processes say, ``at_once`` batches of boxes; ``stopped`` ends the work, and ``told`` hears the claim and
+    the share of all volume that is decided.
     """
 
     seconds: float

@@ -106,8 +106,9 @@ class InverseKinematics:
         transforms_tcp_to_base: NDArray[np.float64],  # (m, 4, 4)
         joint_position_rad: Array6,
     ) -> NDArray[np.float64]:
-        """``nearest`` of poses (m, 4, 4) in turn, each to that of the one before it: (m, n), NaN from the first without.
+        """``nearest`` of poses (m, 4, 4) in turn, each to that of the one before: (m, n).
 
+        NaN from the first on that has none within the limits.
         ``joint_position_rad`` (n,): what the first is nearest to.
         """
         poses, joints = np.array(transforms_tcp_to_base), np.array(joint_position_rad)
@@ -233,7 +234,7 @@ def _followed(
     poses: NDArray[np.float64],  # (n, 4, 4)
     reference: Array6,
 ) -> ArrayNx6:
-    """(n, 6): the nearest of the first pose to ``reference``, of each other to that before; NaN from the first without."""
+    """(n, 6): the nearest of the first pose to ``reference``, of each other to the one before it, or NaN."""
     solutions = np.full((poses.shape[0], 6), np.nan)
     found, transforms, turned = np.empty((AT_ONCE, 6)), np.empty((FRAMES, 4, 4)), np.empty(6)
     joints = reference.copy()

@@ -160,12 +160,15 @@ def counterexample_of(
     world: ScenarioRunner,
     *,
     budget: int,
+    sooner: ScenarioRunner | None = None,
     explain: Explain = unexplained,
     on_step: Callable[[str], None] = lambda words: None,
 ) -> Counterexample | None:
     """Confirm, shrink and explain; None if ``world`` does not show the complaint.
 
     What it shrinks to is violated by a tenth of the first margin at least, so that it is not on the edge.
+    A quicker world, asked ``sooner``, has to show it too, if it shows what was found: it refuses most of what
+    is not violated.
     ``explain`` is asked about a violation, and not where the avoider gave no answer.
     Ctrl-C while it shrinks keeps the simplest so far; ``shrunk.interrupted`` then says so.
     ``on_step`` is told what comes next.
@@ -176,11 +179,13 @@ def counterexample_of(
         return None
     margin = complaint.margin_in(first)
     confirm = Confirm(complaint, world, by=-KEPT * (margin or 0.0))
-    runs = count(1)
+    confirms, runs = [confirm], count(1)
+    if sooner is not None and (quick := replace(confirm, world=sooner))(found):
+        confirms = [quick, confirm]
 
     def violates(simpler: Scenario) -> bool:
         on_step(f"shrinking, run {next(runs)} of at most {budget}")
-        return confirm(simpler)
+        return all(shows(simpler) for shows in confirms)
 
     shrunk = shrink(found, violates, budget=budget)
     on_step("asking whose fault it is")

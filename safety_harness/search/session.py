@@ -267,6 +267,7 @@ class SearchSession:
                 complaint,
                 self.confirming,
                 budget=SHRINKING_RUNS,
+                sooner=self.trials.world if self.reference else None,
                 explain=self.explain,
                 on_step=on_step,
             )

@@ -1,9 +1,9 @@
 """From a scenario that violates a claim to a simple one that still does.
 
 What can be simpler about a scenario: one thing less; slower, shorter, nearer or rounder numbers.  The run is
-halved as often as it can be, as all that follows is then quicker; things are taken away, numbers made simpler,
-and round again until a whole round changes nothing: shrinking what came out gives it again.  Nothing is
-random, and ``budget`` bounds the runs.
+halved as often as it can be, for all that follows is then quicker; things are taken away, numbers made
+simpler, and round again until a whole round changes nothing: shrinking what came out gives it again.  Nothing
+is random, and ``budget`` bounds the runs.
 """
 
 from __future__ import annotations

@@ -1,0 +1,70 @@
+"""A violation that was found becomes a simple one, in as few slow runs as it takes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+
+from safety_harness.admission.admit import Admitted
+from safety_harness.scenario.model import Verdict
+from safety_harness.scenario.read import read_scenario
+from safety_harness.search.confirm import Complaint
+from safety_harness.search.counterexample import Counterexample, counterexample_of
+from safety_harness.search.trials import ScenarioRunner, in_kinematic
+from safety_harness.trace.trace import Trace
+
+ROOT = Path(__file__).parents[2]
+FOUND = read_scenario(ROOT / "scenarios" / "fast-reach.yaml")
+(CLAIM,) = [one for one in FOUND.claims if one.expected is Verdict.VIOLATED][:1]
+
+
+class Counted:
+    """A world that counts the scenarios that it was given."""
+
+    def __init__(self, run: ScenarioRunner = in_kinematic) -> None:
+        self.run, self.runs = run, 0
+
+    def __call__(self, admitted: Sequence[Admitted]) -> Sequence[Trace | Exception]:
+        self.runs += len(admitted)
+        return self.run(admitted)
+
+
+def shrunk(world: ScenarioRunner, sooner: ScenarioRunner | None = None) -> Counterexample:
+    one = counterexample_of(FOUND, Complaint(CLAIM), world, budget=200, sooner=sooner)
+    assert one is not None
+    return one
+
+
+@pytest.fixture(scope="module")
+def alone() -> tuple[Counterexample, int]:
+    world = Counted()
+    return shrunk(world), world.runs
+
+
+def test_a_world_asked_sooner_saves_the_other_most_runs_and_changes_nothing(
+    alone: tuple[Counterexample, int],
+) -> None:
+    world, sooner = Counted(), Counted()
+    with_it = shrunk(world, sooner)
+    assert with_it.shrunk == alone[0].shrunk
+    assert sooner.runs > with_it.shrunk.used
+    assert world.runs < 0.6 * alone[1]
+
+
+def test_one_that_does_not_show_what_was_found_is_not_asked_again(alone: tuple[Counterexample, int]) -> None:
+    world, blind = Counted(), Counted(lambda admitted: [RuntimeError("sees nothing")] * len(admitted))
+    assert shrunk(world, blind).shrunk == alone[0].shrunk
+    assert (world.runs, blind.runs) == (alone[1], 1)
+
+
+def test_what_the_confirming_world_does_not_show_is_never_taken(alone: tuple[Counterexample, int]) -> None:
+    def stricter(admitted: Sequence[Admitted]) -> Sequence[Trace | Exception]:
+        found = in_kinematic(admitted)
+        return [
+            RuntimeError("too short") if one.scenario.duration_s < 2.0 else run
+            for one, run in zip(admitted, found, strict=True)
+        ]
+
+    assert shrunk(stricter, in_kinematic).shrunk.scenario.duration_s >= 2.0
