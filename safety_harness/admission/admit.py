@@ -28,6 +28,7 @@ from safety_harness.admission.driving import (
     MadeDriver,
     driver_of,
     refuse_faults_of_avoider,
+    refuse_no_images,
     refuse_unusable_driver,
 )
 from safety_harness.admission.hands import check_hands
@@ -258,6 +259,7 @@ def _check(scenario: Scenario, *, sees_object: bool) -> Checked:
 def _driven(checked: Checked, driver: MadeDriver) -> Admitted:
     if driver.sees_object:
         checked = _check(checked.scenario, sees_object=True)
+    refuse_no_images(checked.scenario, driver)
     return Admitted(**vars(checked), avoider=NOBODY, avoider_sha256="", driver=driver)
 
 

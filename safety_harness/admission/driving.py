@@ -17,6 +17,7 @@ from safety_harness.robot.robots import urdf_sha256_of
 from safety_harness.scenario.faults import AvoiderLate, AvoiderNaN, AvoiderSilent
 from safety_harness.scenario.model import NO_AVOIDER, Scenario
 from safety_harness.scenario.references import file_and_name
+from safety_harness.settings import ImageSource
 from safety_harness.trace.system import Component, SystemUnderTest, system_of
 
 IN_PYTHON = " (an object in Python)"  # after its name: a reference that names no file, and means none
@@ -111,6 +112,17 @@ def named_system(scenario: Scenario) -> SystemUnderTest:
     else:
         own = {"avoider": Component(name=called, sha256=avoider_sha256(scenario))}
     return system_of(scenario, robot_sha256=urdf_sha256_of(scenario.robot), **own)
+
+
+def refuse_no_images(scenario: Scenario, driver: MadeDriver) -> None:
+    """InadmissibleError for a controller that sees images where none are rendered."""
+    source = scenario.settings.camera.source
+    if IMAGE in sees_of(driver.controller) and source is not ImageSource.RENDERED:
+        raise InadmissibleError(
+            place=scenario.place("camera.source", "controller"),
+            expected="rendered images, as the controller sees them: camera: {source: rendered}",
+            got=source.value,
+        )
 
 
 def refuse_faults_of_avoider(scenario: Scenario) -> None:

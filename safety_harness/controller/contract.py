@@ -114,7 +114,8 @@ class SeenObject:
 class Image:
     """The last image of the object's camera; ``new``: it arrived at this tick.
 
-    ``pixels`` (height, width, 3) uint8, red, green, blue; ``time_s`` is when it was taken.
+    ``pixels`` (height, width, 3) uint8, red, green, blue, black before the first; ``time_s`` is when it was
+    taken, NaN before the first.
     """
 
     time_s: float

@@ -66,7 +66,6 @@ PERIOD_STEP_NS, SHORTEST_PERIOD_NS, LONGEST_PERIOD_NS = 100_000, 1_000_000, 50_0
 FARTHEST_M, FARTHEST_RAD = 10.0, 8.0 * np.pi
 _LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 _ANGLES = {"rad": 1.0, "deg": np.pi / 180.0}
-AHEAD = "how much more the hands' clock shows than the joints' (safety-harness log align estimates it)"
 
 
 def read_log(path: str | Path, *, align: bool = False) -> CellLog:

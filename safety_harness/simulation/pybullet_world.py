@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from safety_harness.controller.contract import Image
 from safety_harness.controller.records import CommandRecords
 from safety_harness.exceptions import SimulationError
 from safety_harness.geometry.arrays import ArrayN
@@ -12,8 +13,11 @@ from safety_harness.geometry.transforms import compose_into
 from safety_harness.perception.detector import BoundingBoxDetector, SkinColourDetector, copy_detections
 from safety_harness.perception.moments import MOMENT_COUNT
 from safety_harness.robot.description import ArmModel
+from safety_harness.scenario.fault_table import acting
+from safety_harness.scenario.faults import FaultKind
 from safety_harness.scenario.model import Scenario
 from safety_harness.settings import DetectorKind, ImageSource
+from safety_harness.simulation.cameras import RING
 from safety_harness.simulation.cell import build_cell, place_hands, render, rendered_object
 from safety_harness.simulation.engine import pybullet
 from safety_harness.simulation.exact_views import exact_boxes, exact_object, sensor_pose
@@ -23,6 +27,7 @@ from safety_harness.simulation.steps import (
     hand_over,
     mount,
     move_on,
+    now_s,
     object_frame_due,
     send_hand_frame,
     send_object_frame,
@@ -57,6 +62,7 @@ class PyBulletWorld(RecordedWorld):
         self._render_hands = settings.hand_sensor.detector is DetectorKind.RENDERED
         self._detector = detector or SkinColourDetector(self.records.observation["boxes"].shape[1])
         self._commanded_radps = np.empty(len(arm.joint_names))
+        self._pictures: dict[int, NDArray[np.uint8]] = {}  # of the object, by the number of the frame
         self._client = int(pybullet.connect(pybullet.DIRECT))
         if self._client < 0:
             raise SimulationError("PyBullet gave no client")
@@ -91,9 +97,12 @@ class PyBulletWorld(RecordedWorld):
         faulty_sensors = r.clock, r.faults, r.sensors
         mount(*faulty_sensors)
         if object_frame_due(r.clock, r.sensors):
-            visible, moments = self._object()
+            colour = self._picture() if self._render_object else None
+            visible, moments = self._object(colour)
             frames, polygon_in_base_m = r.object_frames, r.polygon_in_base_m
             send_object_frame(r.truth, r.hands, *faulty_sensors, frames, polygon_in_base_m, visible, moments)
+            if colour is not None:
+                self._keep(colour)
         if hand_frame_due(r.clock, r.sensors):
             boxes, count = self._boxes()
             send_hand_frame(r.truth, *faulty_sensors, r.hand_frames, r.normals, r.uniforms, boxes, count)
@@ -123,18 +132,47 @@ class PyBulletWorld(RecordedWorld):
         move_on(*r[1:9], np.array([state[0] for state in states]), np.array([state[1] for state in states]))
         return braking
 
-    def _object(self) -> tuple[bool, NDArray[np.float64]]:
-        """Is the object in view, and its moments, in a rendered image or exactly."""
+    def image(self) -> Image:
+        """The last rendered image of the object that was delivered by now."""
+        r = self.records
+        number = int(r.sensors[0]["object_delivered"]) - 1
+        if number < 0:
+            camera = self._settings.camera
+            return Image(time_s=np.nan, new=False, pixels=_black((camera.height_px, camera.width_px, 3)))
+        time_s, new = r.object_frames[number % RING]["time_s"], r.observation[0]["image_new"]
+        return Image(time_s=float(time_s), new=bool(new), pixels=self._pictures[number])
+
+    def _keep(self, colour: NDArray[np.uint8]) -> None:
+        """The newest frame's pixels, as the faults leave them; a frozen camera shows those of the one before.
+
+        ``colour`` (height, width, 3).
+        """
+        r, time_s = self.records, now_s(self.records.clock)
+        newest = int(r.sensors[0]["object_frames"]) - 1
+        if acting(r.faults, FaultKind.CAMERA_BLIND, time_s):
+            colour = _black(colour.shape)
+        if acting(r.faults, FaultKind.CAMERA_FROZEN, time_s):
+            colour = self._pictures.get(newest - 1, _black(colour.shape))
+        colour.setflags(write=False)
+        oldest = min(int(r.sensors[0]["object_delivered"]), newest) - 1
+        self._pictures = {k: one for k, one in self._pictures.items() if k >= oldest} | {newest: colour}
+
+    def _picture(self) -> NDArray[np.uint8]:
+        """(height, width, 3) what the object's camera sees, rendered."""
         camera, r = self._settings.camera, self.records
-        pose = r.truth[0]["transform_tcp_to_base"]
-        if not self._render_object:
-            moments = np.full(MOMENT_COUNT, np.nan)
-            return exact_object(r.sensors, r.polygon_in_base_m, pose, moments), moments
-        camera_to_base = np.empty((4, 4))
+        pose, camera_to_base = r.truth[0]["transform_tcp_to_base"], np.empty((4, 4))
         compose_into(pose, r.sensors[0]["transform_camera_to_tcp"], camera_to_base)
         place_hands(self._client, self._bodies, r.hands)
         colour, _ = render(self._client, camera_to_base, camera.focal_px, camera.width_px, camera.height_px)
-        return rendered_object(colour, camera.focal_px)
+        return colour
+
+    def _object(self, colour: NDArray[np.uint8] | None) -> tuple[bool, NDArray[np.float64]]:
+        """Is the object in view, and its moments, in a rendered image (height, width, 3) or exactly."""
+        r = self.records
+        if colour is not None:
+            return rendered_object(colour, self._settings.camera.focal_px)
+        pose, moments = r.truth[0]["transform_tcp_to_base"], np.full(MOMENT_COUNT, np.nan)
+        return exact_object(r.sensors, r.polygon_in_base_m, pose, moments), moments
 
     def _boxes(self) -> tuple[NDArray[np.float64], int]:
         """Bounding boxes of the hands, in a rendered image or exactly, and how many."""
@@ -150,3 +188,9 @@ class PyBulletWorld(RecordedWorld):
             self._client, sensor_to_base, sensor.focal_px, sensor.width_px, sensor.height_px
         )
         return boxes, copy_detections(self._detector.detect(colour, depth_m), boxes)
+
+
+def _black(shape: tuple[int, ...]) -> NDArray[np.uint8]:
+    pixels = np.zeros(shape, np.uint8)
+    pixels.setflags(write=False)
+    return pixels

@@ -20,7 +20,7 @@ from safety_harness.robot.robots import arm_model, urdf_sha256_of
 from safety_harness.scenario.model import Scenario
 from safety_harness.simulation.driving import Lane, drive
 from safety_harness.simulation.kinematic_world import KinematicWorld
-from safety_harness.simulation.world import BatchWorld, World
+from safety_harness.simulation.world import BatchWorld, ShowsImages, World
 from safety_harness.simulation.worlds import libraries_of
 from safety_harness.trace.known import knowing
 from safety_harness.trace.provenance import provenance
@@ -48,6 +48,8 @@ def simulate(
         except KeyboardInterrupt:
             ended = INTERRUPTED
         return trace_of(scenario, world, controller, ticks[: lane.done], ended)
+    if isinstance(controller, DrivenController) and isinstance(world, ShowsImages):
+        controller.sees_images_of(world.image)
     try:
         for k in range(len(ticks)):
             tick = ticks[k : k + 1]

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Protocol, Self
+from typing import TYPE_CHECKING, Protocol, Self, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
+from safety_harness.controller.contract import Image
 from safety_harness.controller.cycle import ControllerRecords
 from safety_harness.exceptions import InadmissibleError
 from safety_harness.geometry.arrays import ArrayN
@@ -55,6 +56,14 @@ class BatchWorld(World, Protocol):
 
         Writes ``ticks`` (n,) TICK.  ``decided``: the run stands at a decision, which the controller has made.
         """
+
+
+@runtime_checkable
+class ShowsImages(Protocol):
+    """A world with a renderer."""
+
+    def image(self) -> Image:
+        """The last rendered image of the object's camera that was delivered by now."""
 
 
 def refuse_rendered(scenario: Scenario, world: str) -> None:
