@@ -73,13 +73,13 @@ def start_joint_position(scenario: Scenario, arm: ArmModel) -> NDArray[np.float6
     else:
         target[:3, 3] += start.offset_in_base_m
     target[:3, :3] = target[:3, :3] @ rotation_from_vector(np.array(start.tilt_in_tcp_rad))
-    return _reached(scenario, arm, target, "TCP start", START)
+    return _reached(scenario, target, "TCP start", START)
 
 
 def check_desired(scenario: Scenario, arm: ArmModel) -> None:
     """Refuse a desired pose that the arm cannot reach, or where a start would be refused too."""
     target = desired_transform_tcp_to_base(scenario.settings)
-    joints = _reached(scenario, arm, target, "desired TCP position", DESIRED)
+    joints = _reached(scenario, target, "desired TCP position", DESIRED)
     _check_pose(scenario, arm, joints, "desired TCP position", DESIRED)
     _check_in_view(scenario, arm, joints, "desired TCP position", DESIRED)
 
@@ -149,7 +149,7 @@ def _refuse_other_count(scenario: Scenario, arm: ArmModel, count: int, field: st
 
 
 def _reached(
-    scenario: Scenario, arm: ArmModel, transform_tcp_to_base: NDArray[np.float64], pose: str, field: str
+    scenario: Scenario, transform_tcp_to_base: NDArray[np.float64], pose: str, field: str
 ) -> NDArray[np.float64]:
     preferred = np.array(scenario.settings.cell.preferred_joint_position_rad)
     found = inverse_kinematics(scenario.robot).nearest(transform_tcp_to_base, preferred)

@@ -67,14 +67,14 @@ def render(evidence: ScoreEvidence) -> str:
         most_open=MOST_OPEN,
         columns=COLUMNS,
         details_columns=DETAILS,
-        sections=[_section(evidence, one, number) for number, one in enumerate(scored.avoiders, start=1)],
+        sections=[_section(one, number) for number, one in enumerate(scored.avoiders, start=1)],
         keys=[Markup(key_of(scale)) for scale in (OFF, TOWARDS)],
         version=metadata.version("safety-harness"),
         source=source_hash(),
     )
 
 
-def _section(evidence: ScoreEvidence, one: ScoredAvoider, number: int) -> dict[str, object]:
+def _section(one: ScoredAvoider, number: int) -> dict[str, object]:
     """What the page shows of one avoider."""
     card, cards = one.card, [one.card, *one.yardsticks]
     return {

@@ -21,7 +21,7 @@ from safety_harness.scoring.results import Scored, ScoredAvoider, ShownQuestion
 from safety_harness.scoring.score import YARDSTICKS, Counts, paced, score, yardsticks
 from safety_harness.scoring.scorecard import Scorecard
 from safety_harness.scoring.space_region import space_region
-from safety_harness.scoring.worst import TOLERANCE_M, Objective, Tried, search_region, worst_questions
+from safety_harness.scoring.worst import TOLERANCE_M, Tried, search_region, worst_questions
 from safety_harness.settings import DEFAULTS
 from safety_harness.space.read import read_space
 from safety_harness.space.regions import SeenRegions, seen_by
@@ -192,7 +192,7 @@ class ScoringSession:
                 tried.tcp_in_base_m,
                 tried.scenario_seed,
                 title=f"worst question {number}: {objective.value}",
-                about=_about(objective, tried, self.seed),
+                about=_about(tried, self.seed),
                 claims=CLAIMS,
                 settings=by_name[tried.region].settings,
                 robot=by_name[tried.region].robot,
@@ -206,7 +206,7 @@ class ScoringSession:
                 return
 
 
-def _about(objective: Objective, tried: Tried, seed: int) -> str:
+def _about(tried: Tried, seed: int) -> str:
     return (
         f"Found by a search of {tried.region} (seed {seed}), which estimates nothing. It is the first "
         f"question of this run: the proposal leads {1e3 * tried.gained_m:.1f} mm away from the hand "
