@@ -9,6 +9,8 @@ from examples import hand, scenario
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from safety_harness.admission.admit import admit
+from safety_harness.admission.trial import run_kinematic
 from safety_harness.scenario.model import (
     HAND_SLOTS,
     HandTrajectory,
@@ -30,6 +32,7 @@ from safety_harness.scenario.moves import (
     Wander,
     Withdraw,
 )
+from safety_harness.scenario.read import read_scenario
 from safety_harness.settings import DEFAULTS
 from safety_harness.simulation.hand_motion import advance_hands
 from safety_harness.simulation.hand_programs import hands_at_start
@@ -188,6 +191,19 @@ def test_a_reach_that_hesitates_stops_on_its_way_and_goes_on(
     assert len(there) * DT_S == pytest.approx(0.3, abs=2 * DT_S)
     assert np.array_equal(there, np.arange(there[0], there[-1] + 1))
     assert gap[-1] == pytest.approx(0.1, abs=2e-9)
+
+
+def test_the_hand_of_the_scenario_that_ships_does_hesitate() -> None:
+    trace = run_kinematic(admit(read_scenario(Path("shipped:hesitating-reach"))))
+    hand_m, tcp_m = (
+        trace.ticks["hand_position_in_base_m"][:, 0],
+        trace.ticks["transform_tcp_to_base"][:, :3, 3],
+    )
+    gap_m = np.linalg.norm(hand_m - tcp_m, axis=1)[1:]
+    still = np.linalg.norm(np.diff(hand_m, axis=0), axis=1) < 1e-9
+    there = still & (gap_m > 0.4) & (gap_m < 0.46)
+    assert np.count_nonzero(there) * DT_S == pytest.approx(0.4, abs=3 * DT_S)
+    assert gap_m.min() < 0.21
 
 
 def test_the_time_of_a_reach_counts_its_hesitation() -> None:
