@@ -1,6 +1,6 @@
 """Worlds as Gymnasium environments; importing this registers ``SafetyHarness-v0``, docs/environments.md.
 
-``gymnasium.make("SafetyHarness-v0", space="unseen-both.yaml")`` finds it without an import, too.
+``gymnasium.make("safety_harness.gym:SafetyHarness-v0", space="unseen-both.yaml")`` imports it, too.
 """
 
 from safety_harness.extras import GYM

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -66,6 +69,19 @@ def episode(env: HarnessEnv, seed: int) -> tuple[list[dict[str, Any]], list[floa
 
 def alike(one: dict[str, Any], other: dict[str, Any]) -> bool:
     return all(np.array_equal(array, other[name]) for name, array in one.items())
+
+
+def test_what_the_page_begins_with_works_in_a_program_of_its_own() -> None:
+    root = Path(__file__).parents[2]
+    code = (root / "docs" / "environments.md").read_text().split("```python\n")[1].split("```")[0]
+    run = subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=root,
+        env={**os.environ, "PYTHONPATH": str(root)},
+        capture_output=True,
+        text=True,
+    )
+    assert run.returncode == 0, run.stderr
 
 
 @pytest.mark.filterwarnings("ignore")  # that positions have no bounds, and are no pixels
