@@ -147,6 +147,33 @@ def test_a_program_is_told_the_pixels_of_a_new_one_alone(tmp_path: Path) -> None
     assert first_difference(trace, seen_in()[1]) is None
 
 
+def test_an_onnx_policy_takes_them(tmp_path: Path) -> None:
+    onnx = pytest.importorskip("onnx")
+    pytest.importorskip("onnxruntime")
+    helper, kinds = onnx.helper, onnx.TensorProto
+    graph = helper.make_graph(
+        [
+            helper.make_node("Cast", ["image"], ["pixels"], to=kinds.DOUBLE),
+            helper.make_node("ReduceMean", ["pixels"], ["mean"], keepdims=0),
+            helper.make_node("Mul", ["mean", "small"], ["speed"]),
+            helper.make_node("Expand", ["speed", "shape"], ["joint_velocity_radps"]),
+        ],
+        "by brightness",
+        [helper.make_tensor_value_info("image", kinds.UINT8, (1, "height", "width", 3))],
+        [helper.make_tensor_value_info("joint_velocity_radps", kinds.DOUBLE, (1, 6))],
+        [
+            helper.make_tensor("small", kinds.DOUBLE, [], [1e-3]),
+            helper.make_tensor("shape", kinds.INT64, [2], [1, 6]),
+        ],
+    )
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
+    (tmp_path / "policy.onnx").write_bytes(model.SerializeToString())
+    trace = run_trial(admit(replace(cell(), controller=str(tmp_path / "policy.onnx"))))
+    told, other = (one.ticks["demanded_joint_velocity_radps"] for one in (trace, seen_in()[1]))
+    assert told.any()
+    assert told == pytest.approx(other, rel=1e-6)
+
+
 def test_where_nothing_is_rendered_it_is_refused() -> None:
     exact = cell(camera=DEFAULTS.camera)
     with pytest.raises(InadmissibleError, match=r"rendered images.*got +exact"):
