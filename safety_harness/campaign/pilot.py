@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from statistics import median
 
 from safety_harness.admission.admit import refuse_no_answer
@@ -17,6 +18,7 @@ from safety_harness.campaign.episodes import EpisodeRunner
 from safety_harness.campaign.plan import Plan, scenarios_by_avoider
 from safety_harness.campaign.rows import Row
 from safety_harness.campaign.summary import CampaignTally
+from safety_harness.campaign.watch import AvoiderWatch
 from safety_harness.exceptions import StatisticsError
 from safety_harness.proportions import lower_bound, upper_bound
 from safety_harness.seeds import Branch
@@ -128,16 +130,20 @@ def too_few(plan: Plan, tally: CampaignTally) -> Iterator[ClaimForecast]:
 
 @dataclass(frozen=True, kw_only=True)
 class PlanPilot:
-    """What the runs of a pilot say of a plan; ``run_s`` is how long one took, by stratum."""
+    """What the runs of a pilot say of a plan; ``run_s`` is how long one took, by stratum.
+
+    ``remarks``: why they are not of the plan's avoider, as ``AvoiderWatch`` has it.
+    """
 
     forecasts: tuple[ClaimForecast, ...]
     run_s: tuple[float, ...]
     failures: tuple[str, ...]
+    remarks: tuple[str, ...]
 
     @property
     def enough(self) -> bool:
-        """Are the planned runs, for every claim, and could every run of the pilot be carried on?"""
-        return not self.failures and all(one.enough for one in self.forecasts)
+        """Are the planned runs, for every claim, and was every run of the pilot whole and of the avoider?"""
+        return not (self.failures or self.remarks) and all(one.enough for one in self.forecasts)
 
     def seconds(self, plan: Plan, workers: int) -> float:
         """That the plan's runs will take on this machine, as long as nothing else wants its cores."""
@@ -157,15 +163,22 @@ def pilot(plan: Plan, runs: int, on_progress: Callable[[int], None] = lambda don
     forecasts: list[ClaimForecast] = []
     run_s: list[float] = []
     failures: dict[str, None] = {}
+    watch = AvoiderWatch()
     for stratum in range(len(plan.strata)):
         rows: list[Row] = []
         for row in runner.run(stratum, range(runs), keep_violations=False):
             rows.append(row)
+            watch.add_row(row, partial(runner.scenario, stratum, row.episode, row.draws - 1))
             on_progress(stratum * runs + len(rows))
         run_s.append(median(row.seconds for row in rows))
         failures |= dict.fromkeys(row.failure for row in rows if row.failure)
         forecasts += _forecasts(plan, stratum, rows)
-    return PlanPilot(forecasts=tuple(forecasts), run_s=tuple(run_s), failures=tuple(failures))
+    return PlanPilot(
+        forecasts=tuple(forecasts),
+        run_s=tuple(run_s),
+        failures=tuple(failures),
+        remarks=tuple(watch.remarks(plan)),
+    )
 
 
 def _forecasts(plan: Plan, stratum: int, rows: Sequence[Row]) -> Iterator[ClaimForecast]:

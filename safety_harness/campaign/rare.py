@@ -20,6 +20,7 @@ from safety_harness.admission.claims import property_of
 from safety_harness.admission.trial import run_all
 from safety_harness.campaign.episodes import judgement_of, why_broken
 from safety_harness.campaign.plan import Plan, PlannedClaim, Stratum, scenarios_by_avoider
+from safety_harness.campaign.watch import AvoiderWatch
 from safety_harness.exceptions import InputError, described
 from safety_harness.proportions import lower_bound, upper_bound
 from safety_harness.search.trials import least_hand_distance_m
@@ -55,10 +56,14 @@ class RareViolation:
 
 
 def rare_violations(
-    plan: Plan, how: Importance | Splitting, on_run: Callable[[int], None] = lambda done: None
+    plan: Plan,
+    how: Importance | Splitting,
+    on_run: Callable[[int], None] = lambda done: None,
+    watch: AvoiderWatch | None = None,
 ) -> Iterator[RareViolation]:
     """Of each claim in each stratum, one after another; ``on_run`` is told how many runs were made.
 
+    All runs are shown to ``watch``, which says whether they are of the avoider at all.
     InputError where the plan's text is to blame; StatisticsError for a run that says nothing: one that could
     not be carried on, or that tests the claim and has no verdict.
     """
@@ -73,7 +78,7 @@ def rare_violations(
             raise refusal("strata", f"a draw of {stratum.name!r} that can be run", f"none of {ADMITTED_OF}")
         least, most = (bound(admitted, ADMITTED_OF, each / 4) for bound in (lower_bound, upper_bound))
         for number, claim in enumerate(plan.claims):
-            draws = _Draws(plan, stratum, claim, leaf(seed, Branch.CAMPAIGN, number), on_run)
+            draws = _Draws(plan, stratum, claim, leaf(seed, Branch.CAMPAIGN, number), on_run, watch)
             estimated = partial(weigh, how=how) if isinstance(how, Importance) else partial(split, how=how)
             found = estimated(
                 draws,
@@ -103,8 +108,10 @@ class _Draws:
         claim: PlannedClaim,
         seed: int,
         on_run: Callable[[int], None] = lambda done: None,
+        watch: AvoiderWatch | None = None,
     ) -> None:
         self._plan, self._claim, self._seed, self._on_run = plan, claim, seed, on_run
+        self._watch = watch or AvoiderWatch()
         self._space: ScenarioSpace = stratum.space
         self._admitter, self._made = Admitter(), 0
 
@@ -141,6 +148,7 @@ class _Draws:
             raise refusal("runs", "runs that are carried on to their end", described(run))
         if broken := why_broken(run):
             raise refusal("runs", "whole runs", broken)
+        self._watch.add(run)
         evaluation = property_of(self._claim.claim, run.scenario).evaluate(run)
         outcome, margin = judgement_of(evaluation, run, "").outcome, evaluation.margin
         if outcome is EpisodeOutcome.VIOLATED:

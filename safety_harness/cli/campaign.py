@@ -98,8 +98,9 @@ def pilot_runs(
 
     Nothing is written, and no declared run is looked at. So many runs are needed for the bounds to show the
     target with a chance of 90 %, if shares are as in the pilot; intervals hold with 95 % confidence alone.
-    Exit code 0: the planned runs are enough, as far as the pilot tells; 1: for some claim they are not, or a
-    run failed; 2: bad input; 130: interrupted.
+    Exit code 0: the planned runs are enough, as far as the pilot tells; 1: for some claim they are not, a run
+    failed, or the avoider did not always answer, or answered otherwise when asked again; 2: bad input; 130:
+    interrupted.
     """
     import os
 
@@ -120,6 +121,7 @@ def pilot_runs(
     document(**plain(found), seconds=seconds, workers=cores, enough=found.enough)
     result(*(f"{'ok  ' if one.enough else 'WARN'} {one.line}" for one in found.forecasts))
     result(*(f"WARN a run failed: {one}" for one in found.failures))
+    result(*(f"WARN {one}" for one in found.remarks))
     result(
         f"{read.runs} runs: about {time_words(seconds)} with {cores} processes on this machine, alone on it"
     )
@@ -411,10 +413,12 @@ def rare_violations(
     independent runs would say it as well. Importance sampling takes the fewest runs, and says so where it
     cannot be trusted; splitting then takes more. Nothing is written; all of a plan's intervals hold together
     with its confidence, approximately. Exit code 0; 1: for some claim nothing can be said, or its target is
-    exceeded; 2: bad input, or a run that says nothing; 130: interrupted.
+    exceeded, or the avoider did not always answer, or answered otherwise when asked again; 2: bad input, or a
+    run that says nothing; 130: interrupted.
     """
     from safety_harness.campaign.plan import read_plan
     from safety_harness.campaign.rare import rare_violations as estimated
+    from safety_harness.campaign.watch import AvoiderWatch
     from safety_harness.cli.campaign_lines import rare_line
     from safety_harness.cli.progress import one_line
     from safety_harness.exceptions import StatisticsError
@@ -434,9 +438,9 @@ def rare_violations(
         how: Importance | Splitting = Importance(**said, replications=replications)
     else:
         how = Splitting(**{"particles": 200, "steps": 5} | said, replications=replications)
-    found, unlike = [], False
+    found, unlike, watch = [], False, AvoiderWatch()
     with one_line() as show:
-        for one in estimated(read, how, lambda done: show(f"{done:,} draws of a claim in a stratum")):
+        for one in estimated(read, how, lambda done: show(f"{done:,} draws of a claim in a stratum"), watch):
             found.append(one)
             result(rare_line(one))
             target = one.claim.target
@@ -449,7 +453,10 @@ def rare_violations(
                 ],
                 confidence=read.confidence,
             )
-    return DIFFERS if unlike else AS_EXPECTED
+    remarks = list(watch.remarks(read))
+    result(*remarks)
+    document(remarks=remarks)
+    return DIFFERS if unlike or remarks else AS_EXPECTED
 
 
 @_command()

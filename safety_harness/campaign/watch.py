@@ -1,0 +1,47 @@
+"""The avoider in runs that no ledger keeps: did it always answer, and alike when it is asked again?"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from safety_harness.admission.repeatability import Repeatability
+from safety_harness.campaign.plan import Plan
+from safety_harness.campaign.rows import Row
+from safety_harness.properties.answered import fallback_words, is_claimed, unanswered
+from safety_harness.scenario.model import Scenario
+from safety_harness.trace.trace import Trace
+
+
+@dataclass
+class AvoiderWatch:
+    """Counts ``decisions`` and those ``unanswered``, and takes in the questions of runs."""
+
+    decisions: int = 0
+    unanswered: int = 0
+    repeatability: Repeatability = field(default_factory=Repeatability)
+
+    def add(self, run: Trace) -> None:
+        """A run."""
+        self.decisions += len(run.decisions)
+        self.unanswered += int(np.count_nonzero(unanswered(run)))
+        self.repeatability.add(run)
+
+    def add_row(self, row: Row, scenario: Callable[[], Scenario]) -> None:
+        """A run by its row; ``scenario`` gives its own, when it is needed."""
+        self.decisions += row.decisions
+        self.unanswered += row.faults
+        self.repeatability.take(row.asked, scenario)
+        if row.driven is not None:
+            self.repeatability.take_run(row.driven, scenario)
+
+    def remarks(self, plan: Plan) -> Iterator[str]:
+        """Why what the runs say is not of the avoider of ``plan``, or of no avoider at all; asks it again."""
+        words = fallback_words(self.unanswered, self.decisions)
+        if words and not is_claimed(claim.claim for claim in plan.claims):
+            yield words
+        again = self.repeatability.check()
+        if again.words:
+            yield f"{again.line}: none of these numbers holds"
