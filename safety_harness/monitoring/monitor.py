@@ -117,6 +117,7 @@ class Monitor:
         self._next = 0  # tick
         self._stale = 0  # the first tick of which more is known
         self._silent = False
+        self._unused = 0  # lines since joints were used last, but those of hands alone
 
     def _watched(self, sentence: str, revisable: int) -> WatchedClaim:
         measured = all(hand.elbow or not hand.forearm for hand in self.cell.hands)
@@ -133,6 +134,7 @@ class Monitor:
     def take(self, line: bytes) -> Iterator[VerdictLine]:
         """The next line; StreamError if it, or part of it, cannot be used, which is counted."""
         self.counts.lines += 1
+        self._unused += 1
         number = self.counts.lines
         try:
             names, speeds = self._hands.keys(), self.cell.joint_facts.speeds_known_to_radps is not None
@@ -148,6 +150,7 @@ class Monitor:
             self.counts.refused += 1
             raise
         kinds = {"joints"} if sample.joint_position_rad is not None else set()
+        self._unused -= not kinds
         for kind in kinds | sample.hands.keys():
             self.counts.out_of_order += sample.time_s < self._latest_of.get(kind, -inf)
             self._latest_of[kind] = max(sample.time_s, self._latest_of.get(kind, -inf))
@@ -164,19 +167,28 @@ class Monitor:
         """Nothing came for the longest gap of the joints: nothing is known now."""
         if not self._silent and self.counts.ticks:
             self._silent, self.counts.silent = True, self.counts.silent + 1
-            gap_s = self.cell.joint_facts.longest_gap_s
-            reason = f"no joints that can be used came for {gap_s * 1e3:g} ms"
-            yield from self._changes(reason)
+            yield from self._changes(self._silence)
 
     def end(self) -> Iterator[VerdictLine]:
-        """The stream is over: what waits is used."""
+        """The stream is over: what waits is used; of an end without joints nothing is known."""
         while self._waiting:
             yield from self._use(*heapq.heappop(self._waiting)[1:])
         yield from self._judge_again()
+        if self._joints.last is not None and self._origin_ns is not None:
+            without_s = self._newest_s - (self._origin_ns + self._joints.last[0]) / NS
+            gap_s = self.cell.joint_facts.longest_gap_s
+            if max(without_s, self._unused * self.cell.period_s) > gap_s:
+                yield from self.silent()
+
+    @property
+    def _silence(self) -> str:
+        """Why nothing is known now; empty if something is."""
+        gap_s = self.cell.joint_facts.longest_gap_s
+        return f"no joints that can be used came for {gap_s * 1e3:g} ms" if self._silent else ""
 
     def verdicts(self) -> list[VerdictLine]:
-        """Every claim's words at the latest tick."""
-        return [self._change(claim) for claim in self.claims]
+        """Every claim's words now: at the latest tick, or when joints had not come for too long."""
+        return [self._change(claim, self._silence) for claim in self.claims]
 
     def _use(self, number: int, sample: Sample) -> Iterator[VerdictLine]:
         """StreamError after all that can be used of it was used."""
@@ -267,7 +279,7 @@ class Monitor:
         if self.journal is not None:
             assert self._origin_ns is not None
             self.journal.joints(time_ns + self._origin_ns, position_rad, sample.joint_velocity_radps)
-        self._silent = False
+        self._silent, self._unused = False, 0
         period_ns = self.cell.period_ns
         self._stale = max(min(self._stale, before_ns // period_ns), 0)
         if self._moments and before_ns % period_ns == 0 and self._moments[-1].tick == before_ns // period_ns:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from contextlib import suppress
 from functools import cache
 
 import numpy as np
@@ -176,6 +177,41 @@ def test_a_hand_that_jumps_is_lost_at_once() -> None:
     with pytest.raises(StreamError, match=r"hands\.hand\.hand_position_in_base_m"):
         take(own, line(20, hands={"hand": far}))
     assert own.claims[0].latest is Verdict.INCONCLUSIVE
+
+
+NO_NUMBERS = [float("nan")] * 6
+
+
+@pytest.mark.parametrize(
+    "rest",
+    [
+        [json.dumps({"time_s": 100.0 + k * 0.008, "hands": {"hand": PLACE}}).encode() for k in range(20, 60)],
+        [line(k, joint_position_rad=NO_NUMBERS) for k in range(20, 60)],
+        [line(19)] * 40,
+    ],
+    ids=["hands alone", "joints that are no numbers", "a clock that stands"],
+)
+def test_a_stream_that_ends_without_joints_holds_nothing(rest: list[bytes]) -> None:
+    own = monitor(LOW)
+    take(own, *seen(range(20)))
+    assert [change.verdict for change in own.verdicts()] == [Verdict.HOLDS]
+    for one in rest:
+        with suppress(StreamError):
+            take(own, one)
+    *_, change = own.end()
+    assert (change.verdict, own.counts.silent) == (Verdict.INCONCLUSIVE, 1)
+    assert [change.verdict for change in own.verdicts()] == [Verdict.INCONCLUSIVE]
+
+
+@pytest.mark.parametrize("rest", [[], [line(k, joint_position_rad=NO_NUMBERS) for k in range(20, 30)]])
+def test_one_that_ends_within_their_longest_gap_holds_what_it_held(rest: list[bytes]) -> None:
+    own = monitor(LOW)
+    take(own, *seen(range(20)))
+    for one in rest:
+        with suppress(StreamError):
+            take(own, one)
+    assert not list(own.end())
+    assert [change.verdict for change in own.verdicts()] == [Verdict.HOLDS]
 
 
 @pytest.mark.parametrize(
