@@ -10,6 +10,7 @@ about that.  The claim gets the gravest of its strata.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from math import floor, log10
 
 from safety_harness.certification.evidence import SEVERITY, Bound, ClaimResult, ClaimStatus, OverrulingResult
 from safety_harness.report.words import rounded_down, rounded_up
@@ -88,8 +89,13 @@ def overall(outcomes: Sequence[ClaimResult]) -> tuple[ClaimStatus, str]:
 
 
 def percent(share: float) -> str:
-    """A probability in per cent with two or three significant digits, and never 0 % of something."""
+    """A probability in per cent with two or three significant digits.
+
+    Never 0 % of something, nor 100 % of less.
+    """
     shown = 100.0 * share
+    if 99.995 <= shown < 100.0:  # two digits of what it lacks
+        return f"{shown:.{1 - floor(log10(100.0 - shown))}f}".rstrip("0") + " %"
     if shown == 0.0 or shown >= 99.95:
         return f"{shown:.4g} %"
     return f"{shown:.3g} %" if shown >= 0.01 else f"{shown:.2g} %"

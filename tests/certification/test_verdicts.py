@@ -101,6 +101,20 @@ def test_the_gravest_standing_speaks_for_all() -> None:
 @pytest.mark.parametrize(
     ("share", "text"),
     [
+        (1.0, "100 %"),
+        (0.9997, "99.97 %"),
+        (0.999999, "99.9999 %"),
+        (0.99999, "99.999 %"),
+        (0.99995, "99.995 %"),
+    ],
+)
+def test_a_large_one_is_never_shown_as_all(share: float, text: str) -> None:
+    assert percent(share) == text
+
+
+@pytest.mark.parametrize(
+    ("share", "text"),
+    [
         (0.0, "0 %"),
         (0.002, "0.2 %"),
         (0.01747, "1.75 %"),
