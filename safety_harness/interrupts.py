@@ -1,11 +1,26 @@
-"""Ctrl-C, where what is under way is to be finished first."""
+"""Ctrl-C, where what is under way is to be finished first, or where it is another process that answers."""
 
 from __future__ import annotations
 
 import signal
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from multiprocessing import resource_tracker
 from types import FrameType
+
+
+@contextmanager
+def deaf_children() -> Iterator[None]:
+    """Processes that are started meanwhile hear no Ctrl-C, from their first moment on.
+
+    They would end with a traceback while they import.  One that comes meanwhile is heard afterwards.
+    """
+    resource_tracker.ensure_running()  # which would let Ctrl-C in again
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 @contextmanager

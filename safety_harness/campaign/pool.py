@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import os
 import signal
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
+from multiprocessing.context import SpawnContext, SpawnProcess
+
+from safety_harness.interrupts import deaf_children
 
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 
@@ -25,8 +27,7 @@ def pool(jobs: int, begin: Callable[[], None] | None = None) -> Iterator[Process
     Whatever is raised within ends them at once.  Ctrl-C is for the first process to answer.
     """
     one_thread_each()
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(jobs, mp_context=context, initializer=_begin, initargs=(begin,)) as executor:
+    with ProcessPoolExecutor(jobs, mp_context=_Deaf(), initializer=_begin, initargs=(begin,)) as executor:
         try:
             yield executor
         except BaseException:
@@ -34,6 +35,17 @@ def pool(jobs: int, begin: Callable[[], None] | None = None) -> Iterator[Process
             for process in list((executor._processes or {}).values()):
                 process.terminate()
             raise
+
+
+class _DeafProcess(SpawnProcess):
+    def start(self) -> None:
+        """Out of Ctrl-C's way."""
+        with deaf_children():
+            super().start()
+
+
+class _Deaf(SpawnContext):
+    Process = _DeafProcess
 
 
 def _begin(begin: Callable[[], None] | None) -> None:

@@ -28,6 +28,7 @@ from safety_harness.campaign.plan import read_plan
 from safety_harness.campaign.pool import one_thread_each
 from safety_harness.campaign.rows import Row
 from safety_harness.exceptions import CampaignError, InputError
+from safety_harness.interrupts import deaf_children
 
 _MOST_FALSE_STARTS = 10
 _LOOK_S = 1.0  # between looks at clocks and memory
@@ -242,7 +243,8 @@ class Processes:
         ours, theirs = self._context.Pipe()
         lifeline, other_end = self._context.Pipe()
         process = self._context.Process(target=work, args=(theirs, other_end, self.make), daemon=True)
-        process.start()
+        with deaf_children():  # nor does the process that forks them, which is there from the first on
+            process.start()
         theirs.close()
         other_end.close()
         return _Worker(process, ours, lifeline, time.monotonic())

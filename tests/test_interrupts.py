@@ -1,0 +1,48 @@
+"""Ctrl-C is for the first process to answer."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from safety_harness.campaign.pool import pool
+from safety_harness.interrupts import deaf_children
+
+DEAF = "import signal; print(signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, []))"
+
+
+def is_deaf() -> bool:
+    return signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, [])
+
+
+def asked() -> str:
+    return subprocess.run(
+        [sys.executable, "-c", DEAF], capture_output=True, text=True, check=True
+    ).stdout.strip()
+
+
+def test_a_process_started_meanwhile_hears_none_and_a_later_one_does() -> None:
+    with deaf_children():
+        assert asked() == "True"
+    assert asked() == "False"
+
+
+def test_one_that_comes_meanwhile_is_heard_afterwards() -> None:
+    heard = False
+    with pytest.raises(KeyboardInterrupt):
+        with deaf_children():
+            os.kill(os.getpid(), signal.SIGINT)
+            time.sleep(0.01)
+            heard = True
+        pytest.fail("it was lost")
+    assert heard
+
+
+def test_the_processes_of_a_pool_hear_none_from_the_beginning() -> None:
+    with pool(1) as executor:
+        assert executor.submit(is_deaf).result()
