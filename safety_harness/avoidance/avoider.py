@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from safety_harness.controller.contract import IMAGE, sees_of
 from safety_harness.exceptions import AvoiderError, ControllerError
 from safety_harness.scenario.decision_times import LONGEST_S
+from safety_harness.trace.records import ENDLESS
 
 Vector = NDArray[np.float64]  # (3,)
 Vectors = NDArray[np.float64]  # (n, 3)
@@ -146,6 +147,8 @@ def checked(proposal: object) -> Proposal:
         array = given.astype(np.float64)
         if not np.all(np.isfinite(array)):
             raise AvoiderError(f"the proposed {name} is not finite: {array.tolist()}")
+        if not np.all(np.abs(array) < ENDLESS):
+            raise AvoiderError(f"the proposed {name} is as good as infinite: {array.tolist()}")
         cleaned.append(array)
     if np.any(cleaned[1] < 0.0):
         raise AvoiderError(f"a spread is never negative; got {cleaned[1].tolist()}")

@@ -214,7 +214,7 @@ class Gate:
         joints[0] = query.joint_position_rad
         joints[1:] = self.kinematics.followed(poses, query.joint_position_rad)
         own_m = own_distances(arm, capsules, joints)
-        wrist = ~(own_m[1:] >= min(OWN_CLEARANCE_M, own_m[0]))  # also where there are no joints
+        wrist = np.isnan(joints[1:, 0]) | ~(own_m[1:] >= min(OWN_CLEARANCE_M, own_m[0]))
         wrong = wrist
         if len(self.boxes) > 0:
             box_m = distances_m(arm_with(arm, capsules), self.boxes, joints)

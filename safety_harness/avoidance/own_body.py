@@ -80,7 +80,7 @@ def own_distances(
 def _own_distances(
     arm: Arm, last: int, first: int, joint_positions_rad: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """(m,) ``wrist_distance`` [m] at each joint position of (m, n)."""
+    """(m,) ``wrist_distance`` [m] at each of ``joint_positions_rad`` (m, n)."""
     frames = arm.reach_m.shape[0] + 2  # which has attributes without compiling too
     transforms, ends = np.empty((frames, 4, 4)), np.empty((arm.capsules.shape[0], 2, 3))
     found = np.empty(joint_positions_rad.shape[0])

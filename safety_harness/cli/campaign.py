@@ -57,6 +57,8 @@ _command = partial(
     command, commands, interrupted="interrupted; what was committed is in the ledger", failed=DIFFERS
 )
 
+_unwritten = partial(command, commands, interrupted="interrupted; nothing is written", failed=DIFFERS)
+
 
 @_command()
 def run(
@@ -87,7 +89,7 @@ def run(
     return _carry_on(read, ledger or Path("reports") / read.name / LEDGER, workers, cluster, part)
 
 
-@_command("pilot")
+@_unwritten("pilot")
 def pilot_runs(
     plan: Annotated[Path, Argument(help="A plan: a file, or shipped:NAME.", metavar="PLAN")],
     runs: Annotated[int, Option(help="Of each stratum; with another seed than the plan's.", min=1)] = 30,
@@ -393,7 +395,7 @@ def attribute(
     return attribute_ledger(ledger, most, execute_programs, out, confirm)
 
 
-@_command("rare")
+@_unwritten("rare")
 def rare_violations(
     plan: Annotated[Path, Argument(help="A plan: a file, or shipped:NAME.", metavar="PLAN")],
     by: Annotated[RareWay, Option(help="Draws from where violations are, or the way there in steps.")] = (

@@ -187,6 +187,9 @@ def rare_line(one: RareViolation) -> str:
             why = "a few draws carry most of the weight: try more --pilot draws, or --by splitting"
             if found.pareto_shape == math.inf:
                 why = f"fewer than {FEWEST_WEIGHTS} draws violate it: try more --runs, or --by splitting"
+        elif found.reached == len(found.replicates) and one.low > 0.0:
+            why = "too often for an upper end below 1: campaign run counts it"
+            return f"{where}: at least {one.low:.3g} of all runs violate it ({why}; {ran})"
         return f"{where}: nothing can be said ({why}; {ran})"
     line = f"{where}: {one.share:.3g} of all runs violate it ({one.low:.3g} to {one.high:.3g}; {ran})"
     return line + f"; independent runs would take {found.as_many_draws:,.0f} for the same standard error"

@@ -1,4 +1,4 @@
-"""``safety-harness validate``: read and check files, execute nothing, tell every mistake."""
+"""``safety-harness validate``: read and check files, execute nothing, tell what is wrong."""
 
 from __future__ import annotations
 

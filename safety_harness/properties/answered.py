@@ -22,7 +22,7 @@ from safety_harness.scenario.units import TIME
 from safety_harness.trace.records import ENDLESS, Check
 from safety_harness.trace.trace import Trace
 
-_NUMBER = re.compile(r"-?\d+\.\d+(?:e[+-]?\d+)?")
+_NUMBER = re.compile(r"(?<![\w.-])(?<!\.py:)-?\d+(?:\.\d+)?(?:e[+-]?\d+)?(?!\w|\.\d)")  # of no name or line
 NOT_MODELLED = "computing time not modelled"
 
 
@@ -80,7 +80,12 @@ def fault_of(trace: Trace) -> str:
     """What the avoider did first instead of answering, without its numbers; empty if it always answered."""
     if len(trace.decisions) == 0 or not (silent := unanswered(trace)).any():
         return ""
-    return f"the avoider gave no answer: {_NUMBER.sub('...', _words(trace, int(np.argmax(silent))))}"
+    return f"the avoider gave no answer: {without_numbers(_words(trace, int(np.argmax(silent))))}"
+
+
+def without_numbers(text: str) -> str:
+    """By what mistakes are told apart: those of names and lines stay."""
+    return _NUMBER.sub("...", text)
 
 
 def fallback_words(unanswered: int, decisions: int) -> str:

@@ -12,7 +12,7 @@ from safety_harness.admission.admit import Admitted, admit
 from safety_harness.admission.claims import property_of
 from safety_harness.avoidance.avoider import AvoiderAround, Proposal, Vector
 from safety_harness.exceptions import InputError, described
-from safety_harness.properties.answered import fault_of
+from safety_harness.properties.answered import fault_of, without_numbers
 from safety_harness.properties.base import Evaluation
 from safety_harness.scenario.model import Claim, Scenario, Verdict
 from safety_harness.search.against import Reference
@@ -67,8 +67,8 @@ class Complaint:
 
 
 def failure_of(run: Trace | Exception) -> str:
-    """Why there is no run; empty if there is one."""
-    return f"{RUN_FAILED}{described(run)}" if isinstance(run, Exception) else ""
+    """Why there is no run, without its numbers; empty if there is one."""
+    return f"{RUN_FAILED}{without_numbers(described(run))}" if isinstance(run, Exception) else ""
 
 
 @dataclass(frozen=True)

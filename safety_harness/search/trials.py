@@ -35,6 +35,7 @@ from safety_harness.properties.answered import (
     is_claimed,
     unanswered,
     with_expectation,
+    without_numbers,
 )
 from safety_harness.properties.base import Evaluation, Property
 from safety_harness.scenario.model import Claim, Scenario, Verdict
@@ -186,14 +187,16 @@ class Trials:
         conclusive = np.zeros(margins.shape, bool)
         mishaps, kinds = [""] * len(points), [""] * len(points)
         cells: list[CoverageCell | None] = [None] * len(points)
+        judged: list[int] = []
         for k, trace in zip(admitted, traces, strict=False):
             reference = references.get(k)
             if isinstance(reference, Exception):
                 refused[k] = f"the run with {self.goals[0].against} failed: {described(reference)}"
                 continue
             if isinstance(trace, Exception):
-                mishaps[k] = f"{RUN_FAILED}{described(trace)}"
+                mishaps[k] = f"{RUN_FAILED}{without_numbers(described(trace))}"
                 continue
+            judged.append(k)
             evaluations = [prop.evaluate(trace) for prop in self.properties]
             margins[k] = [np.nan if one.margin is None else one.margin for one in evaluations]
             conclusive[k] = [one.verdict is not Verdict.INCONCLUSIVE for one in evaluations]
@@ -209,8 +212,8 @@ class Trials:
             self.nearest_hand_m = min(self.nearest_hand_m, least_hand_distance_m(trace))
             cells[k] = cell = cell_of(trace, self._admitter.seen_of(trace.scenario))
             kinds[k] = "" if cell is None else f"{cell.direction}, {cell.outcome}"
-        self.coverage.add(cells[k] for k in admitted)
-        self.violations.add(cells[k] for k in admitted if np.any(margins[k] < 0.0))
+        self.coverage.add(cells[k] for k in judged)
+        self.violations.add(cells[k] for k in judged if np.any(margins[k] < 0.0))
         return Outcomes(margins, conclusive, refused, mishaps, kinds, cells)
 
     def _hold_against(

@@ -69,14 +69,14 @@ def weigh(
     StatisticsError for margins that are NaN, or not one for each point.
     """
     judged, settings = JudgedMargins(margins), how or Importance()
-    pilot, rng, last = (generator(seed, Branch.STATISTICS, 4, part) for part in range(3))
+    pilot, rng = (generator(seed, Branch.STATISTICS, 4, part) for part in range(2))
     proposal, levels = _pilot(judged, dimensions, settings, pilot)
     each = settings.runs // settings.replications
     points, weights = proposal.draw(each * settings.replications, settings.plain, rng)
     found = weights * (judged(points) < 0.0)
     replicates = found.reshape(settings.replications, each).mean(axis=1)
     shape = pareto_shape(found[found > 0.0])
-    estimate = estimate_of(replicates, levels, judged.count, confidence, last, model_only=model_only)
+    estimate = estimate_of(replicates, levels, judged.count, confidence, model_only=model_only)
     high = estimate.high if shape <= LARGEST_SHAPE else 1.0  # also where the shape is no number
     return replace(estimate, high=high, pareto_shape=shape)
 

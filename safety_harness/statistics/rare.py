@@ -18,10 +18,11 @@ Student's t is too low too often.  So it is that of a lognormal's mean, by its g
     log mean  =  m - Z sqrt(V / R) + V / 2,   V = (R - 1) s^2 / C,
 
 with m and s^2 the mean and variance of the estimates' logarithms, Z standard normal and C chi-squared with
-R - 1 degrees of freedom (Krishnamoorthy and Mathew, 2003); the lower end is Student's.  A region that hardly
-any replication finds makes most estimates too low and few much too high.  So there is an upper end below 1
-only where every replication found a violation, and none of them makes up half of the sum.  Of a region that
-none found nothing can be said, nor of how sure replications are that all say the same.
+R - 1 degrees of freedom (Krishnamoorthy and Mathew, 2003), by integration over C; the lower end is
+Student's.  A region that hardly any replication finds makes most estimates too low and few much too high.  So
+there is an upper end below 1 only where every replication found a violation, and none of them makes up half
+of the sum.  Of a region that none found nothing can be said, nor of how sure replications are that all say
+the same.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ Margins = Callable[[Floats], Floats]
 _BELOW_ONE = math.nextafter(1.0, 0.0)
 _MOST_LEVELS = 60
 _MOST_OF_SUM = 0.5
-_PIVOTS = 20_000
+_NODES, _BEYOND = 4_000, 1e-30  # of the integral over C, and the chance that is left out at either end
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,12 +110,12 @@ def split(
     judged = JudgedMargins(margins)
     settings = how or Splitting()
     shape = (settings.particles, dimensions)
-    pilot, *rngs, last = (generator(seed, Branch.STATISTICS, 2, r) for r in range(settings.replications + 2))
+    pilot, *rngs = (generator(seed, Branch.STATISTICS, 2, r) for r in range(settings.replications + 1))
     levels, lengths = _pilot(_Particles(judged, shape, pilot), settings)
     replicates = np.array(
         [_replication(_Particles(judged, shape, rng), settings.steps, levels, lengths) for rng in rngs]
     )
-    return estimate_of(replicates, levels, judged.count, confidence, last, model_only=model_only)
+    return estimate_of(replicates, levels, judged.count, confidence, model_only=model_only)
 
 
 def estimate_of(
@@ -122,12 +123,11 @@ def estimate_of(
     levels: Sequence[float],
     evaluations: int,
     confidence: float,
-    rng: np.random.Generator,
     *,
     model_only: bool,
 ) -> RareEstimate:
-    """What ``replicates`` (n,) say together; ``rng`` is for the upper end."""
-    low, high = interval_of(replicates, chance_of_each(confidence, 2), rng)
+    """What ``replicates`` (n,) say together."""
+    low, high = interval_of(replicates, chance_of_each(confidence, 2))
     return RareEstimate(
         value=float(replicates.mean()),
         low=low,
@@ -158,7 +158,7 @@ class JudgedMargins:
         return found
 
 
-def interval_of(replicates: Floats, chance: float, rng: np.random.Generator) -> tuple[float, float]:
+def interval_of(replicates: Floats, chance: float) -> tuple[float, float]:
     """Ends for the mean of ``replicates`` (n,), each wrong with about this chance, within [0, 1].
 
     The upper end is 1 where they do not agree well enough; from 0 to 1 where none differs: then there is no
@@ -172,9 +172,24 @@ def interval_of(replicates: Floats, chance: float, rng: np.random.Generator) -> 
     if not replicates.all() or float(replicates.max()) >= _MOST_OF_SUM * n * mean:
         return low, 1.0
     logarithms = np.log(replicates)
-    variance = (n - 1) * logarithms.var(ddof=1) / rng.chisquare(n - 1, _PIVOTS)
-    pivots = logarithms.mean() - rng.standard_normal(_PIVOTS) * np.sqrt(variance / n) + variance / 2.0
-    return low, math.exp(min(float(np.quantile(pivots, 1.0 - chance)), 0.0))
+    return low, math.exp(_largest_pivot(float(logarithms.mean()), float(logarithms.var(ddof=1)), n, chance))
+
+
+def _largest_pivot(mean: float, variance: float, n: int, chance: float) -> float:
+    """The value that log mean, as a pivot, exceeds with this chance; 0 at most.
+
+    P(log mean > x) = E over C of Phi((m + V / 2 - x) / sqrt(V / R)), by the trapezoidal rule over log C.
+    """
+    of_c = scipy.stats.chi2(n - 1)
+    logs = np.linspace(math.log(of_c.ppf(_BEYOND)), math.log(of_c.isf(_BEYOND)), _NODES)
+    weights = np.exp(of_c.logpdf(np.exp(logs)) + logs)
+    of_v = (n - 1) * variance / np.exp(logs)
+
+    def excess(x: float) -> float:
+        beyond = scipy.special.ndtr((mean + of_v / 2.0 - x) / np.sqrt(of_v / n))
+        return float(weights @ beyond / weights.sum()) - chance
+
+    return 0.0 if excess(0.0) >= 0.0 else float(scipy.optimize.brentq(excess, mean, 0.0, xtol=1e-12))
 
 
 def _pilot(particles: _Particles, how: Splitting) -> tuple[list[float], list[float]]:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
+from itertools import pairwise
 
 import numpy as np
 import pytest
+import scipy.integrate
 import scipy.stats
 from acceptance import misses_are, misses_are_no_more_than
 from known_problems import normal, outside_a_sphere, tail, two_tails
@@ -77,8 +79,26 @@ def test_of_lognormal_replicates_the_upper_end_misses_as_often_as_it_says(
     rng, runs = np.random.default_rng(19), 1500
     mean = 1e-5 * np.exp(deviation**2 / 2.0)
     drawn = 1e-5 * rng.lognormal(sigma=deviation, size=(runs, replications))
-    missed = sum(interval_of(one, 0.025, rng)[1] < mean for one in drawn)
+    missed = sum(interval_of(one, 0.025)[1] < mean for one in drawn)
     assert misses_are(missed, runs, 0.025)
+
+
+@pytest.mark.parametrize("chance", [0.025, 2.5e-5, 2.5e-7])
+def test_it_has_the_chance_that_is_asked_however_small(chance: float) -> None:
+    """By another quadrature: over C itself, its range cut into decades."""
+    replicates = np.exp(np.random.default_rng(3).normal(-7.0, 0.5, 20))
+    _, high = interval_of(replicates, chance)
+    logs, of_c = np.log(replicates), scipy.stats.chi2(19)
+
+    def beyond(c: float) -> float:
+        v = 19.0 * logs.var(ddof=1) / c
+        return float(
+            of_c.pdf(c) * scipy.stats.norm.cdf((logs.mean() + v / 2.0 - np.log(high)) / np.sqrt(v / 20.0))
+        )
+
+    ends = [1e-3, 0.1, 1.0, 3.0, 10.0, 30.0, 200.0]
+    total = sum(scipy.integrate.quad(beyond, *two, epsabs=1e-16, epsrel=1e-10)[0] for two in pairwise(ends))
+    assert total == pytest.approx(chance, rel=1e-6)
 
 
 def test_brute_force_agrees_where_it_can() -> None:
