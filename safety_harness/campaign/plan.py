@@ -19,13 +19,13 @@ from safety_harness.admission.claims import property_of
 from safety_harness.admission.driving import named_system
 from safety_harness.campaign.hazards import PlannedHazards, read_hazards
 from safety_harness.campaign.identity import Identity, PlanFile, files_of_plan, identity_of, references_in
-from safety_harness.campaign.plan_keys import CLAIM, KEPT, PLAN, SEARCH, STRATUM
+from safety_harness.campaign.plan_keys import CLAIM, KEPT, LEAST_TARGET, PLAN, SEARCH, STRATUM
 from safety_harness.exceptions import InadmissibleError, Place
 from safety_harness.properties.base import Unit
 from safety_harness.scenario.compose import Library
 from safety_harness.scenario.fields import Field, Fields
 from safety_harness.scenario.files import as_path
-from safety_harness.scenario.kinds import FileKind, refuse_other_kind
+from safety_harness.scenario.kinds import FileKind, kind_of, refuse_other_kind
 from safety_harness.scenario.model import (
     LARGEST_SEED,
     NO_AVOIDER,
@@ -258,6 +258,8 @@ def _strata(at: Field, folder: Path, library: Library) -> tuple[Stratum, ...]:
         file = located(folder / space.sentence(expected), space.place)
         if not file.is_file():
             raise space.error(expected, got=f"no such file: {file}")
+        if (kind := kind_of(file)) not in (None, FileKind.SPACE):
+            raise space.error(expected, got=f"{kind.words}: {file}")
         strata.append(Stratum(name, read_space(file, library), runs))
     return tuple(strata)
 
@@ -295,4 +297,4 @@ def _claims(at: Field, strata: tuple[Stratum, ...], risks: PlannedHazards) -> tu
 def _target(field: Field, hazards: tuple[str, ...], risks: PlannedHazards) -> float:
     if isinstance(field.node, Scalar) and field.node.text == "derived":
         return risks.target(hazards, field)
-    return field.quantity(FRACTION, above=0.0, most=0.5)
+    return field.quantity(FRACTION, least=LEAST_TARGET, most=0.5)

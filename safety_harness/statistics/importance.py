@@ -52,7 +52,8 @@ class Importance:
         counts = self.pilot >= 1 and 2 <= self.replications <= self.runs
         if not counts or not 0.0 < self.best < 1.0 or not 0.0 < self.plain < 1.0:
             expected = "draws, at least two replications of one each, and shares between 0 and 1"
-            raise refusal("importance sampling", expected, str(self))
+            got = f"{self.runs} draws in {self.replications} replications, {self.pilot} in a pilot's step"
+            raise refusal("importance sampling", expected, got)
 
 
 def weigh(

@@ -62,7 +62,8 @@ class Splitting:
     def __post_init__(self) -> None:
         if min(self.particles, self.steps) < 1 or self.replications < 2 or not 0.0 < self.survivors < 1.0:
             expected = "particles, steps, at least two replications, and a share of survivors"
-            raise refusal("splitting", expected, str(self))
+            got = f"{self.particles} particles, {self.steps} steps, {self.replications} replications"
+            raise refusal("splitting", expected, got)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -69,7 +69,7 @@ def test_the_shipped_plans_can_be_read() -> None:
             "violated in at most: 0 %",
             15,
             "claims[0].violated in at most",
-            "above 0",
+            "at least",
         ),
         ("claim: joint speeds within limits", "claim: hands are happy", 17, "claims[1].claim", "a formula"),
         (
