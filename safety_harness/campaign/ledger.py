@@ -117,9 +117,12 @@ class Ledger:
         """Let go of the file."""
         self.connection.close()
 
-    def refuse_other(self, identity: Identity) -> None:
+    def refuse_other(
+        self,
+        identity: Identity,
+        hint: str = "put them back as they were, or begin another ledger (--ledger FILE)",
+    ) -> None:
         """LedgerError that names what has changed since the ledger's plan was declared."""
-        hint = "put them back as they were, or begin another ledger (--ledger FILE)"
         self.declared.identity.refuse_other(identity, self.path, hint=hint)
 
     @property

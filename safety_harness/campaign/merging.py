@@ -9,6 +9,7 @@ from pathlib import Path
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.opening import explained, only_runner, refuse_any_file, unusable
 from safety_harness.campaign.session import plan_of
+from safety_harness.campaign.summary import tally_of
 from safety_harness.exceptions import LedgerError, Place
 from safety_harness.properties.base import Unit
 from safety_harness.statistics.paired import PairedComparison, compare
@@ -47,7 +48,7 @@ def _merged(unfinished: Path, first: Ledger, ledgers: Sequence[Path]) -> int:
         with plan_of(first) as plan, Ledger.create(unfinished, plan) as whole:
             for path in ledgers:
                 with Ledger.open(path) as part:
-                    part.refuse_other(whole.declared.identity)
+                    part.refuse_other(whole.declared.identity, hint=f"{first.path} is of another plan")
                 _take_over(whole, path)
             return int(next(whole.all("SELECT count(*) FROM episode"))[0])
     finally:
@@ -108,11 +109,15 @@ def compare_ledgers(first: Ledger, second: Ledger) -> tuple[PairedComparison, ..
     """For each claim and stratum that both have: second minus first, exactly, at the first's confidence.
 
     The bounds hold together (Bonferroni).  LedgerError for campaigns that share no claim, stratum or space,
-    StatisticsError while episodes are missing, or for others than the same.
+    or while episodes are missing, StatisticsError for others than the same.
     """
     if first.draws_sha256 != second.draws_sha256:  # common random numbers are common only in the same spaces
         expected = f"a campaign over the same spaces as {first.path}"
         raise unusable(second.path, expected, "spaces with another text")
+    for ledger in (first, second):
+        if not (tally := tally_of(ledger)).complete:
+            got = f"{tally.done} of {tally.planned} episodes: resume it, or merge its parts"
+            raise unusable(ledger.path, "a complete campaign", got)
     strata = [name for name in first.declared.strata if name in second.declared.strata]
     claims = [claim for claim in first.declared.claims if claim in second.declared.claims]
     if not strata or not claims:

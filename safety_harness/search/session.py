@@ -355,6 +355,8 @@ def search_space(
     there = PYBULLET.is_installed
     confirming = in_pybullet if there else in_kinematic
     session = SearchSession(trials, out, budget, output, confirming, there, explain)
+    if (out / FINDINGS).exists() and (before := [*out.glob("*.yaml")]):
+        output.say(f"{out} keeps the files of an earlier search, {before[0].name} among them")
     if not there:
         output.say(NO_REFERENCE)
     session.findings = session.search(make, trials)

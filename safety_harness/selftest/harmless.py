@@ -67,13 +67,15 @@ def _unused_matrix(records: ControllerRecords, magnitude: float) -> None:
         records.parameters["desired_interaction"] = np.nan
 
 
-@declared(harmless="the pose is the same, and the joint stays within its limits of two turns")
+@declared(harmless="the pose is the same, and it is done where a radian is left to the joint's limits")
 @of_motion("wrist a whole turn on", "another joint position for the same pose")
 @seeded(outright)
 def _half_turn_later(system: ChangedSystem, magnitude: float) -> ChangedSystem:
     joints = system.admitted.joint_position_rad.copy()
     joints[-1] += 2.0 * np.pi if joints[-1] < 0.0 else -2.0 * np.pi
-    return system.starting_at(joints)
+    arm = system.admitted.arm
+    left_rad = min(joints[-1] - arm.position_lower_rad[-1], arm.position_upper_rad[-1] - joints[-1])
+    return system.starting_at(joints) if left_rad >= 1.0 else system
 
 
 @declared(harmless="the drives carry a stop through, whatever is asked for")
