@@ -22,7 +22,8 @@ from safety_harness.scenario.units import TIME
 from safety_harness.trace.records import ENDLESS, Check
 from safety_harness.trace.trace import Trace
 
-_NUMBER = re.compile(r"(?<![\w.-])(?<!\.py:)-?\d+(?:\.\d+)?(?:e[+-]?\d+)?(?!\w|\.\d)")  # of no name or line
+_MEASURED = re.compile(r"-?\d+\.\d+(?:e[+-]?\d+)?")
+_NUMBER = re.compile(r"(?<![\w.-])(?<!\.py:)(?<!status )-?\d+(?:\.\d+)?(?:e[+-]?\d+)?(?!\w|\.\d)")
 NOT_MODELLED = "computing time not modelled"
 
 
@@ -80,11 +81,11 @@ def fault_of(trace: Trace) -> str:
     """What the avoider did first instead of answering, without its numbers; empty if it always answered."""
     if len(trace.decisions) == 0 or not (silent := unanswered(trace)).any():
         return ""
-    return f"the avoider gave no answer: {without_numbers(_words(trace, int(np.argmax(silent))))}"
+    return f"the avoider gave no answer: {_MEASURED.sub('...', _words(trace, int(np.argmax(silent))))}"
 
 
 def without_numbers(text: str) -> str:
-    """By what mistakes are told apart: those of names and lines stay."""
+    """By what mistakes are told apart: those of names, lines of files and exit codes stay."""
     return _NUMBER.sub("...", text)
 
 

@@ -208,7 +208,7 @@ class Trials:
             self.unanswered += int(np.count_nonzero(unanswered(trace)))
             self.overruling += Overruling.of([trace])
             own = reference is None or not fault_of(reference)
-            mishaps[k] = fault_of(trace) if self.answered and own else ""
+            mishaps[k] = without_numbers(fault_of(trace)) if self.answered and own else ""
             self.nearest_hand_m = min(self.nearest_hand_m, least_hand_distance_m(trace))
             cells[k] = cell = cell_of(trace, self._admitter.seen_of(trace.scenario))
             kinds[k] = "" if cell is None else f"{cell.direction}, {cell.outcome}"

@@ -101,3 +101,51 @@ def test_a_pilot_runs_other_episodes_than_the_plan(plan: Plan, monkeypatch: pyte
     assert [one.tried for one in found.forecasts] == [4] * 4
     assert found.failures == ()
     assert found.seconds(plan, 2) == pytest.approx((300 * found.run_s[0] + 20 * found.run_s[1]) / 2)
+
+
+AVOIDERS = """
+from safety_harness import Proposal
+
+
+class Raises:
+    name = "raises"
+
+    def propose(self, *, hand_position_in_base_m, tcp_position_in_base_m, seed):
+        raise ValueError("no idea")
+
+
+class Remembers:
+    name = "remembers"
+    asked = 0
+
+    def propose(self, *, hand_position_in_base_m, tcp_position_in_base_m, seed):
+        self.asked += 1
+        return Proposal(tcp_position_in_base_m + [0.0, 0.0, 0.001 * self.asked])
+"""
+
+
+def of(folder: Path, avoider: str) -> Plan:
+    folder.mkdir(exist_ok=True)
+    (folder / "mine.py").write_text(AVOIDERS)
+    return plan_in(folder, PLAN.replace("avoider: opposite pose", f"avoider: mine.py:{avoider}"))
+
+
+def test_a_pilot_of_an_avoider_that_gives_no_answer_is_not_enough(tmp_path: Path) -> None:
+    found = pilot(of(tmp_path, "Raises"), 4)
+    (remark,) = found.remarks
+    assert "with the fallback in its place" in remark
+    assert not found.enough
+
+
+def test_nor_is_one_of_an_avoider_that_remembers(tmp_path: Path) -> None:
+    found = pilot(of(tmp_path, "Remembers"), 8)
+    (remark,) = found.remarks
+    assert "the avoider remembers" in remark
+    assert not found.enough
+
+
+def test_where_the_plan_claims_that_it_answers_the_claim_says_it(tmp_path: Path) -> None:
+    text = PLAN.replace("  - claim: joint speeds", "  - claim: the avoider answered\n  - claim: joint speeds")
+    (tmp_path / "mine.py").write_text(AVOIDERS)
+    plan = plan_in(tmp_path, text.replace("opposite pose", "mine.py:Raises"))
+    assert pilot(plan, 4).remarks == ()

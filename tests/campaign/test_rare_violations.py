@@ -11,11 +11,13 @@ from safety_harness.campaign import rare
 from safety_harness.campaign.episodes import EpisodeRunner
 from safety_harness.campaign.plan import Plan
 from safety_harness.campaign.rare import RareViolation, rare_violations
+from safety_harness.campaign.watch import AvoiderWatch
 from safety_harness.exceptions import StatisticsError
 from safety_harness.statistics.importance import Importance
 from safety_harness.statistics.rare import Splitting
 from safety_harness.statistics.sample import EpisodeOutcome, Floats
 from tests.campaign.plans import PLAN, plan_in
+from tests.campaign.test_pilot import AVOIDERS
 
 HOW = Splitting(particles=20, steps=2, replications=6)
 ONE = PLAN.replace("  - stratum: nearer\n    space: short.yaml\n    runs: 20\n", "")
@@ -90,3 +92,13 @@ def test_nothing_is_said_where_no_draw_can_be_run(plan: Plan, monkeypatch: pytes
     monkeypatch.setattr(rare._Draws, "_admit", lambda *_: None)
     with pytest.raises(StatisticsError, match="none of 100"):
         only(plan)
+
+
+def test_what_the_fallback_did_is_not_told_as_the_avoiders(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text(AVOIDERS)
+    plan = plan_in(tmp_path, ONE.replace("avoider: opposite pose", "avoider: mine.py:Raises"))
+    watch = AvoiderWatch()
+    assert list(rare_violations(plan, HOW, watch=watch))
+    assert watch.unanswered == watch.decisions > 0
+    (remark,) = watch.remarks(plan)
+    assert "with the fallback in its place" in remark

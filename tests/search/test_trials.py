@@ -91,8 +91,10 @@ def test_a_run_that_breaks_is_a_mishap_without_margins() -> None:
     def broken(admitted: Sequence[Admitted]) -> list[Exception]:
         return [SimulationError("the world ended")] * len(admitted)
 
-    found = Trials(SHORT, broken)(POINTS, 0)
+    trials = Trials(SHORT, broken)
+    found = trials(POINTS, 0)
     assert set(found.mishaps) == {"the run failed: SimulationError: the world ended"}
+    assert (sum(trials.coverage.counts.values()), trials.coverage.without) == (0, 0)  # of nothing is known
     assert np.isnan(found.margins).all()
 
 
