@@ -51,11 +51,9 @@ class Complaint:
 
     def margin_in(self, run: Trace | Exception) -> float | None:
         """The margin by which the claim is violated [SI]; None if it is not."""
-        if (
-            self.claim is None
-            or isinstance(run, Exception)
-            or self.kind not in ("", without_numbers(fault_of(run)))
-        ):
+        if self.claim is None or isinstance(run, Exception):
+            return None
+        if self.kind and self.kind != without_numbers(fault_of(run)):
             return None
         evaluation = property_of(self.claim, run.scenario).evaluate(run)
         if evaluation.verdict is not Verdict.VIOLATED:

@@ -10,7 +10,13 @@ from examples import VISIT, Displaced, Raising, Slow, hand, run, scenario
 from numpy.typing import NDArray
 
 from safety_harness.avoidance.avoider import Avoider, Proposal
-from safety_harness.properties.answered import AvoiderAnswered, by_default, fault_of, unanswered
+from safety_harness.properties.answered import (
+    AvoiderAnswered,
+    by_default,
+    fault_of,
+    unanswered,
+    without_numbers,
+)
 from safety_harness.scenario.faults import AvoiderLate, AvoiderNaN, AvoiderSilent, Fault
 from safety_harness.scenario.model import Claim, Verdict
 from safety_harness.scenario.moves import MoveTo, Wait
@@ -116,3 +122,15 @@ def test_who_expects_otherwise_is_not_told(expected: Verdict) -> None:
     claim = Claim(sentence="The avoider answered", expected=expected)
     trace = run(replace(HERE, claims=(claim,)), avoider=Raising())
     assert (by_default(trace) is None) is (expected is not Verdict.HOLDS)
+
+
+@pytest.mark.parametrize(
+    ("text", "without"),
+    [
+        ("hand too near (ct.py:40) at 0.336 s", "hand too near (ct.py:40) at ... s"),
+        ("bad -1e-3 and 67", "bad ... and ..."),
+        ("mine-2.py:Mine ended with exit status 3", "mine-2.py:Mine ended with exit status 3"),
+    ],
+)
+def test_mistakes_are_told_apart_without_their_numbers(text: str, without: str) -> None:
+    assert without_numbers(text) == without
