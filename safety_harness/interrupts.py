@@ -13,7 +13,7 @@ from types import FrameType
 def deaf_children() -> Iterator[None]:
     """Processes that are started meanwhile hear no Ctrl-C, from their first moment on.
 
-    They would end with a traceback while they import.  One that comes meanwhile is heard afterwards.
+    They would end with a traceback while they import.  One for this thread is heard afterwards.
     """
     resource_tracker.ensure_running()  # which would let Ctrl-C in again
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 
 import pytest
@@ -37,7 +37,7 @@ def test_one_that_comes_meanwhile_is_heard_afterwards() -> None:
 
     def meanwhile() -> None:
         with deaf_children():
-            os.kill(os.getpid(), signal.SIGINT)
+            signal.pthread_kill(threading.get_ident(), signal.SIGINT)
             time.sleep(0.01)
             went_on.append(True)
 
