@@ -147,6 +147,28 @@ def test_the_same_pose_has_the_same_branches_to_the_bit_in_the_order_of_the_docs
                 assert np.sin(before[4]) >= np.sin(after[4]) - 1e-9
 
 
+@pytest.mark.parametrize("numeric", [False, True])
+@pytest.mark.parametrize("name", ARMS[:1])
+def test_poses_that_are_followed_are_each_nearest_to_the_one_before_until_one_has_none(
+    name: str, numeric: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    arm = load_arm(name)
+    inverse = InverseKinematics(arm)
+    if numeric:
+        monkeypatch.setattr(inverse, "_geometry", None)
+    (joints,) = random_joints(arm, 1, seed=47)
+    poses = np.repeat(transforms_of(arm, joints)[7][None], 8, axis=0)
+    poses[:, 0, 3] += 0.01 * np.arange(8)
+    poses[6, :3, 3] += 3.0
+    found = inverse.followed(poses, joints)
+    for pose, solution in zip(poses[:6], found, strict=False):
+        alone = inverse.nearest(pose, joints)
+        assert alone is not None
+        assert solution.tobytes() == alone.tobytes()
+        joints = alone
+    assert np.isnan(found[6:]).all()
+
+
 @pytest.mark.parametrize("name", ARMS)
 def test_many_at_once_are_those_one_by_one_to_the_bit(name: str) -> None:
     arm = load_arm(name)
