@@ -30,9 +30,9 @@ PAIRS = (
 def merge(into: Path, ledgers: Sequence[Path]) -> int:
     """A ledger at ``into``, where there must be none, of all episodes of ``ledgers``; how many there are.
 
-    What several of them have must agree to the last bit.  LedgerError for ledgers of different plans, of one
-    that stops early (which needs its episodes in their order), and for one that disagrees, which names the
-    episode; nothing is written then.
+    What several of them have must agree to the last bit; one that is named twice is taken once.  LedgerError
+    for ledgers of different plans, of one that stops early (which needs its episodes in their order), and for
+    one that disagrees, which names the episode; nothing is written then.
     """
     with Ledger.open(ledgers[0]) as first, only_runner(into):
         refuse_any_file(into)
@@ -46,7 +46,7 @@ def _merged(unfinished: Path, first: Ledger, ledgers: Sequence[Path]) -> int:
     """How many episodes there are in all; nothing is left beside the file."""
     try:
         with plan_of(first) as plan, Ledger.create(unfinished, plan) as whole:
-            for path in ledgers:
+            for path in {path.resolve(): path for path in ledgers}.values():
                 with Ledger.open(path) as part:
                     part.refuse_other(whole.declared.identity, hint=f"{first.path} is of another plan")
                 _take_over(whole, path)

@@ -39,7 +39,7 @@ def _format(file: Path, *, check: bool) -> bool:
     text = laid_out(before, file)
     if text.encode() == data:
         return False
-    result(f"{'would change' if check else 'changed'} {file}")
     if not check:
         write_text(file, text)
+    result(f"{'would change' if check else 'changed'} {file}")
     return True

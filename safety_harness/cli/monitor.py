@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from safety_harness.monitoring.monitor import Monitor, VerdictLine
 
 commands = Typer()
+OPTIONS = {"robot": "--robot", "log.hands": "--hand", "log.period": "--period"}  # by what their text reads
 REFUSED_TOLD = 5  # lines that cannot be used; the others are counted
 CHUNK = 65_536
 MOST_WAIT_S = 10.0
@@ -139,7 +140,7 @@ def _cell(
     file: Path | None, claims: list[str], robot: str | None, hands: list[str] | None, period: str | None
 ) -> WatchedCell:
     """The cell of a file, or one of which only so much is said."""
-    from safety_harness.exceptions import SettingsError
+    from safety_harness.exceptions import InputError, SettingsError
     from safety_harness.monitoring.cell import cell_taken, read_cell
 
     if file is not None:
@@ -153,7 +154,14 @@ def _cell(
             raise SettingsError.of_option("monitor", "a LOG.yaml, or --robot", "neither", hint)
         name = robot.upper() if robot.upper() in ("UR10", "UR5", "UR3") else robot
         named = hands or (["hand"] if any("hand" in claim for claim in claims) else [])
-        found = cell_taken(name, named, period or "8 ms", claims)
+        try:
+            found = cell_taken(name, named, period or "8 ms", claims)
+        except InputError as error:  # of the text that the options make
+            field = error.place.field or ""
+            of = next((option for key, option in OPTIONS.items() if field.startswith(key)), None)
+            if of is None:
+                raise
+            raise type(error).of_option(of, error.expected, error.got, error.hint) from error
     if not found.scenario.claims:
         hint = "--claim 'always hand distance > 50 mm'"
         raise SettingsError.of_option("--claim", "a claim at least, there or in LOG.yaml", "none", hint)

@@ -63,7 +63,7 @@ def run(
 
 @command(commands)
 def validate(files: Files, avoider: OfAvoider = None, controller: OfController = None) -> int:
-    """Read and check scenario files, spaces and plans without running them, and tell every mistake.
+    """Read and check scenario files, spaces and plans without running them, and tell what is wrong.
 
     Nothing of theirs is executed: a Python file is parsed, of an ONNX file the metadata are read.
     A line "ok FILE: ..." goes to standard output for each file that can be run; mistakes go to standard

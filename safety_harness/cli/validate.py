@@ -36,7 +36,7 @@ if TYPE_CHECKING:  # a plan takes a second to import
 
 
 def validate(paths: Sequence[Path], avoider: str | None = None) -> int:
-    """A line for each file that can be used, every mistake of the others; returns the exit code."""
+    """A line for each file that can be used, the mistakes of the others; returns the exit code."""
     plans = [path for path in paths if kind_of(located(path)) is FileKind.PLAN]
     others = [path for path in paths if path not in plans]
     try:

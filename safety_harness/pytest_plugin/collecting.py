@@ -45,7 +45,7 @@ class ScenarioFile(pytest.File):
     def collect(self) -> Nodes:
         """An item a claim; where the file holds several scenarios, below a node for each.
 
-        CollectError with every mistake of the file, each with its place.
+        CollectError with the mistakes of the file, each with its place.
         """
         scenarios, spaces, refused = self._read()
         several = len(scenarios) + len(spaces) + len(refused) > 1

@@ -106,7 +106,7 @@ def variants(path: Path, library: Library) -> tuple[Variant, ...]:
     if not isinstance(tree, Mapping) or MATRIX not in _keys(tree):
         return (Variant(path.stem, tree),)
     matrix = dict(Field(tree, path, path="", line=1).entries("a scenario"))[MATRIX]
-    plain = _without(tree, {MATRIX})
+    plain = without_keys(tree, {MATRIX})
     found = []
     for combination in itertools.product(*_axes(matrix, plain)):
         name = f"{path.stem}[{','.join(label for label, _ in combination)}]"
@@ -169,9 +169,9 @@ def _extended(path: Path, library: Library, chain: tuple[Path, ...], place: Plac
     assert isinstance(base, Mapping)
     if WITHOUT in given:
         base = _reduced(base, given[WITHOUT])
-    own = _without(tree, {EXTENDS, WITHOUT})
+    own = without_keys(tree, {EXTENDS, WITHOUT})
     if _TITLES & _keys(own):
-        base = _without(base, _TITLES - _keys(own))
+        base = without_keys(base, _TITLES - _keys(own))
     return merged(base, own)
 
 
@@ -186,9 +186,9 @@ def _reduced(base: Mapping, without: Field) -> Mapping:
             hint = near_miss(word, _keys(base) | sentences)
             raise item.error("a key or a claim of the file that is extended", hint=hint)
         dropped.add(word)
-    left = _without(base, dropped).entries
+    left = without_keys(base, dropped).entries
     if isinstance(claims, Mapping):
-        fewer = _without(claims, dropped)
+        fewer = without_keys(claims, dropped)
         left = tuple((key, fewer if value is claims else value) for key, value in left)
     return replace(base, entries=left)
 
@@ -276,7 +276,8 @@ def _keys(mapping: Mapping) -> set[str]:
     return {key.text for key, _ in mapping.entries}
 
 
-def _without(mapping: Mapping, keys: set[str]) -> Mapping:
+def without_keys(mapping: Mapping, keys: set[str]) -> Mapping:
+    """The mapping less some of its entries."""
     return replace(mapping, entries=tuple(entry for entry in mapping.entries if entry[0].text not in keys))
 
 

@@ -2,29 +2,41 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from safety_harness.exceptions import InputError, Place, ScenarioError
-from safety_harness.scenario.compose import SUITE, Library, Variant, is_space, variants
+from safety_harness.scenario.compose import (
+    SUITE,
+    Library,
+    Variant,
+    is_space,
+    merged,
+    variants,
+    without_keys,
+)
 from safety_harness.scenario.fields import Field
 from safety_harness.scenario.files import as_path, files_of, resolved
 from safety_harness.scenario.kinds import FileKind, refuse_other_kind
 from safety_harness.scenario.model import Scenario
-from safety_harness.scenario.nodes import Mapping
+from safety_harness.scenario.nodes import Mapping, parse_tree
 from safety_harness.scenario.read import scenario_of_variant
 from safety_harness.scenario.reference_tables import SUITE as SUITE_TABLE
+from safety_harness.scenario.reference_tables import TOP
 from safety_harness.shipped.contents import located
 
 DEEPEST_SUITE = 8
 MOST_FILES = 1_000
 MOST_SCENARIOS = 10_000
+# What a key's value is held against: of one read beside an example of that no mistake is told.
+READ_WITH = {"duration": ("settings",), "faults": ("duration", "settings")}
 
 
 @dataclass
 class Gathered:
-    """What several paths lead to: the scenarios, the spaces if asked for, every mistake on the way.
+    """What several paths lead to: the scenarios, the spaces if asked for, the mistakes on the way.
 
     It walks through files, folders and suites, path by path.
     """
@@ -69,8 +81,13 @@ class Gathered:
             for variant in variants(file, self._library):
                 if self._spaces_too and is_space(variant.tree):
                     self.spaces.append((variant, file))
-                else:
-                    self._take(scenario_of_variant(variant, file))
+                    continue
+                try:
+                    scenario = scenario_of_variant(variant, file)
+                except InputError as first:
+                    self.errors += mistakes_of(variant, file, first)
+                    return
+                self._take(scenario)
         except InputError as error:
             self.errors.append(error)
 
@@ -115,7 +132,8 @@ def read_all_scenarios(path: str | Path) -> tuple[Scenario, ...]:
 def gather(paths: Iterable[Path], *, spaces: bool = False) -> Gathered:
     """As ``read_all_scenarios`` for several paths, with all mistakes and not only the first.
 
-    A file counts once, however often it is named; of a matrix only the first mistake is told.
+    A file counts once, however often it is named; of a matrix only the first scenario that has mistakes is
+    told of.
     Scenario spaces are refused unless ``spaces`` asks for them.
     """
     found, paths = Gathered(_spaces_too=spaces), list(paths)
@@ -125,3 +143,29 @@ def gather(paths: Iterable[Path], *, spaces: bool = False) -> Gathered:
         place = Place(file=paths[0] if paths else None)
         found.errors.append(ScenarioError(place=place, expected="at least one scenario", got="none"))
     return found
+
+
+def mistakes_of(variant: Variant, file: Path, first: InputError) -> list[InputError]:
+    """The first mistake below each top key of a scenario, read with examples in place of the wrong ones."""
+    found, tree, wrong, error = [first], variant.tree, set[str](), first
+    while isinstance(tree, Mapping) and (name := _top_key(tree, error)) and name not in wrong:
+        if wrong and wrong.isdisjoint(READ_WITH.get(name, ())):
+            there = any(key.text == name for key, _ in tree.entries)
+            missing = ScenarioError(place=error.place, expected=error.expected, got="none")
+            found.append(error if there else missing)  # whose words would be of examples
+        wrong.add(name)
+        example = next((key.lines for key in TOP.keys if key.name == name and key.required), "{}")
+        tree = merged(without_keys(tree, {name}), parse_tree(example, None))
+        try:
+            scenario_of_variant(replace(variant, tree=tree), file)
+            break
+        except InputError as another:
+            error = another
+    return found
+
+
+def _top_key(tree: Mapping, error: InputError) -> str | None:
+    """The top key at whose value, or for want of which, it came to an error."""
+    field = error.place.field or ""
+    names = (*TOP.names, *(key.text for key, _ in tree.entries))
+    return next((name for name in names if re.match(rf"{re.escape(name)}($|[.\[])", field)), None)

@@ -267,11 +267,12 @@ def test_parts_of_a_plan_become_one_ledger(folder: Path, tmp_path: Path) -> None
     parts = [tmp_path / f"part{k}.sqlite" for k in (1, 2)]
     for k, path in enumerate(parts, 1):
         assert run(plan, ledger=path, workers=1, part=f"{k}/2") == AS_EXPECTED
-    assert merge(tmp_path / "whole.sqlite", parts) == AS_EXPECTED
+    assert merge(tmp_path / "whole.sqlite", [*parts, parts[0]]) == AS_EXPECTED
     with Ledger.open(tmp_path / "whole.sqlite") as whole, Ledger.open(folder / "ledger.sqlite") as expected:
         assert whole.declared.identity == expected.declared.identity
         assert tally_of(whole).of_claim(0) == tally_of(expected).of_claim(0)
         assert whole.outcomes(0, 0)[2].tolist() == expected.outcomes(0, 0)[2].tolist()
+        assert next(whole.all("SELECT count(*) FROM session")) == (2,)  # the part named twice counts once
     assert merge(tmp_path / "whole.sqlite", parts) == BAD_INPUT
 
 

@@ -15,6 +15,7 @@ from safety_harness.cli.scenario_commands import explain as explain_key
 from safety_harness.cli.scenario_commands import judge as judge_again
 from safety_harness.cli.scenario_commands import replay, run
 from safety_harness.cli.validate import validate
+from safety_harness.exceptions import OutputError
 from safety_harness.scenario.read import parse_scenario
 from safety_harness.scenario.reference_tables import every_table
 from safety_harness.scenario.schema import scenario_schema
@@ -101,6 +102,30 @@ def test_validate_tells_every_mistake_of_every_file(tmp_path: Path, capsys: Capt
     assert err.splitlines()[-1].startswith("5 mistakes; ")
 
 
+def test_the_first_mistake_below_each_top_key_is_told(tmp_path: Path, capsys: Captured) -> None:
+    slips = (
+        GOOD.replace("300 ms", "300 m").replace("tcp start: {", "tcp start: {ofset: 1 mm, ") + "colour: red\n"
+    )
+    slips = slips.replace("claims:", "settings: {clock: {control perid: 8 ms}}\nclaims:")
+    write(tmp_path, a=slips)
+    assert validate([tmp_path / "a.yaml"]) == BAD_INPUT
+    err = capsys.readouterr().err
+    told = [line.split(": ")[2] for line in err.splitlines() if line.startswith("error:")]
+    assert told == ["colour", "duration", "tcp start.ofset", "settings.clock.control perid"]
+
+
+def test_no_mistake_is_told_of_what_was_read_beside_an_example(tmp_path: Path, capsys: Captured) -> None:
+    short = GOOD.replace("300 ms", "2 ms").replace(
+        "claims:", "settings: {clock: {control period: 1 mz}}\nclaims:"
+    )
+    write(tmp_path, a=short)  # 2 ms would do with the period that was meant
+    assert validate([tmp_path / "a.yaml"]) == BAD_INPUT
+    assert "duration" not in capsys.readouterr().err
+    write(tmp_path, b=GOOD.partition("claims:")[0].replace("300 ms", "300 m"))
+    assert validate([tmp_path / "b.yaml"]) == BAD_INPUT
+    assert 'expected the key "claims"\n  got      none' in capsys.readouterr().err
+
+
 def test_a_mistake_in_an_extended_file_is_told_once(tmp_path: Path, capsys: Captured) -> None:
     (tmp_path / "bases").mkdir()
     write(tmp_path / "bases", base=GOOD.replace("300 ms", "300 m"))
@@ -121,6 +146,18 @@ def test_fmt_lays_out_and_check_only_says_so(tmp_path: Path, capsys: Captured) -
     assert file.read_text() == "scenario: x  # why\nduration: 1 s\n"
     assert format_files([tmp_path], check=True) == AS_EXPECTED
     assert sorted(one.name for one in tmp_path.iterdir()) == ["a.yaml", "b.yaml"]
+
+
+def test_fmt_says_nothing_of_what_it_could_not_write(
+    tmp_path: Path, capsys: Captured, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(file: Path, text: str) -> None:
+        raise OutputError.of_file(file, "a place that can be written", "a full disk")
+
+    write(tmp_path, a="scenario:   x\n")
+    monkeypatch.setattr("safety_harness.cli.fmt.write_text", refuse)
+    assert format_files([tmp_path], check=False) == BAD_INPUT
+    assert "changed" not in capsys.readouterr().out
 
 
 def test_fmt_leaves_what_it_cannot_read_and_goes_on(tmp_path: Path, capsys: Captured) -> None:

@@ -63,7 +63,9 @@ def test_lines_for_programs(a_stream: list[bytes]) -> None:
     [
         ([b"garbage"], ("--robot", "ur10", "--claim", LOW), "nothing in the stream could be used"),
         ([], ("--robot", "ur10", "--claim", LOW), "nothing in the stream could be used"),
-        ([], ("--robot", "ur11", "--claim", LOW), "UR10, UR5 or UR3"),
+        ([], ("--robot", "ur11", "--claim", LOW), "error: --robot\n  expected UR10, UR5 or UR3"),
+        ([], ("--robot", "ur10", "--claim", LOW, "--period", "8"), "error: --period\n  expected a time"),
+        ([], ("--robot", "ur10", "--claim", LOW, "--hand", "a", "--hand", "a"), "error: --hand\n"),
         ([], ("--robot", "ur10"), "a claim at least"),
         ([], ("--claim", LOW), "a LOG.yaml, or --robot"),
         ([], ("--robot", "ur10", "--claim", "always servoing"), "a signal that this stream has"),
