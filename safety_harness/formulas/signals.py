@@ -145,7 +145,9 @@ def hand_distance(trace: Trace) -> Sampled:
     paths, why = followed_hands(trace)
     if paths is None:
         return replace(absent(trace, why), lost=np.full(len(trace.ticks), bool(trace.scenario.hands)))
-    value = trace.ticks["hand_distance_m"][:, : len(trace.scenario.hands)]
+    hands = len(trace.scenario.hands)
+    value, present = trace.ticks["hand_distance_m"][:, :hands], trace.ticks["hand_present"][:, :hands]
+    value = np.where(present & np.isinf(value), np.nan, value)  # else the other hand would hide it
     low, high = value.copy(), value.copy()
     for hand in range(value.shape[1]):
         way_m, slack_m = _ways(trace, paths, hand)

@@ -12,10 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.properties.base import Evaluation, Unit, inconclusive, judged
+from safety_harness.properties.base import Evaluation, Unit, inconclusive, judged, time_left_s
 from safety_harness.properties.entry import CatalogueEntry, quantity
 from safety_harness.properties.measured import reads
 from safety_harness.properties.unexercised import no_decision, unexercised
+from safety_harness.scenario.fault_table import TIME_EPS_S
 from safety_harness.scenario.faults import AvoiderLate, AvoiderNaN, AvoiderSilent
 from safety_harness.scenario.model import Claim, Scenario, Verdict
 from safety_harness.scenario.units import TIME
@@ -99,7 +100,10 @@ def fallback_words(unanswered: int, decisions: int) -> str:
 
 
 def _own(trace: Trace) -> NDArray[np.bool_]:
-    """(m,) questions whose answer no fault of the scenario suppresses; such a fault is marked at the tick."""
+    """(m,) questions whose answer no fault of the scenario suppresses; such a fault is marked at the tick.
+
+    An answer that takes longer than the deadline by itself is late whatever fault acts.
+    """
     if not trace.scenario.faults:
         return np.ones(len(trace.decisions), np.bool_)
     slow = nan = 0
@@ -109,6 +113,9 @@ def _own(trace: Trace) -> NDArray[np.bool_]:
     decisions, count = trace.decisions, len(trace.ticks)
     acted = np.append(trace.ticks["faults"], 0)[np.clip(decisions["tick"], 0, count)]  # of any trace at all
     late = decisions["proposed_failed"] & Check.LATE != 0
+    if not trace.known.missing(["decision.decision_time_s"]):
+        deadline_s = trace.scenario.settings.avoidance.decision_deadline_s + TIME_EPS_S
+        late &= ~(decisions["decision_time_s"] > deadline_s)
     own: NDArray[np.bool_] = ~((acted & nan != 0) | (late & (acted & slow != 0)))
     return own
 
@@ -184,19 +191,21 @@ class DecisionTime:
         decisions, period_s = trace.decisions, trace.scenario.settings.clock.control_period_s
         if len(decisions) == 0:
             return unexercised(self, f"{no_decision(trace)} if the settings have a decision time")
-        took_s = (decisions["tick"] - decisions["asked_tick"]) * period_s
+        took = decisions["tick"] - decisions["asked_tick"]
         late = (decisions["proposed_failed"] & Check.LATE) != 0
-        took_s = np.where(late, np.maximum(took_s, self.within_s + period_s), took_s)
-        worst = int(np.argmax(took_s))
-        free = np.count_nonzero(~late & (decisions["decision_time_s"] == 0.0))
-        if free and not took_s[worst] > self.within_s:
+        left_s = np.array([time_left_s(trace, self.within_s, int(ticks)) for ticks in took])
+        left_s = np.where(late, np.minimum(left_s, -period_s), left_s)
+        worst = int(np.argmin(left_s))
+        free = ~late & (decisions["decision_time_s"] == 0.0)
+        if free.any() and not left_s[worst] < 0.0:
             return inconclusive(self, f"{NOT_MODELLED}; a decision time in the settings exercises it")
-        reason = f"slowest {took_s[worst] * 1e3:.1f} ms, median {np.median(took_s) * 1e3:.1f} ms"
+        reason = (
+            f"slowest {took[worst] * period_s * 1e3:.1f} ms, median {np.median(took) * period_s * 1e3:.1f} ms"
+        )
         if late.any():
             reason = f"{np.count_nonzero(late)} of {len(late)} were never answered"
-        exercised = len(decisions) - int(free) + int(took_s[worst] > self.within_s)
-        time_s = decisions["time_s"][worst]
-        return judged(self, trace, self.within_s - took_s[worst], time_s, reason, exercised)
+        exercised = int(np.count_nonzero(~free | (left_s < 0.0)))
+        return judged(self, trace, left_s[worst], decisions["time_s"][worst], reason, exercised)
 
 
 DECISION_TIME = CatalogueEntry(

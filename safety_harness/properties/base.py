@@ -237,18 +237,21 @@ def judged(
     reason: str,
     exercised: int,
     lacked: Callable[[], str] | None = None,
+    *,
+    revocable: bool = False,
 ) -> Evaluation:
     """The verdict that a finite margin gives, with the two ways in which it is no evidence.
 
     Violated when negative; when not, inconclusive if the property was never exercised or if the
     run did not last as long as its scenario says.  A margin that is not finite, of whichever sign,
     comes from nothing that can have happened and is no evidence at all.  ``lacked`` says, in place of
-    ``reason``, what it would have taken to exercise it.
+    ``reason``, what it would have taken to exercise it.  A violation is ``revocable`` where later ticks could
+    undo it: of a run that was cut short it is none.
     """
     if not isfinite(margin):
         return inconclusive(prop, f"the margin is not finite ({margin})", exercised=exercised)
     verdict = Verdict.HOLDS
-    if margin < 0.0:
+    if margin < 0.0 and (trace.complete or not revocable):
         verdict = Verdict.VIOLATED
     elif exercised == 0:
         verdict, reason = Verdict.INCONCLUSIVE, f"never exercised: {lacked() if lacked else reason}"

@@ -25,7 +25,8 @@ from safety_harness.properties.unexercised import (
     spread_beside_threshold,
     unexercised,
 )
-from safety_harness.trace.records import DecisionOutcome, Mode
+from safety_harness.trace.known import OF_DECISIONS
+from safety_harness.trace.records import Check, DecisionOutcome, Mode
 from safety_harness.trace.trace import Trace
 
 SAME_M = 0.001  # a chosen position this near to another is the same
@@ -62,6 +63,17 @@ def outside_region(trace: Trace, decision: np.void) -> bool:
     """Was the avoider asked something outside of the region that the gate keeps to?"""
     region = None if trace.scenario.gate is None else trace.scenario.gate.questions_within
     return region is not None and not region.depth_m(*question_of(trace, decision)) >= 0.0
+
+
+def kept_from_possible_hands(trace: Trace, decision: np.void, failed: str) -> bool:
+    """Was a position refused for where a hand may be, as a rule of the gate has it?
+
+    How sure the filter was of its hands is in no trace: only here the gate is believed.
+    """
+    rule = trace.scenario.gate
+    if rule is None or rule.hands_within is None:
+        return False
+    return trace.known.missing([OF_DECISIONS + failed]) != () or bool(decision[failed] & Check.TOWARDS_A_HAND)
 
 
 def went(
@@ -107,9 +119,9 @@ class UncertainFallsBack:
 
     The opposite pose is computed again from the predictions of the tick.  From ``cycles`` control ticks
     after the decision on, the TCP has to keep up with the point mass of ``progress`` that heads for
-    it; a chosen position more than 1 mm from it is a violation at once.  A stop is right where the
-    opposite pose could not be used (``spare_m``), and then has to be one (``stopped_m``); where it could
-    have been, its margin is minus what the pose had to spare.
+    it; a chosen position more than 1 mm from it is a violation at once.  A stop before the next decision is
+    right where the opposite pose could not be used (``spare_m``), and then has to be one (``stopped_m``);
+    where it could have been, its margin is minus what the pose had to spare.
     """
 
     cycles: int
@@ -130,10 +142,12 @@ class UncertainFallsBack:
                 continue
             opposite = opposite_position(trace, decision)
             tick, time_s = int(decision["tick"]), float(decision["time_s"])
-            if np.any(trace.ticks["mode"][tick : tick + self.cycles + 1] == Mode.PROTECTIVE_STOP):
-                lacked_m = -spare_m(trace, decision, opposite)
-                findings.append(Finding(lacked_m, time_s, "stopped, what the opposite pose lacked"))
-                left_m = stopped_m(trace, min(tick + self.cycles, len(trace.ticks) - 1))
+            until = min([tick + self.cycles, *trace.decisions["tick"][number + 1 : number + 2] - 1])
+            if np.any(trace.ticks["mode"][tick : until + 1] == Mode.PROTECTIVE_STOP):
+                if not kept_from_possible_hands(trace, decision, "opposite_failed"):
+                    lacked_m = -spare_m(trace, decision, opposite)
+                    findings.append(Finding(lacked_m, time_s, "stopped, what the opposite pose lacked"))
+                left_m = stopped_m(trace, min(until, len(trace.ticks) - 1))
                 findings.append(Finding(left_m, time_s, "the way of the stop"))
                 exercised += 1
                 continue
@@ -159,10 +173,13 @@ class CertainIsUsed:
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge each decision whose answer was certain and usable."""
         findings: list[Finding] = []
-        exercised, most_m = 0, -np.inf
+        exercised, kept, most_m = 0, 0, -np.inf
         for number, decision in enumerate(trace.decisions):
             proposed = decision["proposed_position_in_base_m"]
             if has_doubt(decision) is not False or outside_region(trace, decision):
+                continue
+            if kept_from_possible_hands(trace, decision, "proposed_failed"):
+                kept += 1
                 continue
             to_spare_m = spare_m(trace, decision, proposed)
             most_m = max(most_m, to_spare_m)
@@ -179,6 +196,8 @@ class CertainIsUsed:
             exercised += tried
 
         def none() -> str:
+            if not np.isfinite(most_m) and kept:
+                return f"the gate kept all {kept} from where a hand may be; one that it does not exercises it"
             if not np.isfinite(most_m):
                 return spread_beside_threshold(trace, above=False)
             had = f"the certain answers had {millimetres(most_m, SAME_M)} to spare at most"

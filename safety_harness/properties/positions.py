@@ -20,8 +20,10 @@ from safety_harness.properties.clear_ways import clearances_m
 from safety_harness.properties.entry import CatalogueEntry
 from safety_harness.properties.giving_way import RepulsionProgress, last_tick, progress
 from safety_harness.properties.measured import reads
+from safety_harness.properties.true_motion import arm_of
 from safety_harness.properties.unexercised import no_position, unexercised
 from safety_harness.robot.inverse import straight_way
+from safety_harness.robot.obstacles import box_records, distances_m
 from safety_harness.robot.robots import arm_model, inverse_kinematics
 from safety_harness.trace.known import OF_DECISIONS
 from safety_harness.trace.records import DecisionOutcome, Mode
@@ -55,8 +57,8 @@ def spare_m(trace: Trace, decision: np.void, position_in_base_m: NDArray[np.floa
     """The least that a position to give way to has to spare; negative for what it lacks to be usable.
 
     Reach beyond the gate's 10 mm; height above the least of a TCP; component of the way away from each
-    predicted hand; clearance of the wrist from the body along the way beyond the gate's 20 mm, or
-    beyond that of its start.  NaN if a prediction is not finite.
+    predicted hand; clearance along the way, of the wrist from the body and of the arm from the cell's boxes,
+    beyond the gate's 20 mm, or beyond that of its start.  NaN if a prediction is not finite.
 
     ``position_in_base_m`` (3,).
     """
@@ -77,8 +79,10 @@ def spare_m(trace: Trace, decision: np.void, position_in_base_m: NDArray[np.floa
         return spare
     arm = arm_model(trace.scenario.robot)
     joints_rad = straight_way(arm, tick["joint_position_rad"], position_in_base_m, step_m=WAY_STEP_M)
-    own_m = clearances_m(trace, joints_rad)[:, 2]
-    return min(spare, float(own_m.min() - min(OWN_CLEARANCE_M, own_m[0])))
+    clear = [clearances_m(trace, joints_rad)[:, 2]]
+    if trace.scenario.obstacles:
+        clear.append(distances_m(arm_of(trace), box_records(trace.scenario.obstacles), joints_rad))
+    return min(spare, *(float(way_m.min() - min(OWN_CLEARANCE_M, way_m[0])) for way_m in clear))
 
 
 def gone_towards(

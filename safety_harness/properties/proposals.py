@@ -230,7 +230,7 @@ class FewOverruled:
         why = ", ".join(f"{check.name} {n}" for check, n in reasons.items()).lower().replace("_", " ")
         reason = f"{count} of {asked} overruled" + (f" ({why})" if why else "")
         time_s = float(trace.decisions["time_s"][int(np.argmax(vetoed if count else made))])
-        return judged(self, trace, self.most - count / asked, time_s, reason, exercised=asked)
+        return judged(self, trace, self.most - count / asked, time_s, reason, asked, revocable=True)
 
 
 YARDSTICK = (

@@ -168,7 +168,8 @@ class GainSwitchReached:
                 )
                 return inconclusive(self, reason)
             reason = f"not reached in {took_s:.2f} s; {allowed_s:.2f} s were allowed"
-        return judged(self, trace, left_s, trace.time_s[first + took], reason, exercised=int(above.any()))
+        exercised = int(above.any())
+        return judged(self, trace, left_s, trace.time_s[first + took], reason, exercised, revocable=True)
 
 
 def longer(trace: Trace, lacked_s: float) -> str:
@@ -208,7 +209,7 @@ class Converged:
             return inconclusive(self, busy_to_the_end(trace))
         position = position_errors_m(trace)
         angle_rad = float(angle_errors_rad(trace, trace.ticks["transform_tcp_to_base"][-1:])[0])
-        needed_s = self._needed_s(trace, float(position[first]))
+        needed_s = self._needed_s(trace, float(np.hypot(position[first], pose_errors(trace)[1][first])))
         had_s = float(trace.time_s[-1] - trace.time_s[first])
         margin = CONVERGED_POSITION_M - float(position[-1])
         excess_rad = angle_rad - CONVERGED_ANGLE_RAD
@@ -229,10 +230,11 @@ class Converged:
             limits = f"{CONVERGED_POSITION_M * 1e3:g} mm or {np.degrees(CONVERGED_ANGLE_RAD):g} deg"
             return f"{far} deg off at most; beyond {limits} exercises it: {OFF_THE_GOAL}"
 
-        return judged(self, trace, margin, trace.time_s[-1], reason, int(was_off(trace)), lacked)
+        off = int(was_off(trace))
+        return judged(self, trace, margin, trace.time_s[-1], reason, off, lacked, revocable=True)
 
     def _needed_s(self, trace: Trace, distance_m: float) -> float:
-        """Closed form from ``distance_m``: fast until the gain switch, slow from there to 1 mm."""
+        """Closed form from ``distance_m``, angle included: fast until the gain switch, slow on to 1 mm."""
         servo = trace.scenario.settings.servo
         switch_m = float(np.sqrt(servo.gain_switch_sse))
         far_s = np.log(max(distance_m, switch_m) / switch_m) / servo.gain_far

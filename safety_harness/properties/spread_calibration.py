@@ -19,6 +19,7 @@ from safety_harness.avoidance.shipped import SHIPPED, shipped_model
 from safety_harness.avoidance.simple import NearestCandidate
 from safety_harness.properties.base import Evaluation, Unit, inconclusive
 from safety_harness.properties.measured import not_measured
+from safety_harness.properties.proposals import PROPOSAL, proposals
 from safety_harness.proportions import Proportion
 from safety_harness.scenario.model import Verdict
 from safety_harness.seeds import Branch, seed
@@ -26,15 +27,7 @@ from safety_harness.settings import Settings, Vector3
 from safety_harness.trace.consistency import first_inconsistency
 from safety_harness.trace.trace import Trace
 
-READ = (
-    *(
-        "decision.hand_position_in_base_m",
-        "decision.tcp_position_in_base_m",
-        "decision.seed",
-        "decision.fault",
-    ),
-    *("decision.proposed_position_in_base_m", "decision.proposed_spread_m"),
-)
+READ = (*PROPOSAL, "decision.seed", "decision.proposed_spread_m")
 LEAST_DECISIONS = 100
 AT_LEAST = 0.90  # what intervals of 95 % must cover: the difference is what some hundred runs can tell
 
@@ -72,9 +65,10 @@ class IntervalRule:
 class SpreadCalibration:
     """At least ``at_least`` of decisions have their target within the interval, on all axes at once.
 
-    The first answered decision of each run counts: later ones of a run are not independent of it.  The
-    verdict is by the exact 95 % interval (Clopper and Pearson) of the share: holds if all of it is at
-    least ``at_least``, violated if none of it is, else inconclusive, as with fewer than 100 decisions.
+    The first answered decision of each run counts, by the question that was asked: later ones of a run are
+    not independent of it.  The verdict is by the exact 95 % interval (Clopper and Pearson) of the share:
+    holds if all of it is at least ``at_least``, violated if none of it is, else inconclusive, as with fewer
+    than 100 decisions.
     The margin is from the nearer end of that interval to ``at_least``.
 
     ``intervals``: without them those of the shipped network that the runs name.
@@ -126,10 +120,10 @@ def _shipped(avoider: str) -> IntervalRule | None:
 
 def first_covered(trace: Trace, intervals: IntervalRule) -> bool | None:
     """Is the target of a run's first answered decision within its interval?  None without such a decision."""
-    answered = np.flatnonzero(trace.decisions["fault"] == "")
+    answered = proposals(trace)
     if not len(answered):
         return None
-    decision = trace.decisions[answered[0]]
+    decision = answered[0]
     target = target_in_base_m(decision, trace.scenario.settings, intervals.target)
     scale_m = np.sqrt(decision["proposed_spread_m"] ** 2 + np.array(intervals.residual_std_m) ** 2)
     off_m = np.abs(decision["proposed_position_in_base_m"] - target)

@@ -134,3 +134,11 @@ def test_who_expects_otherwise_is_not_told(expected: Verdict) -> None:
 )
 def test_mistakes_are_told_apart_without_their_numbers(text: str, without: str) -> None:
     assert without_numbers(text) == without
+
+
+def test_a_fault_is_no_excuse_for_an_answer_that_is_too_late_by_itself() -> None:
+    delayed = replace(HERE, faults=(AvoiderLate(delay_s=0.008),))
+    own = ANSWERED.evaluate(run(delayed, avoider=Slow(decision_time_s=0.2)))
+    assert own.verdict is Verdict.VIOLATED
+    of_the_fault = ANSWERED.evaluate(run(delayed, avoider=Slow(decision_time_s=0.096)))
+    assert of_the_fault.verdict is Verdict.INCONCLUSIVE

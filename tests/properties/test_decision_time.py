@@ -97,3 +97,16 @@ def test_the_wall_s_clock_is_not_judged() -> None:
 def test_without_a_decision_there_is_nothing_to_judge() -> None:
     found = WITHIN.evaluate(run_kinematic(admit(scenario(duration_s=0.1))))
     assert (found.verdict, found.exercised) == (Verdict.INCONCLUSIVE, 0)
+
+
+def test_what_lasts_exactly_as_long_as_its_limit_holds_with_margin_0() -> None:
+    trace = ran(settings=costing(0.072))
+    assert (trace.decisions["tick"] - trace.decisions["asked_tick"] == 9).all()
+    found = DecisionTime(within_s=0.072).evaluate(trace)  # 9 x 8 ms is more, in floats
+    assert (found.verdict, found.margin) == (Verdict.HOLDS, 0.0)
+
+
+def test_a_decision_that_breaks_it_is_exercised_once() -> None:
+    for trace in (ran(settings=costing(0.072)), ran(AvoiderLate(delay_s=0.08))):
+        found = DecisionTime(within_s=0.05).evaluate(trace)
+        assert (found.verdict, found.exercised) == (Verdict.VIOLATED, len(trace.decisions))

@@ -17,7 +17,7 @@ from broken import (
     uses_no_answer,
     uses_what_it_doubts,
 )
-from examples import VISIT, AnswersNothing, Displaced, StoppingGate, run, scenario
+from examples import VISIT, AnswersNothing, Displaced, StoppingGate, hand, run, scenario
 
 from safety_harness.properties import fallback
 from safety_harness.properties.base import Property
@@ -27,8 +27,13 @@ from safety_harness.properties.fallback import (
     StopsWhereNothingIsReachable,
     UncertainFallsBack,
 )
+from safety_harness.scenario.faults import FalseHand
+from safety_harness.scenario.gate import GateRule
 from safety_harness.scenario.model import Verdict
-from safety_harness.trace.records import DecisionOutcome, Mode
+from safety_harness.scenario.moves import MoveTo
+from safety_harness.scenario.obstacles import Obstacle
+from safety_harness.settings import DEFAULTS, HandSensorKind
+from safety_harness.trace.records import Check, DecisionOutcome, Mode
 from safety_harness.trace.trace import Trace
 
 UNCERTAIN, USED = UncertainFallsBack(cycles=2), CertainIsUsed()
@@ -257,3 +262,37 @@ def test_a_part_that_is_violated_is_not_hidden_by_one_that_is_not_finite(
     evaluation = POSES.evaluate(edited(trace, opposite_position_in_base_m=hand))
     assert [part.verdict for part in evaluation.parts] == [Verdict.INCONCLUSIVE, Verdict.VIOLATED]
     assert evaluation.verdict is Verdict.VIOLATED
+
+
+def test_what_the_cells_boxes_bar_could_not_be_used() -> None:
+    box = Obstacle(size_m=(0.1, 0.1, 0.1), position_in_base_m=(0.74, 0.05, 0.52))
+    walled = replace(scenario(VISIT), obstacles=(box,))
+    refused = run(walled, avoider=CERTAIN)
+    assert Check.OBSTACLE & int(refused.decisions["proposed_failed"][0])
+    assert USED.evaluate(refused).verdict is Verdict.INCONCLUSIVE
+    assert USED.evaluate(run(scenario(VISIT), avoider=CERTAIN)).verdict is Verdict.HOLDS
+
+
+def test_a_way_refused_for_where_a_hand_may_be_is_not_asked_for() -> None:
+    """Only the filter knows where that is; a gate without such a rule is not believed."""
+    trace = run(scenario(VISIT), avoider=CERTAIN, gate=gate_of(StoppingGate))
+    kept = edited(trace, proposed_failed=int(Check.TOWARDS_A_HAND), opposite_failed=int(Check.TOWARDS_A_HAND))
+    assert USED.evaluate(kept).verdict is Verdict.VIOLATED
+    ruled = replace(kept, scenario=replace(kept.scenario, gate=GateRule(hands_within=0.99)))
+    told = USED.evaluate(ruled)
+    assert (told.verdict, "from where a hand may be" in told.reason) == (Verdict.INCONCLUSIVE, True)
+    in_doubt = edited(ruled, proposed_spread_m=0.03)
+    told = UNCERTAIN.evaluate(in_doubt)
+    assert (told.verdict, told.reason) == (Verdict.HOLDS, "the way of the stop")
+
+
+def test_a_stop_of_the_next_decision_is_none_of_the_one_before() -> None:
+    false_hand = FalseHand(position_in_base_m=(0.64, 0.17, 0.38), from_s=0.424)
+    overhead = replace(DEFAULTS, hand_sensor=replace(DEFAULTS.hand_sensor, kind=HandSensorKind.OVERHEAD))
+    coming = hand(MoveTo(position_in_base_m=(0.84, -0.45, 0.25), speed_mps=0.5), at=(0.84, -0.7, 0.25))
+    what = replace(scenario(coming, duration_s=3.0, settings=overhead), faults=(false_hand,))
+    trace = run(what, avoider=Displaced((0.0, 0.1, 0.0), spread_m=0.03, spread_threshold_m=0.02))
+    first, second = trace.decisions["tick"][:2].tolist()
+    assert trace.decisions["outcome"][:2].tolist() == [DecisionOutcome.OPPOSITE, DecisionOutcome.STOP]
+    for cycles in (2, second - first, 50):
+        assert UncertainFallsBack(cycles=cycles).evaluate(trace).verdict is Verdict.HOLDS, cycles

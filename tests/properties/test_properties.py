@@ -32,6 +32,7 @@ from safety_harness.properties.limits import (
     TcpSpeedLimit,
 )
 from safety_harness.properties.positions import RepulsivePosesReachable
+from safety_harness.properties.proposals import FewOverruled
 from safety_harness.properties.reaction import GivesWayAtMost
 from safety_harness.properties.servoing import (
     Converged,
@@ -279,3 +280,25 @@ def test_a_margin_of_exactly_zero_holds(visit: Trace) -> None:
     assert fastest.margin is not None
     exact = TcpSpeedLimit(maximum_mps=0.25 - fastest.margin).evaluate(visit)
     assert exact.margin == pytest.approx(0.0, abs=1e-15)
+
+
+def test_a_tilt_needs_its_time_to_converge_too() -> None:
+    tilted = scenario(duration_s=5.0, offset=(0.0, 0.0, 0.0), tilt=(0.0, 0.0, np.radians(6.0)))
+    evaluation = Converged().evaluate(run(tilted))
+    assert (evaluation.verdict, "closed form" in evaluation.reason) == (Verdict.INCONCLUSIVE, True)
+
+
+@pytest.mark.parametrize(
+    "prop", [GainSwitchReached(within_s=0.01), FewOverruled(most=0.0)], ids=lambda p: p.sentence
+)
+def test_what_later_ticks_could_undo_is_no_violation_of_a_run_that_was_cut_short(prop: Property) -> None:
+    whole = run(scenario(VISIT), avoider=TowardsTheHand())
+    assert prop.evaluate(whole).verdict is Verdict.VIOLATED
+    cut = prop.evaluate(truncated(whole, len(whole.ticks) - 1))
+    assert (cut.verdict, "cut short" in cut.reason) == (Verdict.INCONCLUSIVE, True)
+
+
+def test_what_nothing_can_undo_stays_a_violation_of_a_run_that_was_cut_short() -> None:
+    whole = run(scenario(VISIT), avoider=TowardsTheHand())
+    cut = truncated(with_value(whole, "sse", np.nan), len(whole.ticks) - 1)
+    assert FiniteTrace().evaluate(cut).verdict is Verdict.VIOLATED

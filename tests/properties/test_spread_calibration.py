@@ -8,9 +8,12 @@ from functools import lru_cache
 
 import numpy as np
 import pytest
+from examples import VISIT, scenario
 from numpy.typing import NDArray
 from test_columns_read import of_garbage
 
+from safety_harness.admission.admit import admit
+from safety_harness.admission.trial import run_kinematic
 from safety_harness.avoidance.candidates import CandidateCap
 from safety_harness.avoidance.learned import LearnedAvoider
 from safety_harness.avoidance.model_file import load_model
@@ -25,7 +28,7 @@ from safety_harness.properties.spread_calibration import (
     target_in_base_m,
 )
 from safety_harness.scenario.model import Verdict
-from safety_harness.settings import DEFAULTS
+from safety_harness.settings import DEFAULTS, DecisionTimes
 from safety_harness.trace.known import COLUMNS_OF_A_TRACE, NOT_MEASURED, knowing
 from safety_harness.trace.trace import Trace
 
@@ -169,3 +172,14 @@ def test_columns_that_are_not_read_may_hold_anything(visit: Trace) -> None:
     others = [column for column in COLUMNS_OF_A_TRACE if column not in READ]
     unknown = [of_garbage(run, others, seed=1) for run in runs]
     assert SpreadCalibration().evaluate(unknown) == SpreadCalibration().evaluate(runs)
+
+
+def test_an_answer_is_judged_by_the_question_that_was_asked() -> None:
+    """However far hand and TCP have gone on until it counts."""
+    rule = IntervalRule(multiplier=1.0, residual_std_m=(0.002,) * 3, target=Target.OPTIMUM)
+    slow = replace(
+        DEFAULTS.avoidance, decision_time=DecisionTimes(quantiles_s=(0.2,)), decision_deadline_s=1.0
+    )
+    for settings in (DEFAULTS, replace(DEFAULTS, avoidance=slow)):
+        trace = run_kinematic(admit(scenario(VISIT, settings=settings, avoider="optimum")))
+        assert first_covered(trace, rule) is True
