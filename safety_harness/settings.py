@@ -180,7 +180,7 @@ class HandSensor:
     overhead_position_in_base_m: Vector3 = setting(
         (0.750, -0.250, 1.800),
         "where the overhead camera hangs, looking straight down; a hand that is not below it, "
-        "by its radius or more, is not seen, by the `ideal` one neither",
+        "by its radius or more, is not seen, by `ideal` and `surround` neither",
     )
     width_px: int = setting(640, "of the image", 16, 4096)
     height_px: int = setting(480, "of the image", 16, 4096)

@@ -19,7 +19,7 @@ from safety_harness.simulation.truth import cell_capsules
 
 def check_hands(scenario: Scenario, arm: ArmModel, joint_position_rad: ArrayN) -> None:
     """Refuse a hand whose centre goes below the table, breaks its own bounds or begins inside the robot."""
-    table_m = scenario.settings.cell.table_height_m
+    table_m, ceiling_m = scenario.settings.cell.table_height_m, _ceiling_m(scenario)
     for number, hand in enumerate(scenario.hands):
         leader = scenario.leader(hand)
         above_m = hand.apart_in_base_m[2] if isinstance(hand, JoinedHand) else 0.0
@@ -31,13 +31,19 @@ def check_hands(scenario: Scenario, arm: ArmModel, joint_position_rad: ArrayN) -
             )
         if isinstance(hand, MovingHand):
             _check_speeds(scenario, number, hand)
-        for field, words, height_m in _lowest_points(leader, scenario.duration_s):
-            if height_m + above_m < table_m:
-                where = "apart" if isinstance(hand, JoinedHand) else field
+        for field, words, height_m in _ends(leader, scenario.duration_s):
+            where, too_high = (
+                "apart" if isinstance(hand, JoinedHand) else field,
+                height_m + above_m > ceiling_m,
+            )
+            if height_m + above_m < table_m or too_high:
+                below = f"below the hand sensor, which a shield sees it by (z = {ceiling_m * 1e3:.0f} mm)"
+                above = f"above the table (z = {table_m * 1e3:.0f} mm)"
                 raise InadmissibleError(
                     place=scenario.place(f"hands[{number}].{where}"),
-                    expected=f"a hand above the table (z = {table_m * 1e3:.0f} mm)",
+                    expected=f"a hand {below if too_high else above}",
                     got=f"z = {(height_m + above_m) * 1e3:.0f} mm{words}",
+                    hint="hand sensor: {overhead position: [...]} hangs it higher" if too_high else "",
                 )
     _check_clear_of_the_robot(scenario, arm, joint_position_rad)
 
@@ -53,8 +59,16 @@ def _check_speeds(scenario: Scenario, number: int, hand: MovingHand) -> None:
             )
 
 
-def _lowest_points(hand: MovingHand | RecordedHand, duration_s: float) -> list[tuple[str, str, float]]:
-    """(field, words that say when, z [m]) of whatever could be the lowest point of a hand's centre.
+def _ceiling_m(scenario: Scenario) -> float:
+    """Above it no hand may be: where the sensor of a shield, which looks down, would not see it."""
+    sensor = scenario.settings.hand_sensor
+    if scenario.shield is None:
+        return np.inf
+    return sensor.overhead_position_in_base_m[2] - scenario.settings.hand.radius_m
+
+
+def _ends(hand: MovingHand | RecordedHand, duration_s: float) -> list[tuple[str, str, float]]:
+    """(field, words that say when, z [m]) of whatever could be a hand's centre's lowest or highest point.
 
     A tremor is left out of it.
     """
@@ -62,9 +76,9 @@ def _lowest_points(hand: MovingHand | RecordedHand, duration_s: float) -> list[t
         motion = hand.motion
         used = int(np.searchsorted(motion.time_s, duration_s)) + 1  # the first beyond the end is headed for
         height_m = motion.hand_position_in_base_m[:used, 2]
-        lowest = int(height_m.argmin())
-        words = f" after {motion.time_s[lowest]:.2f} s of the run, in {hand.recording}"
-        return [("starts at", words, float(height_m[lowest]))]
+        ends = (int(height_m.argmin()), int(height_m.argmax()))
+        said = {end: f" after {motion.time_s[end]:.2f} s of the run, in {hand.recording}" for end in ends}
+        return [("starts at", said[end], float(height_m[end])) for end in ends]
     points = [("starts at", hand.starts_at_in_base_m)]
     for number, move in enumerate(hand.moves):
         if isinstance(move, MoveTo):

@@ -153,7 +153,6 @@ def verify(
 def _of_the_plan(report: ReportFolder, drawing: Drawing) -> Iterator[Examination]:
     """What follows from a plan that is the declared one, and a ledger whose rows are of its runs."""
     plan, ledger, same = report.plan, report.ledger, report.same
-    repeats = same and not programs_in(plan)
     drawing.on_progress("stored traces, judged with the present code")
     stored = check_traces(plan, ledger, same=same)
     yield stored
@@ -168,10 +167,10 @@ def _of_the_plan(report: ReportFolder, drawing: Drawing) -> Iterator[Examination
         yield check_pages(report, gathered)
     if again and any(not one.shown.independent for one in gathered.examples):
         drawing.on_progress("counterexamples of the search")
-        yield check_searched(gathered, same=repeats, programs=drawing.programs)
+        yield check_searched(gathered, same=same and not programs_in(plan), programs=drawing.programs)
     turns = turns_of(gathered.evidence.claims, early=plan.stop_early)
     drawing.on_progress("runs again")
-    yield check_runs(plan, ledger, turns, drawing, same=repeats)
+    yield check_runs(plan, ledger, turns, drawing, same=same)
 
 
 _REST = "the rest, which cannot be checked without it"

@@ -103,6 +103,14 @@ class ReportFolder:
         changes = self.ledger.declared.identity.changes(self.plan.identity)
         return all(change.startswith("the file ") for change in changes)
 
+    @property
+    def same_words(self) -> bool:
+        """Is the source of this package what it was made with?  All words and pages are made by it alone."""
+        source = "the source of this package"
+        return not any(
+            one.startswith(source) for one in self.ledger.declared.identity.changes(self.plan.identity)
+        )
+
 
 def _other(known: Plan, ledger: Ledger) -> Iterator[str]:
     declared = ledger.declared

@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import groupby
 
 from safety_harness.admission.admit import admit
@@ -16,6 +17,7 @@ from safety_harness.campaign.identity import references_in
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import Plan
 from safety_harness.campaign.rows import ClaimJudgement, Row
+from safety_harness.campaign.watch import AvoiderWatch
 from safety_harness.certification.altered import Turn, chance_to_miss, runs_to_see
 from safety_harness.certification.gather import GatheredEvidence
 from safety_harness.certification.stored import trace_of
@@ -102,12 +104,17 @@ def programs_in(plan: Plan) -> list[str]:
 
 
 class Compared:
-    """Rows beside those of the ledger: outcomes may never differ, the rest only with other software."""
+    """Rows beside those of the ledger: outcomes may never differ, the rest only with other software.
 
-    def __init__(self, plan: Plan, ledger: Ledger, *, same: bool) -> None:
-        self.plan, self.ledger, self.same = plan, ledger, same
+    A ``program`` may import what no hash covers: of its runs only outcomes and how many questions got no
+    answer, which a verdict rests on, have to be the same; what else differs is told as not checked.
+    """
+
+    def __init__(self, plan: Plan, ledger: Ledger, *, same: bool, program: bool = False) -> None:
+        self.plan, self.ledger, self.program = plan, ledger, program
+        self.same, self.answers = same and not program, same
         self.faults: list[str] = []
-        self.moved = self.otherwise = 0
+        self.moved = self.otherwise = self.far = 0
 
     def add(self, row: Row) -> None:
         """Take a run in."""
@@ -121,12 +128,19 @@ class Compared:
             return
         counts = next(self.ledger.all(_COUNTS, row.stratum, row.episode))
         now = (*(getattr(row, name) for name in COUNTS), *row.overruling.counts)
+        where, silent = self.where(row.stratum, row.episode), COUNTS.index("faults")
+        if self.answers and counts[silent] != now[silent]:
+            self.faults.append(
+                f"{where}: {counts[silent]} questions without an answer then, {now[silent]} now"
+            )
+            return
         if counts != (*now, row.cell or None, bool(row.failure)):
             self.otherwise += 1
             if self.same:
-                where = self.where(row.stratum, row.episode)
                 self.faults.append(f"{where}: its draws, decisions or cell come out otherwise")
-        self.moved += not all(_same(then[k].margin, now.margin) for k, now in enumerate(row.judgements))
+        pairs = [(then[k].margin, now.margin) for k, now in enumerate(row.judgements)]
+        self.moved += not all(_same(*pair) for pair in pairs)
+        self.far += not all(_near(*pair) for pair in pairs)
 
     def where(self, stratum: int, episode: int) -> str:
         """Words for a run."""
@@ -136,13 +150,18 @@ class Compared:
     def notes(self) -> tuple[str, ...]:
         """What is no fault."""
         words = "with the same outcomes, but not the same"
+        moved = self.moved - self.far if self.answers else self.moved
+        otherwise = 0 if self.answers else self.otherwise
+        found = ((moved, "margins to the last bit"), (otherwise, "decisions"))
+        return tuple(f"{count} {words} {what}" for count, what in found if count)
+
+    @property
+    def unchecked(self) -> tuple[str, ...]:
+        """What only a program that is another here explains, or rows that were altered."""
+        found = ((self.otherwise, "decisions"), (self.far, "margins")) if self.answers else ()
+        why = "what the program imports is another here, or rows were altered"
         return tuple(
-            f"{count} {words} {what}"
-            for count, what in (
-                (self.moved, "margins to the last bit"),
-                (0 if self.same else self.otherwise, "decisions"),
-            )
-            if count
+            f"{count} runs with other {what} than the ledger's: {why}" for count, what in found if count
         )
 
     def _faults(self, row: Row, before: Mapping[int, ClaimJudgement]) -> Iterator[str]:
@@ -181,7 +200,8 @@ def check_traces(plan: Plan, ledger: Ledger, *, same: bool) -> Examination:
     """All that were to be kept, each of the run that it is stored for, judged with the present code."""
     faults, count = list(kept(plan, ledger)), 0
     compared, bench = Compared(plan, ledger, same=same), EpisodeRunner(plan, programs=False)
-    source = dict(ledger.declared.identity.parts).get("the source of this package")
+    declared = dict(ledger.declared.identity.parts)
+    source, python = declared.get("the source of this package"), declared.get("Python")
     others = 0
     for stratum, episode, _ in ledger.traces():
         where = compared.where(stratum, episode)
@@ -206,7 +226,8 @@ def check_traces(plan: Plan, ledger: Ledger, *, same: bool) -> Examination:
         others += other
         if other and same:
             faults.append(f"{where}: its trace is of another scenario than the plan draws for it")
-        if trace.provenance.source_hash != source or trace.provenance.world != plan.world.name:
+        made = trace.provenance
+        if (made.source_hash, made.python, made.world) != (source, python, plan.world.name):
             faults.append(f"{where}: its trace was made by other software, or in another world")
     notes = compared.notes
     if others and not same:
@@ -244,7 +265,10 @@ def check_searched(gathered: GatheredEvidence, *, same: bool, programs: bool) ->
 def check_runs(
     plan: Plan, ledger: Ledger, turns: Sequence[Turn], drawing: Drawing, *, same: bool
 ) -> Examination:
-    """Runs that verdicts rest on, drawn by whoever verifies; ``turns`` are all verdicts, weakest first."""
+    """Runs that verdicts rest on, drawn by whoever verifies; ``turns`` are all verdicts, weakest first.
+
+    A program is asked again what they asked it: the ledger may not say that it remembers nothing if it does.
+    """
     made = list(ledger.all("SELECT DISTINCT stratum, episode FROM judgement ORDER BY stratum, episode"))
     count = drawing.number(len(made), turns)
     if count < 1 or not plan.world.is_installed:
@@ -253,7 +277,9 @@ def check_runs(
             "runs", "no run was made again", unchecked=(f"whether runs give their outcomes again{why}",)
         )
     chosen = [made[k] for k in drawn(len(made), count, drawing.seed)]
-    bench, compared = EpisodeRunner(plan, programs=drawing.programs), Compared(plan, ledger, same=same)
+    program, watch = bool(programs_in(plan)), AvoiderWatch()
+    bench = EpisodeRunner(plan, programs=drawing.programs)
+    compared = Compared(plan, ledger, same=same, program=program)
     together = MOST_TOGETHER if plan.world.batch else 1
     begun_s, told = time.perf_counter(), 0
     for stratum, group in groupby(chosen, lambda one: one[0]):
@@ -263,6 +289,7 @@ def check_runs(
             try:
                 for row in bench.run(stratum, some, keep_violations=False):
                     compared.add(row)
+                    watch.add_row(row, partial(bench.scenario, stratum, row.episode, row.draws - 1))
             except CampaignError as error:
                 compared.faults.append(f"{compared.where(stratum, some[0])}: {error}")
             told += len(some)
@@ -271,4 +298,8 @@ def check_runs(
     each_s = (time.perf_counter() - begun_s) / count
     notes, unchecked = drawing.told(len(made), count, turns, each_s)
     text = f"{count} of {len(made)} runs made again, drawn with seed {drawing.seed}"
-    return Examination("runs", text, few(compared.faults), (*compared.notes, *notes), unchecked)
+    again = watch.repeatability.check() if program else None
+    if again is not None and again.remembers and not ledger.dependent:
+        compared.faults.append(f"{again.remembers}, and the ledger says nothing of that")
+    notes = (*compared.notes, *notes, *([again.line] if again is not None else []))
+    return Examination("runs", text, few(compared.faults), notes, (*compared.unchecked, *unchecked))

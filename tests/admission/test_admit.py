@@ -27,6 +27,7 @@ from safety_harness.scenario.model import (
     Verdict,
 )
 from safety_harness.scenario.moves import MoveTo, Tremor
+from safety_harness.scenario.shield import Shield
 from safety_harness.settings import DEFAULTS, Avoidance, Camera, HandSensor, HandSensorKind, Object
 
 DOWNWARD = DEFAULTS.cell.preferred_joint_position_rad
@@ -126,6 +127,14 @@ def test_joints_beyond_their_limits_are_refused() -> None:
 def test_a_singular_start_is_refused() -> None:
     a, b, c, d, _, f = DOWNWARD
     assert "singularit" in refusal(starting(JointStart(joint_position_rad=(a, b, c, d, 0.0, f)))).expected
+
+
+def test_a_hand_above_the_sensor_of_a_shield_is_refused() -> None:
+    """The sensor hangs at 1.8 m and looks down; without a shield nobody relies on it."""
+    above, below = (scenario(hand(at=(0.9, -0.5, z))) for z in (1.75, 1.73))
+    assert "below the hand sensor" in refusal(replace(above, shield=Shield())).expected
+    admit(replace(below, shield=Shield()))
+    admit(above)
 
 
 def test_a_hand_below_the_table_is_refused() -> None:
