@@ -10,6 +10,7 @@ evidence fails shows it.  What an author adds (``notes``) stands beside, and cha
 
 from __future__ import annotations
 
+import re
 import textwrap
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -29,7 +30,7 @@ from safety_harness.certification.evidence import (
     by_gravity,
 )
 from safety_harness.certification.system import DATA, LEARNING
-from safety_harness.certification.verdicts import at_most, gravest, percent
+from safety_harness.certification.verdicts import at_most, gravest, hourly, percent
 from safety_harness.report.page_parts import templates
 from safety_harness.report.svg import plain
 from safety_harness.report.words import count_words
@@ -176,7 +177,7 @@ def _hazard(hazard: HazardEvidence, claims: list[ClaimEvidence], *, rated: bool)
     asked = "" if hazard.asked_an_hour is None else f", at most {hazard.asked_an_hour:g} an hour"
     rates = {
         one.claim: Element(
-            ElementKind.SOLUTION, f"At most {one.an_hour:.3g} an hour", "rates", DONE if rated else DOUBT
+            ElementKind.SOLUTION, f"At most {hourly(one.an_hour)} an hour", "rates", DONE if rated else DOUBT
         )
         for one in hazard.rates
     }
@@ -213,6 +214,10 @@ def _claim(claim: ClaimEvidence, rates: tuple[Element, ...]) -> Element:
     if rest := tested[len(many) :]:
         words = f"{len(rest)} more strata: {rest[0].standing.value} at worst"
         strata.append(Element(ElementKind.SOLUTION, words, place, STATE[rest[0].standing]))
+    untested = [one.stratum for one in claim.outcomes if not one.tested]
+    if strata and untested:  # a goal of its own, which nothing supports
+        words = f"{', '.join(untested)}: never put to the test"
+        strata.append(Element(ElementKind.GOAL, words, place, STATE[ClaimStatus.UNTESTED]))
     below = (*strata, *rates) if strata else ()
     return Element(
         ElementKind.GOAL, f"{claim.sentence}{target}", place, state, below, name=f"claim: {claim.sentence}"
@@ -295,8 +300,9 @@ Answers = Iterator[tuple[str, str, str]]  # text, place, state
 def _hunt(evidence: Evidence) -> Answers:
     if evidence.search is not None:
         distinct = len(evidence.counterexamples)
-        words = f"Search of {evidence.search.runs} runs; {distinct} distinct counterexamples in all"
-        yield words, "counterexamples", DOUBT if distinct else OPEN
+        found = sum(not one.independent for one in evidence.counterexamples)
+        words = f"Search of {evidence.search.runs} runs; {found} distinct counterexamples of it, and "
+        yield f"{words}{distinct - found} of declared runs", "counterexamples", DOUBT if distinct else OPEN
 
 
 def _domain(evidence: Evidence) -> Answers:
@@ -341,11 +347,8 @@ def _declared(evidence: Evidence) -> Answers:
 
 def _calibration(evidence: Evidence) -> Answers:
     for one in evidence.calibration:
-        yield (
-            f"{one.stratum}: {one.decisions} decisions, calibration {one.decided}",
-            "calibration",
-            one.decided,
-        )
+        decisions = count_words(one.decisions, "decision", "decisions")
+        yield f"{one.stratum}: {decisions}, calibration {one.decided}", "calibration", one.decided
 
 
 def _altered(evidence: Evidence) -> Answers:
@@ -379,6 +382,7 @@ def _defeaters(evidence: Evidence) -> Iterator[Element]:
 
 WIDTH, PAD, LINE, GAP_X, GAP_Y = 176.0, 10.0, 15.0, 22.0, 12.0
 LETTERS = 25  # in a line of a box
+_HASH = re.compile(r"\b([0-9a-f]{16})[0-9a-f]{48}\b")
 INDENT = 12.0  # of what stands beside an element, which is drawn below it
 
 
@@ -388,7 +392,8 @@ class _Box:
     def __init__(self, element: Element, x: float, y: float) -> None:
         kind = element.kind.name.lower()
         self.element, self.x, self.y, self.width = element, x, y, WIDTH
-        lines = textwrap.wrap(plain(element.text, longest=140), LETTERS) or [""]
+        text = _HASH.sub(r"\1...", element.text)  # its digits are wider than letters
+        lines = textwrap.wrap(plain(text, longest=140), LETTERS) or [""]
         self.lines = [Markup(escape(line)) for line in (f"{element.key} \u00b7 {kind}", *lines)]
         self.height = 2 * PAD + LINE * len(self.lines)
         self.middle, self.bottom = y + self.height / 2.0, y + self.height

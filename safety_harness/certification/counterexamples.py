@@ -201,8 +201,9 @@ def search_evidence(searches: tuple[Searched, ...]) -> SearchSummary | None:
     lines = [
         f"{stratum}: {found.tried} runs of the searcher {found.searcher} in the kinematic world, "
         f"{count_words(len(found.distinct), 'group of violations', 'groups of violations')}; "
-        f"{len(found.counterexamples)} were shrunk{' and confirmed in PyBullet' * bool(found.confirmed)}, "
-        f"{len(found.unconfirmed)} were not confirmed"
+        f"{count_words(len(found.counterexamples), 'was', 'were')} shrunk"
+        f"{' and confirmed in PyBullet' * bool(found.confirmed)}, "
+        f"{count_words(len(found.unconfirmed), 'was', 'were')} not confirmed"
         for stratum, found in known
     ]
     lines += [f"{one.stratum}: the search {one.problem}" for one in searches if one.found is None]

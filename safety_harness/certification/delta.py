@@ -1,9 +1,10 @@
 """What changed from one evidence report to a later one, what got worse, and which runs carry over.
 
 Worse is: a claim that was shown in a stratum and is not any more (because it is gone, too), a target or a
-confidence that was lowered, a finding that was opened, a proof that is gone, and a violation probability that
-is *shown* to be larger.  That is so where the exact interval of the difference, paired by episode, lies above
-zero; or, where the two reports drew other episodes, where the two intervals have no value in common.
+confidence that was lowered, a finding that was opened, a proof that is gone, a hazard that was as rare as is
+asked and is not any more, and a violation probability that is *shown* to be larger.  That is so where the
+exact interval of the difference, paired by episode, lies above zero; or, where the two reports drew other
+episodes, where the two intervals have no value in common.
 """
 
 from __future__ import annotations
@@ -190,6 +191,7 @@ def delta_between(
             *_loosened(before, after),
             *(_worse_words(one) for one in bounds if one.worse),
             *_unproven(before, after),
+            *_unrated(before, after),
             *(f"a finding was opened: {text}" for text in opened),
         ),
         parts=tuple(_parts(before, after)),
@@ -314,6 +316,17 @@ def _unproven(before: Evidence, after: Evidence) -> Iterator[str]:
     for name, was, now in _both(_proofs(before), _proofs(after)):
         if was == "proven" != now:
             yield f"{name}: proven before, now {now or 'no proof is given'}"
+
+
+def _unrated(before: Evidence, after: Evidence) -> Iterator[str]:
+    """A hazard whose rates were shown to be as low as asked."""
+    if before.plan.model_only:
+        return
+    earlier, later = ({one.name: one for one in each.hazards} for each in (before, after))
+    for name, was, now in _both(earlier, later):
+        if was and was.met and not (now and now.met and not after.plan.model_only):
+            words = "not shown to be now" if now else "the hazard is not in the plan any more"
+            yield f"{name}: as rare as is asked before, {words}"
 
 
 _QUOTED_OR_NUMBER = re.compile(r"('[^']*'|\"[^\"]*\")|(?<![\w.-])\d[\d,.]*(?![\w-])")

@@ -8,6 +8,7 @@ from safety_harness.campaign.risk_graph import band_of
 from safety_harness.certification.evidence import (
     ClaimEvidence,
     ClaimResult,
+    ClaimStatus,
     Evidence,
     HazardEvidence,
     HourlyBound,
@@ -24,9 +25,9 @@ from safety_harness.certification.table_cells import (
     table_of,
     words,
 )
-from safety_harness.certification.verdicts import at_least, at_most, confidence_words, percent
+from safety_harness.certification.verdicts import at_least, at_most, confidence_words, hourly, percent
 from safety_harness.properties.base import shown_margin
-from safety_harness.report.words import rounded_up, with_minus
+from safety_harness.report.words import with_minus
 
 
 def margin_words(margin_si: float | None, claim: ClaimEvidence) -> str:
@@ -113,10 +114,12 @@ def rates(evidence: Evidence) -> CellTable:
         if one[1].an_hour > limit:
             return TableCell(text="not shown", state="inconclusive")
         alone = ", in the model alone" if evidence.plan.model_only else ""
+        if (
+            next(claim for claim in evidence.claims if claim.number == one[1].claim).standing
+            is ClaimStatus.UNTESTED
+        ):
+            alone += ", and never put to the test"
         return TableCell(text=f"at or below{alone}", state="none")
-
-    def hourly(value: float) -> str:
-        return f"{float(rounded_up(value)):.3g}"
 
     return table_of(
         "Violations an hour, at most: approaches an hour times the bound per run, each at its upper end.",

@@ -222,7 +222,7 @@ def _overruling(ledger: Ledger, place: int, stratum: str) -> OverrulingResult:
     ((runs, overruled),) = ledger.all(some, stratum)
     try:
         one = violation_bounds(overruled_episodes(ledger, place), LEVEL, Sides.BOTH)
-        if one.trials:
+        if one.trials and not ledger.dependent:
             bound = Bound(lower=one.low, upper=one.high, confidence=one.confidence, method=one.method.value)
     except StatisticsError:  # episodes are missing yet
         pass

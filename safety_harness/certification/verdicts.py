@@ -55,7 +55,7 @@ def standing_of(
         counted += f" ({fallback})"
     if target is None:
         return ClaimStatus.ESTIMATED, f"{counted}; the plan sets no target"
-    limit, most = percent(target), at_most(bound.upper)
+    limit, most = beside_target(bound, target)
     if bound.lower > target:
         sure = confidence_words(bound.of_one_end)
         return ClaimStatus.REFUTED, f"{counted}: with {sure} confidence more than {limit} of them do"
@@ -104,6 +104,20 @@ def percent(share: float) -> str:
 def at_most(share: float) -> str:
     """An upper bound in per cent: its digits are never below it."""
     return f"{100.0 * float(rounded_up(share)):.3g} %"
+
+
+def beside_target(bound: Bound, target: float) -> tuple[str, str]:
+    """A target and an upper bound in per cent, with so many digits that they say which is the larger one."""
+    limit, most = percent(target), at_most(bound.upper)
+    shown, ends = float(limit[:-2]), (100.0 * bound.lower, float(most[:-2]))
+    if (ends[0] > shown, ends[1] > shown) == (bound.lower > target, bound.upper > target):
+        return limit, most
+    return f"{100.0 * target:.9g} %", f"{100.0 * bound.upper:.9g} %"
+
+
+def hourly(rate: float) -> str:
+    """An upper bound an hour: its digits are never below it."""
+    return f"{float(rounded_up(rate)):.3g}"
 
 
 def at_least(share: float) -> str:

@@ -148,7 +148,8 @@ def certify(
         result(f"{mark} {claim.standing.value:<21} {claim.sentence}: {claim.why}")
     result(*(overruling_line(one) for one in evidence.overruling if one.words))
     bounds, confidence = evidence.plan.bounds, percent(evidence.plan.confidence)
-    result(f"all {bounds} bounds of the report hold together with {confidence} confidence")
+    if any(one.bound for claim in evidence.claims for one in claim.outcomes):
+        result(f"all {bounds} bounds of the report hold together with {confidence} confidence")
     if evidence.fallback:
         result(evidence.fallback)
     result(f"{job.folder / PAGE}")
@@ -173,6 +174,8 @@ def _tell_delta(before: EarlierReport, after: EarlierReport, made_by: str) -> in
     document(delta=plain(delta))
     result(*(f"WORSE {text}" for text in delta.regressions))
     result(*(f"closed {text}" for text in delta.closed))
+    spaces = [one for one in delta.parts if one.part == "space"]
+    result(*(f"another space, {one.name}: {one.before} before, {one.after} now" for one in spaces))
     again = [one.what for one in delta.carried if not one.carries]
     result(f"to be run again: {', '.join(again) or 'nothing'}", delta.line, f"{folder / PAGE}")
     return DIFFERS if delta.regressions else AS_EXPECTED

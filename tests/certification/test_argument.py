@@ -242,6 +242,25 @@ def test_a_claim_that_was_never_tested_has_no_solution() -> None:
     assert goal.state == "violated"
 
 
+def test_a_stratum_that_was_never_tested_is_a_goal_that_nothing_supports() -> None:
+    known = evidence()
+    claim = known.claims[0]
+    first = claim.outcomes[0]
+    untested = replace(first, stratum="far", untested=first.runs, standing=ClaimStatus.UNTESTED)
+    changed = replace(claim, outcomes=(*claim.outcomes, untested))
+    top = argument_of(replace(known, claims=(changed, *known.claims[1:])))
+    (goal,) = [one for one in every(top) if one.text == "far: never put to the test"]
+    assert (goal.undeveloped, goal.state) == (True, "violated")
+
+
+def test_a_rate_is_never_said_to_be_lower_than_it_is() -> None:
+    known = evidence()
+    (hazard, _) = known.hazards
+    exact = replace(hazard, rates=tuple(replace(one, an_hour=9.97146e-07) for one in hazard.rates))
+    texts = {one.text for one in every(argument_of(replace(known, hazards=(exact,))))}
+    assert "At most 9.98e-07 an hour" in texts
+
+
 def test_the_top_goal_says_what_the_gravest_claim_says() -> None:
     assert argument_of(evidence()).state == "violated"
     assert argument_of(evidence(only_shown=True)).state == "holds"

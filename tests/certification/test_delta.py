@@ -95,6 +95,18 @@ def with_a_finding(found: Evidence) -> Evidence:
     return replace(found, findings=(*found.findings, OPENED))
 
 
+def rated(found: Evidence, asked_an_hour: float) -> Evidence:
+    return replace(found, hazards=(replace(found.hazards[0], asked_an_hour=asked_an_hour),))
+
+
+def without_the_hazard(found: Evidence) -> Evidence:
+    return replace(found, hazards=())
+
+
+def with_more_asked_of_the_hazard(found: Evidence) -> Evidence:
+    return rated(found, 1e-12)
+
+
 def without_the_proof(found: Evidence) -> Evidence:
     return replace(found, proven=None)
 
@@ -110,10 +122,15 @@ def without_the_proof(found: Evidence) -> Evidence:
         (with_less_confidence, "the bounds hold with 90 % confidence, 95 % before"),
         (with_a_finding, f"a finding was opened: {OPENED.text}"),
         (without_the_proof, "leads away, near: proven before, now no proof is given"),
+        (
+            without_the_hazard,
+            "crushed hand: as rare as is asked before, the hazard is not in the plan any more",
+        ),
+        (with_more_asked_of_the_hazard, "crushed hand: as rare as is asked before, not shown to be now"),
     ],
 )
 def test_each_kind_of_regression_is_caught(planted: Callable[[Evidence], Evidence], told: str) -> None:
-    before = replace(evidence(), proven=PROVEN)
+    before = rated(replace(evidence(), proven=PROVEN), 1e6)
     found = delta(before, planted(before))
     assert any(text.startswith(told) for text in found.regressions), found.regressions
     assert not found.empty

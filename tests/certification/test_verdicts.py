@@ -9,6 +9,7 @@ from safety_harness.certification.evidence import Bound, ClaimStatus
 from safety_harness.certification.verdicts import (
     at_least,
     at_most,
+    beside_target,
     confidence_words,
     gravest,
     percent,
@@ -150,6 +151,24 @@ def test_the_reason_of_a_verdict_rounds_its_bound_away_from_the_target() -> None
     assert "at most 1.8 % of them" in shown
     _, missed = standing_of(**known, bound=between(0.0, 0.020001))
     assert "up to 2.01 % of them" in missed
+
+
+def test_the_reason_of_a_verdict_never_says_the_contrary_of_it() -> None:
+    """8.0817 % rounded up is 8.09 %, and 8.0820 % to the nearest 8.08 %."""
+    _, why = standing_of(
+        target=0.08082,
+        bound=between(0.0, 0.080817),
+        runs=60,
+        planned=60,
+        tested=60,
+        violated=1,
+        without_verdict=0,
+        may_stop_early=False,
+        world=PYBULLET,
+    )
+    assert why.endswith("at most 8.0817 % of them do, and 8.082 % was the target")
+    assert beside_target(between(0.08087, 0.2), 0.08086) == ("8.086 %", "20 %")  # not more than 8.09 %
+    assert beside_target(between(0.0, 0.05), 0.1) == ("10 %", "5 %")
 
 
 def test_what_is_refuted_says_with_which_confidence() -> None:
