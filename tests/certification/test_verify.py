@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import platform
 import shutil
 import sqlite3
 from collections.abc import Callable
@@ -142,6 +143,10 @@ LEDGERS: dict[str, tuple[tuple[str, ...], str]] = {
             "WHERE name = 'plan.yaml'",
         ),
         "the file plan.yaml changed: the ledger declares another",
+    ),
+    "a Python that made no trace": (
+        (f"UPDATE about SET value = replace(value, '\"{platform.python_version()}\"', '\"3.0.0\"')",),
+        "its trace was made by other software, or in another world",
     ),
     "another seed": (
         ("UPDATE about SET value = replace(value, '\"seed\": 7', '\"seed\": 8') WHERE key = 'plan'",),
