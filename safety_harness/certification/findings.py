@@ -73,6 +73,7 @@ def of_hazards(hazards: Sequence[HazardEvidence], *, model_only: bool) -> Iterat
             yield OpenFinding(f"{one.name}: {one.steps[-1]}", "rates")
         elif one.met is not True or model_only:
             where = ", but of the model alone" if one.met else ""
+            where += "" if one.approaches else ": nobody said how often people come near (approaches)"
             asked = f"at most {one.asked_an_hour:g} an hour (level {one.level}) is not shown{where}"
             yield OpenFinding(f"{one.name}: {asked}", "rates")
 

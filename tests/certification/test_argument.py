@@ -122,6 +122,12 @@ def test_a_rate_of_the_model_alone_is_not_shown_by_its_number() -> None:
         assert all("of the model alone" in text for text in texts)
 
 
+def test_a_rate_that_is_missing_says_what_is_not_known() -> None:
+    (hazard, _) = evidence().hazards
+    (finding,) = of_hazards((replace(hazard, approaches="", rates=()),), model_only=False)
+    assert finding.text.endswith("is not shown: nobody said how often people come near (approaches)")
+
+
 def test_more_strata_than_fit_are_told_together_the_gravest_alone() -> None:
     known = evidence()
     claim = known.claims[0]
