@@ -67,6 +67,10 @@ class Setting:
         rewards: Mapping[str, float],
         ends: Sequence[str],
     ) -> None:
+        for name, words, what in (("sees", sees, "words"), ("ends", ends, "claims")):
+            if not isinstance(words, tuple | list | set | frozenset):  # a text is a sequence of its letters
+                hint = f"[{words!r}]" if isinstance(words, str) else ""
+                raise InadmissibleError.of_option(name, f"a list of {what}", repr(words), hint)
         self.world = world_named(world, "world") if isinstance(world, str) else world
         self.episodes = Episodes(scenario, space, self.world)
         first = self.episodes.first
@@ -82,7 +86,11 @@ class Setting:
 
     def wanted_of(self, actions: ArrayLike, lanes: int) -> NDArray[np.float64]:
         """(n, wanted) of ``actions`` (n, a); ControllerError for another shape, or what is not finite."""
-        given, shape = np.asarray(actions, np.float64), self.action_space.shape
+        shape = self.action_space.shape
+        try:
+            given = np.asarray(actions, np.float64)
+        except (TypeError, ValueError):  # no numbers, or rows that are not alike
+            given = np.full(0, np.nan)
         if given.size != lanes * shape[0] or given.shape[-1:] != shape or not np.isfinite(given).all():
             raise ControllerError(f"an action is finite numbers of the shape {shape}; got {actions!r}")
         wanted = np.zeros((lanes, self.wanted))

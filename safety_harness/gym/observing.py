@@ -7,12 +7,18 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from safety_harness.controller.arrays import SeenRows, observed
-from safety_harness.controller.contract import IMAGE
+from safety_harness.controller.contract import IMAGE, SIGHTS
 from safety_harness.exceptions import InadmissibleError
 
 
 def observation_space(seen: SeenRows, sees: tuple[str, ...]) -> spaces.Dict:
-    """The space of one lane of ``observed``; InadmissibleError for pixels.  ``seen`` (1,) SEEN."""
+    """The space of one lane of ``observed``; InadmissibleError for nothing and for pixels.
+
+    ``seen`` (1,) SEEN.
+    """
+    if not sees:
+        words = ", ".join(one.word for one in SIGHTS if one.word != IMAGE)
+        raise InadmissibleError.of_option("sees", f"at least one of: {words}", "none")
     if IMAGE in sees:
         raise InadmissibleError.of_option("sees", "what an environment can show", repr(IMAGE))
     return spaces.Dict({name: _space(array[0]) for name, array in observed(seen, sees).items()})

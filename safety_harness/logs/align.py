@@ -22,7 +22,10 @@ from safety_harness.robot.kinematics import links_in_base
 from safety_harness.robot.robots import arm_model
 
 Floats = NDArray[np.float64]
-GRID_S = 0.01  # of the search for the peak, before the least squares
+GRID_S = 0.01  # of the search for peaks, before the least squares
+NEAR_S = 0.1  # of a peak, within which the least squares look
+PEAKS = 16  # that are tried, the best correlated ones
+ALIKE = 2.0  # of two offsets: the one leaves at most so many times as much as the other, root mean square
 PARTS, LEVEL = 8, 0.99  # of the recording, each of which has an offset of its own; of their interval
 LEAST_S, FEWEST = 4.0, 100  # of what both show
 LEAST_EXPLAINED = 0.95  # of the body's variance, by the arm's motion; a body that stands still has none
@@ -45,7 +48,7 @@ class Offset:
 
 
 def align(log: CellLog, body: Body) -> Offset:
-    """LogError for a body that does not show what the joints do, or not for long enough."""
+    """LogError for a body that does not show what the joints do, not for long enough, or again and again."""
     joints_s, count = log.seconds(log.joints), log.joints.values.shape[1] // 2
     arm = arm_model(log.robot)
     tools = np.array([links_in_base(arm, row[:count].copy())[-1] for row in log.joints.values])
@@ -59,15 +62,29 @@ def align(log: CellLog, body: Body) -> Offset:
         expected = f"a body that moves with the tool, by {LEAST_MOVED_M * 1e3:g} mm at least"
         raise _refused(body, expected, f"one that moves by {moved_m * 1e3:.3g} mm")
     fit = _Fit(joints_s, tools, body_s, places)
-    rough_s = _peak_s(joints_s, tools[:, :3, 3], body_s, places)
-    ahead_s, residual = fit.best(rough_s, np.ones(len(body_s), bool))
-    there = fit.there(ahead_s, np.ones(len(body_s), bool))
+    every = np.ones(len(body_s), bool)
+    peaks_s = _peaks_s(joints_s, tools[:, :3, 3], body_s, places)
+    found = [(near_s, *fit.best(near_s, every)) for near_s in peaks_s]
+    _, ahead_s, residual = min(found, key=lambda one: one[2])
+    there = fit.there(ahead_s, every)
     about = places[there] - places[there].mean(axis=0)
     explained = 1.0 - residual / float((about**2).sum())
     if explained < LEAST_EXPLAINED or there.sum() < FEWEST:
         got = f"one of whose motion the joints explain {max(explained, 0.0):.0%}"
         hint = "a marker on the tool, or a hand that holds on to it; in the base frame, by the key frame"
         raise _refused(body, "a body that moves with the tool", got, hint)
+    # one that ends where it may look no farther is no least of its own, but on the way to another
+    own = [(one, left) for near, one, left in found if abs(one - near) < NEAR_S - GRID_S]
+    alike = [one for one, left in own if left < ALIKE**2 * residual and abs(one - ahead_s) > NEAR_S]
+    if alike:
+        them = ", ".join(f"{one * 1e3:.0f}" for one in sorted([ahead_s, *alike]))
+        hint = "a motion that does not repeat itself, or the part that has one: log: {from: ..., to: ...}"
+        raise _refused(
+            body,
+            "a motion that one offset alone explains",
+            f"ahead by {them} ms, which explain it alike",
+            hint,
+        )
     edges = np.linspace(body_s[there][0], body_s[there][-1], PARTS + 1)
     parts = []
     for begin, end in itertools.pairwise(edges):
@@ -111,8 +128,8 @@ class _Fit:
         return float(((beside - turned @ offset_m) ** 2).sum() / there.sum() * of.sum())
 
     def best(self, near_s: float, of: NDArray[np.bool_]) -> tuple[float, float]:
-        """The offset within 100 ms of ``near_s`` and what it leaves."""
-        tried = near_s + np.arange(-0.1, 0.1 + 1e-9, GRID_S / 2.0)
+        """The offset within ``NEAR_S`` of ``near_s`` and what it leaves."""
+        tried = near_s + np.arange(-NEAR_S, NEAR_S + 1e-9, GRID_S / 2.0)
         first = float(tried[int(np.argmin([self.residual(one, of) for one in tried]))])
         bounds = first - GRID_S, first + GRID_S
         found = scipy.optimize.minimize_scalar(
@@ -121,8 +138,8 @@ class _Fit:
         return float(found.x), float(found.fun)
 
 
-def _peak_s(joints_s: Floats, tool_m: Floats, body_s: Floats, places: Floats) -> float:
-    """Where the speeds of tool and body correlate best, if half of the shorter recording overlaps."""
+def _peaks_s(joints_s: Floats, tool_m: Floats, body_s: Floats, places: Floats) -> list[float]:
+    """Where the speeds of tool and body correlate, the best first, if half of the shorter one overlaps."""
     tool, body = _speed(joints_s, tool_m), _speed(body_s, places)
     products = scipy.signal.correlate(body, tool, method="fft")
     overlap = scipy.signal.correlate(np.ones(len(body)), np.ones(len(tool)), method="fft")
@@ -131,8 +148,10 @@ def _peak_s(joints_s: Floats, tool_m: Floats, body_s: Floats, places: Floats) ->
         * np.maximum(scipy.signal.correlate(np.ones(len(body)), tool**2, method="fft"), 1e-12)
     )
     alike = np.where(overlap >= 0.5 * min(len(body), len(tool)), products / power, -np.inf)
-    steps = int(np.argmax(alike)) - (len(tool) - 1)
-    return float(body_s[0] - joints_s[0] + steps * GRID_S)
+    padded = np.pad(alike, 1, constant_values=-np.inf)  # for peaks at the ends
+    peaks = scipy.signal.find_peaks(padded, distance=NEAR_S / GRID_S)[0] - 1
+    steps = peaks[np.argsort(-alike[peaks])][:PEAKS] - (len(tool) - 1)
+    return [float(body_s[0] - joints_s[0] + step * GRID_S) for step in steps]
 
 
 def _speed(time_s: Floats, places: Floats) -> Floats:

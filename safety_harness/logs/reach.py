@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from safety_harness.properties.base import runs_of
 from safety_harness.trace.known import Gap
 
 Floats = NDArray[np.float64]
@@ -79,9 +80,10 @@ def over_ticks(
     """From bounds ``off`` (m,) between samples at ``time_ns`` (m + 1,) to the ``count`` ticks.
 
     A tick has the largest bound of what touches the period before or after it.  Between samples farther apart
-    than ``longest_ns`` nothing is known.
+    than ``longest_ns`` nothing is known: at the ticks between them, at that before them if there are none, as
+    the way from a lost tick is lost too, and at one with a sample that has such gaps on both sides.
     """
-    within, gaps = np.zeros(count), []
+    within, told, lost = np.zeros(count), np.zeros(count, np.bool_), np.zeros(count, np.bool_)
     begin, end = time_ns[:-1], time_ns[1:]
     known = end - begin <= longest_ns
     first = np.maximum(begin // period_ns, 0)  # the tick at or before its beginning
@@ -90,13 +92,15 @@ def over_ticks(
     for step in range(int(spread[known].max(initial=-1)) + 1):
         some = known & (spread >= step)
         np.maximum.at(within, first[some] + step, off[some])
-    for one in np.flatnonzero(~known).tolist():
-        inside = max(int(begin[one] // period_ns) + 1, 0), min(int(-(-end[one] // period_ns)), count)
-        if inside[0] < inside[1]:
-            gaps.append(inside)
-    for gap in gaps:
-        within[gap[0] : gap[1]] = 0.0
-    return Reach(within, tuple(gaps))
+        told[first[some] + step] = True
+    before, after = begin[~known] // period_ns, -(-end[~known] // period_ns)
+    for one, other in zip(before.tolist(), after.tolist(), strict=True):
+        lost[max(one + (other - one > 1), 0) : max(other, 0)] = True
+    ends, which = np.divmod(np.concatenate([begin[~known], end[~known]]), period_ns)
+    ends = ends[(which == 0) & (ends >= 0) & (ends < count)]
+    lost[ends[~told[ends]]] = True
+    within[lost] = 0.0
+    return Reach(within, tuple((int(a), int(b)) for a, b in zip(*runs_of(lost), strict=True)))
 
 
 def from_ends(

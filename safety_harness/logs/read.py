@@ -7,6 +7,7 @@ trace is made.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +27,7 @@ from safety_harness.logs.model import (
     JointFacts,
 )
 from safety_harness.logs.sample_bound import SampleBound, refuse_unbounded, sample_bound
-from safety_harness.logs.streams import NS, Collector, LogSamples, LogSource, read_source
+from safety_harness.logs.streams import LATEST_S, NS, Collector, LogSamples, LogSource, read_source
 from safety_harness.logs.tables import (
     ANGLE_UNITS,
     LENGTH_UNITS,
@@ -48,7 +49,15 @@ from safety_harness.scenario.files import decode, read_bytes
 from safety_harness.scenario.kinds import FileKind, refuse_other_kind
 from safety_harness.scenario.nodes import Mapping, Scalar, parse_tree
 from safety_harness.scenario.robots import Robot, read_robot
-from safety_harness.scenario.units import ANGLE, ANGULAR_ACCELERATION, ANGULAR_SPEED, LENGTH, SPEED, TIME
+from safety_harness.scenario.units import (
+    ANGLE,
+    ANGULAR_ACCELERATION,
+    ANGULAR_SPEED,
+    LENGTH,
+    SPEED,
+    TIME,
+    Dimension,
+)
 
 KEYS = (
     *("log", "title", "about", "clock", "joints", "hands", *STREAMS),
@@ -102,8 +111,8 @@ def log_of(said: Field, *, name: str, align: bool = False) -> CellLog:
         hand_facts = facts_of_hands(of_hands, each=True)
         if not align:
             clock = given.required("clock").fields(OF_CLOCK)
-            ahead_ns = round(clock.required(OF_CLOCK[0]).quantity(TIME) * NS)
-            known_to_s = clock.required(OF_CLOCK[1]).quantity(TIME, least=0.0)
+            ahead_ns = round(clock.required(OF_CLOCK[0]).quantity(TIME, least=-LATEST_S, most=LATEST_S) * NS)
+            known_to_s = clock.required(OF_CLOCK[1]).quantity(TIME, least=0.0, most=LATEST_S)
         slack_ns = None if align else round((hand_facts.longest_gap_s + known_to_s) * NS)
         bodies = reading.bodies(joints, of_hands, ahead_ns, slack_ns)
     elif "hands" in given or "clock" in given:
@@ -207,6 +216,7 @@ class _Reading:
             else:
                 elbow = self._positions(own, of_hands, window, bound=bound)
             found.append(Body(name, hand, elbow, there))
+        _refuse_the_same([one for body in found for one in (body.hand, body.elbow) if one is not None])
         return tuple(found)
 
     def told(self, clock: ToldClock) -> Told:
@@ -301,7 +311,7 @@ class _Reading:
 
     def _seconds(self, key: str) -> float | None:
         field = self.streams.optional(key)
-        return None if field is None else field.quantity(TIME, least=0.0)
+        return None if field is None else field.quantity(TIME, least=0.0, most=LATEST_S)
 
 
 def _given_transform(frame: Field) -> NDArray[np.float64]:
@@ -320,10 +330,15 @@ def _names(field: Field | None, arm: ArmModel) -> tuple[str, ...]:
     if field is None:
         return arm.joint_names
     said = field.fields(arm.joint_names)
-    return tuple(
+    names = tuple(
         said.required(name).sentence("what the log calls the joint") if name in said else name
         for name in arm.joint_names
     )
+    for at, name in enumerate(names):
+        if name in names[:at]:
+            got = f'"{name}" for {arm.joint_names[names.index(name)]} and {arm.joint_names[at]}'
+            raise field.error("another one of the log's joints for each of the arm's", got=got)
+    return names
 
 
 def said_of_joints(given: Fields) -> Fields:
@@ -344,7 +359,7 @@ def facts_of_joints(said: Fields, arm: ArmModel) -> JointFacts:
         speeds_known_to_radps=None if rates is None else rates.quantity(ANGULAR_SPEED, least=0.0),
         move_at_most_radps=most,
         accelerate_at_most_radps2=None if hard is None else hard.quantity(ANGULAR_ACCELERATION, above=0.0),
-        longest_gap_s=_quantity(said, "longest gap", TIME, JOINTS_LONGEST_GAP_S),
+        longest_gap_s=_quantity(said, "longest gap", TIME, JOINTS_LONGEST_GAP_S, LATEST_S),
     )
 
 
@@ -355,7 +370,7 @@ def facts_of_hands(said: Fields, *, each: bool = False) -> HandFacts:
     return HandFacts(
         known_to_m=np.inf if by_sample else known.quantity(LENGTH, least=0.0),
         moves_at_most_mps=said.required("moves at most").quantity(SPEED, above=0.0),
-        longest_gap_s=said.required("longest gap").quantity(TIME, above=0.0),
+        longest_gap_s=said.required("longest gap").quantity(TIME, above=0.0, most=LATEST_S),
     )
 
 
@@ -414,8 +429,17 @@ def _with_bounds(samples: LogSamples, bound: SampleBound | None = None) -> LogSa
     return found
 
 
+def _refuse_the_same(streams: list[LogSamples]) -> None:
+    """LogError for two hands or elbows that are one, by the samples, whatever file they are in."""
+    for one, other in combinations(streams, 2):
+        if np.array_equal(one.time_ns, other.time_ns) and np.array_equal(one.values, other.values):
+            got = f"the samples of {one.source.name} twice"
+            place = other.source.place
+            raise LogError(place=place, expected="a stream of its own of each hand and elbow", got=got)
+
+
 def _refuse_jumping_joints(joints: LogSamples, facts: JointFacts, names: tuple[str, ...]) -> None:
-    """LogError where a joint goes from one sample to the next faster than it can."""
+    """LogError where a joint is faster, or speeds up or brakes harder, from sample to sample than it can."""
     step_s = np.diff(joints.time_ns) / NS
     way = np.abs(np.diff(joints.values[:, : len(names)], axis=0))
     allowed = step_s[:, None] * facts.move_at_most_radps + 2.0 * facts.known_to_rad
@@ -430,6 +454,21 @@ def _refuse_jumping_joints(joints: LogSamples, facts: JointFacts, names: tuple[s
             f"a jump of {np.degrees(way[index, joint]):.4g} deg in {step_s[index] * 1e3:.4g} ms, "
             f"{speed:.4g} deg/s",
             "another unit from here on? or joints: {move at most: ...} says how fast they can be",
+        )
+    if facts.accelerate_at_most_radps2 is None or len(step_s) < 2:
+        return
+    # twice the second divided difference is an acceleration somewhere between the three samples
+    turned = np.abs(np.diff(np.diff(joints.values[:, : len(names)], axis=0) / step_s[:, None], axis=0))
+    between_s, off = (step_s[1:] + step_s[:-1]) / 2.0, 2.0 * facts.known_to_rad / step_s
+    hard = ((turned - (off[1:] + off[:-1])[:, None]) / between_s[:, None]).max(axis=1)
+    if (hard > facts.accelerate_at_most_radps2 * (1.0 + 1e-6)).any():
+        index = int(np.argmax(hard > facts.accelerate_at_most_radps2 * (1.0 + 1e-6)))
+        raise joints.error(
+            index + 2,
+            f"{names[int(np.argmax(turned[index]))]} to speed up or brake at "
+            f"{facts.accelerate_at_most_radps2:.4g} rad/s2 at most, as is said",
+            f"{hard[index]:.4g} rad/s2 at least, by three samples known to {facts.known_to_rad:.4g} rad",
+            "joints: {accelerate at most: ..., known to: ...}, which has to hold what their stamps are off",
         )
 
 
@@ -448,9 +487,11 @@ def _only_name(field: Field) -> str:
     return "hand"
 
 
-def _quantity(said: Fields, key: str, dimension: object, default: float) -> float:
+def _quantity(
+    said: Fields, key: str, dimension: Dimension, default: float, most: float | None = None
+) -> float:
     field = said.optional(key)
-    return default if field is None else field.quantity(dimension, least=0.0)  # type: ignore[arg-type]
+    return default if field is None else field.quantity(dimension, least=0.0, most=most)
 
 
 def _word(field: Field, words: dict[str, float]) -> str:

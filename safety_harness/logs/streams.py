@@ -24,6 +24,7 @@ from safety_harness.shipped.contents import located
 MOST_SAMPLES = 4_000_000  # of one stream within the window: 400 MB of joints
 SHORTEST_STEP_NS = 1_000
 NS = 1e9
+LATEST_S = 3e9  # of a clock, or a time that is said: nanoseconds have room for three of them
 _TOPIC = re.compile(r"(?P<topic>/[^\[\]:]*)(?:\[(?P<index>[0-9]{1,4})\])?(?::(?P<path>.+))?")
 TABLES, BAGS = (".csv", ".parquet"), (".mcap", ".db3")
 

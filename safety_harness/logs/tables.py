@@ -17,7 +17,7 @@ from typing import Any
 
 from safety_harness.exceptions import LogError, Place, near_miss
 from safety_harness.extras import LOGS
-from safety_harness.logs.streams import Collector, LogSource
+from safety_harness.logs.streams import LATEST_S, NS, Collector, LogSource
 from safety_harness.scenario.units import shown
 
 MOST_COLUMNS = 10_000
@@ -144,6 +144,7 @@ def _read_parquet(table: Table, collector: Collector) -> None:
     source = collector.source
     wanted = [table.time, *(one.name for one in table.columns if one is not None)]
     with _parquet(source) as file:
+        _refuse_types(source, file.schema_arrow, table)
         row = 0
         for batch in file.iter_batches(batch_size=ROWS_AT_ONCE, columns=list(dict.fromkeys(wanted))):
             columns = {name: batch.column(name).to_pylist() for name in batch.schema.names}
@@ -157,6 +158,15 @@ def _read_parquet(table: Table, collector: Collector) -> None:
                 collector.add(time_ns, values, row)
 
 
+def _refuse_types(source: LogSource, schema: Any, table: Table) -> None:
+    """LogError for a column of a Parquet file that would be taken for numbers, and has none."""
+    for name in [table.time, *(one.name for one in table.columns if one is not None and one.words is None)]:
+        kind = str(schema.field(name).type)
+        if kind == "bool" or kind.startswith(("timestamp", "duration", "date", "time")):
+            hint = 'whole nanoseconds, in a copy: column.cast("timestamp[ns]").cast("int64") of pyarrow'
+            raise _error(source, "a column of numbers", kind, hint * (kind != "bool"), field=name)
+
+
 def as_word(cell: object) -> str:
     """A word of a program, or the number that it has in its place, as a table of words would have it."""
     if isinstance(cell, float) and cell.is_integer():
@@ -167,11 +177,15 @@ def as_word(cell: object) -> str:
 def _time(cell: Any, table: Table, source: LogSource, at: int) -> int:
     """A time in nanoseconds, from decimal digits where a float has too few."""
     try:
-        if isinstance(cell, int):
-            return cell * table.time_ns
         value = float(cell)
         if isinstance(cell, str) and "_" in cell:
             raise ValueError
+        if abs(value) * table.time_ns > LATEST_S * NS:
+            expected = f"a time within {LATEST_S:g} s of 0"
+            got, hint = f"{value * table.time_ns / NS:.6g} s", 'its unit? the key "time" says it: stamp in ns'
+            raise _error(source, expected, got, hint, field=table.time, line=at)
+        if isinstance(cell, int):
+            return cell * table.time_ns
         if abs(value) < _EXACT_BELOW or not isinstance(cell, str):
             return round(value * table.time_ns)
         return int((Decimal(cell.strip()) * table.time_ns).to_integral_value())
@@ -235,14 +249,17 @@ def _rows(path: Path) -> Iterator[Iterator[tuple[int, list[str]]]]:
 @contextmanager
 def _parquet(source: LogSource) -> Iterator[Any]:
     with LOGS.needed("logs in Parquet files", source.file):
-        from pyarrow import ArrowException
         from pyarrow.parquet import ParquetFile
     try:
         with ParquetFile(source.file) as file:
             yield file
-    except (ArrowException, OSError) as error:
+    except LogError:
+        raise
+    except Exception as error:  # whatever damage provokes
         place = Place(file=source.file)
-        raise LogError(place=place, expected="a Parquet file, whole", got=str(error)) from error
+        raise LogError(
+            place=place, expected="a Parquet file, whole", got=f"{type(error).__name__}: {error}"
+        ) from error
 
 
 def _error(

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from safety_harness.exceptions import LogError
 from safety_harness.logs.bags import RECEIVED, STAMP, Part, read_parts
-from safety_harness.logs.streams import NS, Collector, LogSamples, LogSource
+from safety_harness.logs.streams import LATEST_S, NS, Collector, LogSamples, LogSource
 from safety_harness.logs.tables import (
     ANGLE_UNITS,
     LENGTH_UNITS,
@@ -321,7 +321,7 @@ class _Reading:
     def told(self, samples: LogSamples) -> ToldStream:
         """With its clock."""
         clock, by_ns = self.said.optional("clock"), 0
-        off_ns = round(self.said.required("known to").quantity(TIME, least=0.0) * NS)
+        off_ns = round(self.said.required("known to").quantity(TIME, least=0.0, most=LATEST_S) * NS)
         if clock is not None and clock.one_of({OF_JOINTS: False, OF_HANDS: True}):
             if self.clock.hands_ahead_ns is None:
                 raise clock.error("the clock of the joints, where no hands are", got=OF_HANDS)
@@ -330,7 +330,7 @@ class _Reading:
         if self.name != DECISIONS:
             gap = self.said.required("longest gap")
             if gap.scalar("a time, or: until the next") != UNTIL_THE_NEXT:
-                longest_ns = round(gap.quantity(TIME, above=0.0) * NS)
+                longest_ns = round(gap.quantity(TIME, above=0.0, most=LATEST_S) * NS)
         return ToldStream(
             samples=samples, time_ns=samples.time_ns - by_ns, off_ns=off_ns, longest_ns=longest_ns
         )

@@ -23,7 +23,7 @@ from safety_harness.logs.read import (
     facts_of_joints,
     said_of_joints,
 )
-from safety_harness.logs.streams import NS
+from safety_harness.logs.streams import LATEST_S, NS
 from safety_harness.robot.description import ArmModel
 from safety_harness.robot.robots import arm_model
 from safety_harness.scenario.codec import Tree, scalar_text
@@ -166,8 +166,8 @@ def _cell_of(said: Field, claims: Sequence[str]) -> WatchedCell:
         cell,
         hands=_hands(named, of_hands.required("forearm")),
         hand_facts=facts_of_hands(of_hands),
-        hands_ahead_ns=round(clock.required(OF_CLOCK[0]).quantity(TIME) * NS),
-        clock_known_to_s=clock.required(OF_CLOCK[1]).quantity(TIME, least=0.0),
+        hands_ahead_ns=round(clock.required(OF_CLOCK[0]).quantity(TIME, least=-LATEST_S, most=LATEST_S) * NS),
+        clock_known_to_s=clock.required(OF_CLOCK[1]).quantity(TIME, least=0.0, most=LATEST_S),
     )
 
 

@@ -16,9 +16,9 @@ import msgspec
 
 from safety_harness.exceptions import StreamError, near_miss
 from safety_harness.logs.read import FARTHEST_M, FARTHEST_RAD
+from safety_harness.logs.streams import LATEST_S
 
 FASTEST_RADPS = 100.0  # of any joint: what is more is a mistake of the unit
-LATEST_S = 9e9  # of a clock: beyond, nanoseconds have no room
 MOST_CHARACTERS = 65_536
 Triple = tuple[float, float, float]
 

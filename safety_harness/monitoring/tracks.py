@@ -30,25 +30,30 @@ class WithinByTick:
         self._longest_ns, self._period_ns = longest_ns, period_ns
         self._off: dict[int, float] = {}
         self._lost: dict[int, None] = {}
+        self._alone: dict[int, None] = {}  # ticks with a sample at the end of a gap
         self.oldest = 0
 
     def add(self, begin_ns: int, end_ns: int, off: float) -> None:
         """From one sample to the next it was within ``off`` of the line between them."""
         first, last = begin_ns // self._period_ns, -(-end_ns // self._period_ns)
         if end_ns - begin_ns > self._longest_ns:
-            self._lost |= dict.fromkeys(range(max(first + 1, self.oldest), last))
+            self._lost |= dict.fromkeys(range(max(first + (last - first > 1), self.oldest), last))
+            ends = (divmod(time_ns, self._period_ns) for time_ns in (begin_ns, end_ns))
+            self._alone |= {tick: None for tick, beside_ns in ends if not beside_ns}
             return
         for tick in range(max(first, self.oldest), last + 1):
             self._off[tick] = max(self._off.get(tick, 0.0), off)
 
     def at(self, tick: int) -> float | None:
         """At a tick; None where nothing is known."""
-        return None if tick in self._lost else self._off.get(tick, 0.0)
+        if tick in self._lost or (tick in self._alone and tick not in self._off):
+            return None
+        return self._off.get(tick, 0.0)
 
     def forget(self, before: int) -> None:
         """Of ticks before this one nothing is asked again."""
         self.oldest = before
-        for kept in (self._off, self._lost):
+        for kept in (self._off, self._lost, self._alone):
             while kept and (tick := next(iter(kept))) < before:
                 del kept[tick]
 

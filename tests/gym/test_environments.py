@@ -212,6 +212,13 @@ def test_stable_baselines_gets_fields_held_actions_and_the_last_observation() ->
             "tcp velocity, tcp twist, joint velocity; got 'torque'",
         ),
         ({"space": SPACE, "sees": ("image",)}, "got 'image'"),
+        ({"space": SPACE, "sees": ()}, "sees: expected at least one of: joints, .*; got none"),
+        (
+            {"space": SPACE, "sees": "joints"},
+            r"sees: expected a list of words; got 'joints' \(\['joints'\]\)",
+        ),
+        ({"space": SPACE, "ends": NEAR}, "ends: expected a list of claims"),
+        ({"space": SPACE, "ends": None}, "ends: expected a list of claims; got None"),
         ({"space": SPACE, "rewards": {"the avoider answered": 1.0}}, "claim of single ticks"),
         ({"space": SPACE, "rewards": {NEAR: float("nan")}}, "a number for"),
         ({"space": SPACE, "world": "nowhere"}, "nowhere"),
@@ -224,7 +231,7 @@ def test_what_cannot_be_an_environment_is_refused(wrong: dict[str, Any], said: s
 
 def test_an_action_that_is_none_is_refused(one: HarnessEnv) -> None:
     one.reset(seed=1)
-    for action in (np.full(3, np.nan), np.zeros(2), np.zeros((2, 3))):
+    for action in (np.full(3, np.nan), np.zeros(2), np.zeros((2, 3)), "x", None, [1, [2, 3]], {}):
         with pytest.raises(ControllerError, match="an action is finite numbers of the shape"):
             one.step(action)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -21,11 +22,19 @@ ON_TOOL_M = np.array([0.05, -0.02, 0.12])
 
 
 def _log(
-    folder: Path, seed: int, *, ahead_s: float = 0.137, off_m: float = 0.004, seconds: float = 8.0
+    folder: Path,
+    seed: int,
+    *,
+    ahead_s: float = 0.137,
+    off_m: float = 0.004,
+    seconds: float = 8.0,
+    cycle_s: float | None = None,
 ) -> Path:
-    """The log of a marker on the tool, whose clock is ahead by ``ahead_s``."""
+    """The log of a marker on the tool, whose clock is ahead by ``ahead_s``; it may have a cycle."""
     rng = np.random.default_rng(seed)
     one = cell(rng)
+    if cycle_s is not None:
+        one = replace(one, rate_radps=np.full(6, 2.0 * np.pi / cycle_s))
     streams = recorded(one, rng, seconds=seconds, ahead_s=0.0, clock_s=0.0, hand_off_m=0.0)
     true_s = (streams.hand_ns - streams.joint_ns[0]) / 1e9
     tools = [links_in_base(load_arm(), row)[-1] for row in one.joints_rad(true_s)]
@@ -66,6 +75,31 @@ def test_a_body_that_does_not_move_with_the_tool_is_refused(tmp_path: Path) -> N
     (tmp_path / "LOG.yaml").write_text(said("joints.csv", "hands.csv#hand", "none"))
     with pytest.raises(LogError, match="a body that moves with the tool"):
         _offset(tmp_path / "LOG.yaml")
+
+
+@pytest.mark.parametrize("off_m", [0.001, 0.02])
+def test_a_motion_that_repeats_itself_is_refused_with_the_offsets_that_it_leaves(
+    tmp_path: Path, off_m: float
+) -> None:
+    with pytest.raises(LogError, match="a motion that one offset alone explains") as refused:
+        _offset(_log(tmp_path, 4, cycle_s=2.0, seconds=12.0, off_m=off_m))
+    offsets_ms = [float(one) for one in refused.value.got.split("ahead by ")[1].split(" ms")[0].split(", ")]
+    assert min(abs(one - 137.0) for one in offsets_ms) < 10.0
+    np.testing.assert_allclose(np.diff(offsets_ms), 2000.0, atol=20.0)
+    assert "from" in refused.value.hint
+
+
+def test_cycles_that_are_not_alike_are_aligned(tmp_path: Path) -> None:
+    """All of it, of which a part repeats itself: the arm stands before."""
+    file = _log(tmp_path, 4, cycle_s=2.0, seconds=12.0)
+    for table in ("joints.csv", "hands.csv"):
+        first, *rows = file.with_name(table).read_text().splitlines()
+        stood = [
+            f"{int(rows[0].split(',')[0]) - k * 20_000_000},{rows[0].split(',', 1)[1]}" for k in range(1, 60)
+        ]
+        file.with_name(table).write_text("\n".join([first, *stood[::-1], *rows]) + "\n")
+    file.write_text(file.read_text().replace(", accelerate at most: 4.0 rad/s2", ""))  # it begins at once
+    assert abs(_offset(file).hands_ahead_s - 0.137) < 0.01
 
 
 def test_too_short_a_recording_is_refused(tmp_path: Path) -> None:

@@ -6,6 +6,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 from cells import cell, recorded, said, write_csv
 from log_formats import parquet
@@ -129,6 +131,91 @@ def test_a_parquet_file_cut_off_is_told(tmp_path: Path) -> None:
     data = tmp_path / "hands.parquet"
     data.write_bytes(data.read_bytes()[:-40])
     assert _refusal(tmp_path / "LOG.yaml").expected == "a Parquet file, whole"
+
+
+@pytest.mark.parametrize("text", ["1e400", "1e300000", "-9e30", "1700000000000000000000"])
+def test_a_time_for_which_nanoseconds_have_no_room_is_told_with_its_line(log: Path, text: str) -> None:
+    error = _edited(log, "joints.csv", lambda rows: [*rows[:9], _cell(rows[9], 0, text), *rows[10:]])
+    assert (error.place.line, error.place.field) == (10, "time_ns")
+    assert "a time within 3e+09 s" in error.expected
+    assert "unit" in error.hint
+
+
+@pytest.mark.parametrize(
+    ("of", "instead"),
+    [
+        ("log: {", "log: {from: 1e300 s, "),
+        ("log: {", "log: {to: 1e300 s, "),
+        ("ahead by: 137 ms", "ahead by: -1e300 s"),
+        ("known to: 5 ms", "known to: 1e300 s"),
+        ("longest gap: 200 ms", "longest gap: 1e300 s"),
+        ("known to: 0.2 mrad", "known to: 0.2 mrad, longest gap: 1e300 s"),
+    ],
+)
+def test_a_time_that_no_clock_shows_is_refused_where_it_is_said(log: Path, of: str, instead: str) -> None:
+    log.write_text(log.read_text().replace(of, instead))
+    assert "at most 3e+09 s" in _refusal(log).expected
+
+
+def test_a_column_for_two_joints_is_refused(log: Path) -> None:
+    names = "joints: {names: {wrist_2_joint: wrist_1_joint}, known"
+    log.write_text(log.read_text().replace("joints: {known", names))
+    error = _refusal(log)
+    assert error.got == '"wrist_1_joint" for wrist_1_joint and wrist_2_joint'
+
+
+@pytest.mark.parametrize("again", ["hands.csv#hand", "copy.csv#hand"])
+def test_a_stream_for_two_hands_is_refused(log: Path, again: str) -> None:
+    log.with_name("copy.csv").write_bytes(log.with_name("hands.csv").read_bytes())
+    text = log.read_text().replace('"hands.csv#hand"', f'{{right: "hands.csv#hand", left: "{again}"}}')
+    log.write_text(text.replace('forearm: "hands.csv#elbow"', "forearm: none"))
+    assert "a stream of its own" in _refusal(log).expected
+
+
+def test_joints_that_speed_up_harder_than_is_said_are_told(log: Path) -> None:
+    file = log.with_name("joints.csv")
+    judged_log(log)  # noise of as much as is said, at 4 rad/s2
+    rows = file.read_text().splitlines()
+    rows[30] = _cell(rows[30], 1, str(float(rows[30].split(",")[1]) + 0.003))
+    file.write_text("\n".join(rows) + "\n")
+    error = _refusal(log)
+    assert "shoulder_pan_joint to speed up or brake at 4 rad/s2 at most" in error.expected
+    assert error.place.line in (30, 31, 32)
+
+
+@pytest.fixture
+def of_parquet(tmp_path: Path) -> Path:
+    rng = np.random.default_rng(2)
+    (tmp_path / "LOG.yaml").write_text(parquet(recorded(cell(rng), rng, seconds=1.0), tmp_path))
+    return tmp_path / "LOG.yaml"
+
+
+@pytest.mark.parametrize(
+    ("column", "kind"),
+    [("time_ns", pa.timestamp("ns")), ("time_ns", pa.duration("ns")), ("joint", pa.bool_())],
+)
+def test_a_parquet_column_that_has_no_numbers_is_refused_with_its_type(
+    of_parquet: Path, column: str, kind: pa.DataType
+) -> None:
+    file = of_parquet.with_name("joints.parquet")
+    table = pq.read_table(file)
+    at = next(k for k, name in enumerate(table.column_names) if column in name)
+    pq.write_table(
+        table.set_column(at, table.column_names[at], table.column(at).cast(kind, safe=False)), file
+    )
+    error = _refusal(of_parquet)
+    assert (error.expected, error.got.split("[")[0]) == ("a column of numbers", str(kind).split("[")[0])
+    assert table.column_names[at] in str(error.place)
+    assert ('cast("int64")' in error.hint) == (column == "time_ns")
+
+
+@pytest.mark.parametrize("name", [b"shoulder_pan_joint_rad", b"time_ns"])
+def test_a_damaged_word_of_a_parquet_footer_is_told_with_its_file(of_parquet: Path, name: bytes) -> None:
+    file = of_parquet.with_name("joints.parquet")
+    data = file.read_bytes()
+    for byte in (b"\x96", b"\xff"):
+        file.write_bytes(data.replace(name, name[:2] + byte + name[3:]))
+        assert _refusal(of_parquet).place.file == file
 
 
 @pytest.mark.parametrize(
