@@ -133,7 +133,7 @@ def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> LogFile | 
 
 
 def looks_like_ours(path: Path) -> bool:
-    """Has a YAML file, as far as a scenario may reach, the title of a scenario, a space or a suite, and one more key?"""
+    """Has a YAML file the title of a scenario, a space or a suite, and one more key?"""
     try:
         with path.open("rb") as file:
             text = file.read(HEAD_BYTES).decode("utf-8", "replace").removeprefix("\ufeff")

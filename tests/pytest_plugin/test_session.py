@@ -159,6 +159,27 @@ def test_what_is_never_put_to_the_test_fails_test_and_session(run, project: Path
     never.stdout.fnmatch_lines(["*inconclusive in * of * judgements*"])
 
 
+def test_an_assertion_that_no_draw_reaches_fails_and_plain_asserts_are_enough(run, project: Path) -> None:
+    (project / "test_it.py").write_text(
+        "from hypothesis import given, settings\n"
+        "from safety_harness.testing import assert_holds, scenarios\n"
+        "@settings(max_examples=3)\n"
+        "@given(scenario=scenarios('reaches.yaml'))\n"
+        "def test_never(scenario, simulate):\n"
+        "    if len(simulate(scenario).ticks) > 1e6:\n"
+        "        [assert_holds('TCP speed never above 250 mm/s', one) for one in [simulate(scenario)]]\n"
+        "@settings(max_examples=3)\n"
+        "@given(scenario=scenarios('reaches.yaml'))\n"
+        "def test_plain(scenario, simulate):\n"
+        "    assert simulate(scenario).complete\n"
+    )
+    result = run("test_it.py")
+    result.assert_outcomes(passed=1, failed=1)
+    result.stdout.fnmatch_lines(
+        ["*test_never*", "assert_holds was never reached in 3 draws: nothing was put to the test"]
+    )
+
+
 def test_mistakes_in_a_test_are_told_in_place_of_a_traceback(run, project: Path) -> None:
     (project / "test_it.py").write_text(
         "from safety_harness import read_scenario\n"
