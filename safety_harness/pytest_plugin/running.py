@@ -53,8 +53,8 @@ def watch(item: pytest.Item) -> Iterator[None]:
                 stack.enter_context(watched(function, test))
             yield
         if about_scenarios and not test.judgements and _asserts(function.hypothesis.inner_test):
-            draws = count_words(test.examples, "draw", "draws")
-            raise NotEstablished(f"assert_holds was never reached in {draws}: nothing was put to the test")
+            count = count_words(test.examples, "draw", "draws")
+            raise NotEstablished(f"assert_holds was never reached in {count}: nothing was put to the test")
         refuse_untested(test)
         if test.fallback is not None and ANSWERED.example not in test.worst:
             refuse_fallback(test.fallback)
@@ -172,6 +172,7 @@ def payload(test: TestRun) -> Payload:
         "judged": [[*astuple(j.run), j.expected.value, packed(j.evaluation)] for j in test.judgements],
         "kept": None if test.kept is None else str(test.kept),
         "replayed": [str(file) for file in test.replayed],
+        "as_kept": test.as_kept,
         "draws": test.draws,
         "computing": [list(astuple(one)) for one in test.computing_times],
         "overruled": {run: list(one.counts) for run, one in test.overruled.items()},

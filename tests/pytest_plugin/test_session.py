@@ -59,6 +59,40 @@ def test_a_kept_file_of_what_passes_now_stays_and_is_said(run, project: Path) ->
     assert kept(project) == [file]
 
 
+@pytest.mark.parametrize("of", ["reaches.yaml", "test_it.py"])
+def test_a_kept_failure_is_tried_with_the_avoider_that_the_space_names_today(
+    run, project: Path, of: str
+) -> None:
+    marker = "import pathlib; pathlib.Path(__file__).with_name('executed').touch()\n"
+    (project / "old.py").write_text(
+        marker + "class Silent:\n    name = 'silent'\n    def propose(self, **question): return None\n"
+    )
+    space = project / "reaches.yaml"
+    text = space.read_text()
+    space.write_text(text.replace("opposite pose", "old.py:Silent"))
+    run(of, "-k", "speed or slow", "--safety-derandomize").assert_outcomes(failed=1, deselected=1)
+    (file,) = kept(project)
+    assert "old.py" in file.read_text()
+    (project / "executed").unlink()
+    space.write_text(text)
+    result = run(of, "-k", "speed or slow", "--safety-derandomize")
+    result.assert_outcomes(passed=1, deselected=1)
+    assert not (project / "executed").exists()
+    result.stdout.fnmatch_lines(["earlier failures tried first: 1, in tests that pass now: 1"])
+    result.stdout.no_fnmatch_line("*with the avoider of the file*")
+
+
+def test_where_the_space_varies_the_avoider_that_of_the_kept_file_is_said_to_be_used(
+    run, project: Path
+) -> None:
+    space = project / "reaches.yaml"
+    text = space.read_text()
+    space.write_text(text.replace("avoider: opposite pose", "avoider:\n  one of: [opposite pose, nearest]"))
+    run("reaches.yaml", "-k", "distance", "--safety-derandomize").assert_outcomes(failed=1, deselected=1)
+    result = run("reaches.yaml", "-k", "distance", "--safety-derandomize")
+    result.stdout.fnmatch_lines(["  with the avoider of the file in which it is kept: 1"])
+
+
 def test_two_workers_tell_the_same_as_one(run, project: Path) -> None:
     options = ("-n", "2", "--junitxml=junit.xml", "--safety-report=out/report.html", "--safety-derandomize")
     result = run("fast.yaml", "fine.yaml", "test_it.py", *options)
