@@ -93,6 +93,19 @@ def test_where_the_space_varies_the_avoider_that_of_the_kept_file_is_said_to_be_
     result.stdout.fnmatch_lines(["  with the avoider of the file in which it is kept: 1"])
 
 
+def test_a_failure_of_an_object_prints_no_command_that_runs_another_avoider(run, project: Path) -> None:
+    (project / "test_it.py").write_text(
+        "from safety_harness.testing import assert_holds\n"
+        "from avoiders import Upwards\n"
+        "def test_mine(simulate):\n"
+        "    assert_holds('hand distance never below 5000 mm', simulate('fast.yaml', avoider=Upwards()))\n"
+    )
+    result = run("test_it.py")
+    result.assert_outcomes(failed=1)
+    result.stdout.fnmatch_lines(["*avoider upwards*", "*to see it again:", "*pytest test_it.py::test_mine"])
+    result.stdout.no_fnmatch_line("*safety-harness run*")
+
+
 def test_two_workers_tell_the_same_as_one(run, project: Path) -> None:
     options = ("-n", "2", "--junitxml=junit.xml", "--safety-report=out/report.html", "--safety-derandomize")
     result = run("fast.yaml", "fine.yaml", "test_it.py", *options)
