@@ -181,7 +181,9 @@ class SearchSession:
             lines += [f"uniform: {summary(self.baseline, self.budget)}", *nearest_lines(self.baseline)]
         alone = len(findings.groups) - _MOST_AS_FOUND
         if alone > 0:
-            lines.append(f"{AS_FOUND} has the first {_MOST_AS_FOUND:,} groups; {alone:,} are in {FINDINGS} alone")
+            lines.append(
+                f"{AS_FOUND} has the first {_MOST_AS_FOUND:,} groups; {alone:,} are in {FINDINGS} alone"
+            )
         for line in lines:
             say(line)
         self._ask_again()
@@ -358,7 +360,7 @@ def search_space(
     there = PYBULLET.is_installed
     confirming = in_pybullet if there else in_kinematic
     session = SearchSession(trials, out, budget, output, confirming, there, explain)
-    if (out / FINDINGS).exists() and (before := [*out.glob("*.yaml")]):
+    if (out / FINDINGS).exists() and (before := [*out.glob("*.yaml"), *(out / AS_FOUND).rglob("*.yaml")]):
         output.say(f"{out} keeps the files of an earlier search, {before[0].name} among them")
     if not there:
         output.say(NO_REFERENCE)
