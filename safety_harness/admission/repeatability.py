@@ -47,7 +47,7 @@ class RepeatabilityResult:
     """Of ``questions`` of the runs ``asked`` were asked again, ``differing`` of them answered otherwise.
 
     ``words`` says how, of the worst; if none differs, why no more could be asked.  ``apart``: was any of them
-    asked in another process?
+    asked in another process?  ``together``: were they answered in one call as well?
     """
 
     questions: int
@@ -55,6 +55,7 @@ class RepeatabilityResult:
     differing: int = 0
     words: str = ""
     apart: bool = False
+    together: bool = False
 
     @property
     def remembers(self) -> str:
@@ -69,10 +70,9 @@ class RepeatabilityResult:
         if not self.asked:
             return "repeatability: the avoider was asked nothing that could be asked again"
         where = "a second avoider in a process of its own" if self.apart else "a second avoider"
-        return (
-            f"repeatability: {self.asked} of {self.questions} questions asked again of {where}, "
-            "alone, in another order and together: the same answers"
-        )
+        ways = "alone, in another order and together" if self.together else "alone and in another order"
+        asked = f"{self.asked} of {self.questions} questions asked again of {where}"
+        return f"repeatability: {asked}, {ways}: the same answers"
 
 
 class DrivenAgain(RepeatabilityResult):
@@ -208,6 +208,7 @@ class Repeatability:
             differing=len(again.differing),
             words=max(again.differing.values(), default=(0.0, again.problem))[1],
             apart=any(isinstance(second.avoider, OutOfProcessAvoider) for second in again.seconds.values()),
+            together=any(second.answers_many for second in again.seconds.values()),
         )
 
     def _drawn(self) -> list[_Sampled]:
@@ -285,6 +286,7 @@ class _Second:
     first: Question
     asked: list[Asked] = field(default_factory=list)
     hangs: bool = False
+    answers_many: bool = False
 
     @property
     def _takes_many(self) -> bool:
@@ -305,8 +307,11 @@ class _Second:
         """The questions whose answers differ when all are asked in one call, and how."""
         if self._takes_many:
             answers = answers_together(self.avoider, [self.first, *(one.question for one in self.asked)])
+            if not answers or not np.isnan(answers[0].latency_s):  # it cannot, and was asked in turn
+                return
+            self.answers_many = True
             why = "the avoider heeds what else is asked: asked again in one call with others"
-            for one, answer in zip(self.asked, answers[1:], strict=False):  # none where it cannot
+            for one, answer in zip(self.asked, answers[1:], strict=False):
                 if found := _told(why, one, answer):
                     yield one, found
 

@@ -60,11 +60,11 @@ class Declared:
     targets: tuple[float | None, ...]
 
 
-APART, BY_RUNS = 1, 2  # how it was asked again: elsewhere, or by driving again
+APART, BY_RUNS, TOGETHER = 1, 2, 4  # how it was asked again: elsewhere, by driving again, in one call too
 
 
 def _how(found: RepeatabilityResult) -> int:
-    return BY_RUNS if isinstance(found, DrivenAgain) else APART * found.apart
+    return BY_RUNS if isinstance(found, DrivenAgain) else APART * found.apart + TOGETHER * found.together
 
 
 class Ledger:
@@ -206,13 +206,14 @@ class Ledger:
         order = "ORDER BY differing = 0, words = '', id"
         rows = list(self.all(f"SELECT questions, asked, differing, words, apart FROM repeated {order}"))
         questions, asked, differing = (sum(row[k] for row in rows) for k in range(3))
-        kind = DrivenAgain if any(row[4] == BY_RUNS for row in rows) else RepeatabilityResult
+        kind = DrivenAgain if any(row[4] & BY_RUNS for row in rows) else RepeatabilityResult
         return kind(
             questions=questions,
             asked=asked,
             differing=differing,
             words=next((row[3] for row in rows), ""),
-            apart=any(row[4] == APART for row in rows),
+            apart=any(row[4] & APART for row in rows),
+            together=any(row[4] & TOGETHER for row in rows),
         )
 
     @property
