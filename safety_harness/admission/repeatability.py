@@ -11,7 +11,7 @@ from __future__ import annotations
 import hashlib
 import time
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from heapq import nsmallest
 from operator import attrgetter
 
@@ -75,8 +75,19 @@ class RepeatabilityResult:
         return f"repeatability: {asked}, {ways}: the same answers"
 
 
+@dataclass(frozen=True, kw_only=True)
 class DrivenAgain(RepeatabilityResult):
-    """Of so many runs of a controller (``questions``) those ``asked`` were driven again by a fresh one."""
+    """Of so many runs (``questions``) those ``asked`` were driven again by a fresh controller.
+
+    ``of_avoider``: by the visual servo with a fresh avoider, of what the avoider sees no trace keeps all.
+    """
+
+    of_avoider: bool = False
+
+    @property
+    def who(self) -> str:
+        """Who drove them."""
+        return "avoider" if self.of_avoider else "controller"
 
     @property
     def remembers(self) -> str:
@@ -88,7 +99,9 @@ class DrivenAgain(RepeatabilityResult):
         """What came out."""
         if self.words:
             return self.remembers or self.words
-        again = f"{self.asked} of {self.questions} runs driven again by a fresh controller"
+        if not self.asked:
+            return f"repeatability: the {self.who} ended no run that could be driven again"
+        again = f"{self.asked} of {self.questions} runs driven again by a fresh {self.who}"
         return f"repeatability: {again}: the same to the last bit"
 
 
@@ -144,6 +157,7 @@ class Repeatability:
         self._sample: list[_Sampled] = []
         self._runs = 0
         self._driven: list[tuple[DrivenRun, Callable[[], Scenario]]] = []
+        self._last: Callable[[], Scenario] | None = None  # of a run, whatever came of it
 
     def add(self, trace: Trace) -> None:
         """The questions of a run, or the run of a controller that is named: an object cannot be made anew."""
@@ -151,13 +165,14 @@ class Repeatability:
         driven = driven_in(trace)
         if driven is not None:
             self.take_run(driven, lambda: scenario)
-        if not scenario.driven:
-            self.take(asked_in(trace), lambda: scenario, trace.system.tested.sha256)
+        asked = () if scenario.driven else asked_in(trace)
+        self.take(asked, lambda: scenario, trace.system.tested.sha256)
 
     def take(
         self, asked: Iterable[Asked], scenario: Callable[[], Scenario], avoider_sha256: str = ""
     ) -> None:
         """Questions of a run; ``scenario`` gives the one that names its avoider, when it is needed."""
+        self._last = scenario
         for one in asked:
             self._questions += 1
             self._sample.append(_Sampled(_order(one.question), one, scenario, avoider_sha256))
@@ -176,23 +191,24 @@ class Repeatability:
 
     def _drive_again(self, allowed_s: float) -> RepeatabilityResult:
         begun_s, asked, words = time.monotonic(), 0, list[str]()
+        of_avoider = bool(self._driven) and all(run.asks for run, _ in self._driven)
+        found = DrivenAgain(questions=self._runs, of_avoider=of_avoider)
         for run, scenario in self._drawn_runs():
             if asked >= LEAST_RUNS and time.monotonic() - begun_s > allowed_s:
                 break
             try:
-                found = _driven_otherwise(run, scenario())
+                otherwise = _driven_otherwise(run, scenario(), found.who)
             except (InputError, SimulationError) as error:
-                problem = f"the controller could not drive again: {printable(str(error))}"
-                return DrivenAgain(questions=self._runs, asked=asked, words=problem)
+                problem = f"the {found.who} could not drive again: {printable(str(error))}"
+                return replace(found, asked=asked, words=problem)
             asked += 1
-            words += [found] if found else []
-        first = words[0] if words else ""
-        return DrivenAgain(questions=self._runs, asked=asked, differing=len(words), words=first)
+            words += [otherwise] if otherwise else []
+        return replace(found, asked=asked, differing=len(words), words=words[0] if words else "")
 
     def check(self, least: int = LEAST) -> RepeatabilityResult:
         """Ask again, each question alone and in the order of the hashes, then all in one call."""
         allowed_s = SHARE * (time.monotonic() - self._begun_s)
-        if not all(run.asks for run, _ in self._driven):
+        if not all(run.asks for run, _ in self._driven) or self._only_controllers_broke_off():
             return self._drive_again(allowed_s)
         again = _Again()
         with processes_apart():
@@ -211,25 +227,33 @@ class Repeatability:
             together=any(second.answers_many for second in again.seconds.values()),
         )
 
+    def _only_controllers_broke_off(self) -> bool:
+        """Is there nothing to ask or to drive, of runs that ask no avoider?"""
+        if self._questions or self._driven or self._last is None:
+            return False
+        try:
+            return self._last().driven
+        except (InputError, SimulationError):
+            return False
+
     def _drawn(self) -> list[_Sampled]:
         return nsmallest(MOST, self._sample, key=attrgetter("order"))
 
 
-def _driven_otherwise(run: DrivenRun, scenario: Scenario) -> str:
-    """Why a fresh controller drives the same scenario otherwise, in words; empty if it does not."""
+def _driven_otherwise(run: DrivenRun, scenario: Scenario, who: str) -> str:
+    """Why a fresh one drives the same scenario otherwise, in words; empty if it does not."""
     world = world_of_trace(run.world)
     runs = [driven_in(run_trial(Admitter().admit(scenario), world=world)) for _ in range(2)]
     again = [one for one in runs if one is not None]
     if len(again) < 2:
         return f"{run.run} broke off when it was driven again"
     if again[0].controller_sha256 != run.controller_sha256:
-        return f"the controller's file has changed since {run.run} was driven"
+        return f"the {who}'s file has changed since {run.run} was driven"
     if again[0].sha256 != again[1].sha256:
-        return f"the controller does not repeat itself: two fresh ones drive {run.run} differently"
+        return f"the {who} does not repeat itself: two fresh ones drive {run.run} differently"
     if again[0].sha256 != run.sha256:
-        carries = (
-            "the controller carries something over from earlier episodes, or its act_many is not its act"
-        )
+        carries = f"the {who} carries something over from earlier episodes"
+        carries += "" if run.asks else ", or its act_many is not its act"
         return f"{carries}: a fresh one, alone, drives {run.run} otherwise"
     return ""
 
