@@ -347,3 +347,13 @@ def as_seen_from(folder: Path, scenario: Scenario) -> Scenario:
     moved = replace(scenario, hands=hands, robot=robot, file=folder / "scenario.yaml")
     own_file, _ = file_and_name(scenario.under_test)
     return with_avoider(moved, command_line_reference(scenario)) if own_file else moved
+
+
+def with_system_of(like: Scenario, scenario: Scenario) -> Scenario:
+    """The scenario with the avoider or the controller of ``like``, in whose folder it is then."""
+    tested = [(one.driven, command_line_reference(one)) for one in (like, scenario)]
+    if tested[0] == tested[1]:
+        return scenario
+    places = {**scenario.places, **{key: like.place(key) for key in ("avoider", "controller")}}
+    moved = as_seen_from(folder_of(like) or Path(), scenario)
+    return replace(moved, file=like.file, avoider=like.avoider, controller=like.controller, places=places)

@@ -11,7 +11,7 @@ from __future__ import annotations
 import hashlib
 import time
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from heapq import nsmallest
 from operator import attrgetter
 
@@ -47,7 +47,7 @@ class RepeatabilityResult:
     """Of ``questions`` of the runs ``asked`` were asked again, ``differing`` of them answered otherwise.
 
     ``words`` says how, of the worst; if none differs, why no more could be asked.  ``apart``: was any of them
-    asked in another process?
+    asked in another process?  ``together``: were they answered in one call as well?
     """
 
     questions: int
@@ -55,6 +55,7 @@ class RepeatabilityResult:
     differing: int = 0
     words: str = ""
     apart: bool = False
+    together: bool = False
 
     @property
     def remembers(self) -> str:
@@ -69,14 +70,24 @@ class RepeatabilityResult:
         if not self.asked:
             return "repeatability: the avoider was asked nothing that could be asked again"
         where = "a second avoider in a process of its own" if self.apart else "a second avoider"
-        return (
-            f"repeatability: {self.asked} of {self.questions} questions asked again of {where}, "
-            "alone, in another order and together: the same answers"
-        )
+        ways = "alone, in another order and together" if self.together else "alone and in another order"
+        asked = f"{self.asked} of {self.questions} questions asked again of {where}"
+        return f"repeatability: {asked}, {ways}: the same answers"
 
 
+@dataclass(frozen=True, kw_only=True)
 class DrivenAgain(RepeatabilityResult):
-    """Of so many runs of a controller (``questions``) those ``asked`` were driven again by a fresh one."""
+    """Of so many runs (``questions``) those ``asked`` were driven again by a fresh controller.
+
+    ``of_avoider``: by the visual servo with a fresh avoider, of what the avoider sees no trace keeps all.
+    """
+
+    of_avoider: bool = False
+
+    @property
+    def who(self) -> str:
+        """Who drove them."""
+        return "avoider" if self.of_avoider else "controller"
 
     @property
     def remembers(self) -> str:
@@ -88,7 +99,9 @@ class DrivenAgain(RepeatabilityResult):
         """What came out."""
         if self.words:
             return self.remembers or self.words
-        again = f"{self.asked} of {self.questions} runs driven again by a fresh controller"
+        if not self.asked:
+            return f"repeatability: the {self.who} ended no run that could be driven again"
+        again = f"{self.asked} of {self.questions} runs driven again by a fresh {self.who}"
         return f"repeatability: {again}: the same to the last bit"
 
 
@@ -144,6 +157,7 @@ class Repeatability:
         self._sample: list[_Sampled] = []
         self._runs = 0
         self._driven: list[tuple[DrivenRun, Callable[[], Scenario]]] = []
+        self._last: Callable[[], Scenario] | None = None  # of a run, whatever came of it
 
     def add(self, trace: Trace) -> None:
         """The questions of a run, or the run of a controller that is named: an object cannot be made anew."""
@@ -151,13 +165,14 @@ class Repeatability:
         driven = driven_in(trace)
         if driven is not None:
             self.take_run(driven, lambda: scenario)
-        if not scenario.driven:
-            self.take(asked_in(trace), lambda: scenario, trace.system.tested.sha256)
+        asked = () if scenario.driven else asked_in(trace)
+        self.take(asked, lambda: scenario, trace.system.tested.sha256)
 
     def take(
         self, asked: Iterable[Asked], scenario: Callable[[], Scenario], avoider_sha256: str = ""
     ) -> None:
         """Questions of a run; ``scenario`` gives the one that names its avoider, when it is needed."""
+        self._last = scenario
         for one in asked:
             self._questions += 1
             self._sample.append(_Sampled(_order(one.question), one, scenario, avoider_sha256))
@@ -176,23 +191,24 @@ class Repeatability:
 
     def _drive_again(self, allowed_s: float) -> RepeatabilityResult:
         begun_s, asked, words = time.monotonic(), 0, list[str]()
+        of_avoider = bool(self._driven) and all(run.asks for run, _ in self._driven)
+        found = DrivenAgain(questions=self._runs, of_avoider=of_avoider)
         for run, scenario in self._drawn_runs():
             if asked >= LEAST_RUNS and time.monotonic() - begun_s > allowed_s:
                 break
             try:
-                found = _driven_otherwise(run, scenario())
+                otherwise = _driven_otherwise(run, scenario(), found.who)
             except (InputError, SimulationError) as error:
-                problem = f"the controller could not drive again: {printable(str(error))}"
-                return DrivenAgain(questions=self._runs, asked=asked, words=problem)
+                problem = f"the {found.who} could not drive again: {printable(str(error))}"
+                return replace(found, asked=asked, words=problem)
             asked += 1
-            words += [found] if found else []
-        first = words[0] if words else ""
-        return DrivenAgain(questions=self._runs, asked=asked, differing=len(words), words=first)
+            words += [otherwise] if otherwise else []
+        return replace(found, asked=asked, differing=len(words), words=words[0] if words else "")
 
     def check(self, least: int = LEAST) -> RepeatabilityResult:
         """Ask again, each question alone and in the order of the hashes, then all in one call."""
         allowed_s = SHARE * (time.monotonic() - self._begun_s)
-        if not all(run.asks for run, _ in self._driven):
+        if not all(run.asks for run, _ in self._driven) or self._only_controllers_broke_off():
             return self._drive_again(allowed_s)
         again = _Again()
         with processes_apart():
@@ -208,27 +224,36 @@ class Repeatability:
             differing=len(again.differing),
             words=max(again.differing.values(), default=(0.0, again.problem))[1],
             apart=any(isinstance(second.avoider, OutOfProcessAvoider) for second in again.seconds.values()),
+            together=any(second.answers_many for second in again.seconds.values()),
         )
+
+    def _only_controllers_broke_off(self) -> bool:
+        """Is there nothing to ask or to drive, of runs that ask no avoider?"""
+        if self._questions or self._driven or self._last is None:
+            return False
+        try:
+            return self._last().driven
+        except (InputError, SimulationError):
+            return False
 
     def _drawn(self) -> list[_Sampled]:
         return nsmallest(MOST, self._sample, key=attrgetter("order"))
 
 
-def _driven_otherwise(run: DrivenRun, scenario: Scenario) -> str:
-    """Why a fresh controller drives the same scenario otherwise, in words; empty if it does not."""
+def _driven_otherwise(run: DrivenRun, scenario: Scenario, who: str) -> str:
+    """Why a fresh one drives the same scenario otherwise, in words; empty if it does not."""
     world = world_of_trace(run.world)
     runs = [driven_in(run_trial(Admitter().admit(scenario), world=world)) for _ in range(2)]
     again = [one for one in runs if one is not None]
     if len(again) < 2:
         return f"{run.run} broke off when it was driven again"
     if again[0].controller_sha256 != run.controller_sha256:
-        return f"the controller's file has changed since {run.run} was driven"
+        return f"the {who}'s file has changed since {run.run} was driven"
     if again[0].sha256 != again[1].sha256:
-        return f"the controller does not repeat itself: two fresh ones drive {run.run} differently"
+        return f"the {who} does not repeat itself: two fresh ones drive {run.run} differently"
     if again[0].sha256 != run.sha256:
-        carries = (
-            "the controller carries something over from earlier episodes, or its act_many is not its act"
-        )
+        carries = f"the {who} carries something over from earlier episodes"
+        carries += "" if run.asks else ", or its act_many is not its act"
         return f"{carries}: a fresh one, alone, drives {run.run} otherwise"
     return ""
 
@@ -285,6 +310,7 @@ class _Second:
     first: Question
     asked: list[Asked] = field(default_factory=list)
     hangs: bool = False
+    answers_many: bool = False
 
     @property
     def _takes_many(self) -> bool:
@@ -305,8 +331,11 @@ class _Second:
         """The questions whose answers differ when all are asked in one call, and how."""
         if self._takes_many:
             answers = answers_together(self.avoider, [self.first, *(one.question for one in self.asked)])
+            if not answers or not np.isnan(answers[0].latency_s):  # it cannot, and was asked in turn
+                return
+            self.answers_many = True
             why = "the avoider heeds what else is asked: asked again in one call with others"
-            for one, answer in zip(self.asked, answers[1:], strict=False):  # none where it cannot
+            for one, answer in zip(self.asked, answers[1:], strict=False):
                 if found := _told(why, one, answer):
                     yield one, found
 

@@ -10,10 +10,10 @@ import hashlib
 import json
 import os
 import sqlite3
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -60,11 +60,14 @@ class Declared:
     targets: tuple[float | None, ...]
 
 
-APART, BY_RUNS = 1, 2  # how it was asked again: elsewhere, or by driving again
+# How it was asked again: elsewhere, by driving again (an avoider: with the 8), in one call too.
+APART, BY_RUNS, TOGETHER, OF_AVOIDER = 1, 2, 4, 8
 
 
 def _how(found: RepeatabilityResult) -> int:
-    return BY_RUNS if isinstance(found, DrivenAgain) else APART * found.apart
+    if isinstance(found, DrivenAgain):
+        return BY_RUNS + OF_AVOIDER * found.of_avoider
+    return APART * found.apart + TOGETHER * found.together
 
 
 class Ledger:
@@ -206,13 +209,16 @@ class Ledger:
         order = "ORDER BY differing = 0, words = '', id"
         rows = list(self.all(f"SELECT questions, asked, differing, words, apart FROM repeated {order}"))
         questions, asked, differing = (sum(row[k] for row in rows) for k in range(3))
-        kind = DrivenAgain if any(row[4] == BY_RUNS for row in rows) else RepeatabilityResult
+        kind: Callable[..., RepeatabilityResult] = RepeatabilityResult
+        if any(row[4] & BY_RUNS for row in rows):
+            kind = partial(DrivenAgain, of_avoider=any(row[4] & OF_AVOIDER for row in rows))
         return kind(
             questions=questions,
             asked=asked,
             differing=differing,
             words=next((row[3] for row in rows), ""),
-            apart=any(row[4] == APART for row in rows),
+            apart=any(row[4] & APART for row in rows),
+            together=any(row[4] & TOGETHER for row in rows),
         )
 
     @property
@@ -223,7 +229,7 @@ class Ledger:
             return ""
         why = "the avoider remembers earlier questions"
         if isinstance(self.repeated, DrivenAgain):
-            why = "the controller is another from run to run"
+            why = f"the {self.repeated.who} is another from run to run"
         return f"{why}: episodes are not independent, no bound is stated ({found})"
 
     def missing(self, stratum: int) -> Iterator[range]:

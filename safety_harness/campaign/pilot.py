@@ -168,7 +168,7 @@ def pilot(plan: Plan, runs: int, on_progress: Callable[[int], None] = lambda don
         rows: list[Row] = []
         for row in runner.run(stratum, range(runs), keep_violations=False):
             rows.append(row)
-            watch.add_row(row, partial(runner.scenario, stratum, row.episode, row.draws - 1))
+            watch.add_row(row, partial(runner.scenario, stratum, row.episode, max(row.draws - 1, 0)))
             on_progress(stratum * runs + len(rows))
         run_s.append(median(row.seconds for row in rows))
         failures |= dict.fromkeys(row.failure for row in rows if row.failure)

@@ -147,7 +147,7 @@ class CampaignRunner:
         waiting = self._out[event.chunk]
         for row in event.rows:
             waiting.discard(row.episode)
-            drawn = partial(self._bench.scenario, row.stratum, row.episode, row.draws - 1)
+            drawn = partial(self._bench.scenario, row.stratum, row.episode, max(row.draws - 1, 0))
             self.repeatability.take(row.asked, drawn)
             if row.driven is not None:
                 self.repeatability.take_run(row.driven, drawn)

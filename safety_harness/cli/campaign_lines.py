@@ -107,11 +107,12 @@ def worst_lines(claims: tuple[str, ...], units: tuple[Unit, ...], tally: Campaig
     for k, (claim, unit) in enumerate(zip(claims, units, strict=True)):
         one = tally.of_claim(k)
         counts = one.counts
-        tested = sum(counts.values()) - counts[EpisodeOutcome.UNTESTED]
+        tested = sum(counts.values()) - counts[EpisodeOutcome.UNTESTED] - counts[EpisodeOutcome.FAILED]
         words = f"violated in {counts[EpisodeOutcome.VIOLATED]} of {tested} tested"
         others = (
             (EpisodeOutcome.UNTESTED, "not put to the test"),
             (EpisodeOutcome.INCONCLUSIVE, "inconclusive"),
+            (EpisodeOutcome.FAILED, "could not be run"),
         )
         words += "".join(f", {counts[outcome]} {word}" for outcome, word in others if counts[outcome])
         lines.append(f"  {unit.margin_text(one.worst):>14}  {claim}: {words}")
@@ -168,9 +169,9 @@ def _bound_lines(ledger: Ledger, bounds: Sequence[ProbabilityBounds]) -> list[st
         shown = target is not None and one.shows(target)
         asked = "" if target is None else f", asked at most {target:.4g}: {'shown' if shown else 'NOT shown'}"
         model = ", model only" if one.model_only else ""
-        known = (
-            f"{rounded_down(one.low)} to {rounded_up(one.high)} ({one.trials} runs tested it{asked}{model})"
-        )
+        failed = f", {one.failed} could not be run" if one.failed else ""  # each may be a violation, or none
+        runs = f"{one.trials - one.failed} runs tested it{failed}{asked}{model}"
+        known = f"{rounded_down(one.low)} to {rounded_up(one.high)} ({runs})"
         lines.append(
             f"  {one.stratum}: {one.claim}: " + (known if one.trials else "nothing known, never tested")
         )

@@ -136,7 +136,10 @@ def train(
             dataset = generate(cell.settings, seen(cell.settings), seed=seed, arm=cell.arm)
         split = split_for(chosen, dataset)
         with LEARNING.needed("train"):
-            from safety_harness.learning.training import train as train_networks  # brings PyTorch
+            from safety_harness.learning.training import CHECKPOINT  # brings PyTorch
+            from safety_harness.learning.training import train as train_networks
+        if resume and not (out / CHECKPOINT).exists():
+            say(f"{out} has no checkpoint to go on from: beginning from the start")
         say(f"training on {len(split.train):,} samples of the cell of a {dataset.arm}")
         with paced_lines() as tell:
             trained = train_networks(

@@ -114,7 +114,7 @@ def _data(scenario: Scenario) -> dict[str, object]:
         "hands": len(scenario.hands),
         "claims": [claim.sentence for claim in scenario.claims],
         "duration_s": scenario.duration_s,
-        "avoider": scenario.avoider,
+        "controller" if scenario.driven else "avoider": str(scenario.under_test),
     }
 
 
@@ -122,7 +122,7 @@ def _words(scenarios: Sequence[Scenario]) -> str:
     """What a file holds: ``2 hands, 3 claims, 8 s``; for a matrix the number of its scenarios as well."""
     scenario = scenarios[0]
     words = [_count(len(scenario.hands), "hand"), _count(len(scenario.claims), "claim")]
-    words += [f"{scenario.duration_s:g} s", scenario.avoider]
+    words += [f"{scenario.duration_s:g} s", scenario.under_test]
     if len(scenarios) > 1:
         words.insert(0, _count(len(scenarios), "scenario"))
     return ", ".join(words)

@@ -29,7 +29,7 @@ from safety_harness.space.read import space_of
 from safety_harness.space.space import ScenarioSpace
 from safety_harness.testing.against import against_reference, is_shared
 from safety_harness.testing.asserting import aim, refuse_fallback, require, run_of, settle, violation_of
-from safety_harness.testing.drawing import drawn, first_of
+from safety_harness.testing.drawing import drawn, first_of, one_system
 from safety_harness.testing.session import Judgement, Run, TestRun, session
 from safety_harness.testing.simulating import avoiders_asked, digest_of, looker, simulate
 from safety_harness.testing.watching import kept_for, under_profile, watching
@@ -212,8 +212,7 @@ class SpaceRuns:
     def check(self, number: int, test: TestRun) -> None:
         """Draw scenarios and judge claim ``number`` of them; SafetyViolation with the smallest that fails."""
         __tracebackhide__ = True
-        for file, scenario in kept_for(test.id):
-            test.replayed.append(file)
+        for scenario in kept_for(test, one_system(self.space)):
             self._examine(scenario, number)
 
         def example(scenario: Scenario) -> None:

@@ -121,6 +121,8 @@ class Ending:
             passed = [Path(file) for sent in tried if not sent["failed"] for file in sent["replayed"]]
             lines.append(f"earlier failures tried first: {files}, in tests that pass now: {len(passed)}")
             lines += [f"  {near(file)}" for file in passed]
+            as_kept = sum(len(sent["replayed"]) for sent in tried if sent["as_kept"])
+            lines += [f"  with the avoider of the file in which it is kept: {as_kept}"] if as_kept else []
         now = current()
         if any(sent["draws"] for sent in self._sent) and not now.derandomize:
             again = f"--hypothesis-seed={now.seed}"

@@ -20,7 +20,7 @@ import pytest
 from safety_harness.compiling import CompilationLine, watchers
 from safety_harness.exceptions import InputError, Place, SafetyHarnessError, explanation
 from safety_harness.scenario.files import is_titled
-from safety_harness.scenario.kinds import is_log
+from safety_harness.scenario.kinds import HEAD_BYTES, is_log
 from safety_harness.testing.session import (
     FAILURES,
     PROFILES,
@@ -123,7 +123,7 @@ def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> LogFile | 
         name = os.path.relpath(file_path, parent.config.rootpath)
         ours = any(fnmatch(name, pattern) for pattern in patterns)
     else:
-        ours = file_path.suffix in SUFFIXES and (looks_like_ours(file_path) or is_log(file_path))
+        ours = file_path.suffix.lower() in SUFFIXES and (looks_like_ours(file_path) or is_log(file_path))
     if not ours:
         return None
     from safety_harness.pytest_plugin.collecting import LogFile, ScenarioFile
@@ -133,10 +133,10 @@ def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> LogFile | 
 
 
 def looks_like_ours(path: Path) -> bool:
-    """Has the beginning of a YAML file the title of a scenario, a space or a suite, and one more key?"""
+    """Has a YAML file the title of a scenario, a space or a suite, and one more key?"""
     try:
         with path.open("rb") as file:
-            text = file.read(100_000).decode("utf-8", "replace").removeprefix("\ufeff")
+            text = file.read(HEAD_BYTES).decode("utf-8", "replace").removeprefix("\ufeff")
     except OSError:
         return False
     return is_titled(text)

@@ -5,6 +5,7 @@ There it is plain data: a report of xdist can carry nothing else.
 
 from __future__ import annotations
 
+import inspect
 import os
 import re
 import traceback
@@ -12,6 +13,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import astuple, replace
 from pathlib import Path
+from types import CodeType
 from typing import Any
 
 import pytest
@@ -23,6 +25,7 @@ from safety_harness.properties.answered import ANSWERED
 from safety_harness.properties.base import Evaluation, Unit
 from safety_harness.pytest_plugin.collecting import FileItem, SpaceClaimItem
 from safety_harness.pytest_plugin.plugin import TEST, explained
+from safety_harness.report.words import count_words
 from safety_harness.scenario.model import Verdict
 from safety_harness.testing.asserting import NotEstablished, SafetyViolation, refuse_fallback, run_of
 from safety_harness.testing.drawing import gives_scenarios
@@ -45,9 +48,13 @@ def watch(item: pytest.Item) -> Iterator[None]:
     session().test = test
     try:
         with ExitStack() as stack:
-            if function is not None and _is_about_scenarios(item, function):
+            about_scenarios = function is not None and _is_about_scenarios(item, function)
+            if about_scenarios:
                 stack.enter_context(watched(function, test))
             yield
+        if about_scenarios and not test.judgements and _asserts(function.hypothesis.inner_test):
+            count = count_words(test.examples, "draw", "draws")
+            raise NotEstablished(f"assert_holds was never reached in {count}: nothing was put to the test")
         refuse_untested(test)
         if test.fallback is not None and ANSWERED.example not in test.worst:
             refuse_fallback(test.fallback)
@@ -148,6 +155,16 @@ def _is_about_scenarios(item: pytest.Item, function: Any) -> bool:
     return "simulate" in getattr(item, "fixturenames", ()) or any(map(gives_scenarios, given))
 
 
+def _asserts(function: Any) -> bool:
+    """Does a test, or a function within it, name ``assert_holds``?"""
+    codes = [getattr(inspect.unwrap(function), "__code__", None)]
+    for code in codes:
+        if code is not None and "assert_holds" in code.co_names:
+            return True
+        codes += [one for one in getattr(code, "co_consts", ()) if isinstance(one, CodeType)]
+    return False
+
+
 def payload(test: TestRun) -> Payload:
     """Everything that the end of the session needs of ``test``."""
     return {
@@ -155,6 +172,7 @@ def payload(test: TestRun) -> Payload:
         "judged": [[*astuple(j.run), j.expected.value, packed(j.evaluation)] for j in test.judgements],
         "kept": None if test.kept is None else str(test.kept),
         "replayed": [str(file) for file in test.replayed],
+        "as_kept": test.as_kept,
         "draws": test.draws,
         "computing": [list(astuple(one)) for one in test.computing_times],
         "overruled": {run: list(one.counts) for run, one in test.overruled.items()},

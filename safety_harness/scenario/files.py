@@ -25,6 +25,7 @@ KEYS = (
 COMMON = ("about", "duration", "seed", "robot", "controller", "object", "camera", "settings")
 ALL = (*TITLES, *KEYS, *COMMON)
 _KEY = re.compile(rf"^[\"']?({'|'.join(ALL)})[\"']?[ \t]*:(?:[ \t]+(\S)|[ \t]*\r?$)", re.MULTILINE)
+_TITLE = re.compile(rf"\b(?:{'|'.join(TITLES)})[\"']?\s*(?:#.*\s*)?:")
 
 
 def as_path(source: str | Path, argument: str, *, of_text: str = "") -> Path:
@@ -131,6 +132,8 @@ def files_of(path: Path, place: Place | None = None) -> Iterator[Path]:
 def is_titled(text: str) -> bool:
     """Has a text the title of a scenario, a space or a suite, and one more key of ours?"""
     keys, titles = _keys_of(text)
+    if not (keys and titles) and _TITLE.search(text):
+        keys, titles = _parsed_keys_of(text)
     return bool(titles) and bool(keys) and "plan" not in keys
 
 
@@ -144,6 +147,19 @@ def _keys_of(text: str) -> tuple[set[str], set[str]]:
     """The keys, and the titles, which have a text on their line."""
     found = _KEY.findall(text)
     return {key for key, _ in found} - {*TITLES}, {key for key, value in found if value} & {*TITLES}
+
+
+def _parsed_keys_of(text: str) -> tuple[set[str], set[str]]:
+    """The same of a text in any style, such as in braces or indented; none of one that cannot be parsed."""
+    from safety_harness.scenario.nodes import Mapping, Scalar, parse_tree
+
+    try:
+        tree = parse_tree(text, None)
+    except ScenarioError:
+        return set(), set()
+    found = {key.text: node for key, node in tree.entries} if isinstance(tree, Mapping) else {}
+    titles = {key for key in TITLES if isinstance(one := found.get(key), Scalar) and one.text}
+    return {*found} & {*KEYS, *COMMON}, titles
 
 
 def foreign(file: Path, place: Place | None) -> ScenarioError:

@@ -52,7 +52,7 @@ NO_REFERENCE = f"nothing is confirmed in {PYBULLET.label}, which is not installe
 MOST_SHRUNK = 3  # counterexamples of one claim, and of mishaps
 SHRINKING_RUNS = 200  # for each
 MOST_RUN_TWICE = 8  # disagreements of the worlds of which both runs are made, to be shown
-_MOST_AS_FOUND = 50  # files
+_MOST_AS_FOUND = 1_000  # files
 _BATCH = 64  # runs that go to their decisions together
 
 
@@ -179,6 +179,11 @@ class SearchSession:
         lines = [*self.trials.space.notes, whole, *overruled, *nearest_lines(findings)]
         if self.baseline is not None:
             lines += [f"uniform: {summary(self.baseline, self.budget)}", *nearest_lines(self.baseline)]
+        alone = len(findings.groups) - _MOST_AS_FOUND
+        if alone > 0:
+            lines.append(
+                f"{AS_FOUND} has the first {_MOST_AS_FOUND:,} groups; {alone:,} are in {FINDINGS} alone"
+            )
         for line in lines:
             say(line)
         self._ask_again()
@@ -355,7 +360,7 @@ def search_space(
     there = PYBULLET.is_installed
     confirming = in_pybullet if there else in_kinematic
     session = SearchSession(trials, out, budget, output, confirming, there, explain)
-    if (out / FINDINGS).exists() and (before := [*out.glob("*.yaml")]):
+    if (out / FINDINGS).exists() and (before := [*out.glob("*.yaml"), *(out / AS_FOUND).rglob("*.yaml")]):
         output.say(f"{out} keeps the files of an earlier search, {before[0].name} among them")
     if not there:
         output.say(NO_REFERENCE)

@@ -53,10 +53,10 @@ def _of_files(path: Path) -> st.SearchStrategy[Scenario]:
         looker.look(as_asked(scenario))
     parts: list[st.SearchStrategy[Scenario]] = []
     if gathered.scenarios:
-        parts.append(st.sampled_from(gathered.scenarios))
+        parts.append(_marked(st.sampled_from(gathered.scenarios)))
     for variant, file in gathered.spaces:
         parts.append(drawn(space_of(variant.tree, file, name=variant.name)))
-    return _marked(st.one_of(parts) if len(parts) > 1 else parts[0])
+    return _marked(st.one_of(parts)) if len(parts) > 1 else parts[0]
 
 
 def drawn(space: ScenarioSpace) -> st.SearchStrategy[Scenario]:
@@ -65,7 +65,7 @@ def drawn(space: ScenarioSpace) -> st.SearchStrategy[Scenario]:
     InputError for a space of which next to nothing can be tried.
     """
     looker.look(as_asked(first_of(space)))
-    return _marked(_admissible(space))
+    return _marked(_admissible(space), one_system(space))
 
 
 def first_of(space: ScenarioSpace) -> Scenario:
@@ -78,8 +78,21 @@ def gives_scenarios(strategy: object) -> bool:
     return hasattr(strategy, _MARK)
 
 
-def _marked(strategy: st.SearchStrategy[Scenario]) -> st.SearchStrategy[Scenario]:
-    setattr(strategy, _MARK, True)
+def one_system(space: ScenarioSpace) -> Scenario | None:
+    """A scenario with the avoider or the controller of all draws; None for a space that varies it."""
+    varied = {parameter.name for parameter in space.parameters}
+    return None if varied & {"avoider", "controller"} else space.simplest
+
+
+def one_system_of(strategy: object) -> Scenario | None:
+    """That of a strategy from here; None as well where its scenarios come from several files."""
+    return getattr(strategy, _MARK, None)
+
+
+def _marked(
+    strategy: st.SearchStrategy[Scenario], like: Scenario | None = None
+) -> st.SearchStrategy[Scenario]:
+    setattr(strategy, _MARK, like)
     return strategy
 
 

@@ -18,7 +18,7 @@ from safety_harness.scenario.model import Scenario, Verdict
 from safety_harness.scenario.write import write_scenario
 from safety_harness.shipped.contents import shipped_name
 from safety_harness.testing.session import TestRun, session
-from safety_harness.testing.simulating import digest_of
+from safety_harness.testing.simulating import digest_of, is_of_an_object
 from safety_harness.trace.trace import Trace
 from safety_harness.trace.unmeasured import as_measured, decided
 
@@ -27,6 +27,7 @@ def failure_text(
     evaluation: Evaluation, trace: Trace, *, expected: Verdict, scenario: Scenario, test: TestRun | None
 ) -> str:
     """The whole text; ``scenario`` is as the test asked for it, ``test`` the one that failed."""
+    runs = not is_of_an_object(trace)
     trace = as_measured(trace)
     parts = [
         _verdict(evaluation, expected),
@@ -34,7 +35,7 @@ def failure_text(
         _decision(evaluation, trace),
         picture(trace, evaluation),
         _scenario(scenario, test),
-        again(scenario, test) if trace.known.simulated else [],
+        again(scenario, test, runs=runs) if trace.known.simulated else [],
     ]
     return "\n\n".join("\n".join(part) for part in parts if part)
 
@@ -101,8 +102,8 @@ def _scenario(scenario: Scenario, test: TestRun | None) -> list[str]:
     return [title, *(f"  {line}" for line in write_scenario(scenario).splitlines())]
 
 
-def again(scenario: Scenario, test: TestRun | None) -> list[str]:
-    """The commands that show the failure again."""
+def again(scenario: Scenario, test: TestRun | None, *, runs: bool) -> list[str]:
+    """The commands that show the failure again; only if ``runs`` one that runs the scenario's file."""
     avoider = session().avoider
     own = [] if avoider is None else ["--avoider", avoider]
     chosen = [] if session().world == "PyBullet" else [session().world]
@@ -111,7 +112,7 @@ def again(scenario: Scenario, test: TestRun | None) -> list[str]:
     file = file or (test.kept if test is not None else None)
     if test is not None:
         lines.append("  " + shlex.join(["pytest", test.id, *own, *_with("--safety-world", chosen)]))
-    if file is not None:
+    if file is not None and runs:
         own += _with("--world", chosen)
         lines.append("  " + shlex.join(["safety-harness", "run", str(near(file)), *own]))
     return ["to see it again:", *lines] if lines else []

@@ -88,6 +88,7 @@ class TestRun:
     runs_since: int = 0  # simulations since the first failure
     kept: Path | None = None  # where the failing scenario was written
     replayed: list[Path] = field(default_factory=list)  # earlier failures that were tried first
+    as_kept: bool = False  # these with the avoiders of their files
     computing_times: list[ComputingTime] = field(default_factory=list)  # of its runs
     overruled: dict[str, Overruling] = field(default_factory=dict)  # of those that count, by their digests
     differences: dict[str, RunDifference] = field(default_factory=dict)  # from a reference, by digest

@@ -9,7 +9,7 @@ from collections import OrderedDict
 from dataclasses import replace
 from pathlib import Path
 from types import FrameType
-from weakref import WeakKeyDictionary
+from weakref import WeakKeyDictionary, WeakSet
 
 from safety_harness.admission.admit import Admitted, Admitter, Looker, admit
 from safety_harness.admission.avoiders import command_line_reference, option_of, with_avoider
@@ -33,11 +33,17 @@ from safety_harness.trace.trace import Trace
 MOST_TICKS = 100_000  # of all the traces that are remembered: a hundred megabytes or so
 
 _asked_for: WeakKeyDictionary[Trace, Scenario] = WeakKeyDictionary()
+_of_objects: WeakSet[Trace] = WeakSet()
 
 
 def original(trace: Trace) -> Scenario:
     """The scenario as a test asked for it, before ``--avoider`` put another avoider into it."""
     return _asked_for.get(trace, trace.scenario)
+
+
+def is_of_an_object(trace: Trace) -> bool:
+    """Did a test give an avoider or a controller as an object, which no file and no command names?"""
+    return trace in _of_objects
 
 
 def digest_of(scenario: Scenario) -> str:
@@ -107,6 +113,7 @@ class Simulate:
                 scenario = read_scenario(sought_from(path, frame.f_back if frame else None))
             if avoider is not None or controller is not None:
                 trace = _run(admit(scenario, avoider=avoider, controller=controller))
+                _of_objects.add(trace)
             else:
                 trace = self._remembered(as_asked(scenario))
                 _asked_for[trace] = scenario

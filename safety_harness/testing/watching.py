@@ -21,13 +21,14 @@ from hypothesis import HealthCheck, Phase, example, settings
 from hypothesis.errors import BackendCannotProceed, HypothesisException
 from hypothesis.internal.conjecture.providers import AVAILABLE_PROVIDERS, HypothesisProvider
 
-from safety_harness.admission.avoiders import as_seen_from
+from safety_harness.admission.avoiders import as_seen_from, with_system_of
 from safety_harness.admission.claims import property_of
 from safety_harness.exceptions import InputError, OutputError
 from safety_harness.scenario.model import Claim, Scenario, Verdict
 from safety_harness.scenario.read import read_scenario
 from safety_harness.scenario.write import write_scenario
 from safety_harness.testing.asserting import SafetyViolation
+from safety_harness.testing.drawing import one_system_of
 from safety_harness.testing.session import TestRun, session
 from safety_harness.testing.simulating import digest_of
 from safety_harness.whole_file import write_whole
@@ -114,8 +115,7 @@ def _kept(function: Any, test: TestRun) -> Iterator[Any]:
     names = list(function.hypothesis._given_kwargs)
     if len(names) != 1:
         return
-    for file, scenario in kept_for(test.id):
-        test.replayed.append(file)
+    for scenario in kept_for(test, one_system_of(function.hypothesis._given_kwargs[names[0]])):
         yield example(**{names[0]: scenario})._this_example
 
 
@@ -146,11 +146,18 @@ def keep(test_id: str, violation: SafetyViolation) -> Path:
     return file
 
 
-def kept_for(test_id: str) -> list[tuple[Path, Scenario]]:
-    """The failures that are kept of a test, in the order of their names; InputError for a spoilt file."""
-    return [
-        (file, read_scenario(file)) for file in sorted(folder_of(test_id).glob("*.yaml")) if file.is_file()
-    ]
+def kept_for(test: TestRun, like: Scenario | None) -> Iterator[Scenario]:
+    """The failures that are kept of a test, in the order of their names; InputError for a spoilt file.
+
+    What a file was kept with is not what the test tests today: of the file are hands and start, the avoider
+    or the controller is that of ``like``, where there is one.
+    """
+    for file in sorted(folder_of(test.id).glob("*.yaml")):
+        if file.is_file():
+            scenario = read_scenario(file)
+            test.replayed.append(file)
+            test.as_kept = like is None
+            yield scenario if like is None else with_system_of(like, scenario)
 
 
 def _is_known(claim: Claim, scenario: Scenario) -> bool:

@@ -69,6 +69,28 @@ def test_one_that_answers_a_batch_otherwise_is_noticed_though_it_was_asked_alone
     assert "asked again in one call with others it answered" in found.line
 
 
+@pytest.mark.parametrize(
+    ("body", "told"),
+    [
+        ("raise ValueError", "alone and in another order: the same"),
+        ("return []", "alone and in another order: the same"),
+        ("return np.full((len(seeds), 3), np.nan), None", "alone and in another order: the same"),
+        (
+            "return np.array(tcps) + [0.0, 0.0, 0.1], np.zeros((len(seeds), 3))",
+            "order and together: the same",
+        ),
+    ],
+)
+def test_together_is_said_only_of_one_that_answers_together(body: str, told: str, file: Path) -> None:
+    question = "propose(self, *, hand_position_in_base_m, tcp_position_in_base_m, seed)"
+    file.write_text(
+        "import numpy as np\nfrom safety_harness import Proposal\nclass Many:\n    name = 'many'\n"
+        f"    def {question}: return Proposal(tcp_position_in_base_m + [0.0, 0.0, 0.1], np.zeros(3))\n"
+        f"    def propose_many(self, hands, tcps, seeds): {body}\n"
+    )
+    assert told in asked_again(runs(f"{file}:Many", Admitter())).line
+
+
 def test_one_that_is_a_function_of_its_question_is_not(file: Path) -> None:
     found = asked_again(runs(f"{file}:Pure", Admitter()))
     assert (found.differing, found.words) == (0, "")

@@ -167,7 +167,7 @@ def test_its_runs_are_driven_again_since_no_trace_keeps_what_it_saw(tmp_path: Pa
     (tmp_path / "remembers.py").write_text(text)
     for file, said in (
         (EXAMPLE, "the same to the last bit"),
-        (tmp_path / "remembers.py", "carries something over"),
+        (tmp_path / "remembers.py", "the avoider carries something over from earlier episodes: a fresh one"),
     ):
         admitted = admit(scenario(VISIT, OTHER, duration_s=1.2, avoider=f"{file}:AwayFromAll"))
         again = Repeatability()

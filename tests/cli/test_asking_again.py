@@ -144,7 +144,7 @@ def test_the_documented_avoider_around_one_of_ours_is_used_asked_again_and_repea
     assert len([line for line in found[1].splitlines() if line]) <= 6  # an import, and five
     assert run([Path("visit.yaml")], Path("ours"), "mc-dropout") == AS_EXPECTED
     assert run([Path("visit.yaml")], Path("out"), "mine.py:higher") == AS_EXPECTED
-    assert "a process of its own, alone, in another order" in capsys.readouterr().err
+    assert "a process of its own, alone and in another order" in capsys.readouterr().err
     ours, around = (load_trace(Path(f"{one}/traces/visit.trace")) for one in ("ours", "out"))
     first, higher = (one.decisions["proposed_position_in_base_m"][0] for one in (ours, around))
     assert higher - first == pytest.approx([0.0, 0.0, 0.02], abs=1e-12)

@@ -143,6 +143,30 @@ def test_ctrl_c_keeps_what_was_found(
     assert json.loads((tmp_path / "out" / "findings.json").read_text())["interrupted"]
 
 
+def test_groups_beyond_the_files_as_found_are_counted(
+    space: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(search_session, "_MOST_AS_FOUND", 1)
+    assert fuzz(space, out=tmp_path, budget=12) == DIFFERS
+    alone = len(json.loads((tmp_path / "findings.json").read_text())["distinct"]) - 1
+    assert alone > 0
+    assert len(list((tmp_path / "as-found").glob("*.yaml"))) == 1
+    assert f"as-found has the first 1 groups; {alone} are in findings.json alone" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("earlier", ["one.yaml", "as-found/one.yaml", "as-found/baseline/one.yaml"])
+def test_files_of_an_earlier_search_stay_and_that_is_said(
+    space: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], earlier: str
+) -> None:
+    file = tmp_path / "out" / earlier
+    file.parent.mkdir(parents=True)
+    file.write_text("scenario: of then\n")
+    (tmp_path / "out" / "findings.json").write_text("{}")
+    fuzz(space, out=tmp_path / "out", budget=2)
+    assert "keeps the files of an earlier search, one.yaml among them" in capsys.readouterr().err
+    assert file.read_text() == "scenario: of then\n"
+
+
 def test_a_full_disk_costs_no_finding(
     space: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

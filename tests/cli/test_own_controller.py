@@ -366,6 +366,14 @@ def test_what_act_may_not_return_costs_the_run_with_a_reason(name: str, why: str
     assert "Traceback" not in found.output
 
 
+def test_a_campaign_in_which_nothing_could_be_run_tested_nothing() -> None:
+    Path("raises.yaml").write_text(PLAN.replace("StopAndGo", "NotANumber"))
+    found = command("campaign", "run", "raises.yaml", "--ledger", "raises.sqlite", "--workers", "1")
+    assert "violated in 0 of 0 tested, 8 could not be run" in found.output, found.output
+    assert "(0 runs tested it, 8 could not be run" in found.output
+    assert "the controller ended no run that could be driven again" in found.output
+
+
 def test_what_is_carried_over_from_episode_to_episode_is_named(folder: Path) -> None:
     visit = with_avoider(read_scenario(folder / "visit.yaml"), Driver("mine.py:Counting"))
     admitter, repeatability = Admitter(), Repeatability()

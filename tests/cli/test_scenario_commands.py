@@ -70,6 +70,18 @@ def test_validate_says_ok_of_scenarios_and_spaces(capsys: Captured) -> None:
     assert other.startswith(f"ok {files[1]}: a space, ")
 
 
+def test_validate_names_the_controller_where_no_avoider_is_asked(tmp_path: Path, capsys: Captured) -> None:
+    file = tmp_path / "driven.yaml"
+    head = "scenario: driven\nduration: 1 s\ncontroller: stop when near\n"
+    rest = "tcp start: {offset: [0 mm, 0 mm, 0 mm]}\nclaims: {joint speeds within limits: holds}\n"
+    file.write_text(head + rest)
+    document = CliRunner().invoke(app, ["validate", str(file), "--json"])
+    assert validate([file]) == AS_EXPECTED
+    assert capsys.readouterr().out == f"ok {file}: no hands, 1 claim, 1 s, stop when near\n"
+    (usable,) = json.loads(document.stdout)["result"]["usable"]
+    assert usable["scenarios"][0]["controller"] == "stop when near"
+
+
 def test_validate_tells_the_mistake_of_every_claim(tmp_path: Path, capsys: Captured) -> None:
     text = (SCENARIOS / "servoing-alone.yaml").read_text()
     head = text[: text.index("claims:")]

@@ -63,9 +63,18 @@ def test_ctrl_c_ends_with_the_command_that_goes_on_and_that_gives_the_same_model
     assert f"--data {data} --resume" in capsys.readouterr().err
     assert not (parts / MODEL).exists()
     assert train("trial-deterministic", data=data, out=parts, resume=True) == 0
-    assert "epoch 3/8" not in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "epoch 3/8" not in said
+    assert "from the start" not in said
     tensors = [load_model(folder / MODEL).tensors for folder in (whole, parts)]
     assert {n: t.tobytes() for n, t in tensors[0].items()} == {n: t.tobytes() for n, t in tensors[1].items()}
+
+
+def test_to_go_on_from_nothing_is_to_begin_and_that_is_said(
+    data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert train("trial-deterministic", data=data, out=tmp_path / "new", resume=True) == 0
+    assert f"{tmp_path / 'new'} has no checkpoint to go on from" in capsys.readouterr().err
 
 
 def test_mistakes_are_explained_with_exit_code_2(

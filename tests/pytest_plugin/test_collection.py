@@ -62,6 +62,12 @@ def test_the_combinations_of_a_matrix_and_the_members_of_a_suite_are_nodes(run, 
     run(f"both.yaml::nearest::{SPEED}").assert_outcomes(passed=1)
 
 
+def test_a_suffix_in_capitals_is_one(run, project: Path) -> None:
+    (project / "fine.yaml").rename(project / "FINE.YAML")
+    result = run("--collect-only", "-q", ".")
+    result.stdout.fnmatch_lines([f"FINE.YAML::{SPEED}"])
+
+
 def test_mistakes_are_told_at_collection_without_our_frames(run, project: Path) -> None:
     (project / "unit.yaml").write_text((project / "fine.yaml").read_text().replace("1.2 s", "1.2 parsec"))
     (project / "claim.yaml").write_text((project / "fine.yaml").read_text().replace("TCP speed", "TCP sped"))
@@ -83,6 +89,11 @@ def test_mistakes_are_told_at_collection_without_our_frames(run, project: Path) 
         "scenario: >\n  folded\nextends: base.yaml\n",
         "# a comment\nsuite: all of them\nscenarios: []\n",
         "'scenario': quoted\r\nclaims:\r\n",
+        "{scenario: in braces, hands: []}\n",
+        "  scenario: indented\n  hands: []\n",
+        "suite:\n  on its own line\nscenarios: []\n",
+        "? scenario space # of a complex key\n: x\nseed: 1\n",
+        f"{'# late' * 20_000}\nscenario: x\nhands: []\n",
     ],
 )
 def test_scenario_files_are_known_by_their_keys(tmp_path: Path, text: str) -> None:
@@ -103,6 +114,11 @@ def test_scenario_files_are_known_by_their_keys(tmp_path: Path, text: str) -> No
         "seed: 1\nrobot: ur10\ncamera: {}\n",
         "scenario: of another program\n",
         "plan: of ours\nscenario: x\nclaims: []\n",
+        "{plan: of ours, scenario: x, claims: []}\n",
+        "a:\n  scenario: nested\n  hands: []\n",
+        "{scenario: checkout, users: 10}\n",
+        "{scenario: , hands: 2}\n",
+        "{hands: 2, scenario: cannot be parsed }}\n",
         "\x00\xff",
     ],
 )

@@ -59,6 +59,53 @@ def test_a_kept_file_of_what_passes_now_stays_and_is_said(run, project: Path) ->
     assert kept(project) == [file]
 
 
+@pytest.mark.parametrize("of", ["reaches.yaml", "test_it.py"])
+def test_a_kept_failure_is_tried_with_the_avoider_that_the_space_names_today(
+    run, project: Path, of: str
+) -> None:
+    marker = "import pathlib; pathlib.Path(__file__).with_name('executed').touch()\n"
+    (project / "old.py").write_text(
+        marker + "class Silent:\n    name = 'silent'\n    def propose(self, **question): return None\n"
+    )
+    space = project / "reaches.yaml"
+    text = space.read_text()
+    space.write_text(text.replace("opposite pose", "old.py:Silent"))
+    run(of, "-k", "speed or slow", "--safety-derandomize").assert_outcomes(failed=1, deselected=1)
+    (file,) = kept(project)
+    assert "old.py" in file.read_text()
+    (project / "executed").unlink()
+    space.write_text(text)
+    result = run(of, "-k", "speed or slow", "--safety-derandomize")
+    result.assert_outcomes(passed=1, deselected=1)
+    assert not (project / "executed").exists()
+    result.stdout.fnmatch_lines(["earlier failures tried first: 1, in tests that pass now: 1"])
+    result.stdout.no_fnmatch_line("*with the avoider of the file*")
+
+
+def test_where_the_space_varies_the_avoider_that_of_the_kept_file_is_said_to_be_used(
+    run, project: Path
+) -> None:
+    space = project / "reaches.yaml"
+    text = space.read_text()
+    space.write_text(text.replace("avoider: opposite pose", "avoider:\n  one of: [opposite pose, nearest]"))
+    run("reaches.yaml", "-k", "distance", "--safety-derandomize").assert_outcomes(failed=1, deselected=1)
+    result = run("reaches.yaml", "-k", "distance", "--safety-derandomize")
+    result.stdout.fnmatch_lines(["  with the avoider of the file in which it is kept: 1"])
+
+
+def test_a_failure_of_an_object_prints_no_command_that_runs_another_avoider(run, project: Path) -> None:
+    (project / "test_it.py").write_text(
+        "from safety_harness.testing import assert_holds\n"
+        "from avoiders import Upwards\n"
+        "def test_mine(simulate):\n"
+        "    assert_holds('hand distance never below 5000 mm', simulate('fast.yaml', avoider=Upwards()))\n"
+    )
+    result = run("test_it.py")
+    result.assert_outcomes(failed=1)
+    result.stdout.fnmatch_lines(["*avoider upwards*", "*to see it again:", "*pytest test_it.py::test_mine"])
+    result.stdout.no_fnmatch_line("*safety-harness run*")
+
+
 def test_two_workers_tell_the_same_as_one(run, project: Path) -> None:
     options = ("-n", "2", "--junitxml=junit.xml", "--safety-report=out/report.html", "--safety-derandomize")
     result = run("fast.yaml", "fine.yaml", "test_it.py", *options)
@@ -157,6 +204,27 @@ def test_what_is_never_put_to_the_test_fails_test_and_session(run, project: Path
     never = run("test_it.py", "-k", "never")
     never.assert_outcomes(failed=1, deselected=1)
     never.stdout.fnmatch_lines(["*inconclusive in * of * judgements*"])
+
+
+def test_an_assertion_that_no_draw_reaches_fails_and_plain_asserts_are_enough(run, project: Path) -> None:
+    (project / "test_it.py").write_text(
+        "from hypothesis import given, settings\n"
+        "from safety_harness.testing import assert_holds, scenarios\n"
+        "@settings(max_examples=3)\n"
+        "@given(scenario=scenarios('reaches.yaml'))\n"
+        "def test_never(scenario, simulate):\n"
+        "    if len(simulate(scenario).ticks) > 1e6:\n"
+        "        [assert_holds('TCP speed never above 250 mm/s', one) for one in [simulate(scenario)]]\n"
+        "@settings(max_examples=3)\n"
+        "@given(scenario=scenarios('reaches.yaml'))\n"
+        "def test_plain(scenario, simulate):\n"
+        "    assert simulate(scenario).complete\n"
+    )
+    result = run("test_it.py")
+    result.assert_outcomes(passed=1, failed=1)
+    result.stdout.fnmatch_lines(
+        ["*test_never*", "assert_holds was never reached in 3 draws: nothing was put to the test"]
+    )
 
 
 def test_mistakes_in_a_test_are_told_in_place_of_a_traceback(run, project: Path) -> None:

@@ -89,12 +89,14 @@ def test_a_kept_failure_reads_as_the_same_scenario(session: Session, visit: Trac
     file = keep("tests/test_a.py::Test::test_b[x/y]", violation)
     assert file.parent == folder_of("tests/test_a.py::Test::test_b[x/y]")
     assert session.failures in file.parents
-    ((found, again),) = kept_for("tests/test_a.py::Test::test_b[x/y]")
-    assert found == file
+    test = TestRun("tests/test_a.py::Test::test_b[x/y]", draws=True)
+    (again,) = kept_for(test, None)
+    assert (test.replayed, test.as_kept) == ([file], True)
     assert digest_of(replace(again, claims=visit.scenario.claims)) == digest_of(visit.scenario)
     assert [(claim.sentence, claim.expected) for claim in again.claims] == [(DISTANCE, Verdict.HOLDS)]
     assert "A failure of tests/test_a.py::Test::test_b[x/y]" in file.read_text()
-    assert kept_for("tests/test_a.py::Test::test_b[x-y]") == []  # another test, however alike
+    another = TestRun("tests/test_a.py::Test::test_b[x-y]", draws=True)  # however alike
+    assert not list(kept_for(another, None))
 
 
 def test_the_claim_of_a_property_that_no_file_can_name_is_not_claimed_there(
