@@ -27,9 +27,6 @@ from safety_harness.simulation.simulate import INTERRUPTED
 from safety_harness.simulation.worlds import KINEMATIC, PYBULLET, WorldEntry
 from safety_harness.trace.trace import Trace
 
-PAIRED = 4  # ingredients that are tried in pairs: 6 replays
-
-
 Changes = tuple[Change, ...]
 
 
@@ -242,15 +239,14 @@ class _Told:
         return property_of(self.trials.system.scenario.claims[self.number], run.scenario).evaluate(run)
 
     def attributed(self, margin: float | None, changes: Sequence[Change]) -> Attribution:
-        """The bound, then single changes, then pairs of those ingredients that came nearest to help."""
+        """The bound, then single changes, then all pairs: of each ingredient what came nearest to help."""
         why = why_unavoidable(self.trials.system, self.prop)
         if why:
             return self.made(AttributionAnswer.UNAVOIDABLE, margin, why)
         replays = self.replays((change,) for change in changes)
         helping = _least(replays)
         if not helping:
-            best = sorted(_best(replays), key=lambda one: -_gain(one))[:PAIRED]
-            pairs = combinations(sorted(best, key=lambda one: _rank(one.ingredients)), 2)
+            pairs = combinations(sorted(_best(replays), key=lambda one: _rank(one.ingredients)), 2)
             paired = self.replays(one.changes + other.changes for one, other in pairs)
             replays, helping = replays + paired, _least(paired)
         answer = AttributionAnswer.ATTRIBUTED if helping else AttributionAnswer.NOTHING_HELPED

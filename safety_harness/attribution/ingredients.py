@@ -38,7 +38,8 @@ from safety_harness.scenario.faults import (
     JointStuck,
 )
 from safety_harness.scenario.model import HandTrajectory, MovingHand, RecordedHand, Scenario
-from safety_harness.scenario.moves import HandMove
+from safety_harness.scenario.moves import FollowTcp, HandMove, Wander
+from safety_harness.scenario.robots import OwnRobot
 from safety_harness.settings import (
     Braking,
     Camera,
@@ -74,6 +75,7 @@ class Ingredient(Enum):
 
 
 CHOSEN = frozenset({Ingredient.PREDICTION, Ingredient.FALLBACK, Ingredient.DISTANCE})
+OF_THE_SERVO = frozenset({Ingredient.AVOIDER, Ingredient.DEADLINE, Ingredient.GATE, Ingredient.FALLBACK})
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -123,6 +125,8 @@ class Change:
 
     def on(self, system: Altered) -> Altered | None:
         """The system changed; None if that changes nothing, or nobody could try it."""
+        if system.scenario.driven and self.ingredient in OF_THE_SERVO:
+            return None
         try:
             altered = self.alter(system)
         except InputError:
@@ -268,14 +272,17 @@ def fastest_tcp_mps(settings: Settings) -> float:
 
 
 def _sound_drives(system: Altered) -> Altered:
-    """No joint sticks, and the brakes act within one control period."""
+    """No joint sticks, the drives do at once what they are told, and the brakes act within one period."""
 
     def alter(settings: Settings) -> Settings:
         stop_s = settings.clock.control_period_s
         brakes = Braking(reaction_time_s=0.0, stop_time_base_s=stop_s, stop_time_per_speed_s2pm=0.0)
         return replace(settings, braking=brakes)
 
-    return system.without(JointStuck).with_settings(alter)
+    sound, robot = system.without(JointStuck), system.scenario.robot
+    if isinstance(robot, OwnRobot) and robot.drives is not None:
+        sound = sound.with_scenario(replace(sound.scenario, robot=replace(robot, drives=None)))
+    return sound.with_settings(alter)
 
 
 def _avoiding_from(distance_m: Callable[[Settings], float]) -> Callable[[Altered], Altered]:
@@ -313,8 +320,10 @@ def _slower(hand: HandTrajectory) -> HandTrajectory:
 
 
 def _slower_move(move: HandMove) -> HandMove:
-    """What has a time to give up in has twice as much; a wait stays as long."""
+    """What is done for a time, or given up after one, has twice as much; a wait stays as long."""
     slower = {"speed_mps": 0.5, "at_most_s": 2.0}
+    if isinstance(move, FollowTcp | Wander):
+        slower["duration_s"] = 2.0
     return replace(move, **{key: by * getattr(move, key) for key, by in slower.items() if hasattr(move, key)})
 
 

@@ -1,9 +1,9 @@
 """What no arm could have kept: a bound for the distance from hands, derived in docs/attribution.md.
 
 An arm is free that knows the whole run beforehand and keeps one limit of the system's alone: its TCP starts
-where it starts and is never faster than the controller lets it be.  What no free arm keeps, no change of the
-system could have kept.  Each of the three bounds is a necessary condition; what none of them refutes may
-still be unavoidable.
+where it starts and is never faster than the controller, or where that does not bound it the joints' limits,
+let it be.  What no free arm keeps, no change of the system could have kept.  Each of the three bounds is a
+necessary condition; what none of them refutes may still be unavoidable.
 """
 
 from __future__ import annotations
@@ -21,9 +21,10 @@ from safety_harness.geometry.arrays import Array3, ArrayNx3
 from safety_harness.properties.base import Property
 from safety_harness.properties.hand_distance import HandDistance
 from safety_harness.robot.capsules import CapsuleSet
-from safety_harness.robot.distance import hand_distance
+from safety_harness.robot.distance import chain_lengths, hand_distance
 from safety_harness.robot.kinematics import links_in_base
-from safety_harness.robot.robots import arm_capsules
+from safety_harness.robot.robots import arm_capsules, drive_model
+from safety_harness.scenario.faults import JointStuck
 from safety_harness.scenario.model import HandTrajectory, MovingHand, Scenario
 from safety_harness.scenario.moves import FollowTcp, ReachForTcp
 from safety_harness.settings import Hand
@@ -93,7 +94,7 @@ class FreeArm:
             centre_m=places[1].copy(),
             reach_m=float(np.linalg.norm(np.diff(places[1:], axis=0), axis=1).sum()),
             tip_m=tip_m,
-            fastest_mps=fastest_tcp_mps(settings),
+            fastest_mps=_fastest_mps(checked, capsules),
             body=body,
             ends_m=ends_m,
         )
@@ -103,6 +104,20 @@ class FreeArm:
         run_m = np.linalg.norm(from_m - self.start_m, axis=1) + self.fastest_mps * time_s
         reached_m = np.linalg.norm(from_m - self.centre_m, axis=1) + self.reach_m
         return np.asarray(np.minimum(run_m, reached_m))
+
+
+def _fastest_mps(checked: Checked, capsules: CapsuleSet) -> float:
+    """What the TCP cannot exceed: by the servo's own limits, where the drives do what it says.
+
+    Else by those of the joints, sum q'_j l_j with the chain of links l_j behind each: a user's controller may
+    command them, and drives that lag, or a joint that is stuck, may turn them otherwise than the servo says.
+    """
+    scenario = checked.scenario
+    stuck = any(isinstance(fault, JointStuck) for fault in scenario.faults)
+    if not (scenario.driven or stuck or drive_model(scenario.robot)):
+        return fastest_tcp_mps(scenario.settings)
+    lengths_m = chain_lengths(checked.arm.chain, capsules.records)
+    return float((checked.arm.velocity_limit_radps * lengths_m).sum())
 
 
 def _off_segment_m(point: Array3, start: Array3, end: Array3) -> float:

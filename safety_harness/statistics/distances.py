@@ -85,7 +85,7 @@ def tolerance_bound(sample: IndependentSample, content: float, confidence: float
         content=content,
         at_least=float(margins[rank - 1]) if rank else -math.inf,
         rank=rank,
-        seen=float(margins[min(math.floor((1.0 - content) * n), n - 1)]),
+        seen=float(margins[min(math.floor((1.0 - content) * n + 1e-9), n - 1)]),  # 0.1 n, but for rounding
         trials=n,
         confidence=confidence,
         model_only=sample.declaration.model_only,

@@ -15,7 +15,15 @@ import numpy as np
 from scipy.special import gammaincc, gammaincinv
 
 from safety_harness.exceptions import LogError, Place
-from safety_harness.logs.approaches import LEAST_STAND_S, MOVES_MPS, NEAR_M, Approach, Watched, approaches_of
+from safety_harness.logs.approaches import (
+    LEAST_STAND_S,
+    MOVES_MPS,
+    NEAR_M,
+    WINDOW_S,
+    Approach,
+    Watched,
+    approaches_of,
+)
 from safety_harness.logs.model import CellLog
 from safety_harness.scenario.codec import Tree, scalar_text
 from safety_harness.scenario.files import told
@@ -25,6 +33,7 @@ from safety_harness.settings import Settings
 from safety_harness.statistics.fitting import CONFIDENCE, Fit, fit
 
 LEAST_APPROACHES = 5
+HARD = 0.5  # of the speed over the window: from there on an acceleration comes out too small, by a tenth
 WEAK_BELOW = 30  # values, with which a wrong family is seldom found
 MOST_VALUES = 100  # that stand for themselves in a space
 LONGEST_S, FARTHEST_M, LEAST_MPS2, HARDEST_MPS2 = 60.0, 2.0, 0.1, 50.0
@@ -198,6 +207,11 @@ def _notes(watched: Watched, quantities: Sequence[FittedQuantity]) -> list[str]:
         found.append(f"{watched.gaps} gaps longer than said: what was going on there is left out")
     if watched.cut:
         found.append(f"{watched.cut} moves whose beginning or end was not seen are left out")
+    hard = sum(one.acceleration_mps2 > HARD * one.speed_mps / WINDOW_S for one in watched.approaches)
+    if hard:
+        found.append(
+            f"{hard} accelerations are too small, as a speed is over {WINDOW_S:g} s: hands sped up harder"
+        )
     for one in quantities:
         if one.chosen is None:
             found.append(f"{one.name}: no family fits, so that the recorded values stand for themselves")

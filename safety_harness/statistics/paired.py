@@ -244,8 +244,11 @@ def _bootstrap_t(differences: Floats, chance: float, rng: np.random.Generator) -
 def ends_of_t(redrawn: Floats, chance: float) -> tuple[float, float]:
     """The ``chance`` and 1 - ``chance`` quantiles of a bootstrap's t, ``redrawn`` (n,), each outwards.
 
-    One that is infinite or NaN, as of a redrawn sample without spread, is beyond either end.
+    One that is infinite or NaN, as of a redrawn sample without spread, is beyond either end.  Of so small a
+    chance that fewer than one of them would be beyond, they say nothing: infinite.
     """
+    if chance * len(redrawn) < 1.0:
+        return -math.inf, math.inf
     beyond = ~np.isfinite(redrawn)
     least = np.quantile(np.where(beyond, -np.inf, redrawn), chance, method="lower")
     most = np.quantile(np.where(beyond, np.inf, redrawn), 1.0 - chance, method="higher")

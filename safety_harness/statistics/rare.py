@@ -130,7 +130,7 @@ def estimate_of(
     """What ``replicates`` (n,) say together."""
     low, high = interval_of(replicates, chance_of_each(confidence, 2))
     return RareEstimate(
-        value=float(replicates.mean()),
+        value=min(float(replicates.mean()), 1.0),
         low=low,
         high=high,
         confidence=confidence,
@@ -169,7 +169,7 @@ def interval_of(replicates: Floats, chance: float) -> tuple[float, float]:
     if np.all(replicates == replicates[0]):
         return 0.0, 1.0
     half = float(scipy.special.stdtrit(n - 1, 1.0 - chance)) * float(replicates.std(ddof=1)) / math.sqrt(n)
-    low = max(mean - half, 0.0)
+    low = min(max(mean - half, 0.0), 1.0)
     if not replicates.all() or float(replicates.max()) >= _MOST_OF_SUM * n * mean:
         return low, 1.0
     logarithms = np.log(replicates)

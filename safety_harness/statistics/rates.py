@@ -23,7 +23,7 @@ def most_an_hour(count: int, hours: float, chance: float) -> float:
 
     Garwood (1936): the rate under which as few events or fewer have that chance.
     """
-    return float(scipy.special.gammaincinv(count + 1, 1.0 - chance)) / hours
+    return float(scipy.special.gammainccinv(count + 1, chance)) / hours
 
 
 @dataclass(frozen=True)

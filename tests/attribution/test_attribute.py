@@ -24,11 +24,30 @@ from safety_harness.scenario.faults import (
     Joint,
     JointStuck,
 )
-from safety_harness.scenario.model import Claim, MovingHand, Scenario, Verdict
-from safety_harness.scenario.moves import MoveTo, ReachForTcp, Wait, Withdraw
+from safety_harness.scenario.model import NO_AVOIDER, Claim, MovingHand, Scenario, Verdict
+from safety_harness.scenario.moves import FollowTcp, MoveTo, ReachForTcp, Wait, Withdraw
+from safety_harness.scenario.read import parse_scenario
 from safety_harness.settings import DEFAULTS, DecisionTimes, GateKind, Settings
 from safety_harness.trace.trace import Trace
 
+LAGGING = """\
+scenario: a slow hand, an arm whose drives follow late
+duration: 6 s
+robot: {arm: "shipped:iiwa14", drives: {dead time: 100 ms, lag: 1 s}}
+tcp start: {offset: [40 mm, -120 mm, 60 mm]}
+avoider: opposite pose
+object: {position: [550 mm, 45 mm, -300 mm]}
+hands:
+  - hand: right
+    starts at: [900 mm, -700 mm, 250 mm]
+    elbow towards: [1600 mm, -1200 mm, 300 mm]
+    moves: [{wait: 500 ms}, {move to: [580 mm, -140 mm, 300 mm], speed: 0.4 m/s}]
+settings:
+  cell:
+    desired tcp position: [550 mm, 0 mm, 250 mm]
+    preferred joint position: [0 deg, 40 deg, 0 deg, -95 deg, 0 deg, 45 deg, 0 deg]
+claims: {hand distance never below 50 mm: holds}
+"""
 DISTANCE = "hand distance never below 50 mm"
 AWAY = "repulsion moves away from every hand"
 SLOW_HAND = hand(
@@ -183,6 +202,7 @@ def test_a_hand_half_as_fast_goes_the_same_way_for_twice_as_long() -> None:
     moves = (
         Wait(duration_s=0.5),
         ReachForTcp(speed_mps=1.0, until_distance_m=0.2, at_most_s=2.0),
+        FollowTcp(speed_mps=0.4, distance_m=0.2, duration_s=1.5),
         Withdraw(speed_mps=0.6),
     )
     (change,) = (one for one in CHANGES if one.ingredient is Ingredient.HAND)
@@ -194,8 +214,32 @@ def test_a_hand_half_as_fast_goes_the_same_way_for_twice_as_long() -> None:
     assert half.moves == (
         Wait(duration_s=0.5),
         ReachForTcp(speed_mps=0.5, until_distance_m=0.2, at_most_s=4.0),
+        FollowTcp(speed_mps=0.2, distance_m=0.2, duration_s=3.0),
         Withdraw(speed_mps=0.3),
     )
+
+
+def test_nothing_of_the_servo_is_tried_of_another_controller() -> None:
+    driven = replace(slow(), controller="stop when near", avoider=NO_AVOIDER)
+    system = Altered.of(admit(driven))
+    tried = {change.ingredient for change in CHANGES if change.on(system) is not None}
+    assert not tried & {Ingredient.AVOIDER, Ingredient.DEADLINE, Ingredient.GATE, Ingredient.FALLBACK}
+    assert Ingredient.HAND in tried
+
+
+def test_drives_that_lag_are_blamed() -> None:
+    found = only(admit(parse_scenario(LAGGING)))
+    assert found.cause == (Ingredient.DRIVES,)
+
+
+def test_every_pair_is_tried_where_nothing_helps_alone() -> None:
+    """The sensor alone makes it worse, and the avoider alone is never asked."""
+    blind = replace(slow(REACH), faults=(HandSensorBlind(),))
+    found = only(admit(blind, avoider=TowardsTheHand()))
+    assert found.cause == (Ingredient.AVOIDER, Ingredient.PERCEPTION)
+    single = {one.ingredients for one in found.replays if len(one.changes) == 1}
+    pairs = {one.ingredients for one in found.replays if len(one.changes) == 2}
+    assert len(pairs) == len(single) * (len(single) - 1) // 2
 
 
 def test_a_tally_counts_each_violation_once_and_every_change_that_helps() -> None:

@@ -14,7 +14,8 @@ from safety_harness.admission.trial import run_many
 from safety_harness.attribution.attribute import AttributionAnswer, attribute
 from safety_harness.attribution.ingredients import CHANGES, Altered, Ingredient
 from safety_harness.attribution.unavoidable import Chase, FreeArm, why_unavoidable
-from safety_harness.scenario.model import Claim, MovingHand, Verdict
+from safety_harness.scenario.faults import Joint, JointStuck
+from safety_harness.scenario.model import NO_AVOIDER, Claim, MovingHand, Verdict
 from safety_harness.scenario.moves import FollowTcp, HandMove, Hesitation, MoveTo, ReachForTcp, Wait
 
 DISTANCE = Claim(sentence="hand distance never below 50 mm", expected=Verdict.HOLDS)
@@ -53,6 +54,15 @@ def test_nobody_outruns_a_hand_that_pursues_the_tool() -> None:
     assert "heads for the TCP at 1 m/s, which leaves at 0.25 m/s" in why(reaching())
     follows = FollowTcp(speed_mps=1.0, distance_m=0.08, duration_s=3.0)
     assert why(hand(Wait(duration_s=0.2), follows))
+
+
+def test_a_tool_that_the_servo_does_not_hold_back_may_outrun_it() -> None:
+    """A user's controller may command joint velocities; a stuck joint turns the tool out of its way."""
+    system = admitted(reaching())
+    stuck = replace(system.scenario, faults=(JointStuck(joint=Joint.ELBOW, from_s=0.5),))
+    driven = replace(system.scenario, controller="stop when near", avoider=NO_AVOIDER)
+    for other in (stuck, driven):
+        assert why_unavoidable(admit(other), system.properties[0]) == ""
 
 
 @pytest.mark.parametrize(

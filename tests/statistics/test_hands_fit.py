@@ -42,14 +42,22 @@ def way(speed_mps: float, hard_mps2: float, length_m: float) -> np.ndarray:
     return 0.5 * hard_mps2 * up**2 + speed_mps * even + speed_mps * down - 0.5 * hard_mps2 * down**2
 
 
-def write(folder: Path, count: int, *, humps: bool = False, lost: bool = False, seed: int = 0) -> Path:
+def write(
+    folder: Path,
+    count: int,
+    *,
+    humps: bool = False,
+    lost: bool = False,
+    hard_mps2: float = 4.0,
+    seed: int = 0,
+) -> Path:
     """So many approaches: 0.9 +- 0.2 m/s, 4 +- 0.7 m/s2, dwells from 0.5 to 2 s, or in two humps."""
     rng, rows, rests = np.random.default_rng(seed), [], None
     for _ in range(count):
         away = np.array([0.3, -1.0, 0.2]) + rng.normal(0.0, 0.15, 3)
         away /= np.linalg.norm(away)
         start, end = TCP_M + rng.normal(0.9, 0.05) * away, TCP_M + rng.normal(0.2, 0.03) * away
-        along = way(rng.normal(0.9, 0.2), rng.normal(4.0, 0.7), float(np.linalg.norm(end - start)))
+        along = way(rng.normal(0.9, 0.2), rng.normal(hard_mps2, 0.7), float(np.linalg.norm(end - start)))
         come = start + (end - start) * (along / np.linalg.norm(end - start))[:, None]
         stay_s = rng.choice([0.4, 3.0]) if humps else rng.uniform(0.5, 2.0)
         stay = np.repeat(end[None], round(stay_s * RATE_HZ), axis=0)
@@ -123,6 +131,15 @@ def test_what_fits_no_family_stands_as_it_was_recorded(tmp_path: Path) -> None:
     assert dwell.text.startswith("one of ")
     assert any("dwell: no family fits" in note for note in found.notes)
     parse_space(space_text(found))
+
+
+def test_hands_that_speed_up_too_hard_to_be_seen_are_told_of(tmp_path: Path, found: HandsFit) -> None:
+    """Over 0.1 s: of 12 m/s2 some 6 are left."""
+    hard = fit_hands([read_log(write(tmp_path, 30, hard_mps2=12.0))], seed=0)
+    mean = np.mean(next(one.values for one in hard.quantities if one.name == "acceleration"))
+    assert 4.0 < mean < 9.0
+    assert "30 accelerations are too small" in " ".join(hard.notes)
+    assert not any(note.startswith("80 accelerations") for note in found.notes)
 
 
 def test_a_gap_is_told_and_what_it_cuts_is_left_out(tmp_path: Path) -> None:
