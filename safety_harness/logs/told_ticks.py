@@ -30,7 +30,7 @@ def with_told(trace: Trace, log: CellLog, columns: dict[str, Measurement]) -> Tr
     told, ticks = log.told, trace.ticks.copy()
     for name, stream in (("mode", told.mode), ("limits", told.limits)):
         if stream is not None:
-            stand = _standing(stream, log)
+            stand = _standing(stream, log, words=True)
             ticks[name] = stream.values[stand.at, 0]
             gaps = stand.gaps(stand.same(stream.values))
             if name == "mode":
@@ -89,7 +89,8 @@ class _Standing:
         return tuple(sorted(found, key=lambda gap: gap.first))
 
 
-def _standing(stream: ToldStream, log: CellLog) -> _Standing:
+def _standing(stream: ToldStream, log: CellLog, *, words: bool = False) -> _Standing:
+    """Of ``words`` those that came and went since the tick before may stand as well: none is passed over."""
     tick_ns = np.arange(log.ticks, dtype=np.int64) * log.period_ns + log.origin_ns
 
     def stands(when_ns: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -98,6 +99,9 @@ def _standing(stream: ToldStream, log: CellLog) -> _Standing:
     at, first, last = (stands(tick_ns + by) for by in (0, -stream.off_ns, stream.off_ns))
     known = first >= 0
     at, first, last = (np.maximum(one, 0) for one in (at, first, last))
+    if words:
+        passed = np.diff(at) > 1
+        first[1:][passed] = np.minimum(first[1:], at[:-1] + 1)[passed]
     if stream.longest_ns is not None:
         known = known & (tick_ns - stream.time_ns[at] <= stream.longest_ns)
     return _Standing(at, first, last, np.asarray(known))

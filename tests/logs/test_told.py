@@ -290,3 +290,22 @@ def test_formulas_on_modes_are_judged_where_a_mode_was_one_of_two(
     assert found[EITHER[1]] is Verdict.HOLDS
     assert found["always not object lost"] is Verdict.HOLDS
     assert found["always servoing"] is Verdict.VIOLATED
+
+
+def test_a_word_that_comes_and_goes_between_two_ticks_is_not_passed_over(
+    synthetic: tuple[Streams, Words, Words], tmp_path: Path
+) -> None:
+    streams, good, _ = synthetic
+    since_ns = streams.joint_ns - streams.joint_ns[0]
+    between = int(np.flatnonzero((since_ns % 40_000_000 > 10_000_000) & (since_ns > 500_000_000))[0])
+    for halts in (False, True):
+        mode = ["HALT" if halts and k == between else "RUN" for k in range(len(good.mode))]
+        file = log_file(
+            replace(streams, words=replace(good, mode=mode)),
+            tmp_path,
+            ("RUN: servoing, RETREAT: repulsing}", "RUN: servoing, RETREAT: repulsing, HALT: stopped}"),
+            ("log: {", "log: {period: 40 ms, "),
+            ("claims:\n", "claims:\n  - always not stopped\n"),
+        )
+        found = judged(file)["always not stopped"].verdict
+        assert found is (Verdict.INCONCLUSIVE if halts else Verdict.HOLDS)
