@@ -166,11 +166,12 @@ def hidden(report: Path, rows: int, seed: int) -> list[int]:
     return chosen
 
 
-def other_software(report: Path) -> None:
-    """The ledger says that it was begun with another numpy."""
+def other_software(report: Path, part: str = "the library numpy") -> None:
+    """The ledger says that it was begun with another numpy, or another ``part``."""
     with Ledger.open(report / LEDGER) as ledger:
         identity = ledger.declared.identity
-    parts = tuple((name, "0.1" if name == "the library numpy" else value) for name, value in identity.parts)
+    parts = tuple((name, "0.1" if name == part else value) for name, value in identity.parts)
     other = replace(identity, parts=parts)
     in_ledger(f"UPDATE about SET value = '{other.as_json()}' WHERE key = 'identity'")(report)
-    said(provenance__libraries__0__1="0.1", plan__sha256=other.sha256)(report)
+    place = "libraries__0__1" if part == "the library numpy" else "source_hash"
+    said(**{f"provenance__{place}": "0.1"}, plan__sha256=other.sha256)(report)

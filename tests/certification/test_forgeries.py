@@ -226,18 +226,22 @@ def test_a_file_that_no_report_has_is_named(report: Path) -> None:
     assert "certificate.html: a file that no report has" in checked(report)["numbers"].unchecked
 
 
+@pytest.mark.parametrize("part", ["the library numpy", "the source of this package"])
 def test_whoever_says_it_was_other_software_hides_no_text(
-    report: Path, monkeypatch: pytest.MonkeyPatch
+    report: Path, monkeypatch: pytest.MonkeyPatch, part: str
 ) -> None:
+    """Words and pages are the source's alone: another library explains no difference."""
     monkeypatch.setattr(verify_report, "render", drawn)
     TEXTS["the runs in the argument's picture"](report)
     TEXTS["a colour of the style sheet"](report)
-    other_software(report)
-    said_of_it = "\n".join(checked(report)["pages"].unchecked)
+    other_software(report, part)
+    pages = checked(report)["pages"]
+    assert pages.stands == (part == "the source of this package")
+    said_of_it = "\n".join([*pages.faults, *pages.unchecked])
     assert "near: 777 of" in said_of_it
     assert "its style sheet is another" in said_of_it
     assert "--violated" not in said_of_it
-    assert "other software" in said_of_it
+    assert ("other software" in said_of_it) == pages.stands
 
 
 def test_what_looks_like_a_style_sheet_and_is_none_is_shown(
@@ -246,7 +250,7 @@ def test_what_looks_like_a_style_sheet_and_is_none_is_shown(
     monkeypatch.setattr(verify_report, "render", drawn)
     written(PAGE, "<head>", "<head><!--<style>-->All is well.</style>")(report)
     other_software(report)
-    assert "All is well." in "\n".join(checked(report)["pages"].unchecked)
+    assert "All is well." in "\n".join(checked(report)["pages"].faults)
 
 
 # What nothing but the report itself says, or only a run made again would tell: a lodged seal does.

@@ -14,7 +14,7 @@ from safety_harness.avoidance.onnx_model import OnnxAvoider
 from safety_harness.learning.checkpoint import Checkpoint, Epoch, load_checkpoint, save_checkpoint
 from safety_harness.learning.recipes import OURS_DETERMINISTIC
 from safety_harness.scenario.read import read_scenario
-from safety_harness.testing.session import begin, session
+from safety_harness.testing.session import TestRun, begin, session
 from safety_harness.testing.watching import kept_for
 
 
@@ -55,7 +55,7 @@ def kept_read(path: Path) -> object:
     """As the tests of a session find their failures; no file of that name is no failure."""
     before = begin(replace(session(), failures=path.parent))
     try:
-        found = kept_for("")
+        found = list(kept_for(TestRun("", draws=True), None))
     finally:
         begin(before)
     return found or read_scenario(path)
