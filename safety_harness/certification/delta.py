@@ -12,16 +12,16 @@ from __future__ import annotations
 import json
 import re
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
 
 from safety_harness.campaign.identity import SYSTEM, Identity
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.merging import compare_ledgers
 from safety_harness.campaign.session import LEDGER
+from safety_harness.certification.delta_parts import NONE, PartChange, both, parts_changed, proofs_in
 from safety_harness.certification.evidence import (
     SEVERITY,
     Bound,
@@ -29,31 +29,15 @@ from safety_harness.certification.evidence import (
     ClaimResult,
     ClaimStatus,
     Evidence,
-    TrainingDistance,
     read_evidence,
 )
 from safety_harness.certification.folder import JSON, read_manifest
-from safety_harness.certification.stored import cells_of
 from safety_harness.certification.verdicts import at_least, at_most, percent
 from safety_harness.certification.verify_files import check_files
 from safety_harness.exceptions import InputError, LedgerError, Place, StatisticsError
 from safety_harness.scenario.typed_json import plain
-from safety_harness.search.coverage import AXES, SEEN
 
 FORMAT = "safety-harness delta 1"
-NONE = "–"
-
-T = TypeVar("T")
-
-
-@dataclass(frozen=True)
-class PartChange:
-    """A part of the software, the system or the plan that is another; ``NONE`` where there is none."""
-
-    part: str
-    name: str
-    before: str
-    after: str
 
 
 @dataclass(frozen=True)
@@ -154,8 +138,8 @@ class EarlierReport:
 def delta_of(earlier: EarlierReport, later: EarlierReport) -> EvidenceDelta:
     """From the earlier to the later one; InputError for a ledger that cannot be read."""
     with ExitStack() as stack:
-        both = (earlier, later)
-        first, second = (stack.enter_context(Ledger.open(one.folder / LEDGER, alone=True)) for one in both)
+        reports = (earlier, later)
+        first, second = (stack.enter_context(Ledger.open(one.folder / LEDGER, alone=True)) for one in reports)
         return delta_between(
             earlier.evidence,
             later.evidence,
@@ -194,7 +178,7 @@ def delta_between(
             *_unrated(before, after),
             *(f"a finding was opened: {text}" for text in opened),
         ),
-        parts=tuple(_parts(before, after)),
+        parts=tuple(parts_changed(before, after)),
         claims=tuple(_claims(before, after)),
         bounds=bounds,
         opened=opened,
@@ -202,12 +186,6 @@ def delta_between(
         reworded=reworded,
         carried=tuple(_carried(before, after, *identities)),
     )
-
-
-def _both(before: Mapping[str, T], after: Mapping[str, T]) -> Iterator[tuple[str, T | None, T | None]]:
-    """Each key of either, with what both have of it."""
-    for name in dict.fromkeys([*before, *after]):
-        yield name, before.get(name), after.get(name)
 
 
 def _claims_by(evidence: Evidence) -> dict[str, ClaimEvidence]:
@@ -245,7 +223,7 @@ def _lost(before: Evidence, after: Evidence) -> Iterator[str]:
             gone = f"the {'stratum' if sentence in claims else 'claim'} is not in the plan any more"
             words = gone if now is None else f"{now.standing.value}: {now.why}"
             yield f"{sentence}, {stratum}: shown before, now {words}"
-    for sentence, claim, later in _both(_claims_by(before), claims):
+    for sentence, claim, later in both(_claims_by(before), claims):
         lost = claim and claim.standing is ClaimStatus.SHOWN is not (later and later.standing)
         if lost and later and sentence not in told:
             yield f"{sentence}: shown before, now {later.standing.value}: {later.why}"
@@ -307,13 +285,8 @@ def interval(bound: Bound | None) -> str:
     return NONE if bound is None else f"{at_least(bound.lower)} to {at_most(bound.upper)}"
 
 
-def _proofs(evidence: Evidence) -> dict[str, str]:
-    claims = evidence.proven.claims if evidence.proven else ()
-    return {f"{one.claim}, {one.region}": one.verdict for one in claims}
-
-
 def _unproven(before: Evidence, after: Evidence) -> Iterator[str]:
-    for name, was, now in _both(_proofs(before), _proofs(after)):
+    for name, was, now in both(proofs_in(before), proofs_in(after)):
         if was == "proven" != now:
             yield f"{name}: proven before, now {now or 'no proof is given'}"
 
@@ -323,7 +296,7 @@ def _unrated(before: Evidence, after: Evidence) -> Iterator[str]:
     if before.plan.model_only:
         return
     earlier, later = ({one.name: one for one in each.hazards} for each in (before, after))
-    for name, was, now in _both(earlier, later):
+    for name, was, now in both(earlier, later):
         if was and was.met and not (now and now.met and not after.plan.model_only):
             words = "not shown to be now" if now else "the hazard is not in the plan any more"
             yield f"{name}: as rare as is asked before, {words}"
@@ -340,7 +313,7 @@ def _findings(
     opened: list[str] = []
     closed: list[str] = []
     reworded: list[tuple[str, str]] = []
-    for _, was, now in _both(earlier, later):
+    for _, was, now in both(earlier, later):
         if was is None or now is None:
             (opened if was is None else closed).append((now or was or (0, ""))[1])
         elif was[0] < now[0]:
@@ -365,111 +338,6 @@ def _open_in(evidence: Evidence) -> dict[str, tuple[int, str]]:
         times[key] += 1
         found[f"{key} {times[key]}"] = gravity, one.text
     return found
-
-
-def _parts(before: Evidence, after: Evidence) -> Iterator[PartChange]:
-    """Everything else that is another."""
-    for part, of in _PARTS.items():
-        for name, was, now in _both(of(before), of(after)):
-            if was != now:
-                yield PartChange(part, name, NONE if was is None else was, NONE if now is None else now)
-    yield from _only_earlier(before, after)
-
-
-def _software(evidence: Evidence) -> dict[str, str]:
-    made = evidence.provenance
-    about = {"package": made.package_version, "source": made.source_hash, "Python": made.python}
-    return about | {"platform": made.platform} | dict(made.libraries)
-
-
-def _system(evidence: Evidence) -> dict[str, str]:
-    found: dict[str, str] = {}
-    for name, text in (*evidence.system.facts, *evidence.system.card, *evidence.system.gate):
-        found[name] = f"{found[name]}; {text}" if name in found else text
-    return found | {f"limit {k}": text for k, text in enumerate(evidence.system.limits, start=1)}
-
-
-def _settings(evidence: Evidence) -> dict[str, str]:
-    own = {f"{name}, in the plan": f"{value}, not {usual}" for name, usual, value in evidence.system.changed}
-    return dict(evidence.system.settings) | own
-
-
-_OF_PLAN = ("name", "world", "confidence", "seed", "stop_early", "search_runs", "about")
-
-
-def _plan(evidence: Evidence) -> dict[str, str]:
-    plan = {name: str(getattr(evidence.plan, name)) for name in _OF_PLAN}
-    lodged = evidence.record.declaration_sha256
-    return plan | ({"declaration": lodged} if lodged else {})
-
-
-def _spaces(evidence: Evidence) -> dict[str, str]:
-    return {
-        one.name: f"{one.planned} runs of {one.space}, sha256 {one.space_sha256[:16]}"
-        for one in evidence.strata
-    }
-
-
-def _files(evidence: Evidence) -> dict[str, str]:
-    return {one.path: one.sha256[:16] for one in evidence.files if one.path.startswith("plan/")}
-
-
-def _hazards(evidence: Evidence) -> dict[str, str]:
-    return {
-        one.name: f"{one.severity}, {one.exposure}, {one.avoidance}; {one.approaches}; asked an hour: "
-        f"{'nothing' if one.asked_an_hour is None else f'{one.asked_an_hour:g}'}"
-        for one in evidence.hazards
-    }
-
-
-def _learned(evidence: Evidence) -> dict[str, str]:
-    """By stratum how far it lies from the training, and what is said of the learned part."""
-    if evidence.learned is None:
-        return {}
-    return dict(evidence.learned.life) | {one.stratum: _distance(one) for one in evidence.learned.strata}
-
-
-def _distance(one: TrainingDistance) -> str:
-    runs = ", ".join(f"{count} {name}" for name, count in zip(SEEN, one.runs, strict=True))
-    if one.share_outside is None:
-        return f"runs: {runs}; no decision is stored"
-    far_m = one.largest_outside_m
-    far = "" if far_m is None else f", {1e3 * far_m:.0f} mm at most"
-    return f"runs: {runs}; hands outside of training: {percent(one.share_outside)} of {one.decisions}{far}"
-
-
-def _coverage(evidence: Evidence) -> dict[str, str]:
-    """How many runs were where, by each axis of the map."""
-    found, _ = cells_of(evidence.coverage)
-    runs = {
-        f"{axis}: {word}": f"{count} runs"
-        for axis in AXES
-        for word, count in found.along(axis).items()
-        if count
-    }
-    return {"cells": f"{len(found.counts)} with {evidence.coverage.runs} runs"} | runs
-
-
-def _only_earlier(before: Evidence, after: Evidence) -> Iterator[PartChange]:
-    """What was tried and is not any more."""
-    was, now = (cells_of(one.coverage)[0].counts.keys() for one in (before, after))
-    if lost := len(was - now):
-        yield PartChange("coverage", "cells of which only the earlier report has runs", str(lost), NONE)
-
-
-_PARTS: dict[str, Callable[[Evidence], dict[str, str]]] = {
-    "software": _software,
-    "system": _system,
-    "settings": _settings,
-    "plan": _plan,
-    "hazard": _hazards,
-    "training": _learned,
-    "space": _spaces,
-    "coverage": _coverage,
-    "file": _files,
-    "proof": _proofs,
-    "results": lambda evidence: {"root over all rows": evidence.record.rows_sha256[:16]},
-}
 
 
 def _carried(before: Evidence, after: Evidence, was: Identity, now: Identity) -> Iterator[CarriedPart]:

@@ -5,7 +5,8 @@ from __future__ import annotations
 from datetime import datetime
 from pathlib import Path
 
-from safety_harness.certification.delta import NONE, EvidenceDelta, interval
+from safety_harness.certification.delta import EvidenceDelta, interval
+from safety_harness.certification.delta_parts import NONE
 from safety_harness.certification.verdicts import percent
 from safety_harness.exceptions import OutputError
 from safety_harness.report.page_parts import render_page

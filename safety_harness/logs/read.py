@@ -7,7 +7,6 @@ trace is made.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +16,13 @@ from safety_harness.exceptions import LogError, Place
 from safety_harness.geometry.rotations import rotation_from_vector
 from safety_harness.geometry.transforms import transform_from
 from safety_harness.logs.bags import RECEIVED, STAMP, read_joints, read_positions
+from safety_harness.logs.checked import (
+    joints_checked,
+    positions_checked,
+    refuse_jumping_joints,
+    refuse_the_same,
+    with_bounds,
+)
 from safety_harness.logs.frames import ToBase, by_given, by_header
 from safety_harness.logs.model import (
     JOINTS_KNOWN_TO_RAD,
@@ -26,7 +32,7 @@ from safety_harness.logs.model import (
     HandFacts,
     JointFacts,
 )
-from safety_harness.logs.sample_bound import SampleBound, refuse_unbounded, sample_bound
+from safety_harness.logs.sample_bound import SampleBound, sample_bound
 from safety_harness.logs.streams import LATEST_S, NS, Collector, LogSamples, LogSource, read_source
 from safety_harness.logs.tables import (
     ANGLE_UNITS,
@@ -72,7 +78,6 @@ OF_JOINTS = (
 OF_HANDS = ("forearm", "longest gap", "moves at most", "known to", "frame", "unit", "time")
 NOT_MEASURED, NO_FOREARM, BASE = "not measured", "none", "base"
 PERIOD_STEP_NS, SHORTEST_PERIOD_NS, LONGEST_PERIOD_NS = 100_000, 1_000_000, 50_000_000
-FARTHEST_M, FARTHEST_RAD = 10.0, 8.0 * np.pi
 _LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 _ANGLES = {"rad": 1.0, "deg": np.pi / 180.0}
 
@@ -181,12 +186,12 @@ class _Reading:
             rates = [optional_column(source, header, f"{source.what}{n}", RATE_UNITS, None) for n in names]
             time = time_column(source, header, _said(said.optional("time")))
             read_table(Table(*time, (*at, *rates)), collector)
-        return _joints_checked(collector.samples(), names)
+        return joints_checked(collector.samples(), names)
 
     def joint_facts(self, joints: LogSamples) -> JointFacts:
         """What is said of the joints, and by how much a slip would show."""
         facts = facts_of_joints(self._said_of_joints(), self.arm)
-        _refuse_jumping_joints(joints, facts, self.arm.joint_names)
+        refuse_jumping_joints(joints, facts, self.arm.joint_names)
         return facts
 
     def bodies(
@@ -216,7 +221,7 @@ class _Reading:
             else:
                 elbow = self._positions(own, of_hands, window, bound=bound)
             found.append(Body(name, hand, elbow, there))
-        _refuse_the_same([one for body in found for one in (body.hand, body.elbow) if one is not None])
+        refuse_the_same([one for body in found for one in (body.hand, body.elbow) if one is not None])
         return tuple(found)
 
     def told(self, clock: ToldClock) -> Told:
@@ -263,7 +268,7 @@ class _Reading:
                 halves=not keep,
                 bound=bound,
             )
-            return _positions_checked(_with_bounds(collector.samples()), keep)
+            return positions_checked(with_bounds(collector.samples()), keep)
         if frame is None:
             expected = 'the key "frame": base, or {at: ..., turned: ...} of the frame in which positions are'
             raise said.whole.error(expected, got=f"none, and {source.name} is a table that cannot say it")
@@ -278,7 +283,7 @@ class _Reading:
             at += sides if len(sides) == 3 else [required_column(source, header, stem, LENGTH_UNITS, word)]
             collector.width = len(at)
         read_table(Table(*time, tuple(at)), collector)
-        found = _with_bounds(collector.samples(), bound)
+        found = with_bounds(collector.samples(), bound)
         gone = np.isnan(found.values)
         half = gone.any(axis=1) & ~gone.all(axis=1)
         if keep and half.any():
@@ -286,7 +291,7 @@ class _Reading:
             raise found.error(int(np.argmax(half)), expected, str(found.values[half][0].tolist()))
         transform = _given_transform(frame)
         values = found.values @ transform[:3, :3].T + transform[:3, 3]
-        return _positions_checked(replace(found, values=values), keep)
+        return positions_checked(replace(found, values=values), keep)
 
     def _to_base(self, source: LogSource, frame: Field | None) -> ToBase:
         """How positions of a bag come to the base frame."""
@@ -382,94 +387,6 @@ def _period_ns(streams: Fields, joints: LogSamples) -> int:
     apart_ns = float(np.median(np.diff(joints.time_ns)))
     rounded = round(apart_ns / PERIOD_STEP_NS) * PERIOD_STEP_NS
     return min(max(rounded, SHORTEST_PERIOD_NS), LONGEST_PERIOD_NS)
-
-
-def _joints_checked(joints: LogSamples, names: tuple[str, ...]) -> LogSamples:
-    """Without the samples in which a joint was not told; LogError for what no joint can be."""
-    values = joints.values[:, : len(names)]
-    far = np.abs(values) > FARTHEST_RAD
-    if far.any():
-        index = int(np.argmax(far.any(axis=1)))
-        joint = int(np.argmax(far[index]))
-        expected = f"an angle of at most {np.degrees(FARTHEST_RAD):.0f} deg either way"
-        got = f"{names[joint]} at {np.degrees(values[index, joint]):.6g} deg"
-        raise joints.error(index, expected, got, 'degrees that were taken for radians? the key "unit"')
-    return _told(joints, np.asarray(np.isfinite(values).all(axis=1)))
-
-
-def _positions_checked(positions: LogSamples, keep: bool) -> LogSamples:
-    far = np.abs(positions.values) > FARTHEST_M
-    if far.any():
-        index = int(np.argmax(far.any(axis=1)))
-        got = f"{', '.join(f'{value:.6g}' for value in positions.values[index])} m"
-        expected = f"a position within {FARTHEST_M:g} m of the base"
-        raise positions.error(index, expected, got, 'millimetres that were taken for metres? the key "unit"')
-    return positions if keep else _told(positions, np.asarray(np.isfinite(positions.values).all(axis=1)))
-
-
-def _told(samples: LogSamples, there: NDArray[np.bool_]) -> LogSamples:
-    """Those samples in which something was measured; LogError for fewer than two."""
-    if np.count_nonzero(there) < 2:
-        raise LogError(
-            place=samples.source.place,
-            expected=f"two samples at least of {samples.source.name} with all its numbers",
-            got=f"{np.count_nonzero(there)} of {len(there)}",
-        )
-    return samples if there.all() else samples.of(there)
-
-
-def _with_bounds(samples: LogSamples, bound: SampleBound | None = None) -> LogSamples:
-    """What stands beside the positions is how well each is known: as numbers of ``bound``, or in metres."""
-    values, beside = samples.values[:, :3], samples.values[:, 3:]
-    if not beside.shape[1]:
-        return samples
-    known_to_m = beside[:, 0] if bound is None else np.array([bound.reach_m(row) for row in beside])
-    found = replace(samples, values=values, known_to_m=known_to_m)
-    refuse_unbounded(found)
-    return found
-
-
-def _refuse_the_same(streams: list[LogSamples]) -> None:
-    """LogError for two hands or elbows that are one, by the samples, whatever file they are in."""
-    for one, other in combinations(streams, 2):
-        if np.array_equal(one.time_ns, other.time_ns) and np.array_equal(one.values, other.values):
-            got = f"the samples of {one.source.name} twice"
-            place = other.source.place
-            raise LogError(place=place, expected="a stream of its own of each hand and elbow", got=got)
-
-
-def _refuse_jumping_joints(joints: LogSamples, facts: JointFacts, names: tuple[str, ...]) -> None:
-    """LogError where a joint is faster, or speeds up or brakes harder, from sample to sample than it can."""
-    step_s = np.diff(joints.time_ns) / NS
-    way = np.abs(np.diff(joints.values[:, : len(names)], axis=0))
-    allowed = step_s[:, None] * facts.move_at_most_radps + 2.0 * facts.known_to_rad
-    if (way > allowed).any():
-        index = int(np.argmax((way > allowed).any(axis=1)))
-        joint = int(np.argmax(way[index] - allowed[index]))
-        speed = np.degrees(way[index, joint] / step_s[index])
-        most = np.degrees(facts.move_at_most_radps[joint])
-        raise joints.error(
-            index + 1,
-            f"{names[joint]} to turn at {most:.4g} deg/s at most, as is said",
-            f"a jump of {np.degrees(way[index, joint]):.4g} deg in {step_s[index] * 1e3:.4g} ms, "
-            f"{speed:.4g} deg/s",
-            "another unit from here on? or joints: {move at most: ...} says how fast they can be",
-        )
-    if facts.accelerate_at_most_radps2 is None or len(step_s) < 2:
-        return
-    # twice the second divided difference is an acceleration somewhere between the three samples
-    turned = np.abs(np.diff(np.diff(joints.values[:, : len(names)], axis=0) / step_s[:, None], axis=0))
-    between_s, off = (step_s[1:] + step_s[:-1]) / 2.0, 2.0 * facts.known_to_rad / step_s
-    hard = ((turned - (off[1:] + off[:-1])[:, None]) / between_s[:, None]).max(axis=1)
-    if (hard > facts.accelerate_at_most_radps2 * (1.0 + 1e-6)).any():
-        index = int(np.argmax(hard > facts.accelerate_at_most_radps2 * (1.0 + 1e-6)))
-        raise joints.error(
-            index + 2,
-            f"{names[int(np.argmax(turned[index]))]} to speed up or brake at "
-            f"{facts.accelerate_at_most_radps2:.4g} rad/s2 at most, as is said",
-            f"{hard[index]:.4g} rad/s2 at least, by three samples known to {facts.known_to_rad:.4g} rad",
-            "joints: {accelerate at most: ..., known to: ...}, which has to hold what their stamps are off",
-        )
 
 
 def _only_track(source: LogSource, header: tuple[str, ...]) -> str:

@@ -15,7 +15,7 @@ from collections.abc import Collection
 import msgspec
 
 from safety_harness.exceptions import StreamError, near_miss
-from safety_harness.logs.read import FARTHEST_M, FARTHEST_RAD
+from safety_harness.logs.checked import FARTHEST_M, FARTHEST_RAD
 from safety_harness.logs.streams import LATEST_S
 
 FASTEST_RADPS = 100.0  # of any joint: what is more is a mistake of the unit

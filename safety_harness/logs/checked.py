@@ -1,0 +1,105 @@
+"""The samples of a stream against what can be, and against what is said of them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.exceptions import LogError
+from safety_harness.logs.model import JointFacts
+from safety_harness.logs.sample_bound import SampleBound, refuse_unbounded
+from safety_harness.logs.streams import NS, LogSamples
+
+FARTHEST_M, FARTHEST_RAD = 10.0, 8.0 * np.pi
+
+
+def joints_checked(joints: LogSamples, names: tuple[str, ...]) -> LogSamples:
+    """Without the samples in which a joint was not told; LogError for what no joint can be."""
+    values = joints.values[:, : len(names)]
+    far = np.abs(values) > FARTHEST_RAD
+    if far.any():
+        index = int(np.argmax(far.any(axis=1)))
+        joint = int(np.argmax(far[index]))
+        expected = f"an angle of at most {np.degrees(FARTHEST_RAD):.0f} deg either way"
+        got = f"{names[joint]} at {np.degrees(values[index, joint]):.6g} deg"
+        raise joints.error(index, expected, got, 'degrees that were taken for radians? the key "unit"')
+    return _told(joints, np.asarray(np.isfinite(values).all(axis=1)))
+
+
+def positions_checked(positions: LogSamples, keep: bool) -> LogSamples:
+    """Without samples that show nothing, unless they are to ``keep``; LogError for one that is far away."""
+    far = np.abs(positions.values) > FARTHEST_M
+    if far.any():
+        index = int(np.argmax(far.any(axis=1)))
+        got = f"{', '.join(f'{value:.6g}' for value in positions.values[index])} m"
+        expected = f"a position within {FARTHEST_M:g} m of the base"
+        raise positions.error(index, expected, got, 'millimetres that were taken for metres? the key "unit"')
+    return positions if keep else _told(positions, np.asarray(np.isfinite(positions.values).all(axis=1)))
+
+
+def _told(samples: LogSamples, there: NDArray[np.bool_]) -> LogSamples:
+    """Those samples in which something was measured; LogError for fewer than two."""
+    if np.count_nonzero(there) < 2:
+        raise LogError(
+            place=samples.source.place,
+            expected=f"two samples at least of {samples.source.name} with all its numbers",
+            got=f"{np.count_nonzero(there)} of {len(there)}",
+        )
+    return samples if there.all() else samples.of(there)
+
+
+def with_bounds(samples: LogSamples, bound: SampleBound | None = None) -> LogSamples:
+    """What stands beside the positions is how well each is known: as numbers of ``bound``, or in metres."""
+    values, beside = samples.values[:, :3], samples.values[:, 3:]
+    if not beside.shape[1]:
+        return samples
+    known_to_m = beside[:, 0] if bound is None else np.array([bound.reach_m(row) for row in beside])
+    found = replace(samples, values=values, known_to_m=known_to_m)
+    refuse_unbounded(found)
+    return found
+
+
+def refuse_the_same(streams: list[LogSamples]) -> None:
+    """LogError for two hands or elbows that are one, by the samples, whatever file they are in."""
+    for one, other in combinations(streams, 2):
+        if np.array_equal(one.time_ns, other.time_ns) and np.array_equal(one.values, other.values):
+            got = f"the samples of {one.source.name} twice"
+            place = other.source.place
+            raise LogError(place=place, expected="a stream of its own of each hand and elbow", got=got)
+
+
+def refuse_jumping_joints(joints: LogSamples, facts: JointFacts, names: tuple[str, ...]) -> None:
+    """LogError where a joint is faster, or speeds up or brakes harder, from sample to sample than it can."""
+    step_s = np.diff(joints.time_ns) / NS
+    way = np.abs(np.diff(joints.values[:, : len(names)], axis=0))
+    allowed = step_s[:, None] * facts.move_at_most_radps + 2.0 * facts.known_to_rad
+    if (way > allowed).any():
+        index = int(np.argmax((way > allowed).any(axis=1)))
+        joint = int(np.argmax(way[index] - allowed[index]))
+        speed = np.degrees(way[index, joint] / step_s[index])
+        most = np.degrees(facts.move_at_most_radps[joint])
+        raise joints.error(
+            index + 1,
+            f"{names[joint]} to turn at {most:.4g} deg/s at most, as is said",
+            f"a jump of {np.degrees(way[index, joint]):.4g} deg in {step_s[index] * 1e3:.4g} ms, "
+            f"{speed:.4g} deg/s",
+            "another unit from here on? or joints: {move at most: ...} says how fast they can be",
+        )
+    if facts.accelerate_at_most_radps2 is None or len(step_s) < 2:
+        return
+    # twice the second divided difference is an acceleration somewhere between the three samples
+    turned = np.abs(np.diff(np.diff(joints.values[:, : len(names)], axis=0) / step_s[:, None], axis=0))
+    between_s, off = (step_s[1:] + step_s[:-1]) / 2.0, 2.0 * facts.known_to_rad / step_s
+    hard = ((turned - (off[1:] + off[:-1])[:, None]) / between_s[:, None]).max(axis=1)
+    if (hard > facts.accelerate_at_most_radps2 * (1.0 + 1e-6)).any():
+        index = int(np.argmax(hard > facts.accelerate_at_most_radps2 * (1.0 + 1e-6)))
+        raise joints.error(
+            index + 2,
+            f"{names[int(np.argmax(turned[index]))]} to speed up or brake at "
+            f"{facts.accelerate_at_most_radps2:.4g} rad/s2 at most, as is said",
+            f"{hard[index]:.4g} rad/s2 at least, by three samples known to {facts.known_to_rad:.4g} rad",
+            "joints: {accelerate at most: ..., known to: ...}, which has to hold what their stamps are off",
+        )
