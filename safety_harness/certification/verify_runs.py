@@ -289,7 +289,10 @@ def check_runs(
             try:
                 for row in bench.run(stratum, some, keep_violations=False):
                     compared.add(row)
-                    watch.add_row(row, partial(bench.scenario, stratum, row.episode, max(row.draws - 1, 0)))
+                    if program:
+                        watch.add_row(
+                            row, partial(bench.scenario, stratum, row.episode, max(row.draws - 1, 0))
+                        )
             except CampaignError as error:
                 compared.faults.append(f"{compared.where(stratum, some[0])}: {error}")
             told += len(some)

@@ -14,6 +14,7 @@ from safety_harness.exceptions import InputError, refuse_other_type
 from safety_harness.scenario.expand import gather
 from safety_harness.scenario.files import as_path
 from safety_harness.scenario.model import Scenario
+from safety_harness.scenario.nodes import Scalar
 from safety_harness.space.read import space_of
 from safety_harness.space.space import ScenarioSpace, each_to_hold
 from safety_harness.space.strategy import strategy
@@ -80,8 +81,8 @@ def gives_scenarios(strategy: object) -> bool:
 
 def one_system(space: ScenarioSpace) -> Scenario | None:
     """A scenario with the avoider or the controller of all draws; None for a space that varies it."""
-    varied = {parameter.name for parameter in space.parameters}
-    return None if varied & {"avoider", "controller"} else space.simplest
+    tested = [one for key, one in space.template.entries if key.text in ("avoider", "controller")]
+    return space.simplest if all(isinstance(one, Scalar) for one in tested) else None
 
 
 def one_system_of(strategy: object) -> Scenario | None:

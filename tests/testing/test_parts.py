@@ -18,12 +18,15 @@ from safety_harness.properties.base import Evaluation, Unit
 from safety_harness.pytest_plugin.running import judgements, junit_properties, packed, payload, unpacked
 from safety_harness.scenario.faults import AvoiderLate
 from safety_harness.scenario.model import Scenario, Verdict
+from safety_harness.space.read import parse_space
 from safety_harness.testing import SafetyViolation, assert_holds, hand_distance, mm
+from safety_harness.testing.drawing import one_system
 from safety_harness.testing.failure_text import picture
 from safety_harness.testing.session import Judgement, Run, Session, TestRun, begin
 from safety_harness.testing.simulating import Simulate, digest_of
 from safety_harness.testing.watching import folder_of, keep, kept_for
 from safety_harness.trace.trace import Trace
+from tests.search.short_space import TEXT
 
 DISTANCE = "hand distance never below 50 mm"
 
@@ -189,3 +192,18 @@ def test_simulate_remembers_a_run_and_forgets_nothing_of_who_asked() -> None:
 def test_simulate_refuses_what_cannot_be_tried() -> None:
     with pytest.raises(InputError):
         Simulate()(scenario(VISIT, avoider="nobody"))
+
+
+@pytest.mark.parametrize(
+    ("avoider", "varies"),
+    [
+        ("avoider: nearest candidate", False),
+        ("avoider: one of nearest candidate, opposite pose", True),
+        ("choices:\n  about:\n    one of: [nearest candidate, opposite pose]\navoider: the about", True),
+    ],
+    ids=["named", "drawn", "chosen elsewhere"],
+)
+def test_a_space_has_one_system_only_where_no_draw_has_another(avoider: str, varies: bool) -> None:
+    like = one_system(parse_space(TEXT.replace("avoider: opposite pose", avoider)))
+    assert (like is None) == varies
+    assert varies or (like is not None and like.avoider == "nearest candidate")
