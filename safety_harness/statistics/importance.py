@@ -82,9 +82,9 @@ def weigh(
     proposal, levels, still_found = _explored(judged, dimensions, settings, pilot)
     each = settings.runs // settings.replications
     points, weights, plain = proposal.draw(each * settings.replications, settings.plain, rng)
-    margins = judged(points)
-    judged.count_plain(margins[plain])
-    found = weights * (margins < 0.0)
+    drawn = judged(points)
+    judged.count_plain(drawn[plain])
+    found = weights * (drawn < 0.0)
     replicates = found.reshape(settings.replications, each).mean(axis=1)
     estimate = estimate_of(replicates, levels, judged, confidence, model_only=model_only)
     return replace(estimate, pareto_shape=pareto_shape(found[found > 0.0]), still_found=still_found)
@@ -160,8 +160,9 @@ def _balanced(
 
 def _at_least(shares: Floats) -> Floats:
     """Return ``shares`` (k,) that sum to 1, none of them far below the others."""
-    raised: Floats = np.maximum(shares, min(_LEAST_SHARE, 0.25 / len(shares)))
-    return raised / raised.sum()
+    raised = np.maximum(shares, min(_LEAST_SHARE, 0.25 / len(shares)))
+    balanced: Floats = raised / raised.sum()
+    return balanced
 
 
 def _pilot(
