@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from safety_harness.exceptions import ScenarioError, near_miss
 from safety_harness.scenario.compose import SPACE_KEY
 from safety_harness.scenario.fields import Field
+from safety_harness.scenario.model import LARGEST_SEED
 from safety_harness.scenario.nodes import Mapping, Node, Scalar, Sequence
 from safety_harness.settings import Vector3
 from safety_harness.space.distributions import Choice, Distribution, InBox, InRegion, InShell
@@ -26,7 +27,7 @@ from safety_harness.space.template import (
 MOST_COLUMNS = 256  # of the unit cube
 MOST_MEMBERS = 5_000  # of lists, by repeating
 MOST_USES = 2_000  # of parameters, by names
-CHOICES = "choices"
+CHOICES, SEED = "choices", "seed"
 _FIXED = ("scenario", "about", "claims")  # texts for people and sentences looked up elsewhere
 
 _Use = tuple[int, tuple[Condition, ...]]  # a parameter and what must hold for it to be used here
@@ -61,13 +62,15 @@ class TemplateReader:
             )
         if "scenario" in entries:
             raise entries["scenario"].error(f'the key "{SPACE_KEY}" alone', got='"scenario" as well')
+        if SEED in entries:  # of the scenario that it extends: each draw has its own, or draws are copies
+            entries[SEED].integer(least=0, most=LARGEST_SEED)
         if CHOICES in entries:
             self._choices(entries[CHOICES])
         assert isinstance(root.node, Mapping)
         gaps = []
         for key, _ in root.node.entries:
             named = Scalar("scenario", key.line) if key.text == SPACE_KEY else key
-            if key.text != CHOICES:
+            if key.text not in (CHOICES, SEED):
                 below = entries[key.text]
                 gaps.append((named, below.node if named.text in _FIXED else self._template(below, ())))
         for named_value in self._named.values():

@@ -68,11 +68,6 @@ class ScenarioSpace:
         """How many coordinates the unit cube has: the same for every scenario of the space."""
         return sum(parameter.distribution.columns for parameter in self.parameters)
 
-    @cached_property
-    def has_seed(self) -> bool:
-        """Whether the file fixes the scenarios' seed; else each draw has its own."""
-        return "seed" in self._keys
-
     @property
     def simplest(self) -> Scenario:
         """Every value its simplest: first alternatives, fewest repetitions, values nearest to zero."""
@@ -116,8 +111,8 @@ class ScenarioSpace:
     def at(self, u: ArrayLike, *, seed: int = 0, name: str | None = None) -> Scenario:
         """The scenario of a point (d,) of the unit cube.
 
-        ``seed`` is the scenario's own, unless the file fixes one.  ScenarioError where the point is outside
-        the cube, or where the reader refuses what values make together.
+        ``seed`` is the scenario's own.  ScenarioError where the point is outside the cube, or where the
+        reader refuses what values make together.
         """
         return self.scenario(self.values_at(np.asarray(u, float)[None])[0], seed=seed, name=name)
 
@@ -184,8 +179,7 @@ class ScenarioSpace:
         form = self._form(values[self._choices].tobytes(), row)
         made = None if form is None else form.filled(row, name, seed)
         if made is None:
-            made = self._read(row, name=name)
-            made = made if self.has_seed else replace(made, seed=seed)
+            made = replace(self._read(row, name=name), seed=seed)
         return made
 
     def _form(self, structure: bytes, row: Values) -> Form | None:
@@ -196,7 +190,7 @@ class ScenarioSpace:
             self._forms[structure] = None
         elif self._forms[structure] is None:
             with suppress(InputError):  # it is for the reading without marks to say
-                self._forms[structure] = Form.read(row, partial(self._read, row), has_seed=self.has_seed)
+                self._forms[structure] = Form.read(row, partial(self._read, row))
         return self._forms.get(structure)
 
     def _read(self, row: Values, known: Sequence[Any] | None = None, *, name: str = "") -> Scenario:
@@ -216,13 +210,13 @@ class ScenarioSpace:
         return vars(self) | {"_forms": {}}
 
     def values_of(self, scenario: Scenario) -> Vector:
-        """(d,) values that give ``scenario`` up to its name and free seed; ScenarioError if none do."""
+        """(d,) values that give ``scenario`` up to its name and seed; ScenarioError if none do."""
         for values in self._readings(scenario):
             return values
         raise self._error("a scenario of the space", f"{scenario.name}, which is none")
 
     def cube_of(self, scenario: Scenario) -> Vector:
-        """(d,) the point of the unit cube whose scenario is ``scenario``, up to its name and free seed.
+        """(d,) the point of the unit cube whose scenario is ``scenario``, up to its name and seed.
 
         The middle of its interval for a choice, 0.5 for what is not used.  ScenarioError for a scenario
         that is not of the space.

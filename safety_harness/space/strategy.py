@@ -28,9 +28,9 @@ _STEPS = 100  # at least, on the grid of a value
 
 
 def strategy(space: ScenarioSpace) -> st.SearchStrategy[Scenario]:
-    """Scenarios of ``space``, each with a seed of its own unless the file fixes it."""
+    """Scenarios of ``space``, each with a seed of its own."""
     refuse_other_type("strategy(space)", space, ScenarioSpace)
-    seeds = st.just(0) if space.has_seed else st.integers(min_value=0, max_value=LARGEST_SEED)
+    seeds = st.integers(min_value=0, max_value=LARGEST_SEED)
     return st.builds(_scenario, st.just(space), values(space), seeds)
 
 

@@ -156,8 +156,8 @@ class Form:
     fill: Callable[[Sequence[Any]], Scenario] | None
 
     @classmethod
-    def read(cls, row: Values, read: Callable[[Sequence[TracedNumber]], Scenario], *, has_seed: bool) -> Form:
-        """From one point's values; InputError as the reader's.  ``has_seed``: the text fixes the seed.
+    def read(cls, row: Values, read: Callable[[Sequence[TracedNumber]], Scenario]) -> Form:
+        """From one point's values; InputError as the reader's.
 
         Where the reader does more with the numbers than arithmetic, the form fits no point.
         """
@@ -167,9 +167,7 @@ class Form:
             scenario = read(traced)
         except TypeError:
             return cls((), (), None)
-        numbers: dict[Path, int] = {("name",): -2}
-        if not has_seed:
-            numbers["seed",] = -1
+        numbers: dict[Path, int] = {("name",): -2, ("seed",): -1}
         places: list[_Computed] = []
         for path, leaf in leaves(scenario, but=_NEVER_DRAWN):
             if isinstance(leaf, TracedNumber):

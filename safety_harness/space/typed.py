@@ -89,12 +89,11 @@ def space_from(
     varied: Mapping[str, Value],
     *,
     choices: Mapping[str, Value] | None = None,
-    seed: int | None = None,
 ) -> ScenarioSpace:
     """``scenario`` with other values at the paths of ``varied``; ``choices`` are named values.
 
-    A path is that of a message, ``hands[0].moves[1].speed``.  Every scenario has the seed ``seed``, or one of
-    its own.  ScenarioError as for ``parse_space``, and for a path that the scenario has not.
+    A path is that of a message, ``hands[0].moves[1].speed``.  ScenarioError as for ``parse_space``, and for a
+    path that the scenario has not.
     """
     tree = parse_tree(write_scenario(scenario), scenario.file)
     full = Field(parse_tree(write_scenario(scenario, all_settings=True), None), None, path="", line=1)
@@ -113,10 +112,7 @@ def space_from(
     entries = [
         (Scalar(SPACE_KEY, 1) if key.text == "scenario" else key, value)
         for key, value in tree.entries
-        if key.text != "seed"
     ]
-    if seed is not None:
-        entries.append((Scalar("seed", 1), Scalar(str(seed), 1)))
     if choices:
         entries.insert(1, (Scalar(CHOICES, 1), _node(choices, "")))
     return space_of(MappingNode(tuple(entries), 1), scenario.file, name=scenario.name)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import pickle
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -165,17 +166,23 @@ def test_nothing_else_may_differ(changed: dict[str, object]) -> None:
     assert replace(drawn, **changed) not in EVERYTHING  # type: ignore[arg-type]
 
 
-def test_name_and_free_seed_do_not_count() -> None:
+def test_name_and_seed_do_not_count() -> None:
     drawn = EVERYTHING.draw(1, 1)
     assert replace(drawn, name="x", seed=99) in EVERYTHING
 
 
-def test_a_seed_in_the_file_is_every_draws_seed() -> None:
-    space = parse_space(HEAD.replace("duration: 5 s", "duration: from 1 s to 5 s") + "seed: 12\n")
-    assert {scenario.seed for scenario in space.draws(1, 5)} == {12}
-    assert replace(space.draw(1, 1), seed=13) not in space
-    free = of_duration("from 1 s to 5 s")
-    assert len({scenario.seed for scenario in free.draws(1, 50)}) == 50
+def test_each_draw_has_its_own_seed_whatever_the_file_says(tmp_path: Path) -> None:
+    """A key `seed`, its own or an inherited one, makes no draws copies of one another: it changes none."""
+    text = HEAD.replace("duration: 5 s", "duration: from 1 s to 5 s")
+    (tmp_path / "own.yaml").write_text(text + "seed: 12\n")
+    (tmp_path / "child.yaml").write_text("extends: own.yaml\n")
+    free = list(parse_space(text).draws(1, 50))
+    assert len({scenario.seed for scenario in free}) == 50
+    for name in ("own", "child"):
+        space = read_space(tmp_path / f"{name}.yaml")
+        drawn = list(space.draws(1, 50))
+        assert [one.seed for one in drawn] == [one.seed for one in free]
+        assert all(one in space for one in drawn)
 
 
 def test_overlapping_alternatives_bring_a_scenario_back_as_one_of_them() -> None:

@@ -161,11 +161,6 @@ def test_every_side_of_a_shell_is_found() -> None:
     assert len(seen) == 6
 
 
-def test_a_fixed_seed_is_no_example_of_its_own() -> None:
-    space = parse_space(HEAD.replace("duration: 5 s", "duration: from 1 s to 5 s") + "seed: 12\n")
-    assert least(space, lambda scenario: True).seed == 12
-
-
 @pytest.mark.parametrize("file", FILES, ids=lambda file: file.stem)
 def test_the_name_of_a_strategy_is_short_enough_for_hypothesis(file: Path) -> None:
     """It warns of long ones, whenever an example is not drawn to its end."""

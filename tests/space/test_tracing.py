@@ -140,7 +140,7 @@ def test_a_form_of_what_cannot_be_remembered_fits_nothing() -> None:
     def read(numbers: object) -> Scenario:
         raise TypeError
 
-    assert Form.read([1.0], read, has_seed=False).filled([1.0], "name", 0) is None
+    assert Form.read([1.0], read).filled([1.0], "name", 0) is None
 
 
 def test_paths_lead_to_the_leaves_and_a_form_changes_nothing_else() -> None:
