@@ -110,8 +110,7 @@ def space_from(
         tree = _replaced(tree, steps, _node(value, _unit(nodes[path])))
     assert isinstance(tree, MappingNode)
     entries = [
-        (Scalar(SPACE_KEY, 1) if key.text == "scenario" else key, value)
-        for key, value in tree.entries
+        (Scalar(SPACE_KEY, 1) if key.text == "scenario" else key, value) for key, value in tree.entries
     ]
     if choices:
         entries.insert(1, (Scalar(CHOICES, 1), _node(choices, "")))
