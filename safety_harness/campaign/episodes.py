@@ -9,6 +9,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
+from hashlib import blake2b
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -38,7 +39,7 @@ from safety_harness.trace.overruling import Overruling
 from safety_harness.trace.records import Check
 from safety_harness.trace.records import DecisionOutcome as Decided
 from safety_harness.trace.store import save_trace
-from safety_harness.trace.trace import Trace
+from safety_harness.trace.trace import Trace, history
 
 _Done = TypeVar("_Done")
 
@@ -186,6 +187,7 @@ class EpisodeRunner:
             draws=draws,
             **_decided(run),
             overruling=Overruling.of([run]),
+            run=number_of(run),
             cell="" if cell is None else str(cell),
             mishap=fault_of(run),
             failure=broken,
@@ -213,6 +215,28 @@ def _decided(run: Trace) -> dict[str, Any]:
         "faults": int(np.count_nonzero(unanswered(run))),
         "late": int(np.count_nonzero(failed & Check.LATE)),
     }
+
+
+def number_of(run: Trace) -> int:
+    """A number of 63 bits by which the run is told from others; 0 of one without ticks.
+
+    It stands for what arm, hands and avoider did, whichever seed it came from: two draws that differ in
+    nothing that acts are one run.  What sensors said is looked at every so many ticks alone: it costs time.
+    """
+    if len(run.ticks) == 0:
+        return 0
+    digest = blake2b(digest_size=8)
+    for name in _AT_EVERY_TICK:
+        digest.update(history(run, name).tobytes("F"))
+    for records, names in ((run.ticks[::_SOMETIMES], _SOMETIMES_SEEN), (run.decisions, _DECIDED)):
+        for name in names:
+            digest.update(records[name].tobytes())
+    return max(int.from_bytes(digest.digest(), "big") >> 1, 1)
+
+
+_AT_EVERY_TICK, _SOMETIMES = ("joint_position_rad", "hand_distance_m"), 16
+_SOMETIMES_SEEN = ("hand_position_in_base_m", "predicted_hand_in_base_m", "features")
+_DECIDED = ("tick", "outcome", "proposed_position_in_base_m", "proposed_spread_m")
 
 
 def why_broken(trace: Trace) -> str:

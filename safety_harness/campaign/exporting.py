@@ -9,12 +9,11 @@ from itertools import islice
 from pathlib import Path
 
 from safety_harness.campaign.ledger import Ledger
-from safety_harness.campaign.opening import OUTCOME, OVERRULED
+from safety_harness.campaign.opening import COUNTS, OUTCOME, OVERRULED
 from safety_harness.exceptions import Place, ScenarioError, near_miss
 from safety_harness.extras import EXPORT
 from safety_harness.scenario.units import DIMENSIONS, NUMBER, parse_quantity
 from safety_harness.statistics.sample import EpisodeOutcome
-from safety_harness.trace.overruling import COUNTS
 from safety_harness.whole_file import replacing, writing
 
 _NUMBERS = ("seed", "draws", "decisions", "proposed", "opposite", "stopped", "faults", "late", *COUNTS)

@@ -22,14 +22,21 @@ import numpy as np
 
 from safety_harness.admission.repeatability import DrivenAgain, RepeatabilityResult
 from safety_harness.campaign.identity import Identity, PlanFile
-from safety_harness.campaign.opening import connect, counts_in, create, explained, refuse_any_file, unusable
+from safety_harness.campaign.opening import (
+    COUNTS,
+    connect,
+    counts_in,
+    create,
+    explained,
+    refuse_any_file,
+    unusable,
+)
 from safety_harness.campaign.plan import Plan
 from safety_harness.campaign.rows import Row
 from safety_harness.properties.base import Unit
 from safety_harness.scenario.references import MODEL_SUFFIX, ONNX_SUFFIX, portable
 from safety_harness.simulation.worlds import WorldEntry, worlds_by_label
 from safety_harness.statistics.sample import Declaration, Floats, IndependentSample, Ints, refusal
-from safety_harness.trace.overruling import COUNTS
 from safety_harness.whole_file import replacing, writing
 
 _NUMBERS = 10 + len(COUNTS)
@@ -39,6 +46,7 @@ _SAMPLE = (
     "ON e.stratum = j.stratum AND e.episode = j.episode WHERE j.stratum = ? AND j.claim = ? "
     "AND j.episode < coalesce(?, j.episode + 1)"
 )
+_DISTINCT = "SELECT stratum, count(DISTINCT run), count(*) FROM episode WHERE run <> 0 GROUP BY stratum"
 _JUDGEMENT = f"INSERT INTO judgement VALUES ({', '.join('?' * 7)})"
 
 
@@ -80,6 +88,8 @@ class Ledger:
         self.path = path
         self.connection = connection
         self.declared = _declared(connection, path)
+        self._looked_at: object = None
+        self._found = ""
 
     @classmethod
     def create(cls, path: Path, plan: Plan) -> Ledger:
@@ -137,7 +147,7 @@ class Ledger:
 
     @cached_property
     def counts(self) -> tuple[str, ...]:
-        """The names of what it counts of overruled proposals; the others are read as 0."""
+        """Those of ``COUNTS`` that it notes; the others are read as 0."""
         return counts_in(self.connection)
 
     @cached_property
@@ -156,7 +166,8 @@ class Ledger:
         with self.transaction():
             for row in rows:
                 counts = (row.decisions, row.proposed, row.opposite, row.stopped, row.faults, row.late)
-                own = (row.stratum, row.episode, row.seed, row.draws, *counts, *row.overruling.counts)
+                noted = (*row.overruling.counts, row.run)
+                own = (row.stratum, row.episode, row.seed, row.draws, *counts, *noted)
                 if row.cell:
                     execute("INSERT OR IGNORE INTO cell (words) VALUES (?)", (row.cell,))
                 words = (row.cell, row.mishap or None, row.failure or None)
@@ -226,11 +237,22 @@ class Ledger:
         """Why no bound is stated though all episodes are there; empty if one may be."""
         found = self.repeated.remembers
         if not found:
-            return ""
+            return self._copies
         why = "the avoider remembers earlier questions"
         if isinstance(self.repeated, DrivenAgain):
             why = f"the {self.repeated.who} is another from run to run"
         return f"{why}: episodes are not independent, no bound is stated ({found})"
+
+    @property
+    def _copies(self) -> str:
+        """That runs are copies of others, in words; the same scenario twice is no further evidence."""
+        now = self.connection.total_changes, next(self.all("PRAGMA data_version"))
+        if self._looked_at != now:  # a million runs take a second
+            found = ((self.declared.strata[k], *counts) for k, *counts in self.all(_DISTINCT))
+            few = [f"{one} distinct runs of {all_} in {name}" for name, one, all_ in found if one < all_]
+            why = f"runs repeat others bit for bit, no bound is stated ({', '.join(few)})"
+            self._looked_at, self._found = now, why if few else ""
+        return self._found
 
     def missing(self, stratum: int) -> Iterator[range]:
         """The planned episodes that are not there yet, as ranges in their order; none beyond a stop."""

@@ -7,13 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from safety_harness.campaign.ledger import Ledger
-from safety_harness.campaign.opening import explained, only_runner, refuse_any_file, unusable
+from safety_harness.campaign.opening import COUNTS, explained, only_runner, refuse_any_file, unusable
 from safety_harness.campaign.session import plan_of
 from safety_harness.campaign.summary import tally_of
 from safety_harness.exceptions import LedgerError, Place
 from safety_harness.properties.base import Unit
 from safety_harness.statistics.paired import PairedComparison, compare
-from safety_harness.trace.overruling import COUNTS
 from safety_harness.whole_file import replacing, writing
 
 _NUMBERS = ("seed", "draws", "decisions", "proposed", "opposite", "stopped", "faults", "late", *COUNTS)

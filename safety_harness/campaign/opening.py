@@ -17,7 +17,7 @@ from safety_harness.exceptions import LedgerError, OutputError, Place
 from safety_harness.scenario.files import refuse_no_file
 from safety_harness.scenario.kinds import FileKind, refuse_other_kind
 from safety_harness.statistics.sample import EpisodeOutcome
-from safety_harness.trace.overruling import COUNTS
+from safety_harness.trace.overruling import COUNTS as OVERRULED_BY
 from safety_harness.whole_file import writing
 
 BUSY_MS = 30_000  # that others may keep the ledger from being written
@@ -116,7 +116,7 @@ def _refuse_other_tables(connection: sqlite3.Connection, path: Path) -> None:
     """LedgerError unless every table is one: a view in its place would say what is not there, for ever."""
     connection.execute("PRAGMA trusted_schema = OFF")
     with closing(sqlite3.connect(":memory:")) as whole:
-        create(whole, COUNTS[: len(counts_in(connection))])
+        create(whole, counts_in(connection))
         known = dict(whole.execute(_KINDS))
         columns = {name: _columns(whole, name) for name, kind in known.items() if kind == "table"}
     found = dict(connection.execute(_KINDS))
@@ -182,6 +182,7 @@ def refuse_any_file(path: Path) -> None:
         raise unusable(path, "no file there yet", "one")
 
 
+COUNTS = (*OVERRULED_BY, "run")  # of an episode, 0 where an older program did not note it
 APPLICATION_ID = 0x53_48_4C_47  # "SHLG", in the header of the file
 VERSION = 2  # of its tables: 2 has what the gate overruled
 
@@ -252,13 +253,13 @@ def create(connection: sqlite3.Connection, counts: tuple[str, ...] = COUNTS) -> 
 
 
 def counts_in(connection: sqlite3.Connection) -> tuple[str, ...]:
-    """Those of ``COUNTS`` that the ledger was made with: later programs know more reasons to overrule."""
+    """Those of ``COUNTS`` that the ledger was made with: later programs note more."""
     columns = {row[1] for row in connection.execute("PRAGMA main.table_info(episode)")}
     return tuple(name for name in COUNTS if name in columns)
 
 
 def _count_nothing_else(connection: sqlite3.Connection) -> None:
-    """What an older program could not count is read as 0: a view of that name stands before the table."""
+    """What an older program did not note is read as 0: a view of that name stands before the table."""
     there = counts_in(connection)
     if absent := [f"0 AS {name}" for name in COUNTS if name not in there]:
         connection.execute(f"CREATE TEMP VIEW episode AS SELECT *, {', '.join(absent)} FROM main.episode")

@@ -10,6 +10,7 @@ from pathlib import Path
 from safety_harness.admission.spaces import MAX_REJECTION_RATIO
 from safety_harness.campaign.episodes import random_episodes, root_seed
 from safety_harness.campaign.ledger import Ledger
+from safety_harness.campaign.opening import COUNTS
 from safety_harness.campaign.plan import Plan
 from safety_harness.campaign.runner import Stopping
 from safety_harness.campaign.session import LEDGER
@@ -27,7 +28,6 @@ from safety_harness.certification.folder import (
 )
 from safety_harness.exceptions import InputError, Place
 from safety_harness.statistics.sample import EpisodeOutcome
-from safety_harness.trace.overruling import COUNTS
 
 MOST_NAMED = 10
 

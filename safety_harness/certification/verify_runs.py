@@ -117,6 +117,7 @@ class Compared:
         self.plan, self.ledger, self.program = plan, ledger, program
         self.same, self.answers = same and not program, same
         self.faults: list[str] = []
+        self._runs: dict[tuple[int, int], tuple[int, int]] = {}  # their number now: episode, number then
         self.moved = self.otherwise = self.far = self.other_traces = 0
 
     def add(self, row: Row) -> None:
@@ -132,7 +133,7 @@ class Compared:
                 _JUDGEMENTS, row.stratum, row.episode
             )
         }
-        faults = list(self._faults(row, then))
+        faults = [*self._faults(row, then), *self._hidden_copies(row)]
         self.faults += faults
         if faults:
             return
@@ -190,6 +191,16 @@ class Compared:
             lines.append(f"{self.other_traces} stored traces are not those of the runs made again: {why}")
         return tuple(lines)
 
+    def _hidden_copies(self, row: Row) -> Iterator[str]:
+        """Another run that it is a copy of, where the ledger tells them apart."""
+        ((then,),) = self.ledger.all(_RUN, row.stratum, row.episode)
+        episode, other = self._runs.setdefault((row.stratum, row.run), (row.episode, then))
+        if row.run and then != other:
+            where = self.where(row.stratum, row.episode)
+            yield f"{where}: the same run as {episode}, and the ledger tells them apart"
+        elif row.run and not then and self.answers:
+            yield f"{self.where(row.stratum, row.episode)}: the ledger has no number for it"
+
     def _faults(self, row: Row, before: Mapping[int, ClaimJudgement]) -> Iterator[str]:
         """Claims of which the outcome is another now."""
         where = self.where(row.stratum, row.episode)
@@ -206,6 +217,7 @@ class Compared:
 _JUDGEMENTS = (
     "SELECT claim, outcome, margin, worst_time_s, exercised FROM judgement WHERE stratum = ? AND episode = ?"
 )
+_RUN = "SELECT run FROM episode WHERE stratum = ? AND episode = ?"
 _COUNTS = (
     f"SELECT {', '.join(f'e.{name}' for name in (*COUNTS, *OVERRULED))}, c.words, "
     "e.mishap, e.failure IS NOT NULL FROM episode e LEFT JOIN cell c ON c.id = e.cell "

@@ -167,7 +167,7 @@ def _carry_on(plan: Plan, path: Path, workers: int | None, cluster: str | None, 
         stopped = interrupted()
     with Ledger.open(path, check=False) as ledger:
         tally = _say_ledger(ledger, path.with_suffix(".html")).tally
-        unlike = bool(ledger.repeated.words)
+        unlike = bool(ledger.repeated.words or ledger.dependent)
         unanswered = fallback_of(ledger).unanswered and not is_claimed(claim.claim for claim in plan.claims)
     if stopped and not tally.complete:
         say(f"interrupted; go on: safety-harness campaign resume {path}")

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
+from itertools import count
+from multiprocessing import current_process, parent_process
 from typing import Any
+from weakref import WeakValueDictionary
 
 import gymnasium
 import numpy as np
@@ -112,13 +116,31 @@ def _action_space(action: str, first: Checked) -> spaces.Box:
     return spaces.Box(-most, most, dtype=np.float64)
 
 
+def _lane(environment: HarnessEnv) -> int:
+    """The stream of an environment before a seed is given: another one than its neighbours' in a vector.
+
+    In a process of a vector's, which are numbered by their names, that number; then the lowest that no living
+    environment of the title has.
+    """
+    title = environment.setting.episodes.first.scenario.title
+    worker = re.search(r"\d+$", current_process().name) if parent_process() is not None else None
+    first, step = (int(worker[0]), 1 << 32) if worker else (0, 1)
+    lane = next(number for number in count(first, step) if (title, number) not in _LIVING)
+    _LIVING[title, lane] = environment
+    return lane
+
+
+_LIVING: WeakValueDictionary[tuple[str, int], HarnessEnv] = WeakValueDictionary()
+
+
 class HarnessEnv(gymnasium.Env[dict[str, Any], NDArray[np.float64]]):
     """A scenario, or draws of a space, in any world, driven by the actions of an agent.
 
-    A step is a control tick.  ``sees`` are words of a controller's contract.  ``action`` is "tcp velocity"
-    (3,) or "tcp twist" (6,) in the base frame, or "joint velocity" (n,), in SI.  ``rewards`` gives weights to
-    claims and to "progress" (``gym.rewards``).  A violation of one of ``ends`` at a tick terminates an
-    episode, the end of its scenario truncates it.  InadmissibleError for what cannot be tried.
+    A step is a control tick.  Without a seed several at a time have streams of their own.  ``sees`` are words
+    of a controller's contract.  ``action`` is "tcp velocity" (3,) or "tcp twist" (6,) in the base frame, or
+    "joint velocity" (n,), in SI.  ``rewards`` gives weights to claims and to "progress" (``gym.rewards``).
+    A violation of one of ``ends`` at a tick terminates an episode, the end of its scenario truncates it.
+    InadmissibleError for what cannot be tried.
     """
 
     metadata = {"render_modes": []}  # noqa: RUF012
@@ -139,7 +161,7 @@ class HarnessEnv(gymnasium.Env[dict[str, Any], NDArray[np.float64]]):
         self.setting = Setting(scenario, space, world, sees, action, rewards, ends)
         self.observation_space = self.setting.observation_space
         self.action_space = self.setting.action_space
-        self._stream: Iterator[Checked] = self.setting.episodes.stream(None)
+        self._stream: Iterator[Checked] = self.setting.episodes.stream(_lane(self) or None)
         self._closing = ExitStack()
         self._way_m = np.zeros(1)
         self._over = True
@@ -185,6 +207,8 @@ class HarnessEnv(gymnasium.Env[dict[str, Any], NDArray[np.float64]]):
         """Close the world."""
         self._closing.close()
         self._over = True
+        for key in [key for key, living in _LIVING.items() if living is self]:
+            del _LIVING[key]
 
     def _begin(self, checked: Checked) -> None:
         self._closing.close()

@@ -30,9 +30,9 @@ from safety_harness.trace.records import as_compiled, tick_dtype
 class HarnessVectorEnv(VectorEnv[Any, Any, Any]):
     """``num_envs`` environments, each the ``HarnessEnv`` of the same arguments bit for bit, in lanes.
 
-    Lane i begins stream seed + i.  A lane whose episode is over is reset within the same step; its last
-    observation and info are ``info["final_obs"]`` and ``info["final_info"]``.  The world is the kinematic
-    one, and no lane has a trace: ``HarnessEnv`` with the lane's seed has.
+    Lane i begins stream seed + i, and stream i before a seed is given.  A lane whose episode is over is reset
+    within the same step; its last observation and info are ``info["final_obs"]`` and ``info["final_info"]``.
+    The world is the kinematic one, and no lane has a trace: ``HarnessEnv`` with the lane's seed has.
     """
 
     metadata = {"render_modes": [], "autoreset_mode": AutoresetMode.SAME_STEP}  # noqa: RUF012
@@ -59,7 +59,7 @@ class HarnessVectorEnv(VectorEnv[Any, Any, Any]):
         self.single_action_space = setting.action_space
         self.observation_space = batch_space(setting.observation_space, num_envs)
         self.action_space = batch_space(setting.action_space, num_envs)
-        self._streams = [setting.episodes.stream(None) for _ in range(num_envs)]
+        self._streams = [setting.episodes.stream(lane or None) for lane in range(num_envs)]
         world_of, controller_of = _records(setting.episodes.first)
         self._worlds, self._controllers = stacked(world_of, num_envs), stacked(controller_of, num_envs)
         self._wants = OBJECT in setting.sees, PREDICTED_HANDS in setting.sees

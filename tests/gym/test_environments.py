@@ -45,6 +45,8 @@ NEAR = "always hand distance > 300 mm"
 SCENARIO = parse_scenario(VISIT.format(kind="", offset="30 mm"))
 SPACE = parse_space(VISIT.format(kind=" space", offset="from -40 mm to 40 mm"))
 TICKS = SCENARIO.ticks
+NOISE = "hand sensor:\n  kind: overhead\n  pixel noise: 3 px\n"
+WANDERING = parse_scenario(VISIT.format(kind="", offset="30 mm").replace("leaves", "goes") + NOISE)
 
 
 @pytest.fixture(scope="module")
@@ -176,6 +178,39 @@ def test_lanes_are_the_single_environments_bit_for_bit(one: HarnessEnv) -> None:
         assert alike(every[-1], {name: array[lane] for name, array in info["final_obs"].items()})
         assert last["margins"][NEAR] == info["final_info"]["margins"][NEAR][lane]
     lanes.close()
+
+
+@pytest.mark.parametrize("varied", [{"space": SPACE}, {"scenario": WANDERING}], ids=["space", "scenario"])
+@pytest.mark.parametrize("kind", ["lanes", "sync", "async", "stable-baselines"])
+def test_each_lane_has_its_own_stream_without_a_seed(kind: str, varied: dict[str, Any]) -> None:
+    """After ``reset()`` no two lanes of a vector run the same episode, of whichever kind it is."""
+    if kind in ("sync", "async"):
+        envs: Any = gymnasium.make_vec(
+            "safety_harness.gym:SafetyHarness-v0", num_envs=3, vectorization_mode=kind, **varied
+        )
+    else:
+        envs = HarnessVectorEnv(3, **varied)
+    if kind == "stable-baselines":
+        envs = StableBaselinesEnv(envs)
+        envs.reset()
+        envs.step_async(np.zeros((3, 3), np.float32))
+        seen = envs.step_wait()[0]
+    else:
+        envs.reset()
+        for _ in range(20):
+            seen, *_ = envs.step(np.zeros((3, 3)))
+    envs.close()
+    rows = np.hstack([np.reshape(array, (3, -1)) for array in seen.values()])
+    assert len(np.unique(rows, axis=0)) == 3
+
+
+def test_an_environment_made_alone_runs_the_scenario_as_it_stands() -> None:
+    """So does the next one, once it is closed."""
+    for _ in range(2):
+        env = HarnessEnv(scenario=WANDERING)
+        env.reset()
+        assert env.trace().scenario.seed == WANDERING.seed
+        env.close()
 
 
 def test_stable_baselines_gets_fields_held_actions_and_the_last_observation() -> None:
