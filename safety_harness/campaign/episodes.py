@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import tempfile
 import time
 import traceback
@@ -26,6 +27,7 @@ from safety_harness.avoidance.flaky import asked_in
 from safety_harness.campaign.plan import Plan
 from safety_harness.campaign.rows import ClaimJudgement, Row
 from safety_harness.exceptions import CampaignError, InputError, described
+from safety_harness.isolation.opened import noted
 from safety_harness.properties.answered import fault_of, unanswered
 from safety_harness.properties.base import Evaluation
 from safety_harness.properties.finite import bad_decisions, bad_ticks
@@ -38,8 +40,9 @@ from safety_harness.trace.consistency import first_inconsistency
 from safety_harness.trace.overruling import Overruling
 from safety_harness.trace.records import Check
 from safety_harness.trace.records import DecisionOutcome as Decided
-from safety_harness.trace.store import save_trace
+from safety_harness.trace.store import load_trace, save_trace
 from safety_harness.trace.trace import Trace, history
+from safety_harness.trace.unmeasured import refuse_not_simulated
 
 _Done = TypeVar("_Done")
 
@@ -97,6 +100,7 @@ class EpisodeRunner:
     programs: bool = True
     _admitter: Admitter = field(default_factory=Admitter, init=False)
     _random: dict[int, frozenset[int]] = field(default_factory=dict)
+    _noted: int = 0  # of the journal of files that users' modules opened
 
     def run(self, stratum: int, episodes: Sequence[int], *, keep_violations: bool = True) -> Iterator[Row]:
         """A row for each episode, in their order; InputError where the text of the plan is to blame.
@@ -114,7 +118,10 @@ class EpisodeRunner:
                 for one in drawn
             ]
             each_s = (time.perf_counter() - begun_s) / max(len(rows), 1)
-            yield from (replace(row, seconds=each_s) for row in rows)
+            found, self._noted = noted(self._noted)
+            here = self.plan.file.resolve().parent
+            opened = tuple((os.path.relpath(path, here), sha256) for path, sha256 in found)
+            yield from (replace(row, seconds=each_s, opened=opened if row is rows[0] else ()) for row in rows)
 
     def scenario(
         self, stratum: int, episode: int, draw: int, values: NDArray[np.float64] | None = None
@@ -283,6 +290,16 @@ def trace_bytes(trace: Trace) -> bytes:
         file = Path(folder) / "one.trace"
         save_trace(trace, file)
         return file.read_bytes()
+
+
+def trace_of(plan: Plan, stratum: int, data: bytes) -> Trace:
+    """A stored trace, simulated; TraceError.  Its scenario names files where the plan's space is now."""
+    with tempfile.TemporaryDirectory(prefix="safety-harness-") as folder:
+        file = Path(folder) / "stored.trace"
+        file.write_bytes(data)
+        trace = load_trace(file)
+    refuse_not_simulated(trace)
+    return replace(trace, scenario=replace(trace.scenario, file=plan.strata[stratum].space.file))
 
 
 def _where(error: Exception) -> str:

@@ -33,6 +33,7 @@ from safety_harness.campaign.opening import (
 )
 from safety_harness.campaign.plan import Plan
 from safety_harness.campaign.rows import Row
+from safety_harness.isolation.opened import sha256_of
 from safety_harness.properties.base import Unit
 from safety_harness.scenario.references import MODEL_SUFFIX, ONNX_SUFFIX, portable
 from safety_harness.simulation.worlds import WorldEntry, worlds_by_label
@@ -138,6 +139,29 @@ class Ledger:
         """LedgerError that names what has changed since the ledger's plan was declared."""
         self.declared.identity.refuse_other(identity, self.path, hint=hint)
 
+    def refuse_other_plan(self, plan: Plan) -> None:
+        """As ``refuse_other``, and for other bytes of a file that the user's own module opened in a run."""
+        self.refuse_other(plan.identity)
+        there = self.opened
+        now = {name: sha256_of(plan.file.resolve().parent / name) for name in there}
+        Identity(tuple(there.items())).refuse_other(
+            Identity(tuple(now.items())), self.path, hint="put it back as it was, or begin another ledger"
+        )
+
+    @property
+    def opened(self) -> dict[str, str]:
+        """The files that modules of the user's opened, named from the plan's folder, and their SHA-256."""
+        found = list(self.all("SELECT 1 FROM sqlite_master WHERE name = 'opened' AND type = 'table'"))
+        return dict(self.all("SELECT name, sha256 FROM opened ORDER BY name")) if found else {}
+
+    def take_opened(self, files: Iterable[tuple[str, str]]) -> None:
+        """Note files down; LedgerError for one of which earlier runs read other bytes."""
+        for name, sha256 in files:
+            self.connection.execute("INSERT OR IGNORE INTO opened VALUES (?, ?)", (name, sha256))
+            if self.opened[name] != sha256:
+                expected = f"{name} as earlier runs opened it"
+                raise unusable(self.path, expected, "other bytes: it was written while runs were made")
+
     @property
     def files(self) -> tuple[PlanFile, ...]:
         """The files of the plan as they were when it was declared, the plan's own first."""
@@ -165,6 +189,7 @@ class Ledger:
         execute = self.connection.execute
         with self.transaction():
             for row in rows:
+                self.take_opened(row.opened)
                 counts = (row.decisions, row.proposed, row.opposite, row.stopped, row.faults, row.late)
                 noted = (*row.overruling.counts, row.run)
                 own = (row.stratum, row.episode, row.seed, row.draws, *counts, *noted)

@@ -120,8 +120,8 @@ def _refuse_other_tables(connection: sqlite3.Connection, path: Path) -> None:
         known = dict(whole.execute(_KINDS))
         columns = {name: _columns(whole, name) for name, kind in known.items() if kind == "table"}
     found = dict(connection.execute(_KINDS))
-    if "repeated" not in found:  # of an older program
-        del known["repeated"], columns["repeated"]
+    for name in {"repeated", "opened"} - {*found}:  # of an older program
+        del known[name], columns[name]
     other = [name for name in {*known, *found} if known.get(name) != found.get(name)]
     other += [name for name in columns if not other and _columns(connection, name) != columns[name]]
     if other:
@@ -232,6 +232,7 @@ CREATE TABLE repeated (
     id INTEGER PRIMARY KEY, questions INTEGER NOT NULL, asked INTEGER NOT NULL,
     differing INTEGER NOT NULL, words TEXT NOT NULL, apart INTEGER NOT NULL
 );
+CREATE TABLE opened (name TEXT PRIMARY KEY, sha256 TEXT NOT NULL) WITHOUT ROWID;
 CREATE VIEW episodes AS
     SELECT s.name AS stratum, e.episode, e.seed, e.draws, e.decisions, e.proposed, e.opposite, e.stopped,
         e.faults, e.late, {OVERRULED} AS overruled, e.{", e.".join(counts)},

@@ -51,9 +51,10 @@ class Row:
     seconds: float = 0.0
     worker: str = ""
     trace: bytes | None = field(default=None, repr=False)
-    # Of which a ledger keeps nothing.
+    # Of which a ledger keeps nothing with the row; ``opened``: files beside the plan, and their SHA-256.
     asked: tuple[Asked, ...] = field(default=(), repr=False, compare=False)
     driven: DrivenRun | None = field(default=None, repr=False, compare=False)
+    opened: tuple[tuple[str, str], ...] = field(default=(), repr=False, compare=False)
 
     @property
     def violates(self) -> bool:

@@ -12,6 +12,8 @@ from functools import partial
 from pathlib import Path
 
 from safety_harness.admission.admit import refuse_no_answer
+from safety_harness.admission.repeatability import Repeatability
+from safety_harness.campaign.episodes import trace_of
 from safety_harness.campaign.identity import unpacked
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.opening import only_runner
@@ -37,21 +39,24 @@ def carry_on(
     on_progress: Callable[[CampaignRunner], None] = lambda runner: None,
     enough: Callable[[], bool] = lambda: False,
     part: tuple[int, int] = (0, 1),
+    say: Callable[[str], None] = lambda words: None,
 ) -> bool:
     """Run what is missing in the ledger at ``path``, which is made if it is not there; is it complete now?
 
     A ledger in which nothing was run is begun anew when the plan has changed since.  InputError before there
     is one for an avoider that cannot be made, or a world that is not installed.  LedgerError if it is another
     plan's, or if another runner is at work on it; otherwise as ``CampaignRunner.run``.  At the end a second
-    avoider is asked some of the questions again; what it answers stands in the ledger.
+    avoider is asked some of the questions again; what it answers stands in the ledger.  Where nothing is
+    missing ``say`` is told so first, and the questions are those of the stored runs.
     """
     with ExitStack() as stack:
         stack.enter_context(only_runner(path))
         known = _known(path, plan)
         if known is not None:
             ledger = stack.enter_context(known)
-            ledger.refuse_other(plan.identity)
+            ledger.refuse_other_plan(plan)
             if all(next(ledger.missing(k), None) is None for k in range(len(plan.strata))):
+                _ask_again(plan, ledger, say)
                 return True
         plan.world.opener()
         for scenario in scenarios_by_avoider(plan):
@@ -65,6 +70,23 @@ def carry_on(
         complete = runner.run()
         ledger.note_repeated(runner.repeatability.check())
         return complete
+
+
+def _ask_again(plan: Plan, ledger: Ledger, say: Callable[[str], None]) -> None:
+    """What was asked in stored runs; a ledger, maybe a report's, is written for other answers alone."""
+    ((count, *ends),) = ledger.all(
+        "SELECT (SELECT count(*) FROM episode), min(began), max(began) FROM session"
+    )
+    days = dict.fromkeys(f"{datetime.fromisoformat(one):%-d %B %Y}" for one in ends if one)
+    say(f"nothing was run: all {count} episodes are of {' to '.join(days) or 'an unknown day'}")
+    repeatability = Repeatability()
+    for stratum, episode, _ in ledger.traces():
+        repeatability.add(trace_of(plan, stratum, ledger.trace(stratum, episode) or b""))
+    found = repeatability.check()
+    if found.asked or found.words:
+        say(found.line)
+    if found.differing:
+        ledger.note_repeated(found)
 
 
 def _known(path: Path, plan: Plan) -> Ledger | None:
@@ -92,7 +114,7 @@ def plan_of(ledger: Ledger) -> Iterator[Plan]:
             folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="safety-harness-"))
             file = unpacked(ledger.files, Path(folder))
         plan = read_plan(file)
-        ledger.refuse_other(plan.identity)
+        ledger.refuse_other_plan(plan)
         yield plan
 
 

@@ -92,7 +92,7 @@ class Certification:
         remark = "what is under way is finished and kept; Ctrl-C again drops it"
         with one_more_ctrl_c(output.say, remark) as interrupted, watch(self.plan) as show:
             path, crew = self.folder / LEDGER, processes(workers)
-            complete = carry_on(self.plan, path, crew, on_progress=show, enough=interrupted)
+            complete = carry_on(self.plan, path, crew, on_progress=show, enough=interrupted, say=output.say)
         complete = complete and self.search(output)
         without_proof(self.folder)
         if self.certified is not None:

@@ -17,10 +17,11 @@ from typing import Any
 
 from msgspec import Struct, field
 
+from safety_harness.campaign.episodes import trace_of
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import Plan
 from safety_harness.certification.evidence import CounterexampleEvidence, SearchSummary
-from safety_harness.certification.stored import judged_run, trace_of
+from safety_harness.certification.stored import judged_run
 from safety_harness.exceptions import InputError, Place, ScenarioError
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.search_attribution import SearchAttribution

@@ -133,7 +133,7 @@ def put_together(
         strata=strata,
         overruling=overruling_of(ledger),
         claims=claims,
-        system=system_of(plan),
+        system=system_of(plan, ledger.opened),
         assumptions=ASSUMPTIONS,
         exclusions=EXCLUSIONS,
         separation=tuple(separation_of(plan, stored)),

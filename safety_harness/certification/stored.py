@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import dataclass
 
 import numpy as np
 
 from safety_harness.admission.claims import property_of
 from safety_harness.admission.trial import judge
-from safety_harness.campaign.episodes import random_episodes
+from safety_harness.campaign.episodes import random_episodes, trace_of
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import Plan
 from safety_harness.certification.evidence import CalibrationCheck, SeparationCase, SeparationTerm
@@ -24,9 +22,7 @@ from safety_harness.properties.true_motion import nearest_hand_m
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.search.coverage import AXES, CoverageCell
 from safety_harness.search.coverage import Coverage as Cells
-from safety_harness.trace.store import load_trace
 from safety_harness.trace.trace import Trace
-from safety_harness.trace.unmeasured import refuse_not_simulated
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,16 +58,6 @@ def came_nearest(plan: Plan, stored: Sequence[Stored], stratum: int, claim: int)
     nearest = min(mine, key=lambda one: (np.nanmin(nearest_hand_m(one.trace), initial=np.inf), one.episode))
     found = property_of(plan.claims[claim].claim, nearest.trace.scenario).evaluate(nearest.trace)
     return f"in run {nearest.episode}, of {len(mine)} kept the one with the nearest hand, {found.reason}"
-
-
-def trace_of(plan: Plan, stratum: int, data: bytes) -> Trace:
-    """A stored trace, simulated; TraceError.  Its scenario names files where the plan's space is now."""
-    with tempfile.TemporaryDirectory(prefix="safety-harness-") as folder:
-        file = Path(folder) / "stored.trace"
-        file.write_bytes(data)
-        trace = load_trace(file)
-    refuse_not_simulated(trace)
-    return replace(trace, scenario=replace(trace.scenario, file=plan.strata[stratum].space.file))
 
 
 def judged_run(trace: Trace) -> JudgedRun:

@@ -38,8 +38,11 @@ ANSWERS = {
 }
 
 
-def system_of(plan: Plan) -> SystemDescription:
-    """What the plan's strata have in common is taken from each one's simplest scenario."""
+def system_of(plan: Plan, opened: Mapping[str, str]) -> SystemDescription:
+    """What the plan's strata have in common is taken from each one's simplest scenario.
+
+    ``opened`` has the SHA-256 of what the user's own modules opened.
+    """
     scenarios = [plan.with_avoider(stratum.space.simplest) for stratum in plan.strata]
     first = scenarios[0]
     model = model_of(first)
@@ -49,7 +52,10 @@ def system_of(plan: Plan) -> SystemDescription:
         card=() if model is None else tuple(card_of(model)),
         limits=() if model is None else tuple(str(one) for one in model.card.get("limits", ())),
         gate=() if first.driven else tuple(_gate(first.settings, model, named=first.avoider in NAMES)),
-        settings=tuple(_settings("", first.settings)),
+        settings=(
+            *((f"file {name}", f"sha256 {sha256}") for name, sha256 in opened.items()),
+            *_settings("", first.settings),
+        ),
         changed=tuple(changed),
     )
 

@@ -12,7 +12,7 @@ from itertools import groupby
 from safety_harness.admission.admit import admit
 from safety_harness.admission.avoiders import is_executed
 from safety_harness.admission.trial import run_trial
-from safety_harness.campaign.episodes import EpisodeRunner
+from safety_harness.campaign.episodes import EpisodeRunner, trace_of
 from safety_harness.campaign.identity import references_in
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import Plan
@@ -20,7 +20,6 @@ from safety_harness.campaign.rows import ClaimJudgement, Row
 from safety_harness.campaign.watch import AvoiderWatch
 from safety_harness.certification.altered import Turn, chance_to_miss, runs_to_see
 from safety_harness.certification.gather import GatheredEvidence
-from safety_harness.certification.stored import trace_of
 from safety_harness.certification.verdicts import percent
 from safety_harness.certification.verify_files import Examination, few, kept
 from safety_harness.exceptions import CampaignError, InputError, SafetyHarnessError, described

@@ -163,7 +163,7 @@ def _carry_on(plan: Plan, path: Path, workers: int | None, cluster: str | None, 
     say_shared_modules()
     remark = "what is under way is finished and kept; Ctrl-C again drops it"
     with one_more_ctrl_c(say, remark) as interrupted, watching_campaign(plan) as show:
-        carry_on(plan, path, make_crew, on_progress=show, enough=interrupted, part=numbers)
+        carry_on(plan, path, make_crew, on_progress=show, enough=interrupted, part=numbers, say=say)
         stopped = interrupted()
     with Ledger.open(path, check=False) as ledger:
         tally = _say_ledger(ledger, path.with_suffix(".html")).tally

@@ -15,6 +15,7 @@ from collections.abc import Callable, Sequence
 
 from safety_harness.isolation.channel import Channel, GoneError
 from safety_harness.isolation.frames import MEMORY_BYTES
+from safety_harness.isolation.opened import environment
 
 BOOT = (
     "import sys, json; sys.path[:] = json.loads(sys.argv[2]); from importlib import import_module; "
@@ -36,6 +37,7 @@ class Process:
         """OSError if it cannot be started."""
         self._hear = hear
         self.owner = os.getpid()
+        variables, journal = environment()
         question_in, question = os.pipe()
         answer, answer_out = os.pipe()
         try:
@@ -44,7 +46,8 @@ class Process:
                 stdin=question_in if by_stdio else subprocess.DEVNULL,
                 stdout=answer_out if by_stdio else subprocess.PIPE,
                 stderr=subprocess.PIPE if by_stdio else subprocess.STDOUT,
-                pass_fds=() if by_stdio else (question_in, answer_out),
+                pass_fds=() if by_stdio else (question_in, answer_out, journal),
+                env=None if by_stdio else variables,
                 start_new_session=True,  # Ctrl-C is ours, and all that it forks is in its group
             )
         except OSError:

@@ -16,6 +16,7 @@ from pathlib import Path
 from types import ModuleType
 
 from safety_harness.exceptions import InadmissibleError, Place, described
+from safety_harness.isolation.opened import DECLARED, declare, watch
 from safety_harness.scenario.files import read_bytes
 
 MOST_SOURCE = 10_000_000
@@ -98,7 +99,14 @@ def made_by(path: Path, source: bytes, name: str, what: str, place: Place, hint:
 
     InadmissibleError at ``place`` if it has none; ``what`` it should be, "an avoider", and where to read on.
     """
-    found = getattr(_module(path, source, place), name, None)
+    watch(path)
+    module = _module(path, source, place)
+    try:
+        for file in getattr(module, DECLARED, ()):
+            declare(path.parent / file)
+    except (OSError, TypeError) as error:
+        raise raised(path, place, f"{DECLARED} to be a list of files that can be read", error) from error
+    found = getattr(module, name, None)
     if found is None:
         expected, got = f"something called {name!r} in {path.name}", "nothing of that name"
         raise InadmissibleError(place=place, expected=expected, got=got, hint=hint)

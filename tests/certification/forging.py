@@ -13,13 +13,13 @@ from typing import Any
 
 import numpy as np
 
+from safety_harness.campaign.episodes import trace_of
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import read_plan
 from safety_harness.campaign.session import LEDGER, carry_on, plan_of, processes
 from safety_harness.certification.evidence import Evidence, as_text
 from safety_harness.certification.folder import junit_xml, stored_files, write_folder, write_manifest
 from safety_harness.certification.gather import gather
-from safety_harness.certification.stored import trace_of
 from safety_harness.scenario.typed_json import typed
 from safety_harness.scenario.write import write_scenario
 from tests.campaign.hazards import HAZARDS

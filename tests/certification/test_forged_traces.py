@@ -12,10 +12,9 @@ import numpy as np
 import pytest
 from partly_measured import partly_measured
 
-from safety_harness.campaign.episodes import EpisodeRunner, trace_bytes
+from safety_harness.campaign.episodes import EpisodeRunner, trace_bytes, trace_of
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import Plan
-from safety_harness.certification.stored import trace_of
 from safety_harness.certification.verify_runs import check_traces
 from safety_harness.exceptions import TraceError
 from safety_harness.trace.trace import Trace

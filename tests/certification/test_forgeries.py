@@ -9,14 +9,13 @@ from pathlib import Path
 
 import pytest
 
-from safety_harness.campaign.episodes import trace_bytes
+from safety_harness.campaign.episodes import trace_bytes, trace_of
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.session import LEDGER, plan_of
 from safety_harness.certification import folder, verify_report
 from safety_harness.certification.evidence import Evidence, as_text
 from safety_harness.certification.lodged import declaration_of, write_seal
 from safety_harness.certification.page import render as drawn
-from safety_harness.certification.stored import trace_of
 from safety_harness.certification.verify import verify
 from safety_harness.certification.verify_files import Examination
 from tests.certification.forging import (
