@@ -74,7 +74,7 @@ def _take_over(whole: Ledger, path: Path) -> None:
                     got="another one",
                     hint="machines of different kinds, or an avoider that does not repeat itself",
                 )
-        whole.take_opened(whole.all("SELECT name, sha256 FROM part.opened"))
+        whole.take_opened([*whole.all("SELECT name, sha256 FROM part.opened")])
         whole.connection.execute("INSERT OR IGNORE INTO cell (words) SELECT words FROM part.cell")
         whole.connection.execute(
             "INSERT OR IGNORE INTO episode "
