@@ -119,8 +119,8 @@ class EpisodeRunner:
             ]
             each_s = (time.perf_counter() - begun_s) / max(len(rows), 1)
             found, self._noted = noted(self._noted)
-            here = self.plan.file.resolve().parent
-            opened = tuple((os.path.relpath(path, here), sha256) for path, sha256 in found)
+            here, own = self.plan.file.resolve().parent, {file.sha256 for file in self.plan.files}
+            opened = tuple((os.path.relpath(path, here), sha) for module, path, sha in found if module in own)
             yield from (replace(row, seconds=each_s, opened=opened if row is rows[0] else ()) for row in rows)
 
     def scenario(

@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from functools import cached_property, partial
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -142,7 +143,7 @@ class Ledger:
     def refuse_other_plan(self, plan: Plan) -> None:
         """As ``refuse_other``, and for other bytes of a file that the user's own module opened in a run."""
         self.refuse_other(plan.identity)
-        there = self.opened
+        there = {name: sha256 for name, sha256 in self.opened.items() if sha256}
         now = {name: sha256_of(plan.file.resolve().parent / name) for name in there}
         Identity(tuple(there.items())).refuse_other(
             Identity(tuple(now.items())), self.path, hint="put it back as it was, or begin another ledger"
@@ -150,15 +151,20 @@ class Ledger:
 
     @property
     def opened(self) -> dict[str, str]:
-        """The files that modules of the user's opened, named from the plan's folder, and their SHA-256."""
+        """The files that modules of the user's opened, named from the plan's folder, and their SHA-256.
+
+        It is empty for those that they write themselves.
+        """
         found = list(self.all("SELECT 1 FROM sqlite_master WHERE name = 'opened' AND type = 'table'"))
         return dict(self.all("SELECT name, sha256 FROM opened ORDER BY name")) if found else {}
 
     def take_opened(self, files: Iterable[tuple[str, str]]) -> None:
         """Note files down; LedgerError for one of which earlier runs read other bytes."""
-        for name, sha256 in files:
-            self.connection.execute("INSERT OR IGNORE INTO opened VALUES (?, ?)", (name, sha256))
-            if self.opened[name] != sha256:
+        for name, sha256 in sorted(files, key=itemgetter(1)):  # those that are written first
+            known = self.opened.get(name)
+            if not sha256 or known is None:
+                self.connection.execute("INSERT OR REPLACE INTO opened VALUES (?, ?)", (name, sha256))
+            elif known not in ("", sha256):
                 expected = f"{name} as earlier runs opened it"
                 raise unusable(self.path, expected, "other bytes: it was written while runs were made")
 

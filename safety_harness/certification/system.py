@@ -53,7 +53,7 @@ def system_of(plan: Plan, opened: Mapping[str, str]) -> SystemDescription:
         limits=() if model is None else tuple(str(one) for one in model.card.get("limits", ())),
         gate=() if first.driven else tuple(_gate(first.settings, model, named=first.avoider in NAMES)),
         settings=(
-            *((f"file {name}", f"sha256 {sha256}") for name, sha256 in opened.items()),
+            *((f"file {name}", f"sha256 {sha256}") for name, sha256 in opened.items() if sha256),
             *_settings("", first.settings),
         ),
         changed=tuple(changed),

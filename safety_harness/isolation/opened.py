@@ -32,21 +32,26 @@ def environment() -> tuple[Mapping[str, str], int]:
     return {**os.environ, _JOURNAL: str(_journals[own])}, _journals[own]
 
 
-def noted(begin: int) -> tuple[list[tuple[str, str]], int]:
-    """(path, SHA-256) of what was noted from that byte of the journal on, and where the journal ends now."""
+def noted(begin: int) -> tuple[list[tuple[str, str, str]], int]:
+    """What was noted from that byte of the journal on, and where the journal ends now.
+
+    (SHA-256 of the module, path, SHA-256 of the file), which is empty for one that the module writes itself:
+    that is its memory, and no part of it.
+    """
     journal = _journals.get(os.getpid())
     data = b"" if journal is None else os.pread(journal, os.fstat(journal).st_size - begin, begin)
     whole = data[: data.rfind(b"\n") + 1]
-    lines = (line.partition(b" ") for line in whole.splitlines())
-    return [(os.fsdecode(path), sha256.decode()) for sha256, _, path in lines], begin + len(whole)
+    lines = (line.split(b" ", 2) for line in whole.splitlines())
+    found = [(module.decode(), os.fsdecode(path), sha256.decode()) for module, sha256, path in lines]
+    return found, begin + len(whole)
 
 
-def watch(module: Path) -> None:
+def watch(module: Path, source: bytes) -> None:
     """Note what is read below the project of ``module`` from now on, if this process was told to."""
     if _JOURNAL in os.environ:
         journal = int(os.environ.pop(_JOURNAL))
         os.set_inheritable(journal, False)
-        _hooks.append(_Hook(journal, module))
+        _hooks.append(_Hook(journal, module, source))
         sys.addaudithook(_hooks[0])
 
 
@@ -67,27 +72,33 @@ def sha256_of(path: str | Path) -> str:
 class _Hook:
     """Files below the project's folder: the nearest that is marked as one, else the working directory."""
 
-    def __init__(self, journal: int, module: Path) -> None:
+    def __init__(self, journal: int, module: Path, source: bytes) -> None:
         marked = (one for one in module.parents if any((one / mark).exists() for mark in _MARKS))
         here = Path.cwd() if Path.cwd() in module.parents else module.parent
         self._journal, self._module = journal, str(module)
+        self._begins = f"{hashlib.sha256(source).hexdigest()} "
         self._folder = os.path.join(next(marked, here), "")
         self._seen: set[tuple[str, int, int]] = set()
+        self._written: set[str] = set()
 
     def __call__(self, event: str, told: tuple[object, ...]) -> None:
         place = _SEEN_AS.get(event)
-        if place is None or (event == "open" and isinstance(told[2], int) and told[2] & os.O_ACCMODE):
-            return
-        if isinstance(told[place], str | bytes | os.PathLike):
+        if place is not None and isinstance(told[place], str | bytes | os.PathLike):
+            written = event == "open" and isinstance(told[2], int) and bool(told[2] & os.O_ACCMODE)
             with suppress(OSError, ValueError):  # it is for who opens it to say what is wrong
-                self._note(os.path.abspath(os.fsdecode(told[place])))  # type: ignore[arg-type]
+                self._look(os.path.abspath(os.fsdecode(told[place])), written)  # type: ignore[arg-type]
 
-    def _note(self, path: str) -> None:
+    def _look(self, path: str, written: bool) -> None:
         if "/__pycache__/" in path:
             path = source_from_cache(path) if path.endswith(".pyc") else ""
         if not path.startswith(self._folder) or path == self._module or "-packages/" in path:
             return
-        if not any(path.startswith(library + os.sep) for library in _LIBRARIES) and os.path.isfile(path):
+        if any(path.startswith(library + os.sep) for library in _LIBRARIES):
+            return
+        if written and path not in self._written:
+            self._written.add(path)
+            self._write("", path)
+        elif path not in self._written and os.path.isfile(path):
             self.note(path)
 
     def note(self, path: str) -> None:
@@ -97,4 +108,7 @@ class _Hook:
         if key not in self._seen:
             self._seen.add(key)
             if sha256 := sha256_of(path):
-                os.write(self._journal, f"{sha256} ".encode() + os.fsencode(path) + b"\n")
+                self._write(sha256, path)
+
+    def _write(self, sha256: str, path: str) -> None:
+        os.write(self._journal, f"{self._begins}{sha256} ".encode() + os.fsencode(path) + b"\n")

@@ -99,7 +99,7 @@ def made_by(path: Path, source: bytes, name: str, what: str, place: Place, hint:
 
     InadmissibleError at ``place`` if it has none; ``what`` it should be, "an avoider", and where to read on.
     """
-    watch(path)
+    watch(path, source)
     module = _module(path, source, place)
     try:
         for file in getattr(module, DECLARED, ()):

@@ -107,7 +107,8 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Plan, Path]:
 def test_all_that_is_read_is_noted_and_nothing_else(run: tuple[Plan, Path]) -> None:
     """By json, numpy and zipfile, by an import, in an answer, by declaration; not what is written."""
     with Ledger.open(run[1]) as ledger:
-        assert set(ledger.opened) == FILES
+        assert {name for name, sha256 in ledger.opened.items() if sha256} == FILES
+        assert ledger.opened["log.txt"] == ""
         described = gather(run[0], ledger, run[1].parent, command="").evidence.system.settings
     assert {name for name, _ in described} >= {f"file {name}" for name in FILES}
 
@@ -160,6 +161,32 @@ def test_an_answer_that_is_another_now_takes_the_bound_away(
         assert "asked again alone" in ledger.dependent
 
 
+def test_what_a_module_writes_itself_is_its_memory(tmp_path: Path) -> None:
+    """It is asked again and found out; no run is refused for it."""
+    (tmp_path / "late.txt").write_text("1")
+    memory = (
+        AVOIDER[: AVOIDER.index("from layers")]
+        + """
+HERE = Path(__file__).parent
+
+class Mine:
+    name = "mine"
+
+    def propose(self, *, hand_position_in_base_m, tcp_position_in_base_m, seed):
+        count = int((HERE / "late.txt").read_text())
+        (HERE / "late.txt").write_text(str(count + 1))
+        return Proposal(tcp_position_in_base_m + [-0.02, 0.07, 0.001 * count])
+"""
+    )
+    (tmp_path / "mine.py").write_text(memory)
+    plan = plan_in(tmp_path, PLAN.format(tested="avoider: mine.py:Mine"), TEXT)
+    assert carry_on(plan, tmp_path / "ledger.sqlite", processes(1))
+    with Ledger.open(tmp_path / "ledger.sqlite") as ledger:
+        assert ledger.opened == {"late.txt": ""}
+        assert "remembers" in ledger.dependent
+    assert carry_on(plan, tmp_path / "ledger.sqlite", processes(1))
+
+
 def test_a_file_that_is_written_while_runs_are_made_ends_them(run: tuple[Plan, Path]) -> None:
     with Ledger.open(run[1], write=True) as ledger, pytest.raises(LedgerError, match=r"w\.npy as earlier"):
         ledger.take_opened([("w.npy", "0" * 64)])
@@ -171,7 +198,7 @@ def test_parts_that_read_other_files_do_not_become_one(run: tuple[Plan, Path], t
     part.write_bytes(path.read_bytes())
     assert merge(tmp_path / "whole.sqlite", [path, part]) == 4
     with Ledger.open(tmp_path / "whole.sqlite") as whole:
-        assert set(whole.opened) == FILES
+        assert set(whole.opened) == {*FILES, "log.txt"}
     with Ledger.open(part, write=True) as ledger, ledger.transaction():
         ledger.connection.execute("UPDATE opened SET sha256 = 'other' WHERE name = 'w.npy'")
     with pytest.raises(LedgerError, match=r"w\.npy as earlier"):
