@@ -116,14 +116,14 @@ def _fitted(field: Field) -> CountedApproaches:
     try:
         fit = found["result"]["fit"]
         count, hours = fit["approaches"], fit["hours"]
-        recordings = len(fit["recordings"])
+        files = len(fit["recordings"])
     except (KeyError, TypeError):
         raise field.error("the JSON that hands fit --json printed", got=f"{name}, which has no fit") from None
     whole = isinstance(count, int) and not isinstance(count, bool) and count >= 0
     if not whole or not isinstance(hours, int | float) or isinstance(hours, bool) or not hours > 0.0:
         got = f"{name}: {str(count)[:40]} in {str(hours)[:40]} h"
         raise field.error("a number of approaches, in more than no hours", got=got)
-    source = f"{recordings} recordings of hands, {name}"
+    source = f"hands fit of {files} file{'s' if files != 1 else ''}, {name}"
     return CountedApproaches(count=count, hours=float(hours), source=source, file=file)
 
 

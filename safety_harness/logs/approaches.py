@@ -3,6 +3,10 @@
 A hand moves while its speed, over a tenth of a second, is at least 100 mm/s; what is shorter than 50 mm is no
 move, and what stands for less than 100 ms between two moves is none either.  An approach is a move that ends
 100 mm nearer to the TCP than it began, and within 600 mm of it.
+
+How often hands came is counted more cautiously, for an upper bound: a move counts as often as it comes so
+much nearer, also where it turns back without a stand; a move that a gap cuts counts, and so does a gap across
+which the hand came nearer.  The time is the clock's, while any hand was seen.
 """
 
 from __future__ import annotations
@@ -44,9 +48,13 @@ class Approach:
 
 @dataclass(eq=False)
 class Watched:
-    """The approaches of some hands, for how long these were watched, and what was left out."""
+    """The approaches of some hands, for how long any was watched, and what is no approach of its own.
+
+    ``counted`` is how often hands may have come: of no use but for an upper bound.
+    """
 
     approaches: list[Approach] = field(default_factory=list)
+    counted: int = 0
     seconds: float = 0.0
     moves: int = 0
     cut: int = 0  # moves whose beginning or end was not seen
@@ -56,6 +64,7 @@ class Watched:
     def add(self, other: Watched) -> None:
         """Those of ``other`` too."""
         self.approaches += other.approaches
+        self.counted += other.counted
         self.seconds, self.moves = self.seconds + other.seconds, self.moves + other.moves
         self.cut, self.gaps = self.cut + other.cut, self.gaps + other.gaps
         self.fastest_mps = max(self.fastest_mps, other.fastest_mps)
@@ -67,28 +76,60 @@ def approaches_of(log: CellLog) -> Watched:
     if facts is None:
         return found
     found.fastest_mps = facts.moves_at_most_mps
-    arm = arm_model(log.robot)
+    arm, seen_s = arm_model(log.robot), list[tuple[float, float]]()
     for body in log.hands:
         time_s = log.seconds(body.hand, of_hands=True)
         breaks = np.flatnonzero(np.diff(time_s) > facts.longest_gap_s) + 1
         found.gaps += len(breaks)
         bounds = [0, *breaks.tolist(), len(time_s)]
+        cut_before = True
         for begin, end in pairwise(bounds):
-            _piece(found, time_s[begin:end], body.hand.values[begin:end], log, arm)
+            part = time_s[begin:end]
+            cut, cut_after = _piece(found, part, body.hand.values[begin:end], log, arm)
+            if not (cut_before or cut):  # nothing moved where the gap began, or where it ended
+                across = slice(begin - 1, begin + 1)
+                found.counted += _reaches(log, arm, time_s[across], body.hand.values[across])
+            cut_before = cut_after
+            seen_s.append((float(max(part[0], 0.0)), float(min(part[-1], log.seconds(log.joints)[-1]))))
+    until_s = 0.0
+    for first_s, last_s in sorted(seen_s):
+        found.seconds += max(last_s - max(first_s, until_s), 0.0)
+        until_s = max(until_s, last_s)
     return found
 
 
-def _piece(found: Watched, time_s: Floats, hand_m: Floats, log: CellLog, arm: ArmModel) -> None:
-    """The moves of a hand that was never lost, ``hand_m`` (n, 3) at ``time_s`` (n,)."""
+def _reaches(log: CellLog, arm: ArmModel, time_s: Floats, hand_m: Floats) -> int:
+    """How often ``hand_m`` (n, 3) comes NEARER_M nearer to the TCP than it was, and within NEAR_M of it."""
+    tcp_m = np.array([_tcp_m(log, arm, at_s) for at_s in time_s.tolist()])
+    count, away, least_m, most_m = 0, True, np.inf, -np.inf
+    for distance_m in np.linalg.norm(hand_m - tcp_m, axis=1).tolist():
+        most_m, least_m = max(most_m, distance_m), min(least_m, distance_m)
+        if away and distance_m <= min(most_m - NEARER_M, NEAR_M):
+            count, away, least_m = count + 1, False, distance_m
+        elif not away and distance_m >= least_m + NEARER_M:
+            away, most_m = True, distance_m
+    return count
+
+
+def _piece(found: Watched, time_s: Floats, hand_m: Floats, log: CellLog, arm: ArmModel) -> tuple[bool, bool]:
+    """The moves of a hand that was never lost, ``hand_m`` (n, 3) at ``time_s`` (n,).
+
+    Was one cut at the beginning, or at the end?
+    """
     inside = (time_s >= 0.0) & (time_s <= log.seconds(log.joints)[-1])
     time_s, hand_m = time_s[inside], hand_m[inside]
     if len(time_s) < 3 or time_s[-1] - time_s[0] < 3.0 * WINDOW_S:
-        return
-    found.seconds += float(time_s[-1] - time_s[0])
+        moved = bool(np.linalg.norm(np.diff(hand_m, axis=0), axis=1).sum() >= LEAST_WAY_M)
+        found.cut, found.counted = found.cut + moved, found.counted + moved
+        return moved, moved
     speed_mps = _speed(time_s, hand_m)
     stood_s: float | None = None
+    cuts = False, False
     for first, after, dwell_s, whole in _moves(time_s, hand_m, speed_mps):
         found.moves += 1
+        cuts = cuts[0] or first == 0, after == len(time_s) - 1
+        way = slice(first, after + 1)
+        found.counted += max(_reaches(log, arm, time_s[way], hand_m[way]), not whole)
         stood_before_s, stood_s = stood_s, dwell_s
         if not whole:
             found.cut += 1
@@ -112,6 +153,7 @@ def _piece(found: Watched, time_s: Floats, hand_m: Floats, log: CellLog, arm: Ar
             )
         )
         stood_s = None
+    return cuts
 
 
 def _speed(time_s: Floats, hand_m: Floats) -> Floats:

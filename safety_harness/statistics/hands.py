@@ -78,7 +78,8 @@ class FittedQuantity:
             return texts[0] if len(texts) == 1 else f"one of {', '.join(texts)}"
         first, second = (one.parameters[key] for key in one.parameters)
         if one.family == "uniform":
-            return f"from {written(first)} to {written(second)}"
+            ends = dict.fromkeys((written(first), written(second)))
+            return f"from {' to '.join(ends)}" if len(ends) > 1 else written(first)
         bounds = f"from {written(self.low)} to {written(self.high)}"
         return f"normal {written(first)} +- {round(second * per_si, 3):.10g} {unit} {bounds}"
 
@@ -116,7 +117,7 @@ class HandsFit:
 
 def fit_hands(logs: Sequence[CellLog], *, seed: int) -> HandsFit:
     """What the hands of ``logs`` did; LogError for too few approaches to say anything of them."""
-    watched = Watched()
+    watched, recordings = Watched(), _recordings(logs)
     for log in logs:
         watched.add(approaches_of(log))
     found = watched.approaches
@@ -124,7 +125,7 @@ def fit_hands(logs: Sequence[CellLog], *, seed: int) -> HandsFit:
         raise LogError(
             place=Place(file=logs[0].file),
             expected=f"{LEAST_APPROACHES} approaches at least, in all the logs",
-            got=f"{len(found)}, among {watched.moves} moves in {watched.seconds:.1f} s of hands",
+            got=f"{len(found)}, among {watched.moves} moves in {watched.seconds:.1f} s with hands",
             hint=f"one ends 100 mm nearer to the TCP than it began, and within {NEAR_M * 1e3:g} mm of it",
         )
     quantities, lacking = [], []
@@ -140,12 +141,12 @@ def fit_hands(logs: Sequence[CellLog], *, seed: int) -> HandsFit:
     return HandsFit(
         quantities=tuple(quantities),
         direction=_direction(found),
-        approaches=len(found),
+        approaches=watched.counted,
         hours=hours,
-        per_hour=len(found) / hours,
-        per_hour_interval=_rate_interval(len(found), hours),
+        per_hour=watched.counted / hours,
+        per_hour_interval=_rate_interval(watched.counted, hours),
         fastest_mps=watched.fastest_mps,
-        recordings=_recordings(logs),
+        recordings=recordings,
         notes=(*_notes(watched, quantities), *lacking),
         seed=seed,
     )
@@ -192,12 +193,20 @@ def _rate_interval(count: int, hours: float) -> tuple[float, float]:
 
 
 def _recordings(logs: Sequence[CellLog]) -> tuple[tuple[str, str], ...]:
+    """Their files and hashes; LogError for a file that two logs have, since its time would count twice."""
     found: dict[Path, str] = {}
     for log in logs:
+        known = {digest: file for file, digest in found.items()}
         for file in log.files:
-            if file not in found:
-                with file.open("rb") as stream:
-                    found[file] = hashlib.file_digest(stream, "sha256").hexdigest()
+            with file.open("rb") as stream:
+                digest = hashlib.file_digest(stream, "sha256").hexdigest()
+            if digest in known:
+                raise LogError(
+                    place=Place(file=log.file),
+                    expected="each recording once",
+                    got=f"{told(file)}, with the bytes of {told(known[digest])}, of another log",
+                )
+            found[file] = digest
     return tuple((str(told(file)), digest) for file, digest in found.items())
 
 
@@ -206,7 +215,9 @@ def _notes(watched: Watched, quantities: Sequence[FittedQuantity]) -> list[str]:
     if watched.gaps:
         found.append(f"{watched.gaps} gaps longer than said: what was going on there is left out")
     if watched.cut:
-        found.append(f"{watched.cut} moves whose beginning or end was not seen are left out")
+        found.append(f"{watched.cut} moves whose beginning or end was not seen are counted, no more")
+    if more := watched.counted - watched.cut - len(watched.approaches):
+        found.append(f"{more} more counted: reaches that turned back without a stand, or came in a gap")
     hard = sum(one.acceleration_mps2 > HARD * one.speed_mps / WINDOW_S for one in watched.approaches)
     if hard:
         found.append(
@@ -217,6 +228,9 @@ def _notes(watched: Watched, quantities: Sequence[FittedQuantity]) -> list[str]:
             found.append(f"{one.name}: no family fits, so that the recorded values stand for themselves")
         elif len(one.values) < WEAK_BELOW:
             found.append(f"{one.name}: with {len(one.values)} values a wrong family is seldom found")
+    found.append(
+        "approaches count as independent: the interval is too narrow where the same people come many times"
+    )
     found.append("quantities are drawn one by one: what goes together in people is not kept")
     return found
 
@@ -229,10 +243,13 @@ def space_text(found: HandsFit) -> str:
     mean = [float(np.mean(by_name[f"start {axis}"].values)) for axis in AXES]
     elbow = [p + m + ELBOW_BEHIND_M * d for p, m, d in zip(tcp, mean, found.direction.mean, strict=True)]
     stay: list[Tree] = [{"wait": by_name[DWELL].text}] if DWELL in by_name else []
-    come: dict[str, Tree] = {"reach for tcp": "the reach speed", "until": by_name[END].text, "at most": "4 s"}
+    speed, words = by_name[SPEED_OF].text, ("from ", "normal ", "one of ")
+    choices: dict[str, Tree] = {"choices": {"reach speed": speed}} if speed.startswith(words) else {}
+    speed = "the reach speed" if choices else speed
+    come: dict[str, Tree] = {"reach for tcp": speed, "until": by_name[END].text, "at most": "4 s"}
     pause: list[Tree] = [{"wait": by_name[PAUSE].text}] if PAUSE in by_name else []
     times = max(1, round(found.per_hour / 3600.0 * 20.0))
-    moves: list[Tree] = [*pause, come, *stay, {"withdraw": "the reach speed"}]
+    moves: list[Tree] = [*pause, come, *stay, {"withdraw": speed}]
     repeated: Tree = {"repeat": f"from 1 to {times} times", "moves": moves}
     tree: dict[str, Tree] = {
         "scenario space": "hands as they were recorded",
@@ -241,7 +258,7 @@ def space_text(found: HandsFit) -> str:
         ),
         "duration": "20 s",
         "avoider": "opposite pose",
-        "choices": {"reach speed": by_name[SPEED_OF].text},
+        **choices,
         "tcp start": {"offset": ["0 mm", "0 mm", "0 mm"]},
         "hands": [
             {

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -148,6 +149,72 @@ def test_a_gap_is_told_and_what_it_cuts_is_left_out(tmp_path: Path) -> None:
     assert watched.cut >= 1 or len(watched.approaches) < 12
     whole_s = float(read_log(tmp_path / "LOG.yaml").hands[0].hand.time_ns[-1]) / 1e9
     assert watched.seconds == pytest.approx(whole_s - 2.0, abs=0.3)
+
+
+MOST_MISSED = 20
+
+
+def planted(folder: Path, what: str) -> Path:
+    """The log of 20 approaches in which something hides them, or makes the time longer."""
+    file = write(folder, MOST_MISSED)
+    lines = (folder / "hands.csv").read_text().splitlines()
+    rows = np.array([line.split(",") for line in lines[1:]], float)
+    near = np.linalg.norm(rows[:, 1:] - TCP_M, axis=1)
+    header = lines[0]
+    if what == "a second hand rests":
+        rest = np.tile([1.5, 1.5, 0.5], (len(rows), 1))
+        rows, header = np.hstack([rows, rest]), header + ",other_x_m,other_y_m,other_z_m"
+        file.write_text(TEXT.replace("hands.csv#hand", "{one: 'hands.csv#hand', two: 'hands.csv#other'}"))
+    coming = np.append(np.diff(near) < -1e-4, False)
+    first = np.flatnonzero(coming & ~np.roll(coming, 1) & (near > 0.6))
+    lost = np.zeros(len(rows), bool)
+    first = [k for k in first if near[k : k + 80].min() < 0.45]
+    for k in first[8:] if what.startswith("approaches begin") else []:
+        lost[max(k - 5, 0) : k + (11 if what.endswith("gap") else 60)] = True
+    if what == "quick reaches":
+        still = np.append(np.linalg.norm(np.diff(rows[:, 1:], axis=0), axis=1) < 1e-9, False)
+        dwelling = still & (near < 0.5)
+        dwelling &= np.cumsum(dwelling & ~np.roll(dwelling, 1)) > 6
+        rows = rows[~dwelling]
+        rows[:, 0] = np.arange(len(rows)) / RATE_HZ
+    text = [",".join(f"{value:.6f}" for value in row) for row in rows[~lost[: len(rows)]]]
+    (folder / "hands.csv").write_text("\n".join([header, *text]) + "\n")
+    return file
+
+
+@pytest.mark.parametrize(
+    "what",
+    ["a second hand rests", "approaches begin in a gap", "approaches begin and end in one", "quick reaches"],
+)
+def test_the_bound_counts_what_hides_in_a_log(tmp_path: Path, what: str) -> None:
+    """Clock time, not hours of hands; cut moves, gaps and reaches that turn back count."""
+    log = read_log(planted(tmp_path, what))
+    hours = float(log.hands[0].hand.time_ns[-1]) / 3.6e12
+    found = fit_hands([log], seed=0)
+    assert found.approaches >= MOST_MISSED
+    assert found.approaches <= 1.6 * MOST_MISSED
+    assert found.hours <= hours
+    assert found.per_hour >= MOST_MISSED / hours
+    assert any("approaches count as independent" in note for note in found.notes)
+
+
+def test_one_recording_counts_once(tmp_path: Path) -> None:
+    """Named twice, or copied to another folder."""
+    one = write(tmp_path, 8)
+    (tmp_path / "copy").mkdir()
+    for file in list(tmp_path.glob("*.*")):
+        (tmp_path / "copy" / file.name).write_bytes(file.read_bytes())
+    for other in (one, tmp_path / "copy" / "LOG.yaml"):
+        with pytest.raises(LogError, match="expected each recording once"):
+            fit_hands([read_log(one), read_log(other)], seed=0)
+
+
+def test_approaches_of_equal_speed_are_a_space(found: HandsFit) -> None:
+    rest = [one for one in found.quantities if one.name != "speed"]
+    speed = next(one for one in found.quantities if one.name == "speed")
+    equal = replace(found, quantities=(replace(speed, values=(0.8,) * 80, fits=()), *rest))
+    assert "reach speed" not in space_text(equal)
+    assert parse_space(space_text(equal)).draw(1, 0).hands[0].moves[1].speed_mps == pytest.approx(0.8)
 
 
 def test_too_few_approaches_are_refused(tmp_path: Path) -> None:
