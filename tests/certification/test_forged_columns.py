@@ -13,11 +13,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from safety_harness.campaign.episodes import EpisodeRunner, trace_bytes
+from safety_harness.campaign.episodes import EpisodeRunner, trace_bytes, trace_of
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import Plan
 from safety_harness.certification.folder import LARGEST_TRACE_BYTES, MANIFEST, read_manifest
-from safety_harness.certification.stored import trace_of
 from safety_harness.certification.verify_files import Examination, check_files
 from safety_harness.certification.verify_report import differences, verdicts_in
 from safety_harness.certification.verify_runs import Drawing, check_runs
