@@ -24,7 +24,7 @@ from safety_harness.properties.base import (
     runs_of,
     time_left_s,
 )
-from safety_harness.properties.entry import CatalogueEntry, count, quantity
+from safety_harness.properties.entry import CatalogueEntry, count, quantity, time_within
 from safety_harness.properties.measured import columns_read_by, reads
 from safety_harness.properties.reaction import gives_way
 from safety_harness.properties.true_motion import nearest_hand_m, true_motion
@@ -258,7 +258,7 @@ GAIN_SWITCH_WITHIN = replace(
     GAIN_SWITCH,
     prop=GainSwitchReached(within_s=5.0),
     pattern=r"gain switch reached within (?!.* iterations$)(.+)",
-    make=lambda match, _, place: GainSwitchReached(within_s=quantity(match[1], TIME, place)),
+    make=lambda match, scenario, place: GainSwitchReached(within_s=time_within(match[1], scenario, place)),
     rationale="the same, for a cell with a cycle time",
     margin="time left of the time allowed",
     parameters="the time allowed",
@@ -458,7 +458,7 @@ def _words(losses: int, longest_s: float) -> str:
 OBJECT_IN_VIEW = CatalogueEntry(
     prop=ObjectInView(within_s=2.0),
     pattern=r"object in view or recovered within (.+)",
-    make=lambda match, _, place: ObjectInView(within_s=quantity(match[1], TIME, place)),
+    make=lambda match, scenario, place: ObjectInView(within_s=time_within(match[1], scenario, place)),
     rationale="servoing is blind without the object: giving way must not end the task",
     source="the paper, section 3: the features are of an object that is seen whole",
     margin="the limit less the longest time from the image that lost the object to one that shows it whole",
