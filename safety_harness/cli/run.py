@@ -37,6 +37,7 @@ from safety_harness.exceptions import InputError, OutputError, SafetyHarnessErro
 from safety_harness.interrupts import one_more_ctrl_c
 from safety_harness.properties.against import Against, RunDifference
 from safety_harness.properties.tally import table_lines, untested_lines
+from safety_harness.properties.tried import Tried
 from safety_harness.report.decisions import (
     DecisionTally,
     computing_time_lines,
@@ -189,9 +190,12 @@ class RunSession:
     def _take(self, judged: JudgedRun) -> None:
         self.runs.append(judged)
         self.repeatability.add(judged.trace)
+        tried = Tried()
+        tried.add(judged.trace)
         if self.against is None:
             say_results(judged)
         say(*(f"note: {judged.trace.scenario.name}: {note}" for note in fault_notes(judged.trace)))
+        say(*(f"note: {line}" for line in tried.lines()))
         self.interrupted = not judged.trace.complete
 
     def _compare(self, reference: JudgedRun) -> None:

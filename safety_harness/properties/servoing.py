@@ -24,7 +24,7 @@ from safety_harness.properties.base import (
     runs_of,
     time_left_s,
 )
-from safety_harness.properties.entry import CatalogueEntry, count, quantity, time_within
+from safety_harness.properties.entry import CatalogueEntry, count, quantity
 from safety_harness.properties.measured import columns_read_by, reads
 from safety_harness.properties.reaction import gives_way
 from safety_harness.properties.true_motion import nearest_hand_m, true_motion
@@ -258,7 +258,7 @@ GAIN_SWITCH_WITHIN = replace(
     GAIN_SWITCH,
     prop=GainSwitchReached(within_s=5.0),
     pattern=r"gain switch reached within (?!.* iterations$)(.+)",
-    make=lambda match, scenario, place: GainSwitchReached(within_s=time_within(match[1], scenario, place)),
+    make=lambda match, _, place: GainSwitchReached(within_s=quantity(match[1], TIME, place)),
     rationale="the same, for a cell with a cycle time",
     margin="time left of the time allowed",
     parameters="the time allowed",
@@ -415,7 +415,8 @@ NEVER_STARVED = CatalogueEntry(
 class ObjectInView:
     """``within_s`` less the longest time in which the last image did not show the whole object.
 
-    Before the first image it is not in view.  A loss that lasts to the end of the run, and not yet
+    Before the first image it is not in view.  A run that is not as long as the limit could not violate it,
+    and says nothing.  A loss that lasts to the end of the run, and not yet
     longer than the limit, leaves open whether the object is recovered in time.
     """
 
@@ -430,6 +431,9 @@ class ObjectInView:
     @reads("tcp_speed_mps", also=["object_visible"])
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge every loss from its first tick to that of the recovery."""
+        if self.within_s > trace.scenario.duration_s:
+            lasts = f"the run lasts {trace.scenario.duration_s:g} s"
+            return inconclusive(self, f"{lasts}; {self.within_s:g} s and more exercise it")
         lost = ~trace.ticks["object_visible"]
         begins, ends = runs_of(lost)
         times_s = trace.time_s
@@ -458,7 +462,7 @@ def _words(losses: int, longest_s: float) -> str:
 OBJECT_IN_VIEW = CatalogueEntry(
     prop=ObjectInView(within_s=2.0),
     pattern=r"object in view or recovered within (.+)",
-    make=lambda match, scenario, place: ObjectInView(within_s=time_within(match[1], scenario, place)),
+    make=lambda match, _, place: ObjectInView(within_s=quantity(match[1], TIME, place)),
     rationale="servoing is blind without the object: giving way must not end the task",
     source="the paper, section 3: the features are of an object that is seen whole",
     margin="the limit less the longest time from the image that lost the object to one that shows it whole",

@@ -1,0 +1,141 @@
+"""What runs left untried of what their scenarios hold: moves that never began, faults that never acted.
+
+And of a space the values that vary in these alone.  A verdict says nothing of them.  What a hand sensor does
+wrongly counts while a hand is there for whom it matters, within twice NEAR_M of the TCP.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from itertools import islice
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.compiled import compiled
+from safety_harness.properties.base import NEAR_M
+from safety_harness.properties.true_motion import nearest_hand_m
+from safety_harness.scenario.faults import (
+    OWN_KEYS,
+    HandSensorBlind,
+    HandSensorFrozen,
+    HandSensorLate,
+    HandSensorOff,
+)
+from safety_harness.scenario.model import MovingHand, Scenario
+from safety_harness.scenario.moves import MOVES
+from safety_harness.scenario.write import write_scenario
+from safety_harness.simulation.hand_motion import HandRecords, MoveRecords, advance_hands
+from safety_harness.simulation.hand_programs import hands_at_start
+from safety_harness.space.space import ScenarioSpace
+from safety_harness.trace.trace import Trace
+
+_OF_HANDS = (HandSensorBlind, HandSensorFrozen, HandSensorLate, HandSensorOff)
+LOOKED_AT = 60  # draws of a space, for those that use a value
+_NAMES = {table.kind: table.name for table in MOVES}
+
+
+@dataclass(eq=False)
+class Tried:
+    """Of runs by their scenarios' titles: each move and each fault, and whether any run tried it."""
+
+    runs: dict[str, int] = field(default_factory=dict)
+    parts: dict[str, dict[str, bool]] = field(default_factory=dict)
+
+    def add(self, trace: Trace) -> None:
+        """One run more; one that was cut short says nothing."""
+        scenario, parts = trace.scenario, dict(_parts(trace.scenario))
+        if not (parts and trace.complete):
+            return
+        near = nearest_hand_m(trace) < 2.0 * NEAR_M
+        faults = [
+            bool(((trace.ticks["faults"] >> k & 1 != 0) & (near | (not isinstance(fault, _OF_HANDS)))).any())
+            for k, fault in enumerate(scenario.faults)
+        ]
+        begun = moves_begun(scenario, trace.ticks["transform_tcp_to_base"][:, :3, 3])
+        self.join(scenario.title, 1, dict(zip(parts, [*begun, *faults], strict=True)))
+
+    def join(self, title: str, runs: int, parts: dict[str, bool]) -> None:
+        """As many runs more of that title."""
+        known = self.parts.setdefault(title, {})
+        known |= {part: tried or known.get(part, False) for part, tried in parts.items()}
+        self.runs[title] = self.runs.get(title, 0) + runs
+
+    def lines(self, *spaces: ScenarioSpace) -> list[str]:
+        """What no run tried, a line for each title; with the values of ``spaces`` that vary in that alone."""
+        titled, lines = {space.title: space for space in spaces}, []
+        for title, parts in self.parts.items():
+            idle = [part for part, tried in parts.items() if not tried]
+            values = untried_values(titled[title], idle) if idle and title in titled else []
+            idle += [f"{name}, which varies" for name in values]
+            if idle:
+                runs = f"{self.runs[title]} runs" if self.runs[title] > 1 else "the run"
+                lines.append(f"untried in {runs} of {title!r}, and nothing is known of: {'; '.join(idle)}")
+        return lines
+
+
+def _parts(scenario: Scenario) -> Iterator[tuple[str, object]]:
+    """Every move and every fault, in words that the draws of a space share; each with what it is."""
+    for hand in scenario.hands:
+        for number, move in enumerate(hand.moves if isinstance(hand, MovingHand) else (), start=1):
+            yield f"move {number} of {hand.name} ({_NAMES[type(move)]})", move
+    for number, fault in enumerate(scenario.faults, start=1):
+        own = OWN_KEYS[type(fault)]
+        yield f"fault {number} ({own.told_by} {own.name})", fault
+
+
+def moves_begun(scenario: Scenario, tcp_in_base_m: NDArray[np.float64]) -> list[bool]:
+    """Of every move, hand by hand, whether it began with the TCP at ``tcp_in_base_m`` (n, 3) at the ticks."""
+    hands, period_s = hands_at_start(scenario), scenario.settings.clock.control_period_s
+    _follow(hands.state, hands.moves, hands.samples, np.ascontiguousarray(tcp_in_base_m), period_s)
+    found = []
+    for state, hand in zip(hands.state, scenario.hands, strict=False):
+        if not isinstance(hand, MovingHand):
+            continue
+        steps = hands.moves[state["first"] : state["first"] + state["count"]]
+        at = int(steps["after"][0]) if hand.delay_s > 0.0 else 0
+        for _ in hand.moves:
+            under_way = state["current"] == at and state["elapsed_s"] > 0.0
+            found.append(bool(at < len(steps) and (state["current"] > at or under_way)))
+            at = int(steps["after"][at]) if at < len(steps) else at
+    return found
+
+
+@compiled
+def _follow(
+    hands: HandRecords,
+    moves: MoveRecords,
+    samples: NDArray[np.float64],  # (s, 7)
+    tcp_in_base_m: NDArray[np.float64],  # (n, 3)
+    period_s: float,
+) -> None:
+    for k in range(tcp_in_base_m.shape[0] - 1):
+        advance_hands(hands, moves, samples, tcp_in_base_m[k], k * period_s, period_s)
+
+
+def untried_values(space: ScenarioSpace, idle: list[str]) -> list[str]:
+    """The names of the values of a space that change nothing but the parts ``idle``."""
+    rows = space.values_of_draws(range(LOOKED_AT), 0)
+    every, found = zip(space.parameters, space.used_by(rows), strict=True), []
+    for parameter, used in every:
+        changed = set()
+        for row in islice(rows[used], 3):
+            other = space.cube_at(row[None])[0]
+            other[parameter.columns] = (other[parameter.columns] + 0.5) % 1.0
+            changed |= _differing(space.scenario(row), space.at(other))
+        if changed and changed <= set(idle):
+            found.append(parameter.name)
+    return found
+
+
+def _differing(one: Scenario, other: Scenario) -> set[str]:
+    """The moves and faults in which two scenarios differ, and an empty word if they do in anything else."""
+    mine, others = dict(_parts(one)), dict(_parts(other))
+    changed = {part for part in mine.keys() | others.keys() if mine.get(part) != others.get(part)}
+    return changed | ({""} if _rest(one) != _rest(other) else set())
+
+
+def _rest(scenario: Scenario) -> str:
+    hands = (replace(h, moves=()) if isinstance(h, MovingHand) else h for h in scenario.hands)
+    return write_scenario(replace(scenario, hands=tuple(hands), faults=()))
