@@ -104,6 +104,7 @@ def certify(
     from safety_harness.certification.folder import PAGE
     from safety_harness.certification.verdicts import overruling_line, percent
     from safety_harness.cli.progress import watching_campaign, watching_search, watching_words
+    from safety_harness.properties.tried import UNTRIED
     from safety_harness.scenario.files import told
     from safety_harness.scenario.model import Driver
     from safety_harness.scenario.typed_json import plain
@@ -152,6 +153,7 @@ def certify(
         result(f"all {bounds} bounds of the report hold together with {confidence} confidence")
     if evidence.fallback:
         result(evidence.fallback)
+    result(*(f"note: {one.text}" for one in evidence.findings if f": {UNTRIED} " in one.text))
     result(f"{job.folder / PAGE}")
     if not complete:
         say("interrupted: the report says what is missing; the same command goes on from there")

@@ -190,12 +190,10 @@ class RunSession:
     def _take(self, judged: JudgedRun) -> None:
         self.runs.append(judged)
         self.repeatability.add(judged.trace)
-        tried = Tried()
-        tried.add(judged.trace)
         if self.against is None:
             say_results(judged)
         say(*(f"note: {judged.trace.scenario.name}: {note}" for note in fault_notes(judged.trace)))
-        say(*(f"note: {line}" for line in tried.lines()))
+        say(*(f"note: {line}" for line in Tried.of(judged.trace).lines()))
         self.interrupted = not judged.trace.complete
 
     def _compare(self, reference: JudgedRun) -> None:

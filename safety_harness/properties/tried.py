@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from itertools import islice
+from typing import get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,7 @@ from safety_harness.properties.base import NEAR_M
 from safety_harness.properties.true_motion import nearest_hand_m
 from safety_harness.scenario.faults import (
     OWN_KEYS,
+    AvoiderFault,
     HandSensorBlind,
     HandSensorFrozen,
     HandSensorLate,
@@ -32,6 +34,8 @@ from safety_harness.space.space import ScenarioSpace
 from safety_harness.trace.trace import Trace
 
 _OF_HANDS = (HandSensorBlind, HandSensorFrozen, HandSensorLate, HandSensorOff)
+STEP_S = 0.02
+UNTRIED = "untried in"
 LOOKED_AT = 60  # draws of a space, for those that use a value
 _NAMES = {table.kind: table.name for table in MOVES}
 
@@ -43,6 +47,14 @@ class Tried:
     runs: dict[str, int] = field(default_factory=dict)
     parts: dict[str, dict[str, bool]] = field(default_factory=dict)
 
+    @classmethod
+    def of(cls, *traces: Trace) -> Tried:
+        """What ``traces`` tried."""
+        tried = cls()
+        for trace in traces:
+            tried.add(trace)
+        return tried
+
     def add(self, trace: Trace) -> None:
         """One run more; one that was cut short says nothing."""
         scenario, parts = trace.scenario, dict(_parts(trace.scenario))
@@ -53,25 +65,46 @@ class Tried:
             bool(((trace.ticks["faults"] >> k & 1 != 0) & (near | (not isinstance(fault, _OF_HANDS)))).any())
             for k, fault in enumerate(scenario.faults)
         ]
-        begun = moves_begun(scenario, trace.ticks["transform_tcp_to_base"][:, :3, 3])
-        self.join(scenario.title, 1, dict(zip(parts, [*begun, *faults], strict=True)))
+        tcp_m, period_s = (
+            trace.ticks["transform_tcp_to_base"][:, :3, 3],
+            scenario.settings.clock.control_period_s,
+        )
+        begun, _ = moves_begun(scenario, tcp_m, period_s)
+        self.join(scenario.title, dict(zip(parts, [*begun, *faults], strict=True)))
 
-    def join(self, title: str, runs: int, parts: dict[str, bool]) -> None:
-        """As many runs more of that title."""
+    def suppose(self, scenario: Scenario, tcp_in_base_m: NDArray[np.float64]) -> None:
+        """What a run would try with the TCP at ``tcp_in_base_m`` (3,) all along; what is not told is tried."""
+        times_s = np.arange(0.0, scenario.duration_s + STEP_S, STEP_S)
+        begun, nearest_m = moves_begun(scenario, np.tile(tcp_in_base_m, (len(times_s), 1)), STEP_S)
+        faults = [
+            bool((nearest_m[(times_s >= fault.from_s) & (times_s < fault.end_s)] < 2.0 * NEAR_M).any())
+            for fault in scenario.faults
+        ]
+        untold = [not isinstance(fault, (*_OF_HANDS, *get_args(AvoiderFault))) for fault in scenario.faults]
+        tried = [one or other for one, other in zip(faults, untold, strict=True)]
+        self.join(scenario.title, dict(zip(dict(_parts(scenario)), [*begun, *tried], strict=True)))
+
+    def join(self, title: str, parts: dict[str, bool], runs: int = 1) -> None:
+        """As many runs more, of that title."""
         known = self.parts.setdefault(title, {})
         known |= {part: tried or known.get(part, False) for part, tried in parts.items()}
         self.runs[title] = self.runs.get(title, 0) + runs
 
-    def lines(self, *spaces: ScenarioSpace) -> list[str]:
-        """What no run tried, a line for each title; with the values of ``spaces`` that vary in that alone."""
+    def lines(self, *spaces: ScenarioSpace, of: str = "runs") -> list[str]:
+        """What no run tried, a line for each title; with the values of ``spaces`` that vary in that alone.
+
+        ``of``: what kind of runs they are.
+        """
         titled, lines = {space.title: space for space in spaces}, []
         for title, parts in self.parts.items():
             idle = [part for part, tried in parts.items() if not tried]
             values = untried_values(titled[title], idle) if idle and title in titled else []
             idle += [f"{name}, which varies" for name in values]
             if idle:
-                runs = f"{self.runs[title]} runs" if self.runs[title] > 1 else "the run"
-                lines.append(f"untried in {runs} of {title!r}, and nothing is known of: {'; '.join(idle)}")
+                runs = (
+                    f"{self.runs[title]} {of}" if self.runs[title] > 1 else f"1 {of.replace('runs', 'run')}"
+                )
+                lines.append(f"{UNTRIED} {runs} of {title!r}, and nothing is known of: {'; '.join(idle)}")
         return lines
 
 
@@ -85,10 +118,16 @@ def _parts(scenario: Scenario) -> Iterator[tuple[str, object]]:
         yield f"fault {number} ({own.told_by} {own.name})", fault
 
 
-def moves_begun(scenario: Scenario, tcp_in_base_m: NDArray[np.float64]) -> list[bool]:
-    """Of every move, hand by hand, whether it began with the TCP at ``tcp_in_base_m`` (n, 3) at the ticks."""
-    hands, period_s = hands_at_start(scenario), scenario.settings.clock.control_period_s
-    _follow(hands.state, hands.moves, hands.samples, np.ascontiguousarray(tcp_in_base_m), period_s)
+def moves_begun(
+    scenario: Scenario, tcp_in_base_m: NDArray[np.float64], period_s: float
+) -> tuple[list[bool], NDArray[np.float64]]:
+    """Of every move, hand by hand, whether it began with the TCP at ``tcp_in_base_m`` (n, 3) every period.
+
+    And (n,) how far the nearest hand was from it.
+    """
+    hands = hands_at_start(scenario)
+    tcp_m = np.ascontiguousarray(tcp_in_base_m)
+    nearest_m = _follow(hands.state, hands.moves, hands.samples, tcp_m, period_s)
     found = []
     for state, hand in zip(hands.state, scenario.hands, strict=False):
         if not isinstance(hand, MovingHand):
@@ -99,7 +138,7 @@ def moves_begun(scenario: Scenario, tcp_in_base_m: NDArray[np.float64]) -> list[
             under_way = state["current"] == at and state["elapsed_s"] > 0.0
             found.append(bool(at < len(steps) and (state["current"] > at or under_way)))
             at = int(steps["after"][at]) if at < len(steps) else at
-    return found
+    return found, nearest_m
 
 
 @compiled
@@ -109,9 +148,19 @@ def _follow(
     samples: NDArray[np.float64],  # (s, 7)
     tcp_in_base_m: NDArray[np.float64],  # (n, 3)
     period_s: float,
-) -> None:
-    for k in range(tcp_in_base_m.shape[0] - 1):
-        advance_hands(hands, moves, samples, tcp_in_base_m[k], k * period_s, period_s)
+) -> NDArray[np.float64]:
+    """(n,) the distance of the nearest hand from the TCP, while the hands go on by n - 1 periods."""
+    nearest_m = np.full(tcp_in_base_m.shape[0], np.inf)
+    for k in range(tcp_in_base_m.shape[0]):
+        for hand in range(hands.shape[0]):
+            squared = 0.0
+            for i in range(3):
+                squared += (hands[hand].position_in_base_m[i] - tcp_in_base_m[k, i]) ** 2
+            if hands[hand].present:
+                nearest_m[k] = min(nearest_m[k], np.sqrt(squared))
+        if k + 1 < tcp_in_base_m.shape[0]:
+            advance_hands(hands, moves, samples, tcp_in_base_m[k], k * period_s, period_s)
+    return nearest_m
 
 
 def untried_values(space: ScenarioSpace, idle: list[str]) -> list[str]:

@@ -68,6 +68,7 @@ class Ending:
             *self._not_taken(),
             self._overruled(),
             *self._computing_times(),
+            *self._untried(),
             *self._remarks(),
         ):
             say(line)
@@ -105,6 +106,16 @@ class Ending:
 
         runs = (ComputingTime(*values) for sent in self._sent for values in sent["computing"])
         return [f"computing time: {line}" for line in lines_of(runs)]
+
+    def _untried(self) -> list[str]:
+        """The moves and faults that no run of the session tried; each run counts once."""
+        from safety_harness.properties.tried import Tried
+
+        tried = Tried()
+        for parts in {run: parts for sent in self._sent for run, parts in sent["tried"].items()}.values():
+            for title, of_run in parts.items():
+                tried.join(title, of_run)
+        return tried.lines()
 
     def _remarks(self) -> list[str]:
         from safety_harness.testing.failure_text import near
