@@ -36,7 +36,7 @@ from safety_harness.cli.run_processes import RunProcesses, run_processes
 from safety_harness.exceptions import InputError, OutputError, SafetyHarnessError
 from safety_harness.interrupts import one_more_ctrl_c
 from safety_harness.properties.against import Against, RunDifference
-from safety_harness.properties.tally import table_lines, untested_lines
+from safety_harness.properties.tally import far_lines, table_lines, untested_lines
 from safety_harness.properties.tried import Tried
 from safety_harness.report.decisions import (
     DecisionTally,
@@ -282,7 +282,7 @@ class RunSession:
     def _say_coverage(self) -> bool:
         """How often each claim was put to the test; True if one that should have been never was."""
         found = tallies(self.runs)
-        say(*table_lines(found, columns_of(sys.stderr)))
+        say(*table_lines(found, columns_of(sys.stderr)), *far_lines(found))
         untested = untested_lines(found)
         if untested:
             say(f"error: {untested[0]}", *untested[1:])

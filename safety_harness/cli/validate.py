@@ -115,7 +115,7 @@ def _tried_space(found: tuple[Variant, Path]) -> ScenarioSpace:
     return space
 
 
-DRAWS = 10  # of a space, for what none of them would try
+DRAWS = 5  # of a space, for what none of them would try
 
 
 def _untried_of(space: ScenarioSpace) -> list[str]:

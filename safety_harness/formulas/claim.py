@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from safety_harness.exceptions import FormulaError, Place
 from safety_harness.formulas.formula import (
+    Always,
     Comparison,
     Formula,
     Globally,
@@ -76,6 +77,14 @@ class FormulaClaim:
         return str(self.formula)
 
     @property
+    def limit(self) -> float | None:
+        """Of a claim that is one comparison, asked at every tick."""
+        match parts_of(self.formula):
+            case (Always(body=Comparison() as comparison),):
+                return comparison.limit.value
+        return None
+
+    @property
     def unit(self) -> Unit:
         """Of the first part's margin."""
         return unit_of(parts_of(self.formula)[0])
@@ -97,7 +106,7 @@ class FormulaClaim:
             return inconclusive(self, problem)
         parts = tuple(judge_part(part, trace) for part in parts_of(self.formula))
         if len(parts) == 1:
-            return replace(parts[0], sentence=self.sentence)
+            return replace(parts[0], sentence=self.sentence, limit=self.limit)
         return replace(
             _deciding(parts),
             sentence=self.sentence,

@@ -76,7 +76,7 @@ class Evaluation:
     ``margin`` (SI) and ``worst_time_s`` are None where there is none to give; ``reason`` says in
     a sentence what decided; ``exercised`` counts the occasions on which the property could have
     been violated (0 for a property that was never put to the test).  ``parts`` are the words on its
-    conjuncts, if it is made of several.
+    conjuncts, if it is made of several.  ``limit`` is that of ``limit_of``.
     """
 
     sentence: str
@@ -88,6 +88,7 @@ class Evaluation:
     exercised: int
     parts: tuple[Evaluation, ...] = ()
     unmeasured: tuple[str, ...] = ()
+    limit: float | None = None
 
     def margin_text(self) -> str:
         """The margin with its sign and unit, or a dash."""
@@ -106,6 +107,18 @@ class Said(Protocol):
         """What its margins are shown in."""
 
 
+def limit_of(prop: Said) -> float | None:
+    """The one length, speed or acceleration (SI) that margins are from; None for any other property."""
+    names = ("limit", "minimum_m", "maximum_m", "maximum_mps", "maximum_mps2", "maximum_radps2")
+    return next((getattr(prop, name) for name in names if hasattr(prop, name)), None)
+
+
+def far_words(limit: float | None, least_margin: float | None) -> str:
+    """That no run came within half of a limit; empty if one did, or if there is no limit."""
+    far = limit and least_margin is not None and least_margin > 0.5 * abs(limit)
+    return "no run came within half of its limit; is it in the unit that is meant?" if far else ""
+
+
 class Property(Said, Protocol):
     """A safety property."""
 
@@ -121,6 +134,7 @@ def inconclusive(prop: Said, reason: str, *, exercised: int = 0) -> Evaluation:
         unit=prop.unit,
         reason=reason,
         exercised=exercised,
+        limit=limit_of(prop),
     )
 
 
@@ -273,4 +287,5 @@ def judged(
         worst_time_s=float(worst_time_s),
         reason=reason,
         exercised=exercised,
+        limit=limit_of(prop),
     )

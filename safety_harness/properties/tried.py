@@ -34,7 +34,7 @@ from safety_harness.space.space import ScenarioSpace
 from safety_harness.trace.trace import Trace
 
 _OF_HANDS = (HandSensorBlind, HandSensorFrozen, HandSensorLate, HandSensorOff)
-STEP_S = 0.02
+STEP_S = 0.05
 UNTRIED = "untried in"
 LOOKED_AT = 60  # draws of a space, for those that use a value
 _NAMES = {table.kind: table.name for table in MOVES}
@@ -73,7 +73,7 @@ class Tried:
         self.join(scenario.title, dict(zip(parts, [*begun, *faults], strict=True)))
 
     def suppose(self, scenario: Scenario, tcp_in_base_m: NDArray[np.float64]) -> None:
-        """What a run would try with the TCP at ``tcp_in_base_m`` (3,) all along; what is not told is tried."""
+        """What a run would try with the TCP at ``tcp_in_base_m`` (3,) throughout, or if that is not told."""
         times_s = np.arange(0.0, scenario.duration_s + STEP_S, STEP_S)
         begun, nearest_m = moves_begun(scenario, np.tile(tcp_in_base_m, (len(times_s), 1)), STEP_S)
         faults = [

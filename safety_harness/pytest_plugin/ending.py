@@ -48,11 +48,11 @@ class Ending:
         """The table of claims, the kept failures, the seed."""
         if not self._sent:
             return
-        from safety_harness.properties.tally import table_lines, untested_lines
+        from safety_harness.properties.tally import far_lines, table_lines, untested_lines
 
         say = terminalreporter.write_line
         terminalreporter.section("safety claims")
-        for line in table_lines(self._tallies()):
+        for line in (*table_lines(self._tallies()), *far_lines(self._tallies())):
             say(line)
         untested = untested_lines(self._tallies())
         for line in untested and [
