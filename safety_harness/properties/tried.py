@@ -7,24 +7,18 @@ wrongly counts while a hand is there for whom it matters, within twice NEAR_M of
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import islice
-from typing import get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled
+from safety_harness.exceptions import InputError
 from safety_harness.properties.base import NEAR_M
 from safety_harness.properties.true_motion import nearest_hand_m
-from safety_harness.scenario.faults import (
-    OWN_KEYS,
-    AvoiderFault,
-    HandSensorBlind,
-    HandSensorFrozen,
-    HandSensorLate,
-    HandSensorOff,
-)
+from safety_harness.scenario.faults import OWN_KEYS, AvoiderFault, FalseHand, HandSensorFault
 from safety_harness.scenario.model import MovingHand, Scenario
 from safety_harness.scenario.moves import MOVES
 from safety_harness.scenario.write import write_scenario
@@ -33,7 +27,6 @@ from safety_harness.simulation.hand_programs import hands_at_start
 from safety_harness.space.space import ScenarioSpace
 from safety_harness.trace.trace import Trace
 
-_OF_HANDS = (HandSensorBlind, HandSensorFrozen, HandSensorLate, HandSensorOff)
 STEP_S = 0.05
 UNTRIED = "untried in"
 LOOKED_AT = 60  # draws of a space, for those that use a value
@@ -60,29 +53,26 @@ class Tried:
         scenario, parts = trace.scenario, dict(_parts(trace.scenario))
         if not (parts and trace.complete):
             return
-        near = nearest_hand_m(trace) < 2.0 * NEAR_M
-        faults = [
-            bool(((trace.ticks["faults"] >> k & 1 != 0) & (near | (not isinstance(fault, _OF_HANDS)))).any())
-            for k, fault in enumerate(scenario.faults)
-        ]
-        tcp_m, period_s = (
-            trace.ticks["transform_tcp_to_base"][:, :3, 3],
-            scenario.settings.clock.control_period_s,
-        )
-        begun, _ = moves_begun(scenario, tcp_m, period_s)
+        near, tcp_m = nearest_hand_m(trace) < 2.0 * NEAR_M, trace.ticks["transform_tcp_to_base"][:, :3, 3]
+        acted = [trace.ticks["faults"] >> k & 1 != 0 for k in range(len(scenario.faults))]
+        of_hands = [isinstance(f, HandSensorFault) and not isinstance(f, FalseHand) for f in scenario.faults]
+        faults = [bool((near & at if one else at).any()) for one, at in zip(of_hands, acted, strict=True)]
+        begun, _ = moves_begun(scenario, tcp_m, scenario.settings.clock.control_period_s)
         self.join(scenario.title, dict(zip(parts, [*begun, *faults], strict=True)))
 
     def suppose(self, scenario: Scenario, tcp_in_base_m: NDArray[np.float64]) -> None:
         """What a run would try with the TCP at ``tcp_in_base_m`` (3,) throughout, or if that is not told."""
         times_s = np.arange(0.0, scenario.duration_s + STEP_S, STEP_S)
         begun, nearest_m = moves_begun(scenario, np.tile(tcp_in_base_m, (len(times_s), 1)), STEP_S)
+        near_s = times_s[nearest_m < 2.0 * NEAR_M]
+        invented = any(isinstance(fault, FalseHand) for fault in scenario.faults)
         faults = [
-            bool((nearest_m[(times_s >= fault.from_s) & (times_s < fault.end_s)] < 2.0 * NEAR_M).any())
+            invented
+            or not isinstance(fault, HandSensorFault | AvoiderFault)
+            or bool(((near_s >= fault.from_s) & (near_s < fault.end_s)).any())
             for fault in scenario.faults
         ]
-        untold = [not isinstance(fault, (*_OF_HANDS, *get_args(AvoiderFault))) for fault in scenario.faults]
-        tried = [one or other for one, other in zip(faults, untold, strict=True)]
-        self.join(scenario.title, dict(zip(dict(_parts(scenario)), [*begun, *tried], strict=True)))
+        self.join(scenario.title, dict(zip(dict(_parts(scenario)), [*begun, *faults], strict=True)))
 
     def join(self, title: str, parts: dict[str, bool], runs: int = 1) -> None:
         """As many runs more, of that title."""
@@ -101,9 +91,7 @@ class Tried:
             values = untried_values(titled[title], idle) if idle and title in titled else []
             idle += [f"{name}, which varies" for name in values]
             if idle:
-                runs = (
-                    f"{self.runs[title]} {of}" if self.runs[title] > 1 else f"1 {of.replace('runs', 'run')}"
-                )
+                runs = f"{self.runs[title]} {of if self.runs[title] > 1 else of.replace('runs', 'run', 1)}"
                 lines.append(f"{UNTRIED} {runs} of {title!r}, and nothing is known of: {'; '.join(idle)}")
         return lines
 
@@ -165,14 +153,14 @@ def _follow(
 
 def untried_values(space: ScenarioSpace, idle: list[str]) -> list[str]:
     """The names of the values of a space that change nothing but the parts ``idle``."""
-    rows = space.values_of_draws(range(LOOKED_AT), 0)
-    every, found = zip(space.parameters, space.used_by(rows), strict=True), []
-    for parameter, used in every:
-        changed = set()
+    rows, found = space.values_of_draws(range(LOOKED_AT), 0), []
+    for parameter, used in zip(space.parameters, space.used_by(rows), strict=True):
+        changed: set[str] = set()
         for row in islice(rows[used], 3):
-            other = space.cube_at(row[None])[0]
-            other[parameter.columns] = (other[parameter.columns] + 0.5) % 1.0
-            changed |= _differing(space.scenario(row), space.at(other))
+            with suppress(InputError):  # values that do not go together
+                other = space.cube_at(row[None])[0]
+                other[parameter.columns] = (other[parameter.columns] + 0.5) % 1.0
+                changed |= _differing(space.scenario(row), space.at(other))
         if changed and changed <= set(idle):
             found.append(parameter.name)
     return found
@@ -180,11 +168,12 @@ def untried_values(space: ScenarioSpace, idle: list[str]) -> list[str]:
 
 def _differing(one: Scenario, other: Scenario) -> set[str]:
     """The moves and faults in which two scenarios differ, and an empty word if they do in anything else."""
-    mine, others = dict(_parts(one)), dict(_parts(other))
+    (mine, rest), (others, of_other) = (_split(scenario) for scenario in (one, other))
     changed = {part for part in mine.keys() | others.keys() if mine.get(part) != others.get(part)}
-    return changed | ({""} if _rest(one) != _rest(other) else set())
+    return changed if rest == of_other else {*changed, ""}
 
 
-def _rest(scenario: Scenario) -> str:
+def _split(scenario: Scenario) -> tuple[dict[str, object], str]:
+    """Moves and faults, and what the scenario is without them."""
     hands = (replace(h, moves=()) if isinstance(h, MovingHand) else h for h in scenario.hands)
-    return write_scenario(replace(scenario, hands=tuple(hands), faults=()))
+    return dict(_parts(scenario)), write_scenario(replace(scenario, hands=tuple(hands), faults=()))
