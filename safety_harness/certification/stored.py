@@ -20,7 +20,7 @@ from safety_harness.certification.tools import CellCount, CoverageOfRuns
 from safety_harness.exceptions import TraceError
 from safety_harness.properties.protective_separation import ProtectiveSeparation
 from safety_harness.properties.spread_calibration import IntervalRule, SpreadCalibration
-from safety_harness.properties.tried import Tried
+from safety_harness.properties.tried import TriedParts
 from safety_harness.properties.true_motion import nearest_hand_m
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.search.coverage import AXES, CoverageCell
@@ -72,10 +72,10 @@ def untried_in(plan: Plan, stored: Sequence[Stored]) -> list[str]:
     lines = []
     for number, stratum in enumerate(plan.strata):
         traces = [one.trace for one in stored if one.stratum == number]
-        tried = Tried.of(*traces)
+        tried = TriedParts.of(*traces)
         if tried.lines():
             start_m = traces[0].ticks["transform_tcp_to_base"][0, :3, 3]
-            supposed = Tried()
+            supposed = TriedParts()
             for scenario in stratum.space.draws(plan.seed, MOST_SUPPOSED):
                 supposed.suppose(scenario, start_m)
             for title, parts in supposed.parts.items():

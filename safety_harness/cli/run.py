@@ -37,7 +37,7 @@ from safety_harness.exceptions import InputError, OutputError, SafetyHarnessErro
 from safety_harness.interrupts import one_more_ctrl_c
 from safety_harness.properties.against import Against, RunDifference
 from safety_harness.properties.tally import far_lines, table_lines, untested_lines
-from safety_harness.properties.tried import Tried
+from safety_harness.properties.tried import TriedParts
 from safety_harness.report.decisions import (
     DecisionTally,
     computing_time_lines,
@@ -193,7 +193,7 @@ class RunSession:
         if self.against is None:
             say_results(judged)
         say(*(f"note: {judged.trace.scenario.name}: {note}" for note in fault_notes(judged.trace)))
-        say(*(f"note: {line}" for line in Tried.of(judged.trace).lines()))
+        say(*(f"note: {line}" for line in TriedParts.of(judged.trace).lines()))
         self.interrupted = not judged.trace.complete
 
     def _compare(self, reference: JudgedRun) -> None:

@@ -24,7 +24,7 @@ from safety_harness.cli.console import (
 )
 from safety_harness.compiled import without_compiling
 from safety_harness.exceptions import StatisticsError
-from safety_harness.properties.tried import Tried
+from safety_harness.properties.tried import TriedParts
 from safety_harness.robot.kinematics import links_in_base
 from safety_harness.scenario.compose import Variant
 from safety_harness.scenario.expand import Gathered, gather
@@ -125,7 +125,7 @@ def _untried_of(space: ScenarioSpace) -> list[str]:
 
 def _untried(checked: Sequence[Checked], *spaces: ScenarioSpace) -> list[str]:
     """The moves and faults that none of them would try beside an arm that stands where it starts."""
-    tried = Tried()
+    tried = TriedParts()
     for one in checked:
         tried.suppose(one.scenario, links_in_base(one.arm, one.joint_position_rad)[-1, :3, 3].copy())
     return tried.lines(*spaces, of="runs beside an arm that stood still")

@@ -35,6 +35,7 @@ from safety_harness.properties.unexercised import (
     no_predicted_hand,
     unexercised,
 )
+from safety_harness.scenario.model import Verdict
 from safety_harness.scenario.moves import REACHING_MPS
 from safety_harness.scenario.units import LENGTH
 from safety_harness.settings import Settings
@@ -115,6 +116,9 @@ def _answer_ends(
                 too_long |= side == 1 and end > last and over  # already, when the run ends
     low, high = (time_left_s(trace, prop.within_s, took) for took in (longest[0] + 1, longest[1] - 1))
     exercised = bool((sure if too_long else sure[:open_from]).any())
+    if not whole_stretch:
+        met = zip(*runs_of(maybe), strict=True)
+        exercised &= too_long or all(end > last or gives[first:end].any() for first, end in met)
     return low, high if exercised else np.inf, exercised
 
 
@@ -156,7 +160,8 @@ class GivesWay:
     the run cuts short counts only if it was too long already.
 
     Giving way is what the controller says it does, repulsion or protective stop; that it then does it
-    is for the claims about ways and stops.  Exercised each time that a predicted hand comes near.
+    is for the claims about ways and stops.  Exercised each time that a predicted hand comes near, and within
+    NEAR_M: a longer critical distance makes no more occasions.
     """
 
     within_s: float
@@ -191,10 +196,12 @@ class GivesWayToTrueHand:
 
     Near: its centre within the critical distance of the TCP, whatever the controller sees, tracks or
     predicts.  The time is that of consecutive ticks at which a hand is near and the controller neither
-    repulses nor is stopped; one that has left need not be answered any more.  A hand that is near when the
-    run ends counts only if that was too long already.
+    repulses nor is stopped.  A hand that has left sooner, and to which it never gave way, makes the claim
+    inconclusive: nobody knows if it would have.  A hand that is near when the run ends counts only if that
+    was too long already.
 
-    Giving way is what the controller says it does.  Exercised each time that a true hand comes near.
+    Giving way is what the controller says it does.  Exercised each time that a true hand comes near, and
+    within NEAR_M.
     """
 
     within_s: float
@@ -247,12 +254,15 @@ def _judged(
         had_ms = (len(near) - 1 - int(np.argmax(near))) * trace.scenario.settings.clock.control_period_s * 1e3
         why = f"the run ends {had_ms:.0f} ms after a {whose} came near, before the {prop.within_s * 1e3:g} ms"
         return inconclusive(prop, f"{why} allowed; a longer duration exercises it")
-    if margin_s >= 0.0 and (left := next((one for one in ignored if one.stop < len(near)), None)):
-        when = f"from {trace.time_s[left.start]:.3f} s to {trace.time_s[left.stop]:.3f} s"
-        why = f"a {whose} was near {when} and left before the {prop.within_s * 1e3:g} ms allowed"
-        return inconclusive(prop, f"{why}; the arm never gave way to it", exercised=decided - 1)
     reason = f"longest {trace.time_s[longest] * 1e3:.0f} ms, of {occasions} times that a {whose} came near"
-    return judged(prop, trace, margin_s, trace.time_s[since + longest], reason, decided)
+    told = judged(prop, trace, margin_s, trace.time_s[since + longest], reason, decided)
+    left = next((one for one in ignored if one.stop < len(near)), None)
+    if left is None or told.verdict is not Verdict.HOLDS:
+        return told
+    when = f"from {trace.time_s[left.start]:.3f} s to {trace.time_s[left.stop]:.3f} s"
+    why = f"a {whose} was near {when} and left before the {prop.within_s * 1e3:g} ms allowed"
+    why += "; the arm never gave way to it"
+    return replace(told, verdict=Verdict.INCONCLUSIVE, reason=why, exercised=decided - 1)
 
 
 GIVES_WAY = CatalogueEntry(
@@ -265,7 +275,7 @@ GIVES_WAY = CatalogueEntry(
     margin="the time allowed less the longest for which a predicted hand was near and the arm neither gave "
     "way nor was stopped",
     parameters="the time; the critical distance of the settings",
-    exercised="a predicted hand comes within the critical distance",
+    exercised="a predicted hand comes within the critical distance of the TCP, and within 400 mm",
     inconclusive="a prediction that is not finite; a run that ends within the time allowed",
     broken_by="a controller whose own critical distance is too short",
 )
@@ -279,8 +289,8 @@ GIVES_WAY_TO_TRUE_HAND = replace(
     source="the project's own; the reaction time T_r, from the hand and not from what is known of it",
     margin="the time allowed less the longest for which a true hand was near and the arm neither gave way "
     "nor was stopped",
-    exercised="a true hand comes within the critical distance of the TCP",
-    inconclusive="a run that ends within the time allowed",
+    exercised="a true hand comes within the critical distance of the TCP, and within 400 mm",
+    inconclusive="a hand that leaves, or a run that ends, within the time allowed, without an answer",
     scenario="hidden-by-the-arm",
     broken_by="a hand sensor that is blind",
 )

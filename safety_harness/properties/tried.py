@@ -34,14 +34,14 @@ _NAMES = {table.kind: table.name for table in MOVES}
 
 
 @dataclass(eq=False)
-class Tried:
+class TriedParts:
     """Of runs by their scenarios' titles: each move and each fault, and whether any run tried it."""
 
     runs: dict[str, int] = field(default_factory=dict)
     parts: dict[str, dict[str, bool]] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, *traces: Trace) -> Tried:
+    def of(cls, *traces: Trace) -> TriedParts:
         """What ``traces`` tried."""
         tried = cls()
         for trace in traces:

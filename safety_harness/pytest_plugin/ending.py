@@ -109,9 +109,9 @@ class Ending:
 
     def _untried(self) -> list[str]:
         """The moves and faults that no run of the session tried; each run counts once."""
-        from safety_harness.properties.tried import Tried
+        from safety_harness.properties.tried import TriedParts
 
-        tried = Tried()
+        tried = TriedParts()
         for parts in {run: parts for sent in self._sent for run, parts in sent["tried"].items()}.values():
             for title, of_run in parts.items():
                 tried.join(title, of_run)

@@ -38,7 +38,7 @@ from safety_harness.properties.answered import (
     without_numbers,
 )
 from safety_harness.properties.base import Evaluation, Property
-from safety_harness.properties.tried import Tried
+from safety_harness.properties.tried import TriedParts
 from safety_harness.scenario.model import Claim, Scenario, Verdict
 from safety_harness.search.against import Reference, difference
 from safety_harness.search.coverage import Coverage, CoverageCell, cell_of
@@ -122,7 +122,7 @@ class Trials:
     overruling: Overruling = field(default_factory=Overruling, init=False)
     differences: list[RunDifference] = field(default_factory=list, init=False)
     repeatability: Repeatability = field(default_factory=Repeatability, init=False)
-    tried: Tried = field(default_factory=Tried, init=False)
+    tried: TriedParts = field(default_factory=TriedParts, init=False)
     _admitter: Admitter = field(default_factory=Admitter, init=False)
 
     def __post_init__(self) -> None:

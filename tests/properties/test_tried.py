@@ -10,7 +10,7 @@ from examples import VISIT, scenario
 
 from safety_harness.admission.admit import admit
 from safety_harness.admission.trial import run_trial
-from safety_harness.properties.tried import Tried
+from safety_harness.properties.tried import TriedParts
 from safety_harness.scenario.faults import AvoiderNaN, CameraBlind, FalseHand, HandSensorBlind, JointStuck
 from safety_harness.scenario.faults import Joint as Which
 from safety_harness.scenario.model import Scenario
@@ -49,12 +49,12 @@ def made(what: Scenario) -> Trace:
 
 
 def test_every_move_that_begins_counts_as_tried() -> None:
-    assert Tried.of(made(scenario(VISIT))).lines() == []
+    assert TriedParts.of(made(scenario(VISIT))).lines() == []
 
 
 @pytest.mark.parametrize(("duration_s", "idle"), [(0.2, [2, 3]), (0.9, [3])])
 def test_the_moves_that_a_run_is_too_short_for_are_named(duration_s: float, idle: list[int]) -> None:
-    (line,) = Tried.of(made(scenario(VISIT, duration_s=duration_s))).lines()
+    (line,) = TriedParts.of(made(scenario(VISIT, duration_s=duration_s))).lines()
     words = {2: "move 2 of right (wait)", 3: "move 3 of right (withdraw)"}
     assert line.startswith("untried in 1 run of 'an example'")
     assert line.endswith("of: " + "; ".join(words[number] for number in idle))
@@ -62,11 +62,11 @@ def test_the_moves_that_a_run_is_too_short_for_are_named(duration_s: float, idle
 
 def test_a_move_that_one_of_several_runs_begins_is_tried() -> None:
     runs = [made(scenario(VISIT, duration_s=one)) for one in (0.2, 2.5)]
-    assert Tried.of(*runs).lines() == []
+    assert TriedParts.of(*runs).lines() == []
 
 
 def test_a_run_that_was_cut_short_tries_nothing() -> None:
-    assert Tried.of(replace(made(scenario(VISIT)), ended="interrupted")).lines() == []
+    assert TriedParts.of(replace(made(scenario(VISIT)), ended="interrupted")).lines() == []
 
 
 def test_faults_that_change_nothing_are_named_and_others_are_not() -> None:
@@ -79,13 +79,13 @@ def test_faults_that_change_nothing_are_named_and_others_are_not() -> None:
     false = FalseHand(position_in_base_m=(0.9, -0.5, 0.2), from_s=0.5)
     busy = (CameraBlind(from_s=0.5, until_s=0.6), false)
     trace = made(replace(scenario(LATER), faults=(*idle, *busy)))
-    (line,) = Tried.of(trace).lines()
+    (line,) = TriedParts.of(trace).lines()
     for number, words in enumerate(("avoider answers NaN", "hand sensor sees nothing"), start=1):
         assert f"fault {number} ({words})" in line
     for number in (4, 5):
         assert f"fault {number} " not in line
     whole = made(replace(scenario(VISIT), faults=(HandSensorBlind(),)))
-    assert Tried.of(whole).lines() == []
+    assert TriedParts.of(whole).lines() == []
 
 
 def test_a_blind_sensor_acts_only_where_it_hides_a_hand() -> None:
@@ -95,7 +95,7 @@ def test_a_blind_sensor_acts_only_where_it_hides_a_hand() -> None:
 
 
 def test_the_values_that_vary_in_what_no_run_tries_are_named() -> None:
-    space, tried = parse_space(SPACE), Tried()
+    space, tried = parse_space(SPACE), TriedParts()
     late = [one for one in space.draws(0, 12) if "50.0" in repr(one.hands[0].moves[1])]
     early = next(one for one in space.draws(0, 12) if "0.6" in repr(one.hands[0].moves[1]))
     for one in late[:2]:
@@ -113,7 +113,7 @@ def test_what_a_standing_arm_would_leave_untried_is_told_without_a_run() -> None
     what = replace(
         scenario(LATER, duration_s=1.2), faults=(AvoiderNaN(until_s=0.2), CameraBlind(until_s=0.1))
     )
-    tried = Tried()
+    tried = TriedParts()
     tried.suppose(what, made(what).ticks["transform_tcp_to_base"][0, :3, 3].copy())
     (line,) = tried.lines()
     assert line.endswith("of: move 3 of right (withdraw); fault 1 (avoider answers NaN)")
