@@ -223,8 +223,7 @@ class _Asked:
         for signal in tried:
             one = self.sampled[signal]
             if one.tried is not None:
-                limits = (n.limit.value for n, _ in asked if isinstance(n, Comparison) and n.signal is signal)
-                near_m = occasion_m(max(limits)) if one.comes else 0.0
+                near_m = near_of(part, signal) if one.comes else 0.0
                 least, most = (side + (near_m - NEAR_M) * bool(one.comes) for side in one.tried)
                 tries, never = ((least, most)[perhaps] > 0.0) & when[signal], (most <= 0.0) | ~when[signal]
                 own = self.begun(tries, never) if one.comes else int(np.count_nonzero(tries))
@@ -339,6 +338,12 @@ class _Asked:
             reason = f"{signal.words} {value * shown.per_si:.4g} {shown.symbol}".rstrip()
             reason += ", exactly the limit" if abs(margin) <= LEAST else ""
         return replace(told, worst_time_s=float(self.trace.time_s[found.tick]), reason=reason)
+
+
+def near_of(part: Formula, signal: Signal) -> float:
+    """How near has to come what a part says of the distance ``signal``, for it to be an occasion."""
+    said = (node for node in part.nodes() if isinstance(node, Comparison) and node.signal is signal)
+    return occasion_m(max((one.limit.value for one in said), default=0.0))
 
 
 def judge_part(part: Formula, trace: Trace) -> Evaluation:
