@@ -14,6 +14,7 @@ from safety_harness.formulas.formula import (
     Comparison,
     Formula,
     Globally,
+    Relation,
     Truth,
     Until,
     check_windows,
@@ -77,11 +78,12 @@ class FormulaClaim:
         return str(self.formula)
 
     @property
-    def limit(self) -> float | None:
-        """Of a claim that is one comparison, asked at every tick."""
+    def close(self) -> float | None:
+        """As ``close_to``, of a claim that is one comparison, asked at every tick."""
         match parts_of(self.formula):
-            case (Always(body=Comparison() as comparison),):
-                return comparison.limit.value
+            case (Always(body=Comparison() as one),):
+                least = one.relation in (Relation.ABOVE, Relation.AT_LEAST)
+                return abs(one.limit.value) * (1.0 if least else 0.5)
         return None
 
     @property
@@ -106,7 +108,7 @@ class FormulaClaim:
             return inconclusive(self, problem)
         parts = tuple(judge_part(part, trace) for part in parts_of(self.formula))
         if len(parts) == 1:
-            return replace(parts[0], sentence=self.sentence, limit=self.limit)
+            return replace(parts[0], sentence=self.sentence, close=self.close)
         return replace(
             _deciding(parts),
             sentence=self.sentence,

@@ -76,7 +76,7 @@ class Evaluation:
     ``margin`` (SI) and ``worst_time_s`` are None where there is none to give; ``reason`` says in
     a sentence what decided; ``exercised`` counts the occasions on which the property could have
     been violated (0 for a property that was never put to the test).  ``parts`` are the words on its
-    conjuncts, if it is made of several.  ``limit`` is that of ``limit_of``.
+    conjuncts, if it is made of several.  ``close`` is that of ``close_to``.
     """
 
     sentence: str
@@ -88,7 +88,7 @@ class Evaluation:
     exercised: int
     parts: tuple[Evaluation, ...] = ()
     unmeasured: tuple[str, ...] = ()
-    limit: float | None = None
+    close: float | None = None
 
     def margin_text(self) -> str:
         """The margin with its sign and unit, or a dash."""
@@ -107,15 +107,21 @@ class Said(Protocol):
         """What its margins are shown in."""
 
 
-def limit_of(prop: Said) -> float | None:
-    """The one length, speed or acceleration (SI) that margins are from; None for any other property."""
-    names = ("limit", "minimum_m", "maximum_m", "maximum_mps", "maximum_mps2", "maximum_radps2")
-    return next((getattr(prop, name) for name in names if hasattr(prop, name)), None)
+def close_to(prop: Said) -> float | None:
+    """The margin (SI) of a run that comes within half of a property's limit; None without one such limit.
+
+    That is half of the most that is allowed, and twice the least.
+    """
+    if hasattr(prop, "close"):
+        return prop.close  # type: ignore[no-any-return]
+    most = ("maximum_m", "maximum_mps", "maximum_mps2", "maximum_radps2")
+    halves = (0.5 * getattr(prop, name) for name in most if hasattr(prop, name))
+    return next(halves, getattr(prop, "minimum_m", None))
 
 
-def far_words(limit: float | None, least_margin: float | None) -> str:
+def far_words(close: float | None, least_margin: float | None) -> str:
     """That no run came within half of a limit; empty if one did, or if there is no limit."""
-    far = limit and least_margin is not None and least_margin > 0.5 * abs(limit)
+    far = close and least_margin is not None and least_margin > close
     return "no run came within half of its limit; is it in the unit that is meant?" if far else ""
 
 
@@ -134,7 +140,7 @@ def inconclusive(prop: Said, reason: str, *, exercised: int = 0) -> Evaluation:
         unit=prop.unit,
         reason=reason,
         exercised=exercised,
-        limit=limit_of(prop),
+        close=close_to(prop),
     )
 
 
@@ -287,5 +293,5 @@ def judged(
         worst_time_s=float(worst_time_s),
         reason=reason,
         exercised=exercised,
-        limit=limit_of(prop),
+        close=close_to(prop),
     )

@@ -130,7 +130,7 @@ def far_lines(tallies: Sequence[ClaimTally]) -> list[str]:
     """A note on every claim that held, and whose limit no run came near to."""
     worst = [tally.worst.evaluation for tally in tallies if tally.worst is not None]
     found = [
-        (one.sentence, far_words(one.limit, one.margin)) for one in worst if one.verdict is Verdict.HOLDS
+        (one.sentence, far_words(one.close, one.margin)) for one in worst if one.verdict is Verdict.HOLDS
     ]
     return [f"note: {sentence}: {words}" for sentence, words in found if words]
 

@@ -21,7 +21,7 @@ from safety_harness.admission.repeatability import RepeatabilityResult
 from safety_harness.exceptions import OutputError, explanation
 from safety_harness.properties.against import Against
 from safety_harness.properties.answered import fallback_words
-from safety_harness.properties.base import Unit, far_words, limit_of
+from safety_harness.properties.base import Unit, close_to, far_words
 from safety_harness.scenario.model import Scenario, Verdict
 from safety_harness.scenario.write import write_scenario
 from safety_harness.search.confirm import Complaint, Disagreement, disagreement_of
@@ -442,7 +442,7 @@ def remarks(trials: Trials, findings: Findings) -> list[str]:
         elif findings.tried and not findings.evidence[claim]:
             lines.append(f"no run put {goal.sentence!r} to the test: nothing is known of it")
         elif (nearest := findings.nearest[claim]) is not None and trials.reference is None:
-            words = far_words(limit_of(trials.properties[claim]), float(nearest.margins[claim]))
+            words = far_words(close_to(trials.properties[claim]), float(nearest.margins[claim]))
             lines += [f"{goal.sentence}: {words}"] * bool(words)
     lines += trials.tried.lines(trials.space)
     touching = trials.coverage.touching

@@ -341,7 +341,7 @@ def test_what_no_kept_run_tried_is_named_in_the_terminal_and_among_the_findings(
     late = TEXT.replace("      - reach for tcp", "      - wait: 50 s\n      - reach for tcp")
     plan_in(tmp_path, PLAN.replace("150 mm", "1 mm"), late)
     certify(tmp_path / "plan.yaml", out=tmp_path / "report", workers=1)
-    out = capsys.readouterr().out
+    out = capsys.readouterr().err
     idle = "nothing is known of: move 2 of right hand (reach for tcp); hands[0].moves[1].reach for tcp, which"
     assert f"note: near: untried in 2 kept runs of 'a hand nearby', and {idle} varies" in out
     assert "note: hand distance never below 1 mm: no run came within half of its limit" in out
@@ -357,4 +357,4 @@ def test_a_move_that_some_draws_begin_is_not_called_untried(
     rare = TEXT.replace("      - reach for tcp", seldom + "      - reach for tcp")
     plan_in(tmp_path, PLAN.replace("150 mm", "1 mm"), rare)
     certify(tmp_path / "plan.yaml", out=tmp_path / "report", workers=1)
-    assert "reach for tcp" not in capsys.readouterr().out
+    assert "untried" not in capsys.readouterr().err
