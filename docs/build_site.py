@@ -14,12 +14,12 @@ import subprocess
 import sys
 from collections.abc import Iterator, Sequence
 from html.parser import HTMLParser
-from importlib import metadata
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import yaml
 
+from safety_harness.distribution import installed_version
 from safety_harness.report.arm_page import shipped_robots, write_arm_page
 
 ROOT = Path(__file__).parents[1]
@@ -169,7 +169,7 @@ def main(arguments: Sequence[str] = ()) -> None:
     folders = [one for one in arguments if one != "--release"]
     out = Path(folders[0]) if folders else ROOT / "site"
     if "--release" in arguments:
-        release(ROOT, out, metadata.version("safety-harness"))
+        release(ROOT, out, installed_version())
     else:
         build(ROOT, out)
     sys.stdout.write(f"{out / 'index.html'}\n")

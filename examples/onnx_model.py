@@ -6,7 +6,7 @@ safety-harness docs avoiders#an-onnx-file has the contract.
     safety-harness run shipped:hand-visits-and-leaves --avoider up.onnx
 
 PyTorch, TensorFlow or scikit-learn write such files as well; give inputs and outputs these names.
-Needs the package onnx, which only writing does: pip install 'safety-harness[learning]'.
+Needs the package onnx, which only writing does: pip install 'hand-safety-harness[learning]'.
 """
 
 import sys

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 
+from safety_harness.distribution import DISTRIBUTION
 from safety_harness.exceptions import MissingPackageError, Place
 
 
@@ -33,7 +34,7 @@ class Extra:
     @property
     def hint(self) -> str:
         """How to get it with this Python, or do without."""
-        get = f"pip install 'safety-harness[{self.name}]'"
+        get = f"pip install '{DISTRIBUTION}[{self.name}]'"
         if self.newest_wheel is not None and sys.version_info[:2] > self.newest_wheel:
             newest = ".".join(map(str, self.newest_wheel))
             module = self.modules[0]

@@ -15,6 +15,7 @@ ORDER = [
     {
         "compiled",
         "compiling",
+        "distribution",
         "extras",
         "geometry",
         "interrupts",

@@ -38,7 +38,7 @@ def test_a_missing_package_is_one_line_with_what_needs_it_and_how_to_get_it(
     missing(monkeypatch, IMAGES)
     with pytest.raises(MissingPackageError) as error:
         opencv()
-    line = "rendered images: needs cv2, which is not installed: pip install 'safety-harness[images]'"
+    line = "rendered images: needs cv2, which is not installed: pip install 'hand-safety-harness[images]'"
     assert explanation(error.value).startswith(line)
     assert "\n" not in explanation(error.value)
     assert isinstance(error.value, InputError)
@@ -51,7 +51,7 @@ def test_another_module_that_is_missing_is_raised_as_it_is() -> None:
 
 def test_above_python_3_11_pybullet_is_built_from_its_source(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "version_info", (3, 11, 9))
-    assert PYBULLET.hint.startswith("pip install 'safety-harness[pybullet]'; ")
+    assert PYBULLET.hint.startswith("pip install 'hand-safety-harness[pybullet]'; ")
     monkeypatch.setattr(sys, "version_info", (3, 13, 0))
     assert PYBULLET.hint.startswith("it has no wheel above Python 3.11; pip install pybullet builds it")
     assert "--world kinematic" in PYBULLET.hint
@@ -77,7 +77,10 @@ def test_train_and_export_name_the_extra(
     for one, name in zip(work, ("train", "export"), strict=True):
         assert one() == 2
         said = capsys.readouterr().err
-        assert f"{name}: needs torch, which is not installed: pip install 'safety-harness[learning]'" in said
+        assert (
+            f"{name}: needs torch, which is not installed: pip install 'hand-safety-harness[learning]'"
+            in said
+        )
 
 
 def test_parquet_and_a_cluster_name_their_extras_and_what_does_without(

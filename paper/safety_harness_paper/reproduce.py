@@ -24,6 +24,7 @@ from safety_harness.cli.console import (
 )
 from safety_harness.cli.progress import paced_lines
 from safety_harness.compiled import source_hash_of
+from safety_harness.distribution import installed_version
 from safety_harness.exceptions import InputError, ModelError, OutputError, Place, SettingsError
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.words import count_words
@@ -82,7 +83,7 @@ def reproduce(
         seed=seed,
         trainings=chosen.seeds,
         command=_command(what, scale, told(out), seed, jobs),
-        package_version=metadata.version("safety-harness"),
+        package_version=installed_version(),
         source_hash=source_hash_of(*Path(__file__).parent.glob("*.py")),
         software=tuple((name, metadata.version(name)) for name in LIBRARIES),
         platform=f"Python {platform.python_version()}, {platform.system()} {platform.machine()}",
@@ -119,7 +120,7 @@ def _check(seed: int, jobs: int) -> None:
             place=Place(field="reproduce"),
             expected="PyTorch, which training needs",
             got="none installed",
-            hint="pip install safety-harness-paper",
+            hint="in a copy of the repository: pip install ./paper",
         )
 
 

@@ -130,7 +130,7 @@ def test_without_pytorch_it_says_how_to_install_it(
 ) -> None:
     monkeypatch.setattr(command, "find_spec", lambda name: None)
     assert reproduce(["figure5"], scale="quick", out=tmp_path) == 2
-    assert "pip install safety-harness-paper" in capsys.readouterr().err
+    assert "pip install ./paper" in capsys.readouterr().err
 
 
 def test_a_place_that_cannot_be_written_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

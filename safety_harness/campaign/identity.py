@@ -8,13 +8,15 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Iterable, Iterator, Sequence
+import re
+import tempfile
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
 
 from safety_harness.avoidance.shipped import SHIPPED, shipped_model
-from safety_harness.exceptions import LedgerError, Place, ScenarioError
+from safety_harness.exceptions import InputError, LedgerError, Place, ScenarioError
 from safety_harness.robot.robots import arm_model
 from safety_harness.scenario.compose import Library
 from safety_harness.scenario.files import read_bytes, resolved
@@ -140,13 +142,56 @@ def files_of_plan(
     if avoider is not None:
         named += _existing([file_and_name(avoider)[0]], plan.parent)
     files, size = [], 0
-    for path, name in _names(named).items():
+    names = _names(named)
+    for path, name in names.items():
         data = read_bytes(path, most=MOST_BYTES, place=Place(file=path), error=ScenarioError)
         size += len(data)
         if size > MOST_BYTES:
             raise ScenarioError.of_file(plan, f"at most {MOST_BYTES:,} bytes of files", "more")
-        files.append(PlanFile(name, data))
+        files.append(PlanFile(name, _packed(data, path, names)))
     return tuple(files)
+
+
+_ABSOLUTE = re.compile(rb"""(?<=["'])[~/][^"'\n]*(?=["'])|(?<=[\s\[{,])[~/][^\s"'\[\]{},#:]+""")
+
+
+def _packed(data: bytes, path: Path, names: dict[Path, str]) -> bytes:
+    """Return a file's bytes with each absolute reference to another packed file made relative to it.
+
+    So a report's own copy of the plan names the report's own copies, wherever it lies.
+    """
+    if path.suffix not in (".yaml", ".yml", ".urdf"):
+        return data
+    folder = Path(names[path]).parent
+
+    def relative(found: re.Match[bytes]) -> bytes:
+        file, colon, name = found[0].decode("utf-8", "replace").partition(".py:")
+        target = next(_existing([file + colon[:3]], Path()), None)
+        if target not in names:
+            return found[0]
+        return (os.path.relpath(names[target], folder) + colon[3:] + name).encode()
+
+    return _ABSOLUTE.sub(relative, data)
+
+
+def refuse_unpackable(plan: Path, files: Sequence[PlanFile], read: Callable[[Path], Identity]) -> None:
+    """Raise ScenarioError if a copy of the plan's files reads another plan: its report would never verify.
+
+    ``read`` makes the identity of a plan's file.
+    """
+    with tempfile.TemporaryDirectory(prefix="safety-harness-") as folder:
+        try:
+            copied = dict(read(unpacked(files, Path(folder))).parts)
+        except InputError as error:
+            raise ScenarioError.of_file(
+                plan, _PACKABLE, f"a copy in which {error.place} is missing"
+            ) from error
+    other = [file.name for file in files if copied.get(f"the file {file.name}") != file.sha256]
+    if other:
+        raise ScenarioError.of_file(plan, _PACKABLE, f"a copy that reads {', '.join(other)} from elsewhere")
+
+
+_PACKABLE = "references that a report can carry with it: relative paths"
 
 
 def _files_of(robot: AnyRobot) -> Iterator[Path]:

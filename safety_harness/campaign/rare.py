@@ -41,7 +41,9 @@ _BARELY = 1e-12  # a violation is below 0, whatever its margin
 
 @dataclass(frozen=True, kw_only=True)
 class RareViolation:
-    """Of one claim in one stratum: ``share`` of admitted draws violate it, from ``low`` to ``high``.
+    """One claim in one stratum: about ``share`` of admitted draws violate it, at least ``low``.
+
+    ``high`` is what the plain draws alone bound, exactly.
 
     ``admitted`` of ``ADMITTED_OF`` draws were; ``estimate`` is of all draws, in the unit cube.
     """

@@ -120,6 +120,8 @@ def argument_of(evidence: Evidence) -> Element:
         below=stages,
         name="AMLAS",
     )
+    if known and known.networks and not known.strata:  # a controller, which answers no avoider's questions
+        by_stage = Element(ElementKind.GOAL, NOT_SUPERVISED, "learned", OPEN, name="AMLAS")
     top = Element(
         ElementKind.GOAL,
         f"{system.tested} keeps the plan's claims in the declared domain, as often as it asks"
@@ -230,6 +232,12 @@ def _stratum(one: ClaimResult, place: str) -> Element:
         f"{one.stratum}: {one.violated} of {one.tested} tested runs violate it{bound}: {one.standing.value}"
     )
     return Element(ElementKind.SOLUTION, words, place, STATE[one.standing])
+
+
+NOT_SUPERVISED = (
+    "Not applicable, and open: AMLAS covers offline supervised learning. A policy that was learned by "
+    "reinforcement is argued by AMLAS-RL (arXiv 2507.08848), which this report does not do"
+)
 
 
 def _stages(evidence: Evidence) -> Iterator[Element]:

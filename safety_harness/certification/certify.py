@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
+from safety_harness.campaign.identity import refuse_unpackable
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import Plan, read_plan
 from safety_harness.campaign.runner import CampaignRunner
@@ -68,6 +69,7 @@ class Certification:
         module, and for a PDF that no browser can print.
         """
         plan = read_plan(file)
+        refuse_unpackable(plan.file, plan.files, lambda copy: read_plan(copy).identity)
         declaration_sha256 = declared_sha256(plan, declared)
         refuse_hopeless(plan)
         refuse_shared_modules()

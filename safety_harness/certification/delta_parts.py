@@ -75,10 +75,7 @@ def _plan(evidence: Evidence) -> dict[str, str]:
 
 
 def _spaces(evidence: Evidence) -> dict[str, str]:
-    return {
-        one.name: f"{one.planned} runs of {one.space}, sha256 {one.space_sha256[:16]}"
-        for one in evidence.strata
-    }
+    return {one.name: f"{one.planned} runs, sha256 {one.space_sha256[:16]}" for one in evidence.strata}
 
 
 def _files(evidence: Evidence) -> dict[str, str]:

@@ -40,7 +40,8 @@ FORMAT = "safety-harness manifest 1"
 MADE = (PAGE, JSON, JUNIT, PDF, GSN, NOTES)
 LOG = f"{LEDGER}-wal"
 PASSING = (LOG, f"{LEDGER}-shm", f"{LEDGER}.lock")
-LARGEST_MANIFEST_BYTES = 16 * 2**20
+LARGEST_MANIFEST_BYTES = 2**21  # some 20,000 files
+LARGEST_TRACE_BYTES = 2**26
 
 
 def write_folder(folder: Path, gathered: GatheredEvidence, ledger: Ledger) -> Evidence:

@@ -14,7 +14,18 @@ from safety_harness.campaign.plan import Plan
 from safety_harness.campaign.runner import Stopping
 from safety_harness.campaign.session import LEDGER
 from safety_harness.certification.evidence import Evidence
-from safety_harness.certification.folder import JSON, JUNIT, LOG, MANIFEST, PAGE, PLAN, names_in, sha256_of
+from safety_harness.certification.folder import (
+    JSON,
+    JUNIT,
+    LARGEST_TRACE_BYTES,
+    LOG,
+    MANIFEST,
+    PAGE,
+    PLAN,
+    names_in,
+    sha256_of,
+)
+from safety_harness.exceptions import InputError, Place
 from safety_harness.statistics.sample import EpisodeOutcome
 from safety_harness.trace.overruling import COUNTS
 
@@ -56,6 +67,12 @@ def check_files(folder: Path, hashes: dict[str, str]) -> Examination:
         try:
             if not (folder / name).is_file():
                 faults.append(f"{name} is missing")
+            elif name.endswith(".trace") and (folder / name).stat().st_size > LARGEST_TRACE_BYTES:
+                raise InputError(
+                    place=Place(file=folder / name),
+                    expected=f"a trace of at most {LARGEST_TRACE_BYTES:,} bytes",
+                    got=f"{(folder / name).stat().st_size:,} bytes",
+                )
             elif sha256_of(folder / name) != digest:
                 faults.append(f"{name} is not the file that was written")
         except OSError as error:

@@ -51,8 +51,13 @@ from safety_harness.trace.provenance import provenance
 LARGEST_PAGE_BYTES = 2**28
 TOLERANCE_PX = 0.1
 PROOF = (CERTIFICATE, NETWORK)
-_PLOT = re.compile(rb'<svg (?=[^<>]*role="img")(?![^<>]*"coverage-map-).*?</svg>', re.DOTALL)
-_STYLE = re.compile(rb"(.*?<style>)(.*?)(</style>.*)", re.DOTALL)
+_PLOT = re.compile(rb'<svg (?=[^<>]*role="img")(?![^<>]*"coverage-map-)')
+_VERDICT = re.compile(rb'<(span class="verdict [^"<>]*"|div class="banner [^"<>]*" role="note"><p><strong)>')
+_VERDICTS = re.compile(rb'<table class="[^"<>]*\bverdicts"[^<>]*>')
+_NUMBERS = re.compile(rb'<(td)[^<>]*class="number"[^<>]*>')
+_CLOSING = re.compile(rb"</(?:strong|td)>|(?<!</svg>)</span>")
+_LONGEST_BADGE = 2_000  # bytes, with its icon
+_MARKUP = re.compile(rb"<[^<>]*>")
 _TAG = re.compile(rb"<\w[^<>]*>")
 _WHERE = re.compile(rb'( (?:d|x|y)=")([^"]*)"')
 _NUMBER = re.compile(rb"-?\d+(?:\.\d+)?")
@@ -73,6 +78,8 @@ def check_pages(report: ReportFolder, gathered: GatheredEvidence) -> Examination
             (faults if report.same_words else unchecked).append(f"{name} does not say what {JSON} says")
     there, made = bytes_of(folder / PAGE), written(render(recorded, gathered.runs))
     differs = differences(there, made)
+    if verdicts_in(there) != verdicts_in(made):
+        faults.append(f"{PAGE}: its verdicts are not those that follow from {JSON}")
     if differs and report.same_words:
         faults += [f"{PAGE} does not say what {JSON} says: {one}" for one in differs]
     elif differs:
@@ -107,10 +114,36 @@ def _parted(page: bytes) -> tuple[bytes, list[float]]:
     def where(found: re.Match[bytes]) -> bytes:
         return found[1] + _NUMBER.sub(number, found[2]) + b'"'
 
-    def plot(found: re.Match[bytes]) -> bytes:
-        return _TAG.sub(lambda tag: _WHERE.sub(where, tag[0]), found[0])
+    parts, done = [], 0
+    for found in _PLOT.finditer(page):
+        if found.start() < done:
+            continue
+        end = page.find(b"</svg>", found.start())
+        if end < 0:  # neither has any later one an end
+            break
+        parts.append(page[done : found.start()])
+        parts.append(_TAG.sub(lambda tag: _WHERE.sub(where, tag[0]), page[found.start() : end]))
+        done = end
+    return b"".join([*parts, page[done:]]), places
 
-    return _PLOT.sub(plot, page), places
+
+def verdicts_in(page: bytes) -> list[bytes]:
+    """Return all verdicts on a page with the class that colours them, and the numbers of their table.
+
+    They follow from the evidence by rule, whichever version made the page: standings, counts and bounds.
+    """
+    badges = sorted(opening + text for opening, text in _texts(page, _VERDICT))
+    table = _VERDICTS.search(page)
+    begin = len(page) if table is None else table.end()
+    end = page.find(b"</table>", begin)
+    return [*badges, *(text for _, text in _texts(page[begin : end if end >= 0 else len(page)], _NUMBERS))]
+
+
+def _texts(page: bytes, openings: re.Pattern[bytes]) -> Iterator[tuple[bytes, bytes]]:
+    """Yield each opening and the text up to what closes it; a text that is not closed is cut."""
+    for found in openings.finditer(page):
+        some = page[found.end() : found.end() + _LONGEST_BADGE]
+        yield found[1], _MARKUP.sub(b"", _CLOSING.split(some, maxsplit=1)[0])
 
 
 def _without_style(there: bytes, made: bytes) -> tuple[tuple[str, ...], bytes]:
@@ -118,11 +151,18 @@ def _without_style(there: bytes, made: bytes) -> tuple[tuple[str, ...], bytes]:
 
     Only where all before it is the same: elsewhere a browser might not take it for one, and show it.
     """
-    one, other = _STYLE.fullmatch(there), _STYLE.fullmatch(made)
-    if one is None or other is None or one[1] != other[1] or one[2] == other[2]:
+    one, other = _styled(there), _styled(made)
+    if one is None or other is None or one[0] != other[0] or one[1] == other[1]:
         return (), there
     said = "its style sheet is another, and so is what it hides or adds: not compared"
-    return (said,), one[1] + other[2] + one[3]
+    return (said,), one[0] + other[1] + one[2]
+
+
+def _styled(page: bytes) -> tuple[bytes, bytes, bytes] | None:
+    """Return what lies before, in and after the first style sheet of a page; None without one."""
+    begin = page.find(b"<style>") + len(b"<style>")
+    end = page.find(b"</style>", begin)
+    return None if begin < len(b"<style>") or end < 0 else (page[:begin], page[begin:end], page[end:])
 
 
 def _shown(there: bytes, made: bytes) -> str:
@@ -212,13 +252,13 @@ def check_numbers(report: ReportFolder, *, again: bool) -> tuple[Examination, Ga
     text = (
         f"{len(recorded.claims)} claims, with counts, bounds and verdicts, and all that is shown beside them"
     )
-    if recorded.plan.search_runs:
-        notes.append("the search was not made again: what it found is what its files say")
     unchecked = (
         []
         if again
         else ["the runs by which the simulator is doubted, or a fault is attributed, were not made again"]
     )
+    if recorded.plan.search_runs:
+        unchecked.append("the search was not made again: what it found, or did not, is what its files say")
     if recorded.selftest or then.oracles or then.cells:
         unchecked.append(
             "the trial of the harness, the table of oracles and recorded cells are as their files said"

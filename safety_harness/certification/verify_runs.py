@@ -31,10 +31,11 @@ from safety_harness.simulation.worlds import world_of_trace
 from safety_harness.statistics.sample import EpisodeOutcome
 from safety_harness.trace.compare import first_difference
 from safety_harness.trace.overruling import COUNTS as OVERRULED
+from safety_harness.trace.trace import Trace
 
 MOST_AGAIN = 1000  # unless more are asked for: some minutes in PyBullet
 MOST_TOGETHER = 32
-COUNTS = ("seed", "draws", "decisions", "proposed", "opposite", "stopped", "faults")
+COUNTS = ("seed", "draws", "decisions", "proposed", "opposite", "stopped", "faults", "late")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,7 +105,9 @@ def programs_in(plan: Plan) -> list[str]:
 
 
 class Compared:
-    """Rows beside those of the ledger: outcomes may never differ, the rest only with other software.
+    """Rows beside those of the ledger: outcomes may never differ, nor margins beyond a tolerance.
+
+    Nothing else may differ with the same software.
 
     A ``program`` may import what no hash covers: of its runs only outcomes and how many questions got no
     answer, which a verdict rests on, have to be the same; what else differs is told as not checked.
@@ -114,13 +117,20 @@ class Compared:
         self.plan, self.ledger, self.program = plan, ledger, program
         self.same, self.answers = same and not program, same
         self.faults: list[str] = []
-        self.moved = self.otherwise = self.far = 0
+        self.moved = self.otherwise = self.far = self.other_traces = 0
 
     def add(self, row: Row) -> None:
         """Take a run in."""
         then = {
-            claim: ClaimJudgement(EpisodeOutcome(outcome), math.nan if margin is None else margin)
-            for claim, outcome, margin in self.ledger.all(_JUDGEMENTS, row.stratum, row.episode)
+            claim: ClaimJudgement(
+                EpisodeOutcome(outcome),
+                math.nan if margin is None else margin,
+                math.nan if worst_s is None else worst_s,
+                exercised,
+            )
+            for claim, outcome, margin, worst_s, exercised in self.ledger.all(
+                _JUDGEMENTS, row.stratum, row.episode
+            )
         }
         faults = list(self._faults(row, then))
         self.faults += faults
@@ -134,13 +144,27 @@ class Compared:
                 f"{where}: {counts[silent]} questions without an answer then, {now[silent]} now"
             )
             return
-        if counts != (*now, row.cell or None, bool(row.failure)):
+        exercised = [then[k].exercised == now.exercised for k, now in enumerate(row.judgements)]
+        times = [_same(then[k].worst_time_s, now.worst_time_s) for k, now in enumerate(row.judgements)]
+        told = (*now, row.cell or None, row.mishap or None, bool(row.failure))
+        if counts != told or not all((*exercised, *times)):
             self.otherwise += 1
             if self.same:
-                self.faults.append(f"{where}: its draws, decisions or cell come out otherwise")
+                what = "draws, decisions, cell or mishap" if counts != told else "occasions or worst moment"
+                self.faults.append(f"{where}: its {what} come out otherwise")
         pairs = [(then[k].margin, now.margin) for k, now in enumerate(row.judgements)]
         self.moved += not all(_same(*pair) for pair in pairs)
         self.far += not all(_near(*pair) for pair in pairs)
+
+    def add_trace(self, stored: Trace, row: Row) -> None:
+        """Compare a stored trace, bit by bit, with that of the run that was made again."""
+        if row.trace is None:  # the run fails here, of which its row tells
+            return
+        difference = first_difference(stored, trace_of(self.plan, row.stratum, row.trace))
+        if difference is not None:
+            self.other_traces += 1
+            if self.same:
+                self.faults.append(f"{self.where(row.stratum, row.episode)}: its stored trace: {difference}")
 
     def where(self, stratum: int, episode: int) -> str:
         """Words for a run."""
@@ -160,9 +184,11 @@ class Compared:
         """What only a program that is another here explains, or rows that were altered."""
         found = ((self.otherwise, "decisions"), (self.far, "margins")) if self.answers else ()
         why = "what the program imports is another here, or rows were altered"
-        return tuple(
-            f"{count} runs with other {what} than the ledger's: {why}" for count, what in found if count
-        )
+        lines = [f"{count} runs with other {what} than the ledger's: {why}" for count, what in found if count]
+        if self.other_traces:
+            why = "another machine, other software, or they were altered"
+            lines.append(f"{self.other_traces} stored traces are not those of the runs made again: {why}")
+        return tuple(lines)
 
     def _faults(self, row: Row, before: Mapping[int, ClaimJudgement]) -> Iterator[str]:
         """Claims of which the outcome is another now."""
@@ -172,15 +198,17 @@ class Compared:
             if then is None or then.outcome is not now.outcome:
                 was = "nothing" if then is None else then.outcome.name.lower()
                 yield f"{where}: {claim.sentence}: {was} then, {now.outcome.name.lower()} now"
-            elif self.same and not _near(then.margin, now.margin):
+            elif not self.program and not _near(then.margin, now.margin):
                 was, new = (claim.unit.margin_text(one.margin) for one in (then, now))
                 yield f"{where}: {claim.sentence}: a margin of {was} then, {new} now"
 
 
-_JUDGEMENTS = "SELECT claim, outcome, margin FROM judgement WHERE stratum = ? AND episode = ?"
+_JUDGEMENTS = (
+    "SELECT claim, outcome, margin, worst_time_s, exercised FROM judgement WHERE stratum = ? AND episode = ?"
+)
 _COUNTS = (
     f"SELECT {', '.join(f'e.{name}' for name in (*COUNTS, *OVERRULED))}, c.words, "
-    "e.failure IS NOT NULL FROM episode e LEFT JOIN cell c ON c.id = e.cell "
+    "e.mishap, e.failure IS NOT NULL FROM episode e LEFT JOIN cell c ON c.id = e.cell "
     "WHERE e.stratum = ? AND e.episode = ?"
 )
 
@@ -190,7 +218,10 @@ def _same(then: float, now: float) -> bool:
 
 
 def _near(then: float, now: float) -> bool:
-    """Within what another processor's last bits may come to in a run: a tenth of a millimetre, say."""
+    """Return whether two margins (SI) differ by no more than another machine's arithmetic may do.
+
+    Emulated machines move a margin by 1e-9 m at most; a tenth of a millimetre is the stated tolerance.
+    """
     if math.isnan(then) or math.isnan(now):
         return math.isnan(then) and math.isnan(now)
     return math.isclose(then, now, rel_tol=1e-3, abs_tol=1e-4)
@@ -276,19 +307,25 @@ def check_runs(
         return Examination(
             "runs", "no run was made again", unchecked=(f"whether runs give their outcomes again{why}",)
         )
-    chosen = [made[k] for k in drawn(len(made), count, drawing.seed)]
+    stored = {(stratum, episode) for stratum, episode, _ in ledger.traces()}
+    chosen = sorted({*(made[k] for k in drawn(len(made), count, drawing.seed)), *(stored & set(made))})
     program, watch = bool(programs_in(plan)), AvoiderWatch()
     bench = EpisodeRunner(plan, programs=drawing.programs)
     compared = Compared(plan, ledger, same=same, program=program)
     together = MOST_TOGETHER if plan.world.batch else 1
     begun_s, told = time.perf_counter(), 0
-    for stratum, group in groupby(chosen, lambda one: one[0]):
+    for (stratum, keeps), group in groupby(
+        sorted(chosen, key=lambda one: (one[0], one in stored)), lambda one: (one[0], one in stored)
+    ):
         episodes = [episode for _, episode in group]
         for first in range(0, len(episodes), together):
             some = episodes[first : first + together]
             try:
-                for row in bench.run(stratum, some, keep_violations=False):
+                for row in bench.run(stratum, some, keep_violations=keeps):
                     compared.add(row)
+                    if keeps:
+                        data = ledger.trace(stratum, row.episode) or b""
+                        compared.add_trace(trace_of(plan, stratum, data), row)
                     if program:
                         watch.add_row(
                             row, partial(bench.scenario, stratum, row.episode, max(row.draws - 1, 0))
@@ -296,11 +333,13 @@ def check_runs(
             except CampaignError as error:
                 compared.faults.append(f"{compared.where(stratum, some[0])}: {error}")
             told += len(some)
-            if told * 10 // count > (told - len(some)) * 10 // count:
-                drawing.on_progress(f"{told} of {count} runs made again")
-    each_s = (time.perf_counter() - begun_s) / count
+            if told * 10 // len(chosen) > (told - len(some)) * 10 // len(chosen):
+                drawing.on_progress(f"{told} of {len(chosen)} runs made again")
+    each_s = (time.perf_counter() - begun_s) / len(chosen)
     notes, unchecked = drawing.told(len(made), count, turns, each_s)
     text = f"{count} of {len(made)} runs made again, drawn with seed {drawing.seed}"
+    if stored:
+        text += f", and those of the {len(stored)} stored traces"
     again = watch.repeatability.check() if program else None
     if again is not None and again.remembers and not ledger.dependent:
         compared.faults.append(f"{again.remembers}, and the ledger says nothing of that")

@@ -414,12 +414,12 @@ def rare_violations(
 ) -> int:
     """Estimate how often rare violations come, by importance sampling or splitting: below one in a hundred.
 
-    Of all runs of a stratum, those that do not test the claim among them, with an interval; and how many
-    independent runs would say it as well. Importance sampling takes the fewest runs, and says so where it
-    cannot be trusted; splitting then takes more. Nothing is written; all of a plan's intervals hold together
-    with its confidence, approximately. Exit code 0; 1: for some claim nothing can be said, or its target is
-    exceeded, or the avoider did not always answer, or answered otherwise when asked again; 2: bad input, or a
-    run that says nothing; 130: interrupted.
+    The estimate is the share of all runs of a stratum, also those that do not test the claim, with its lower
+    end. No search can see a region that it did not reach, so the upper end comes from the plain draws alone:
+    it is exact and wide. Importance sampling takes the fewest runs, and states no estimate where it cannot be
+    trusted; splitting then takes more. Nothing is written. Exit code 0; 1: for some claim there is no
+    estimate, or its target is exceeded, or the avoider did not always answer, or answered otherwise when
+    asked again; 2: bad input, or a run that says nothing; 130: interrupted.
     """
     from safety_harness.campaign.plan import read_plan
     from safety_harness.campaign.rare import rare_violations as estimated
@@ -449,7 +449,7 @@ def rare_violations(
             found.append(one)
             result(rare_line(one))
             target = one.claim.target
-            unlike |= one.high >= 1.0 or (target is not None and one.low > target)
+            unlike |= bool(one.estimate.no_estimate) or (target is not None and one.low > target)
             document(
                 estimates=[
                     {"stratum": each.stratum, "claim": each.claim.sentence, "target": each.claim.target}

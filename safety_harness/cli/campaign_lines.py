@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import math
 from collections.abc import Iterator, Sequence
 
 from safety_harness.campaign.ledger import Declared, Ledger
@@ -22,7 +21,6 @@ from safety_harness.proportions import share_words
 from safety_harness.report.machine import SI_UNITS
 from safety_harness.report.words import rounded_down, rounded_up
 from safety_harness.statistics.binomial import ProbabilityBounds
-from safety_harness.statistics.importance import FEWEST_WEIGHTS, LARGEST_SHAPE
 from safety_harness.statistics.paired import PairedComparison
 from safety_harness.statistics.sample import EpisodeOutcome
 
@@ -179,21 +177,16 @@ def _bound_lines(ledger: Ledger, bounds: Sequence[ProbabilityBounds]) -> list[st
 
 
 def rare_line(one: RareViolation) -> str:
-    """How often one claim is violated in one stratum."""
+    """Return how often one claim is violated in one stratum: the estimate, and what plain draws bound."""
     found, where = one.estimate, f"{one.stratum}: {one.claim.sentence}"
     ran = f"{found.evaluations:,} draws{', model only' if found.model_only else ''}"
-    if one.high >= 1.0:
-        why = f"{found.reached} of {len(found.replicates)} replications found a violation"
-        if found.reached and (found.pareto_shape or 0.0) > LARGEST_SHAPE:
-            why = "a few draws carry most of the weight: try more --pilot draws, or --by splitting"
-            if found.pareto_shape == math.inf:
-                why = f"fewer than {FEWEST_WEIGHTS} draws violate it: try more --runs, or --by splitting"
-        elif found.reached == len(found.replicates) and one.low > 0.0:
-            why = "too often for an upper end below 1: campaign run counts it"
-            return f"{where}: at least {one.low:.3g} of all runs violate it ({why}; {ran})"
-        return f"{where}: nothing can be said ({why}; {ran})"
-    line = f"{where}: {one.share:.3g} of all runs violate it ({one.low:.3g} to {one.high:.3g}; {ran})"
-    return line + f"; independent runs would take {found.as_many_draws:,.0f} for the same standard error"
+    most = f"at most {one.high:.3g} by its {found.plain_draws:,} plain draws alone"
+    if why := found.no_estimate:
+        return f"{where}: no estimate ({why}); {most} ({ran})"
+    return (
+        f"{where}: about {one.share:.3g} of all runs violate it, at least {one.low:.3g}; {most} ({ran}); "
+        f"independent runs would take {found.as_many_draws:,.0f} for the same standard error"
+    )
 
 
 def difference_lines(found: Sequence[PairedComparison], confidence: float) -> list[str]:

@@ -161,7 +161,7 @@ def certify(
     if evidence.fallback:
         result(evidence.fallback)
     say(*(f"note: {one.text}" for one in evidence.findings if f": {UNTRIED} " in one.text))
-    result(f"{job.folder / PAGE}")
+    result(f"{job.folder / PAGE}: {evidence.standing.value}")
     if not complete:
         say("interrupted: the report says what is missing; the same command goes on from there")
         return INTERRUPTED
@@ -310,18 +310,22 @@ def verify(
         ),
     ] = None,
     execute_programs: Executes = False,
+    strict: Annotated[bool, Option(help="Exit code 1 also where something is open.")] = False,
 ) -> int:
     """Check a report: files, plan, ledger, traces; compute numbers and page anew, make some runs again.
 
     What has changed since (source, versions, networks, platform) is named, and so is what was not checked.
     Without a lodged --seal altered rows are seen only as far as runs made again tell: it says how few would
     turn a verdict, and with what chance they were missed.
-    Exit code 0: the report stands; 1: it does not, and why; 2: no report, or a program in it that may not be
+    Exit code 0: the report stands, and what was not checked is marked open; 1: it does not stand, and why,
+    or something is open and --strict is given; 2: no report, or a program in it that may not be
     executed; 130: interrupted.
     """
     import secrets
     from dataclasses import asdict
 
+    from safety_harness.certification.evidence import read_evidence
+    from safety_harness.certification.folder import JSON
     from safety_harness.certification.verify import verify as verify_report
     from safety_harness.cli.progress import paced_lines
 
@@ -345,5 +349,9 @@ def verify(
     stands, whole = all(one["stands"] for one in checks), not any(one["unchecked"] for one in checks)
     document(stands=stands, checks=checks)
     open_ones = "" if whole else ", but for what was not checked"
-    result(f"the report stands{open_ones}" if stands else "the report does not stand")
-    return AS_EXPECTED if stands else DIFFERS
+    if stands:
+        answer = read_evidence(report / JSON).standing.value
+        result(f"the report stands{open_ones}: {answer}")
+    else:
+        result("the report does not stand")
+    return AS_EXPECTED if stands and (whole or not strict) else DIFFERS

@@ -14,10 +14,10 @@ import textwrap
 from collections.abc import Callable, Iterable, Sequence
 from contextvars import ContextVar
 from dataclasses import dataclass, field
-from importlib.metadata import version
 from math import isfinite
 from typing import Any, TextIO, TypeVar
 
+from safety_harness.distribution import installed_version
 from safety_harness.exceptions import InputError, OutputError, SafetyHarnessError, explanation
 
 _Item = TypeVar("_Item")
@@ -91,7 +91,7 @@ def answered_as_json(command: Callable[[], int]) -> int:
         _as_json.reset(token)
     whole = {
         "format": JSON_FORMAT,
-        "package_version": version("safety-harness"),
+        "package_version": installed_version(),
         "exit_code": code,
         "errors": answer.errors,
         "result": answer.result or ({"lines": answer.lines} if answer.lines else None),

@@ -19,6 +19,7 @@ from safety_harness.admission.trial import judge, run_kinematic
 from safety_harness.cli.console import AS_EXPECTED, DIFFERS, columns_of, document, result
 from safety_harness.cli.warm import SHORT_RUN, machine_code_bytes, megabytes
 from safety_harness.compiled import PACKAGE, cache_folder, cache_problem, cache_root, without_compiling
+from safety_harness.distribution import DISTRIBUTION, foreign_files
 from safety_harness.extras import EXTRAS
 from safety_harness.properties.base import Evaluation
 from safety_harness.properties.tally import table
@@ -26,7 +27,6 @@ from safety_harness.scenario.model import Verdict
 from safety_harness.scenario.read import parse_scenario
 from safety_harness.trace.provenance import shared_modules
 
-NAME = "safety-harness"
 _COMPARED = {"==": eq, "!=": ne, ">=": ge, "<=": le, ">": gt, "<": lt}
 _REQUIREMENT = re.compile(r"([\w.-]+)(?:\[.*?\])?\s*\(?([^;)]*)\)?\s*(?:;\s*(.*))?")
 
@@ -62,7 +62,7 @@ def examine() -> int:
 def _machine() -> Iterator[Examined]:
     """The machine, Python, and where machine code is kept."""
     yield Examined("machine", State.OK, f"{platform.platform()}, {os.cpu_count()} processors")
-    python, wanted = platform.python_version(), metadata.metadata(NAME)["Requires-Python"] or ""
+    python, wanted = platform.python_version(), metadata.metadata(DISTRIBUTION)["Requires-Python"] or ""
     good = within(python, wanted)
     words = python if good else f"{python}, which this package is not made for: {wanted}"
     yield Examined("Python", State.OK if good else State.PROBLEM, words)
@@ -124,7 +124,9 @@ def _version(name: str) -> str:
 
 
 def _clashes() -> Iterator[Examined]:
-    """Packages that own one module: whose code runs is not told by what is installed."""
+    """Packages that own one module, so that the installed versions do not say whose code runs."""
+    if foreign := foreign_files():
+        yield Examined("package safety_harness", State.PROBLEM, foreign)
     needed = required()
     for module, packages in shared_modules().items():
         words = f"{' and '.join(packages)} own it; uninstall all of them, install one"
@@ -152,7 +154,7 @@ def _short_run() -> Evaluation:
 def required() -> dict[str, str]:
     """The packages that every installation needs with this Python, and the versions that are good."""
     found: dict[str, str] = {}
-    for text in metadata.requires(NAME) or ():
+    for text in metadata.requires(DISTRIBUTION) or ():
         match = _REQUIREMENT.match(text)
         assert match is not None, text  # our own
         name, wanted, marker = match[1], match[2].strip(), match[3] or ""

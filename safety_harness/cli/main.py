@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 from importlib import import_module
-from importlib.metadata import version
 from importlib.util import find_spec
 from typing import Annotated
 
@@ -13,7 +12,16 @@ import typer
 from safety_harness.cli.campaign import commands as of_campaigns
 from safety_harness.cli.certify import commands as of_reports
 from safety_harness.cli.certify import of_certify
-from safety_harness.cli.console import BAD_INPUT, NARROW, columns_of, explain, give_up, no_escapes, result
+from safety_harness.cli.console import (
+    BAD_INPUT,
+    NARROW,
+    columns_of,
+    explain,
+    give_up,
+    no_escapes,
+    result,
+    say,
+)
 from safety_harness.cli.evaluate import commands as of_scoring
 from safety_harness.cli.fuzz import commands as of_search
 from safety_harness.cli.hands import commands as of_hands
@@ -31,6 +39,7 @@ from safety_harness.cli.scenario_commands import commands as of_scenarios
 from safety_harness.cli.selftest import commands as of_selftest
 from safety_harness.cli.shipped import commands as of_shipped
 from safety_harness.compiling import CompilationLine, watchers
+from safety_harness.distribution import foreign_files, installed_version
 from safety_harness.exceptions import ModelError, SafetyHarnessError
 
 NAME = "safety-harness"
@@ -72,7 +81,7 @@ def of_the_paper() -> typer.Typer:
         return found
     commands = typer.Typer()
 
-    about = "Measure the paper's tables and figures again (needs the package safety-harness-paper)."
+    about = "Measure the paper's tables and figures again (needs the package safety_harness_paper)."
 
     @commands.command(
         help=about,
@@ -80,7 +89,7 @@ def of_the_paper() -> typer.Typer:
         context_settings={"ignore_unknown_options": True, "allow_extra_args": True},
     )
     def reproduce() -> None:
-        expected = "the package safety-harness-paper, which has the paper's tables and figures"
+        expected = "the package safety_harness_paper, which has the paper's tables and figures"
         hint = "in a copy of the repository: pip install ./paper"
         raise ModelError.of_option("reproduce", expected, "not installed", hint)
 
@@ -92,7 +101,7 @@ app.add_typer(of_the_paper())
 
 def _say_version(asked: bool) -> None:
     if asked:
-        result(f"{NAME} {version(NAME)}")
+        result(f"{NAME} {installed_version()}")
         raise typer.Exit
 
 
@@ -111,6 +120,8 @@ def of_all(
 def main() -> None:
     """Entry point: one of our own errors is explained, and never a traceback."""
     watchers.append(CompilationLine(sys.stderr))
+    if foreign := foreign_files():
+        say(f"warning: {foreign}")
     columns = columns_of(sys.stdout) or 80
     plain = columns < NARROW or no_escapes()
     if plain:  # Rich cuts words where a table is too wide, and draws in bold without colour

@@ -6,7 +6,6 @@ import hashlib
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +15,7 @@ from safety_harness.avoidance.learned import LearnedAvoider
 from safety_harness.avoidance.model_file import Model, load_model, writing_to
 from safety_harness.avoidance.shipped import model_file
 from safety_harness.compiled import source_hash
+from safety_harness.distribution import installed_version
 from safety_harness.exceptions import DatasetError, ModelError, Place
 from safety_harness.learning.cell import UR10_CELL, TrainingCell
 from safety_harness.learning.dataset import seen
@@ -141,7 +141,7 @@ def evaluation_data(
     """Everything, in metres, for JSON."""
     return {
         "schema": SCHEMA,
-        "package_version": metadata.version("safety-harness"),
+        "package_version": installed_version(),
         "source_hash": source_hash(),
         "seed": seed,
         "samples": samples,

@@ -12,7 +12,6 @@ import json
 import platform
 import zipfile
 from dataclasses import dataclass
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.compiled import source_hash
+from safety_harness.distribution import installed_version
 from safety_harness.exceptions import DatasetError, OutputError, Place, RegionError
 from safety_harness.learning.dataset import CompactDataset, Space
 from safety_harness.scenario.files import refuse_no_file
@@ -65,7 +65,7 @@ def manifest_of(dataset: CompactDataset) -> dict[str, Any]:
     """What the manifest of ``dataset`` says; ``sha256`` identifies parameters, software and data together."""
     manifest = {
         "format": FORMAT,
-        "package_version": metadata.version("safety-harness"),
+        "package_version": installed_version(),
         "source_hash": source_hash(),
         "python": platform.python_version(),
         "numpy": np.__version__,

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from safety_harness.avoidance.learned import LearnedAvoider
 from safety_harness.avoidance.model_file import CARD_ARM, SIZES, Calibration, Dropout, Model, SeenSpace
+from safety_harness.distribution import installed_version
 from safety_harness.learning.dataset import SPLITS, CompactDataset, Split, fresh_pairs, seed_below
 from safety_harness.learning.manifest import data_hash
 from safety_harness.learning.metrics import conformal_multiplier, spread_threshold
@@ -83,7 +84,7 @@ def _card(trained: Trained, dataset: CompactDataset, split: Split, command: str)
         "seed": trained.seed,
         "weight_decay": trained.weight_decay,
         "software": {
-            "safety-harness": metadata.version("safety-harness"),
+            "safety-harness": installed_version(),
             "torch": metadata.version("torch"),
         },
         "data": {

@@ -10,11 +10,11 @@ import math
 import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from importlib import metadata
 from pathlib import Path
 
 import numpy as np
 
+from safety_harness.distribution import installed_version
 from safety_harness.exceptions import LogError, OutputError, Place
 from safety_harness.logs.certain import trace_of
 from safety_harness.logs.model import CellLog
@@ -224,9 +224,7 @@ def _origin(made: FromLog, named: str) -> list[str]:
     """What is whose, in paragraphs."""
     log, cell, facts = made.log, made.cell, made.log.hand_facts
     stream = log.file.name if log.file else log.name
-    lines = [
-        f"Made of {stream} by safety-harness scenario from, version {metadata.version('safety-harness')}."
-    ]
+    lines = [f"Made of {stream} by safety-harness scenario from, version {installed_version()}."]
     begin_s = log.origin_ns / 1e9
     seen = f"the hands as they were measured ({', '.join(one.name for one in made.hands)}), " * bool(
         made.hands

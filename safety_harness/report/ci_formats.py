@@ -5,11 +5,11 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator, Sequence
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
+from safety_harness.distribution import installed_version
 from safety_harness.properties.base import Evaluation
 from safety_harness.report.evidence import JudgedRun, answer
 from safety_harness.report.words import margin_words
@@ -72,7 +72,7 @@ def sarif(runs: Sequence[JudgedRun]) -> dict[str, Any]:
     rules = dict.fromkeys(claim.sentence for _, claim, _, _ in told_of)
     tool = {
         "name": "safety-harness",
-        "version": version("safety-harness"),
+        "version": installed_version(),
         "rules": [{"id": sentence, "shortDescription": {"text": sentence}} for sentence in rules],
     }
     results = [_result(run, claim, found, expected) for run, claim, found, expected in told_of]

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import datetime
-from importlib import metadata
 
 import numpy as np
 from markupsafe import Markup
 
 from safety_harness.compiled import source_hash
+from safety_harness.distribution import installed_version
 from safety_harness.proof.certificate import Proof, model_hash
 from safety_harness.proof.maps import EDGES, BoxMap, maps_of
 from safety_harness.proof.plan import ProofPlan
@@ -50,7 +50,7 @@ def render(evidence: ProofEvidence) -> str:
         sections=[_section(evidence, number) for number in range(len(proofs))],
         key=Markup(key_of(SCALE)),
         sha256=model_hash(evidence.plan),
-        version=metadata.version("safety-harness"),
+        version=installed_version(),
         source=source_hash(),
     )
 

@@ -6,13 +6,13 @@ import json
 import math
 from dataclasses import fields, is_dataclass
 from enum import Enum
-from importlib import metadata
 from typing import Any
 
 import numpy as np
 
 from safety_harness.avoidance.asking import Question
 from safety_harness.compiled import source_hash
+from safety_harness.distribution import installed_version
 from safety_harness.report.words import count_words
 from safety_harness.scoring.questions import Answers, Questions
 from safety_harness.scoring.results import Scored, ScoredAvoider, ShownQuestion
@@ -32,7 +32,7 @@ def document(scored: Scored) -> str:
     """The text of the file.  What the clock measured is under ``times`` alone: the rest repeats."""
     whole = {
         "schema": SCHEMA,
-        "package_version": metadata.version("safety-harness"),
+        "package_version": installed_version(),
         "source_hash": source_hash(),
         "seed": scored.seed,
         "search_budget": scored.budget,

@@ -6,7 +6,6 @@ import shlex
 from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import datetime
-from importlib import metadata
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +13,7 @@ from markupsafe import Markup
 
 from safety_harness.avoidance.measures import gained_m, off_m, optimum_in_base_m
 from safety_harness.compiled import source_hash
+from safety_harness.distribution import installed_version
 from safety_harness.geometry.arrays import ArrayNx3
 from safety_harness.report.page_parts import MOST_OPEN, render_page
 from safety_harness.report.question_maps import VIEWS, Scale, key_of, question_map
@@ -69,7 +69,7 @@ def render(evidence: ScoreEvidence) -> str:
         details_columns=DETAILS,
         sections=[_section(one, number) for number, one in enumerate(scored.avoiders, start=1)],
         keys=[Markup(key_of(scale)) for scale in (OFF, TOWARDS)],
-        version=metadata.version("safety-harness"),
+        version=installed_version(),
         source=source_hash(),
     )
 

@@ -13,7 +13,6 @@ from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from functools import partial
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +20,7 @@ from safety_harness.admission.admit import Admitted
 from safety_harness.admission.trial import slower_because
 from safety_harness.campaign.pool import pool
 from safety_harness.compiled import source_hash
+from safety_harness.distribution import installed_version
 from safety_harness.exceptions import SettingsError, near_miss
 from safety_harness.scenario.model import Verdict
 from safety_harness.selftest.catalogue import EVERY
@@ -103,7 +103,7 @@ class SelfTestSession:
             planned=len(self.numbers),
             seconds=round(time.monotonic() - self._begun_s, 1),
             command=self.command,
-            package_version=metadata.version("safety-harness"),
+            package_version=installed_version(),
             source_hash=source_hash(),
             platform=f"Python {platform.python_version()}, {platform.system()} {platform.machine()}",
             generated_at=datetime.now(UTC),

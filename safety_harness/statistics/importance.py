@@ -8,29 +8,37 @@ A pilot fits the mixture in steps, each to the draws with the least margins of t
 weights (cross-entropy method: Rubinstein and Kroese, 2004; for mixtures by expectation maximisation: Cappe,
 Douc, Guillin, Marin and Robert, 2008).  No s_k is below 1: where a direction does not matter, draws stay as
 wide as they were, and weights do not run away.  A share a of plain draws keeps w at most 1/a (Hesterberg,
-1995).  Then R replications, each of draws of its own, give unbiased estimates, with the interval of
-splitting's.
+1995).  Then R replications, each of draws of its own, give unbiased estimates.
+
+A pilot sees the regions that its margins lead to.  So it is followed by restarts: each is a pilot to which a
+point counts as far away where the mixture already draws more often than phi does.  What a restart finds joins
+the mixture.  The search ends with the first restart that finds no violation; ``still_found`` says that the
+last one allowed found another.
 
 Where few draws carry most of the weight, as in many dimensions, replications agree on far too little.  A
 generalised Pareto distribution fitted to the largest weights of violations (Zhang and Stephens, 2009) shows
-it: above a shape of 0.7 (Vehtari, Simpson, Gelman, Yao and Gabry, 2024) there is no upper end below 1.
+it: above a shape of 0.7 (Vehtari, Simpson, Gelman, Yao and Gabry, 2024) the estimate is not to be believed.
+The weights say nothing of a region that no draw reached.  So the upper end comes from plain draws, as
+splitting's does: those of the first pilot's first step, and those among the replications' draws.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import logsumexp
 
 from safety_harness.seeds import Branch, generator
 from safety_harness.statistics.rare import JudgedMargins, Margins, RareEstimate, estimate_of, next_level
 from safety_harness.statistics.sample import Floats, refusal
 
-LARGEST_SHAPE = 0.7
 FEWEST_WEIGHTS = 25  # of which a tail is to be told
-_COMPONENTS, _ROUNDS, _MOST_LEVELS = 3, 20, 30
+_COMPONENTS, _ROUNDS, _MOST_LEVELS, _MOST_RESTARTS = 3, 20, 30, 16
+_MORE_LEVELS = 6  # of a restart than of the pilot, before it gives up
 _LEAST_SHARE = 0.05  # of a component, or what it stands for is hardly drawn
 _LARGEST_EXPONENT = 700.0
 
@@ -71,15 +79,15 @@ def weigh(
     """
     judged, settings = JudgedMargins(margins), how or Importance()
     pilot, rng = (generator(seed, Branch.STATISTICS, 4, part) for part in range(2))
-    proposal, levels = _pilot(judged, dimensions, settings, pilot)
+    proposal, levels, still_found = _explored(judged, dimensions, settings, pilot)
     each = settings.runs // settings.replications
-    points, weights = proposal.draw(each * settings.replications, settings.plain, rng)
-    found = weights * (judged(points) < 0.0)
+    points, weights, plain = proposal.draw(each * settings.replications, settings.plain, rng)
+    drawn = judged(points)
+    judged.count_plain(drawn[plain])
+    found = weights * (drawn < 0.0)
     replicates = found.reshape(settings.replications, each).mean(axis=1)
-    shape = pareto_shape(found[found > 0.0])
-    estimate = estimate_of(replicates, levels, judged.count, confidence, model_only=model_only)
-    high = estimate.high if shape <= LARGEST_SHAPE else 1.0  # also where the shape is no number
-    return replace(estimate, high=high, pareto_shape=shape)
+    estimate = estimate_of(replicates, levels, judged, confidence, model_only=model_only)
+    return replace(estimate, pareto_shape=pareto_shape(found[found > 0.0]), still_found=still_found)
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,15 +98,25 @@ class _Mixture:
     means: Floats
     deviations: Floats
 
-    def draw(self, count: int, plain: float, rng: np.random.Generator) -> tuple[Floats, Floats]:
-        """Points (n, d) of normal space, a share ``plain`` of them plain, and their weights (n,)."""
+    def draw(
+        self, count: int, plain: float, rng: np.random.Generator
+    ) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+        """Return points (n, d) of normal space, their weights (n,), and which of them are plain (n,).
+
+        Each is plain with the chance ``plain``, whatever the others are.
+        """
         chosen = rng.choice(len(self.shares), count, p=self.shares)
         points: Floats = rng.standard_normal((count, self.means.shape[1]))
         fitted = rng.random(count) >= plain
         moved = self.means[chosen] + self.deviations[chosen] * points
         points = np.where(fitted[:, None], moved, points)
-        over = logsumexp(self.log_densities(points), axis=1) + 0.5 * (points**2).sum(axis=1)
-        return points, 1.0 / (plain + (1.0 - plain) * np.exp(np.minimum(over, _LARGEST_EXPONENT)))
+        over = np.exp(np.minimum(self.log_ratio(points), _LARGEST_EXPONENT))
+        return points, 1.0 / (plain + (1.0 - plain) * over), ~fitted
+
+    def log_ratio(self, points: Floats) -> Floats:
+        """Return how much likelier than under phi the mixture draws ``points`` (n, d), as logarithms (n,)."""
+        ratio: Floats = logsumexp(self.log_densities(points), axis=1) + 0.5 * (points**2).sum(axis=1)
+        return ratio
 
     def log_densities(self, points: Floats) -> Floats:
         """(n, k) of each component with its share, but for the constant that phi has too."""
@@ -107,15 +125,67 @@ class _Mixture:
         return logs
 
 
-def _pilot(
+def _explored(
     judged: JudgedMargins, dimensions: int, how: Importance, rng: np.random.Generator
+) -> tuple[_Mixture, list[float], bool]:
+    """Return the mixture of all regions, the pilot's levels, and whether the last restart found more."""
+    mixture, levels = _pilot(judged, dimensions, how, rng)
+    regions = [mixture]
+    found = bool(levels) and levels[-1] == 0.0
+    while found and len(regions) <= _MOST_RESTARTS:
+        another, way = _pilot(judged, dimensions, how, rng, mixture, len(levels) + _MORE_LEVELS)
+        found = way[-1] == 0.0
+        if found:
+            regions.append(another)
+            mixture = _balanced(judged, regions, how, rng)
+    return mixture, levels, found and len(regions) > 1
+
+
+def _balanced(
+    judged: JudgedMargins, regions: Sequence[_Mixture], how: Importance, rng: np.random.Generator
+) -> _Mixture:
+    """Return the components of all ``regions``, each with its share of the violations that they draw."""
+    means, deviations = (
+        np.vstack([getattr(region, name) for region in regions]) for name in ("means", "deviations")
+    )
+    equal = _Mixture(np.full(len(means), 1.0 / len(means)), means, deviations)
+    points, weights, _ = equal.draw(how.pilot, how.plain, rng)
+    weights = weights * (judged(points) < 0.0)
+    if not weights.any():
+        return equal
+    logs = equal.log_densities(points)
+    shares = (weights / weights.sum()) @ np.exp(logs - logsumexp(logs, axis=1, keepdims=True))
+    return replace(equal, shares=_at_least(shares))
+
+
+def _at_least(shares: Floats) -> Floats:
+    """Return ``shares`` (k,) that sum to 1, none of them far below the others."""
+    raised = np.maximum(shares, min(_LEAST_SHARE, 0.25 / len(shares)))
+    balanced: Floats = raised / raised.sum()
+    return balanced
+
+
+def _pilot(
+    judged: JudgedMargins,
+    dimensions: int,
+    how: Importance,
+    rng: np.random.Generator,
+    known: _Mixture | None = None,
+    most_levels: int = _MOST_LEVELS,
 ) -> tuple[_Mixture, list[float]]:
-    """The mixture that is fitted to violations, or to what came nearest, and the levels on the way."""
+    """Return the mixture fitted to violations, or to what came nearest, and the levels on the way.
+
+    Points that ``known`` draws more often than phi count as far away.
+    """
     mixture = _Mixture(np.ones(1), np.zeros((1, dimensions)), np.ones((1, dimensions)))
     levels: list[float] = []
-    while len(levels) < _MOST_LEVELS:
-        points, weights = mixture.draw(how.pilot, how.plain, rng)
+    while len(levels) < most_levels:
+        points, weights, _ = mixture.draw(how.pilot, how.plain, rng)
         margins = judged(points)
+        if known is not None:
+            margins = np.where(known.log_ratio(points) > 0.0, np.inf, margins)
+        elif not levels:  # as many as declared, whatever they say
+            judged.count_plain(margins)
         levels.append(max(next_level(margins, how.best), 0.0))
         best = margins < levels[-1]
         if not best.any():
@@ -142,8 +212,7 @@ def _fitted(points: Floats, weights: Floats, rng: np.random.Generator) -> _Mixtu
         means = belongs.T @ points / shares[:, None]
         squares = np.einsum("nk,nkd->kd", belongs, (points[:, None] - means) ** 2) / shares[:, None]
         mixture = _Mixture(shares / shares.sum(), means, np.sqrt(np.maximum(squares, 1.0)))
-    shares = np.maximum(mixture.shares, _LEAST_SHARE)
-    return _Mixture(shares / shares.sum(), mixture.means, mixture.deviations)
+    return replace(mixture, shares=_at_least(mixture.shares))
 
 
 def pareto_shape(weights: Floats) -> float:

@@ -12,17 +12,10 @@ cube's point is the normal distribution function of z.
 
 A pilot run fixes levels and step lengths; then R replications, independent of it and of each other, each
 give an estimate whose expectation is the probability, however badly the moves mix, since nothing in them
-adapts.  The estimates are skewed: a product of shares is nearly lognormal, so that the upper end of
-Student's t is too low too often.  So it is that of a lognormal's mean, by its generalised pivot
-
-    log mean  =  m - Z sqrt(V / R) + V / 2,   V = (R - 1) s^2 / C,
-
-with m and s^2 the mean and variance of the estimates' logarithms, Z standard normal and C chi-squared with
-R - 1 degrees of freedom (Krishnamoorthy and Mathew, 2003), by integration over C; the lower end is
-Student's.  A region that hardly any replication finds makes most estimates too low and few much too high.  So
-there is an upper end below 1 only where every replication found a violation, and none of them makes up half
-of the sum.  Of a region that none found nothing can be said, nor of how sure replications are that all say
-the same.
+adapts.  The lower end of the interval is Student's.  No upper end can come from the replications: a region
+that none of them reached leaves no sign in their spread.  So the upper end comes from the plain draws
+alone, with which every replication begins, by Clopper and Pearson.  It is exact, and as wide as so few draws
+make it.
 """
 
 from __future__ import annotations
@@ -34,6 +27,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
+from safety_harness.proportions import upper_bound
 from safety_harness.seeds import Branch, generator
 from safety_harness.statistics.binomial import chance_of_each
 from safety_harness.statistics.sample import Floats, refusal
@@ -41,10 +35,9 @@ from safety_harness.statistics.sample import Floats, refusal
 Margins = Callable[[Floats], Floats]
 """Points (n, d) of the unit cube -> margins (n,), negative where the claim is violated; never NaN."""
 
+LARGEST_SHAPE = 0.7  # of the weights' tail
 _BELOW_ONE = math.nextafter(1.0, 0.0)
 _MOST_LEVELS = 60
-_MOST_OF_SUM = 0.5
-_NODES, _BEYOND = 4_000, 1e-30  # of the integral over C, and the chance that is left out at either end
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,13 +61,15 @@ class Splitting:
 
 @dataclass(frozen=True, kw_only=True)
 class RareEstimate:
-    """The probability of a violation with an interval whose ``confidence`` is approximate.
+    """The probability of a violation, of the regions that the method reached.
 
-    How often it held on problems with known answers is in docs/statistics.md.
+    ``low`` is approximate; docs/statistics.md says how often it held on problems with known answers.
+    ``high`` is exact: it comes from ``plain_draws`` alone, of which ``plain_violations`` violate the claim.
 
-    ``replicates`` are the replications' estimates, of which ``reached`` are above 0; ``levels`` the margins
-    of the steps (SI), ``evaluations`` how many points were judged.  ``model_only``: the margins came from a
-    simplified world.  ``pareto_shape``: of the weights of importance sampling, None of splitting.
+    ``replicates`` are the replications' estimates, of which ``reached`` are above 0.  ``levels`` are the
+    margins of the steps (SI), and ``evaluations`` counts the judged points.  ``model_only``: the margins came
+    from a simplified world.  ``pareto_shape`` is that of importance sampling's weights, None for splitting.
+    ``still_found``: the last restart of importance sampling met a region that the others had missed.
     """
 
     value: float
@@ -86,7 +81,23 @@ class RareEstimate:
     levels: tuple[float, ...]
     evaluations: int
     model_only: bool
+    plain_draws: int
+    plain_violations: int
     pareto_shape: float | None = None
+    still_found: bool = False
+
+    @property
+    def no_estimate(self) -> str:
+        """Return why the replications' estimate is not to be believed; empty if nothing speaks against it."""
+        if self.reached < len(self.replicates):
+            return f"{self.reached} of {len(self.replicates)} replications found a violation"
+        if self.still_found:
+            return "more regions of violations turn up with every restart: try more --pilot draws"
+        if self.pareto_shape == math.inf:
+            return "too few draws violate it to judge their weights: try more --runs, or --by splitting"
+        if (self.pareto_shape or 0.0) > LARGEST_SHAPE:
+            return "a few draws carry most of the weight: try more --pilot draws, or --by splitting"
+        return ""
 
     @property
     def as_many_draws(self) -> float:
@@ -116,38 +127,40 @@ def split(
     replicates = np.array(
         [_replication(_Particles(judged, shape, rng), settings.steps, levels, lengths) for rng in rngs]
     )
-    return estimate_of(replicates, levels, judged.count, confidence, model_only=model_only)
+    return estimate_of(replicates, levels, judged, confidence, model_only=model_only)
 
 
 def estimate_of(
     replicates: Floats,
     levels: Sequence[float],
-    evaluations: int,
+    judged: JudgedMargins,
     confidence: float,
     *,
     model_only: bool,
 ) -> RareEstimate:
-    """What ``replicates`` (n,) say together."""
-    low, high = interval_of(replicates, chance_of_each(confidence, 2))
+    """Return what ``replicates`` (n,) and the plain draws of ``judged`` say together."""
+    chance = chance_of_each(confidence, 2)
     return RareEstimate(
         value=min(float(replicates.mean()), 1.0),
-        low=low,
-        high=high,
+        low=lower_end(replicates, chance),
+        high=upper_bound(judged.plain_violations, judged.plain_draws, chance),
         confidence=confidence,
         replicates=tuple(float(one) for one in replicates),
         reached=int(np.count_nonzero(replicates)),
         levels=tuple(levels),
-        evaluations=evaluations,
+        evaluations=judged.count,
         model_only=model_only,
+        plain_draws=judged.plain_draws,
+        plain_violations=judged.plain_violations,
     )
 
 
 class JudgedMargins:
-    """Margins of points in standard normal space, checked and counted."""
+    """Margins of points in standard normal space, checked and counted; plain draws are counted apart."""
 
     def __init__(self, margins: Margins) -> None:
         self._margins = margins
-        self.count = 0
+        self.count = self.plain_draws = self.plain_violations = 0
 
     def __call__(self, normal: Floats) -> Floats:
         """Points ``normal`` (n, d) -> margins (n,)."""
@@ -158,39 +171,19 @@ class JudgedMargins:
             raise refusal("margins", f"{len(normal)} margins", got)
         return found
 
+    def count_plain(self, margins: Floats) -> None:
+        """Count the ``margins`` (n,) of draws that are distributed as the cube's points are."""
+        self.plain_draws += len(margins)
+        self.plain_violations += int(np.count_nonzero(margins < 0.0))
 
-def interval_of(replicates: Floats, chance: float) -> tuple[float, float]:
-    """Ends for the mean of ``replicates`` (n,), each wrong with about this chance, within [0, 1].
 
-    The upper end is 1 where they do not agree well enough; from 0 to 1 where none differs: then there is no
-    spread to judge by.
-    """
+def lower_end(replicates: Floats, chance: float) -> float:
+    """Return Student's lower end for the mean of ``replicates`` (n,); 0 where all are equal."""
     n, mean = len(replicates), float(replicates.mean())
     if np.all(replicates == replicates[0]):
-        return 0.0, 1.0
+        return 0.0
     half = float(scipy.special.stdtrit(n - 1, 1.0 - chance)) * float(replicates.std(ddof=1)) / math.sqrt(n)
-    low = min(max(mean - half, 0.0), 1.0)
-    if not replicates.all() or float(replicates.max()) >= _MOST_OF_SUM * n * mean:
-        return low, 1.0
-    logarithms = np.log(replicates)
-    return low, math.exp(_largest_pivot(float(logarithms.mean()), float(logarithms.var(ddof=1)), n, chance))
-
-
-def _largest_pivot(mean: float, variance: float, n: int, chance: float) -> float:
-    """The value that log mean, as a pivot, exceeds with this chance; 0 at most.
-
-    P(log mean > x) = E over C of Phi((m + V / 2 - x) / sqrt(V / R)), by the trapezoidal rule over log C.
-    """
-    of_c = scipy.stats.chi2(n - 1)
-    logs = np.linspace(math.log(of_c.ppf(_BEYOND)), math.log(of_c.isf(_BEYOND)), _NODES)
-    weights = np.exp(of_c.logpdf(np.exp(logs)) + logs)
-    of_v = (n - 1) * variance / np.exp(logs)
-
-    def excess(x: float) -> float:
-        beyond = scipy.special.ndtr((mean + of_v / 2.0 - x) / np.sqrt(of_v / n))
-        return float(weights @ beyond / weights.sum()) - chance
-
-    return 0.0 if excess(0.0) >= 0.0 else float(scipy.optimize.brentq(excess, mean, 0.0, xtol=1e-12))
+    return min(max(mean - half, 0.0), 1.0)
 
 
 def _pilot(particles: _Particles, how: Splitting) -> tuple[list[float], list[float]]:
@@ -245,6 +238,7 @@ class _Particles:
         self._judged, self._rng = judged, rng
         self.points: Floats = rng.standard_normal(shape)
         self.margins = judged(self.points)
+        judged.count_plain(self.margins)
 
     def resample(self, level: float) -> None:
         """Draw them again from those below the level."""

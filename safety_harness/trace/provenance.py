@@ -21,6 +21,7 @@ from types import ModuleType
 import numpy as np
 
 from safety_harness.compiled import PACKAGE, cache_root, source_hash
+from safety_harness.distribution import installed_version
 from safety_harness.exceptions import InstallationError, Place
 from safety_harness.trace.trace import Provenance
 from safety_harness.whole_file import write_whole
@@ -51,7 +52,7 @@ def provenance(world: str, used: tuple[str, ...] = ()) -> Provenance:
     found += [(_by_metadata(library), None) for library in used if library == ELSEWHERE]
     data = DATA, hashlib.sha256("".join(map(_sha256, sorted(ROBOTS.rglob("*.*")))).encode()).hexdigest()
     return Provenance(
-        package_version=metadata.version("safety-harness"),
+        package_version=installed_version(),
         source_hash=source_hash(),
         world=world,
         python=platform.python_version(),

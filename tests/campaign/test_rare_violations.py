@@ -59,7 +59,7 @@ def test_of_draws_that_are_refused_the_share_is_none(plan: Plan, monkeypatch: py
     monkeypatch.setattr(rare._Draws, "__call__", margins)
     monkeypatch.setattr(rare._Draws, "admitted", lambda *_: rare.ADMITTED_OF // 2)
     found = only(plan, Splitting(particles=200, steps=5, replications=20))
-    assert found.low < 0.001 < found.high < 0.003
+    assert found.low < 0.001 < found.high
     assert found.share == pytest.approx(2 * found.estimate.value)
     assert found.low < found.estimate.low * 2
     assert found.estimate.as_many_draws > found.estimate.evaluations  # it is the cheaper way

@@ -300,3 +300,14 @@ def test_the_picture_is_markup_in_which_names_are_text() -> None:
     assert "<b>" not in drawn
     links = re.findall(r'href="#([^"]+)"', drawn)
     assert len(links) == len(every(argument_of(evidence())))
+
+
+def test_a_policy_is_not_argued_by_the_stages_of_supervised_learning() -> None:
+    """AMLAS does not cover a controller learned by reinforcement: not applicable, and open."""
+    known = evidence()
+    assert known.learned is not None
+    policy = replace(known, learned=replace(known.learned, strata=()))
+    (amlas,) = [one for one in argument_of(policy).below if "AMLAS" in one.text]
+    assert amlas.text.startswith("Not applicable, and open: AMLAS covers offline supervised learning.")
+    assert amlas.undeveloped
+    assert amlas.below == ()

@@ -71,3 +71,22 @@ def test_the_words_of_a_claim_name_their_documents_from_the_table_alone() -> Non
         assert "ISO" not in entry.source
         terms = traced(entry.example).terms
         assert dict(told_with_standards(entry))["standards"].count("ISO ") >= len(terms)
+
+
+def test_law_and_standards_of_2026_have_their_rows() -> None:
+    """Each text that was read in excerpts only says so."""
+    rows = {one.name: one for one in STANDARDS.standards}
+    for name in (
+        "Regulation (EU) 2024/1689 (AI Act), as amended in 2026",
+        "ISO/IEC TS 22440",
+        "ISO/TR 22100-5:2021",
+        "ANSI/A3 R15.06-2025",
+        "Regulation (EU) 2023/1230",
+    ):
+        assert "in excerpts" in rows[name].source
+    asked = " ".join(one.asks for one in rows["Regulation (EU) 2023/1230"].requirements)
+    assert "1.2.1" in asked
+    assert "five years" in asked
+    (by_way_of,) = rows["Regulation (EU) 2024/1689 (AI Act), as amended in 2026"].requirements
+    assert "by way of Regulation (EU) 2023/1230" in by_way_of.means
+    assert "supervised" in rows["AMLAS"].about

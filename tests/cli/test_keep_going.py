@@ -71,7 +71,7 @@ def test_a_scenario_that_needs_a_package_keeps_others_from_running_only_without_
     assert "1 of 1 scenarios run, 1 of the inputs cannot be used" in capsys.readouterr().err
     (refused,) = json.loads((tmp_path / "out" / "report.json").read_text())["refused"]
     assert Path(refused["file"]).name == "rendered.yaml"
-    assert "pip install 'safety-harness[images]'" in refused["hint"]
+    assert "pip install 'hand-safety-harness[images]'" in refused["hint"]
 
 
 def test_without_the_option_nothing_is_run_and_the_option_is_named(

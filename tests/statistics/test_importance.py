@@ -11,9 +11,9 @@ from acceptance import misses_are_no_more_than
 from known_problems import normal, outside_a_sphere, tail, two_tails
 
 from safety_harness.exceptions import StatisticsError
-from safety_harness.statistics.importance import LARGEST_SHAPE, Importance, pareto_shape, weigh
-from safety_harness.statistics.rare import Margins, split
-from safety_harness.statistics.sample import Floats
+from safety_harness.statistics import importance
+from safety_harness.statistics.importance import Importance, pareto_shape, weigh
+from safety_harness.statistics.rare import LARGEST_SHAPE, Margins, split
 
 QUICK = Importance(pilot=200, runs=1000, replications=10)
 
@@ -34,7 +34,8 @@ KNOWN: list[tuple[Margins, int, float]] = [
 @pytest.mark.parametrize(("margins", "dimensions", "truth"), KNOWN)
 def test_the_known_answer_lies_in_the_interval(margins: Margins, dimensions: int, truth: float) -> None:
     found = weigh(margins, dimensions, seed=3, confidence=0.999)
-    assert found.low <= truth <= found.high < 1.6 * truth
+    assert found.low <= truth <= found.high
+    assert not found.no_estimate
     assert found.value == pytest.approx(truth, rel=0.2)
     assert found.reached == 20
     assert found.pareto_shape is not None
@@ -46,8 +47,8 @@ def test_it_takes_far_fewer_runs_than_splitting() -> None:
     weighed, gone_there = weigh(tail(4.0), 2, seed=4), split(tail(4.0), 2, seed=4)
     for one in (weighed, gone_there):
         assert one.value == pytest.approx(truth, rel=0.25)
-    assert weighed.evaluations * 20 < gone_there.evaluations
-    assert weighed.high - weighed.low < 1.5 * (gone_there.high - gone_there.low)
+    assert weighed.evaluations * 10 < gone_there.evaluations
+    assert np.std(weighed.replicates) < 1.5 * np.std(gone_there.replicates)
 
 
 @pytest.mark.parametrize(("margins", "dimensions", "truth"), KNOWN[1:3])
@@ -67,17 +68,20 @@ def test_estimates_are_right_on_average_and_intervals_hold_as_often_as_they_say(
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_where_a_few_draws_carry_the_weight_nothing_is_said(seed: int) -> None:
+def test_where_a_few_draws_carry_the_weight_there_is_no_estimate(seed: int) -> None:
     """All around in thirty dimensions: the replications agree on far too little."""
     found = weigh(outside_a_sphere(9.0), 30, seed=seed)
-    assert found.high == 1.0
     assert found.pareto_shape is not None
-    assert found.pareto_shape > LARGEST_SHAPE
+    assert found.pareto_shape > LARGEST_SHAPE or found.reached < 20
+    assert found.no_estimate
 
 
-def test_of_what_never_happens_nothing_is_said() -> None:
+def test_of_what_never_happens_only_the_plain_draws_say_anything() -> None:
     found = weigh(lambda points: np.ones(len(points)), 3, seed=1)
-    assert (found.value, found.low, found.high, found.reached) == (0.0, 0.0, 1.0, 0)
+    assert (found.value, found.low, found.reached) == (0.0, 0.0, 0)
+    assert found.no_estimate
+    assert found.high == pytest.approx(1.0 - 0.025 ** (1 / found.plain_draws))
+    assert 900 < found.plain_draws < 1100  # the pilot's first 500, and a tenth of 5,000
 
 
 def test_what_always_happens_is_sure() -> None:
@@ -86,15 +90,49 @@ def test_what_always_happens_is_sure() -> None:
     assert found.low <= 1.0 <= found.high
 
 
-def test_a_region_aside_is_missed_as_plain_draws_would_miss_it() -> None:
-    """Nearly all violations are where the margins do not lead: it is no bound to show a target with."""
-    aside = 1e-3
+def aside(share: float) -> Margins:
+    """Margins lead to a tail of 3e-7, and nearly all violations are a needle where they do not lead."""
+    return lambda points: np.where(points[:, 1] < share, -1.0, 5.0 - normal(points)[:, 0])
 
-    def margins(points: Floats) -> Floats:
-        return np.where(points[:, 1] < aside, -1.0, 5.0 - normal(points)[:, 0])
 
-    highs = [weigh(margins, 2, seed=seed, how=QUICK).high for seed in range(20)]
-    assert any(high < aside for high in highs)
+def test_a_region_that_no_restart_can_see_does_not_make_the_upper_end_wrong() -> None:
+    share = 1e-3
+    found = [weigh(aside(share), 2, seed=seed, how=QUICK) for seed in range(40)]
+    assert misses_are_no_more_than(sum(one.high < share for one in found), 40, 0.025)
+    assert any(one.value < share / 2 for one in found)  # which is why there is no other upper end
+
+
+def half_spaces(count: int, probability: float) -> Margins:
+    """Any of ``count`` half spaces, equally likely, and ``probability`` together."""
+    beyond = float(scipy.stats.norm.isf(1.0 - (1.0 - probability) ** (1.0 / count)))
+    return lambda points: np.asarray((beyond - normal(points)[:, :count]).min(axis=1))
+
+
+def faces(count: int, beyond: float) -> Margins:
+    """Outside a box of so many faces."""
+    return lambda points: np.asarray((beyond - np.abs(normal(points)[:, : count // 2])).min(axis=1))
+
+
+MANY_REGIONS = [
+    (half_spaces(6, 1e-4), 6, 1e-4),
+    (half_spaces(10, 1e-4), 10, 1e-4),
+    (faces(6, 4.2), 3, 6.0 * float(scipy.stats.norm.sf(4.2))),
+    (faces(12, 4.3), 6, 12.0 * float(scipy.stats.norm.sf(4.3))),
+]
+
+
+@pytest.mark.parametrize(("margins", "dimensions", "truth"), MANY_REGIONS)
+def test_restarts_find_the_regions_that_a_pilot_misses(
+    margins: Margins, dimensions: int, truth: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With the pilot alone most estimates that are stated lack regions; with restarts few are far too low."""
+    found = [weigh(margins, dimensions, seed=seed) for seed in range(12)]
+    assert all(one.low <= truth <= one.high for one in found)
+    stated = [one.value / truth for one in found if not one.no_estimate]
+    assert not stated or np.median(stated) > 0.6
+    monkeypatch.setattr(importance, "_MOST_RESTARTS", 0)
+    alone = [weigh(margins, dimensions, seed=seed) for seed in range(12)]
+    assert np.median([one.value for one in alone]) < np.median([one.value for one in found])
 
 
 def test_margins_that_are_no_numbers_are_refused() -> None:

@@ -1,0 +1,79 @@
+"""A report carries its plan: references by absolute path and outside the plan's folder are made relative."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from safety_harness.campaign.identity import refuse_unpackable
+from safety_harness.campaign.plan import read_plan
+from safety_harness.cli.certify import certify, verify
+from safety_harness.cli.console import AS_EXPECTED, DIFFERS
+from safety_harness.cli.validate import validate
+from safety_harness.exceptions import ScenarioError
+from tests.campaign.plans import PLAN, TEXT
+
+SMALL = re.sub(r"runs: \d+", "runs: 9", PLAN)
+
+
+def plan_with_space_at(folder: Path, written: str) -> Path:
+    """A plan in ``folder``/plans whose space lies in ``folder``/spaces, named as ``written``."""
+    (folder / "plans").mkdir()
+    (folder / "spaces").mkdir()
+    (folder / "spaces" / "short.yaml").write_text(TEXT)
+    plan = folder / "plans" / "plan.yaml"
+    plan.write_text(SMALL.replace("space: short.yaml", f"space: {written}"))
+    return plan
+
+
+@pytest.mark.parametrize(
+    "written",
+    [
+        "{}/spaces/short.yaml",
+        '"{}/spaces/short.yaml"',
+        "{}/plans/../spaces/short.yaml",
+        "../spaces/short.yaml",
+    ],
+)
+def test_an_honest_report_of_a_space_elsewhere_stands(
+    tmp_path: Path, written: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plan, out = plan_with_space_at(tmp_path, written.format(tmp_path)), tmp_path / "report"
+    certify(plan, out=out, workers=1)
+    capsys.readouterr()
+    assert verify(out, runs=1, seed=0) == AS_EXPECTED, capsys.readouterr().out
+    packed = b"".join(path.read_bytes() for path in (out / "plan").rglob("*.yaml"))
+    assert str(tmp_path).encode() not in packed
+
+
+def test_strict_ends_with_1_where_something_is_open(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Without a lodged seal something is; the last line has the word that heads the page."""
+    plan, out = plan_with_space_at(tmp_path, "../spaces/short.yaml"), tmp_path / "report"
+    certify(plan, out=out, workers=1)
+    page = (out / "evidence.html").read_text()
+    answer = re.findall(r'role="note"><p><strong>([^<]*)\.</strong>', page)[0].lower()
+    assert capsys.readouterr().out.splitlines()[-1].endswith(f"evidence.html: {answer}")
+    assert verify(out, runs=1, seed=0, strict=True) == DIFFERS
+    assert (
+        capsys.readouterr().out.splitlines()[-1]
+        == f"the report stands, but for what was not checked: {answer}"
+    )
+
+
+def test_a_plan_whose_copy_is_another_is_refused_before_any_run(tmp_path: Path) -> None:
+    plan = read_plan(plan_with_space_at(tmp_path, "../spaces/short.yaml"))
+    refuse_unpackable(plan.file, plan.files, lambda copy: read_plan(copy).identity)
+    other = read_plan(plan_with_space_at(tmp_path / "plans", "../spaces/short.yaml"))
+    other.file.write_text(other.file.read_text().replace("seed: 7", "seed: 8"))
+    with pytest.raises(ScenarioError, match="relative paths"):
+        refuse_unpackable(plan.file, plan.files, lambda copy: read_plan(other.file).identity)
+
+
+def test_validate_takes_every_shipped_plan() -> None:
+    names = ("certify-in-a-minute", "mc-dropout", "quick", "shield", "shield-million")
+    plans = [Path(__file__).parents[2] / "plans" / f"{name}.yaml" for name in names]
+    assert validate(plans) == AS_EXPECTED
