@@ -104,7 +104,7 @@ def mixes(formula: Formula) -> bool:
 @given(claims)
 def test_what_a_formula_is_written_as_is_read_as_that_formula(formula: Formula) -> None:
     if mixes(formula):
-        with pytest.raises(FormulaError, match="one kind of margin|which say when"):
+        with pytest.raises(FormulaError, match=r"one kind of margin|which say when"):
             parse_formula(str(formula))
         return
     again = parse_formula(str(formula))
