@@ -33,9 +33,9 @@ def findings_of(
     ledger: Ledger,
     met: Sequence[Example | str],
     searches: Sequence[Searched],
-    damaged: Iterable[str],
+    of_stored: Iterable[str],
 ) -> Iterator[OpenFinding]:
-    """All of them; ``damaged`` says which stored traces cannot be read."""
+    """All of them; ``of_stored`` says which stored traces cannot be read, and what they left untried."""
     if not evidence.record.declaration_sha256:
         yield OpenFinding("nothing proves that the plan was declared before its runs were made", "plan")
     yield from of_claims(evidence.claims)
@@ -43,7 +43,7 @@ def findings_of(
     yield from of_strata(ledger, evidence.strata)
     if ledger.repeated.words or not ledger.repeated.asked:
         yield OpenFinding(ledger.repeated.line, "strata")
-    yield from (OpenFinding(text, "strata") for text in damaged)
+    yield from (OpenFinding(text, "strata") for text in of_stored)
     yield from of_examples(met)
     yield from of_searches(searches, evidence.plan.search_runs)
     yield from of_worlds(evidence.credibility)

@@ -48,6 +48,7 @@ from safety_harness.certification.stored import (
     coverage_of,
     random_traces,
     separation_of,
+    untried_in,
 )
 from safety_harness.certification.system import system_of
 from safety_harness.certification.tools import NO_TRIALS, Credibility, HarnessTrials
@@ -154,7 +155,7 @@ def put_together(
         notes=notes,
         learned=learned_of(plan, ledger, stored),
     )
-    findings = tuple(findings_of(evidence, ledger, met, searches, damaged))
+    findings = tuple(findings_of(evidence, ledger, met, searches, [*damaged, *untried_in(plan, stored)]))
     return GatheredEvidence(evidence=replace(evidence, findings=findings), examples=examples)
 
 

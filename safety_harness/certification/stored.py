@@ -18,11 +18,14 @@ from safety_harness.certification.tools import CellCount, CoverageOfRuns
 from safety_harness.exceptions import TraceError
 from safety_harness.properties.protective_separation import ProtectiveSeparation
 from safety_harness.properties.spread_calibration import IntervalRule, SpreadCalibration
+from safety_harness.properties.tried import TriedParts
 from safety_harness.properties.true_motion import nearest_hand_m
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.search.coverage import AXES, CoverageCell
 from safety_harness.search.coverage import Coverage as Cells
 from safety_harness.trace.trace import Trace
+
+MOST_SUPPOSED = 100  # draws of a stratum
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,6 +61,23 @@ def came_nearest(plan: Plan, stored: Sequence[Stored], stratum: int, claim: int)
     nearest = min(mine, key=lambda one: (np.nanmin(nearest_hand_m(one.trace), initial=np.inf), one.episode))
     found = property_of(plan.claims[claim].claim, nearest.trace.scenario).evaluate(nearest.trace)
     return f"in run {nearest.episode}, of {len(mine)} kept the one with the nearest hand, {found.reason}"
+
+
+def untried_in(plan: Plan, stored: Sequence[Stored]) -> list[str]:
+    """Of each stratum what no kept run tried, nor would any of some draws beside an arm that stands."""
+    lines = []
+    for number, stratum in enumerate(plan.strata):
+        traces = [one.trace for one in stored if one.stratum == number]
+        tried = TriedParts.of(*traces)
+        if tried.lines():
+            start_m = traces[0].ticks["transform_tcp_to_base"][0, :3, 3]
+            supposed = TriedParts()
+            for scenario in stratum.space.draws(plan.seed, MOST_SUPPOSED):
+                supposed.suppose(scenario, start_m)
+            for title, parts in supposed.parts.items():
+                tried.join(title, parts, 0)
+        lines += [f"{stratum.name}: {line}" for line in tried.lines(stratum.space, of="kept runs")]
+    return lines
 
 
 def judged_run(trace: Trace) -> JudgedRun:

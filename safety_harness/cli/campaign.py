@@ -73,10 +73,10 @@ def run(
 
     Beside the ledger a page, .html, says how it stands.
     Ctrl-C keeps every finished episode, and so does whatever kills the program or the machine.
-    Exit code 0: complete, or this part is; 1: complete, but episodes failed to run, the avoider did not
-    always answer and the plan claims nothing of that, or answered otherwise when asked again, or no worker is
-    left; 2: bad input, another plan's
-    ledger, or a disk that takes no more; 130: interrupted.
+    Exit code 0: complete, or this part is; 1: complete, but episodes failed to run, none put a claim to the
+    test, the avoider did not always answer and the plan claims nothing of that, or answered otherwise when
+    asked again, or no worker is left; 2: bad input, another plan's ledger, or a disk that takes no more; 130:
+    interrupted.
     """
     from safety_harness.campaign.against import plan_with
     from safety_harness.campaign.plan import read_plan
@@ -153,6 +153,7 @@ def _carry_on(plan: Plan, path: Path, workers: int | None, cluster: str | None, 
     from safety_harness.cli.progress import watching_campaign
     from safety_harness.interrupts import one_more_ctrl_c
     from safety_harness.properties.answered import is_claimed
+    from safety_harness.statistics.sample import EpisodeOutcome
 
     make_crew = processes(workers)
     if cluster is not None:
@@ -172,7 +173,9 @@ def _carry_on(plan: Plan, path: Path, workers: int | None, cluster: str | None, 
     if stopped and not tally.complete:
         say(f"interrupted; go on: safety-harness campaign resume {path}")
         return INTERRUPTED
-    return DIFFERS if tally.failed or unanswered or unlike else AS_EXPECTED
+    claims = [tally.of_claim(number).counts for number in range(len(plan.claims))]
+    unknown = any(one[EpisodeOutcome.UNTESTED] == sum(one.values()) for one in claims)
+    return DIFFERS if tally.failed or unanswered or unlike or unknown else AS_EXPECTED
 
 
 def _say_ledger(ledger: Ledger, page: Path | None = None) -> LedgerState:

@@ -95,6 +95,7 @@ def certify(
     import shlex
 
     from safety_harness.admission.avoiders import told_avoider
+    from safety_harness.admission.claims import property_of
     from safety_harness.campaign.against import plan_with
     from safety_harness.campaign.plan import read_plan
     from safety_harness.certification.argument import STATE
@@ -104,6 +105,8 @@ def certify(
     from safety_harness.certification.folder import PAGE
     from safety_harness.certification.verdicts import overruling_line, percent
     from safety_harness.cli.progress import watching_campaign, watching_search, watching_words
+    from safety_harness.properties.base import close_to, far_words
+    from safety_harness.properties.tried import UNTRIED
     from safety_harness.scenario.files import told
     from safety_harness.scenario.model import Driver
     from safety_harness.scenario.typed_json import plain
@@ -146,12 +149,18 @@ def certify(
     for claim in evidence.claims:
         mark = {"holds": "ok  ", "violated": "NO  "}.get(STATE[claim.standing], "open")
         result(f"{mark} {claim.standing.value:<21} {claim.sentence}: {claim.why}")
+    simplest = job.plan.strata[0].space.simplest
+    for planned, claim in zip(job.plan.claims, evidence.claims, strict=True):
+        margins = [one.least_margin_si for one in claim.outcomes if one.least_margin_si is not None]
+        far = far_words(close_to(property_of(planned.claim, simplest)), min(margins, default=None))
+        say(*[f"note: {claim.sentence}: {far}"] * bool(far))
     result(*(overruling_line(one) for one in evidence.overruling if one.words))
     bounds, confidence = evidence.plan.bounds, percent(evidence.plan.confidence)
     if any(one.bound for claim in evidence.claims for one in claim.outcomes):
         result(f"all {bounds} bounds of the report hold together with {confidence} confidence")
     if evidence.fallback:
         result(evidence.fallback)
+    say(*(f"note: {one.text}" for one in evidence.findings if f": {UNTRIED} " in one.text))
     result(f"{job.folder / PAGE}: {evidence.standing.value}")
     if not complete:
         say("interrupted: the report says what is missing; the same command goes on from there")

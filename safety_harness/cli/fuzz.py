@@ -56,8 +56,8 @@ def fuzz(
     covered, coverage.svg; Ctrl-C keeps what was found so far.
     A claim that the space expects to be violated has to be found within the budget.
     Exit code 0: as the space expects, which is no evidence of safety; 1: a violation that it does not expect,
-    none of what it does, or an avoider that gave no answer, or answered otherwise when asked again; 2: bad
-    input, or a place that cannot be written; 130: interrupted.
+    none of what it does, a claim that no run put to the test, or an avoider that gave no answer, or answered
+    otherwise when asked again; 2: bad input, or a place that cannot be written; 130: interrupted.
     """
     from safety_harness.admission.avoiders import one_of
     from safety_harness.cli.progress import watching_search, watching_words

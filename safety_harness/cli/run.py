@@ -36,7 +36,8 @@ from safety_harness.cli.run_processes import RunProcesses, run_processes
 from safety_harness.exceptions import InputError, OutputError, SafetyHarnessError
 from safety_harness.interrupts import one_more_ctrl_c
 from safety_harness.properties.against import Against, RunDifference
-from safety_harness.properties.tally import table_lines, untested_lines
+from safety_harness.properties.tally import far_lines, table_lines, untested_lines
+from safety_harness.properties.tried import TriedParts
 from safety_harness.report.decisions import (
     DecisionTally,
     computing_time_lines,
@@ -192,6 +193,7 @@ class RunSession:
         if self.against is None:
             say_results(judged)
         say(*(f"note: {judged.trace.scenario.name}: {note}" for note in fault_notes(judged.trace)))
+        say(*(f"note: {line}" for line in TriedParts.of(judged.trace).lines()))
         self.interrupted = not judged.trace.complete
 
     def _compare(self, reference: JudgedRun) -> None:
@@ -280,7 +282,7 @@ class RunSession:
     def _say_coverage(self) -> bool:
         """How often each claim was put to the test; True if one that should have been never was."""
         found = tallies(self.runs)
-        say(*table_lines(found, columns_of(sys.stderr)))
+        say(*table_lines(found, columns_of(sys.stderr)), *far_lines(found))
         untested = untested_lines(found)
         if untested:
             say(f"error: {untested[0]}", *untested[1:])

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from safety_harness.admission.admit import Looker
+from safety_harness.admission.admit import Checked, Looker
 from safety_harness.admission.avoiders import with_avoider
 from safety_harness.admission.claims import property_of
 from safety_harness.admission.spaces import draw_admissible
@@ -23,6 +24,8 @@ from safety_harness.cli.console import (
 )
 from safety_harness.compiled import without_compiling
 from safety_harness.exceptions import StatisticsError
+from safety_harness.properties.tried import TriedParts
+from safety_harness.robot.kinematics import links_in_base
 from safety_harness.scenario.compose import Variant
 from safety_harness.scenario.expand import Gathered, gather
 from safety_harness.scenario.kinds import FileKind, kind_of
@@ -48,6 +51,7 @@ def validate(paths: Sequence[Path], avoider: str | None = None) -> int:
                 lambda: looker.look(one if avoider is None else with_avoider(one, avoider))
             ),
         )
+        untried = without_compiling(lambda: _untried(checked))
         spaces, errors_of_spaces = usable(
             gathered.spaces, lambda one: without_compiling(lambda: _tried_space(one))
         )
@@ -76,6 +80,9 @@ def validate(paths: Sequence[Path], avoider: str | None = None) -> int:
         result(f"ok {plan.file}: a plan, {', '.join([*words, _count(len(plan.claims), 'claim')])}")
         usable_files.append({"file": plan.file, "kind": "plan", "runs": plan.runs})
     document(usable=usable_files)
+    for space in (*spaces, *(one.space for plan in read for one in plan.strata)):
+        untried += without_compiling(partial(_untried_of, space))
+    say(*(f"note: {line}" for line in untried))
     if errors:
         mistakes = _count(len(explain_each(errors)), "mistake")
         rest = f"{_count(len(checked), 'scenario')} and {_count(len(spaces), 'space')}"
@@ -108,6 +115,22 @@ def _tried_space(found: tuple[Variant, Path]) -> ScenarioSpace:
     space = space_of(variant.tree, file, name=variant.name)
     draw_admissible(space, seed=0, count=1)
     return space
+
+
+DRAWS = 5  # of a space, for what none of them would try
+
+
+def _untried_of(space: ScenarioSpace) -> list[str]:
+    draws = draw_admissible(space, seed=0, count=DRAWS).scenarios
+    return _untried([*map(Looker().look, draws)], space)
+
+
+def _untried(checked: Sequence[Checked], *spaces: ScenarioSpace) -> list[str]:
+    """The moves and faults that none of them would try beside an arm that stands where it starts."""
+    tried = TriedParts()
+    for one in checked:
+        tried.suppose(one.scenario, links_in_base(one.arm, one.joint_position_rad)[-1, :3, 3].copy())
+    return tried.lines(*spaces, of="runs beside an arm that stood still")
 
 
 def _data(scenario: Scenario) -> dict[str, object]:

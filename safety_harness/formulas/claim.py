@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 
 from safety_harness.exceptions import FormulaError, Place
 from safety_harness.formulas.formula import (
+    Always,
     Comparison,
     Formula,
     Globally,
-    Initially,
+    Relation,
     Truth,
     Until,
     check_windows,
@@ -33,13 +34,23 @@ from safety_harness.formulas.semantics import (
     Witness,
     comparison_bounds,
     margins,
+    ticks_asked,
     truth_bounds,
     witness,
 )
 from safety_harness.formulas.signal import Measure, Sampled, Signal
 from safety_harness.formulas.signals import MODES
-from safety_harness.properties.base import Evaluation, Unit, inconclusive, times_begun, unreadable
+from safety_harness.properties.base import (
+    NEAR_M,
+    Evaluation,
+    Unit,
+    inconclusive,
+    occasion_m,
+    times_begun,
+    unreadable,
+)
 from safety_harness.properties.measured import not_measured
+from safety_harness.properties.unexercised import nearest_of
 from safety_harness.scenario.model import Scenario, Verdict
 from safety_harness.trace.trace import Trace
 
@@ -67,6 +78,15 @@ class FormulaClaim:
         return str(self.formula)
 
     @property
+    def close(self) -> float | None:
+        """As ``close_to``, of a claim that is one comparison, asked at every tick."""
+        match parts_of(self.formula):
+            case (Always(body=Comparison() as one),):
+                least = one.relation in (Relation.ABOVE, Relation.AT_LEAST)
+                return abs(one.limit.value) * (1.0 if least else 0.5)
+        return None
+
+    @property
     def unit(self) -> Unit:
         """Of the first part's margin."""
         return unit_of(parts_of(self.formula)[0])
@@ -88,7 +108,7 @@ class FormulaClaim:
             return inconclusive(self, problem)
         parts = tuple(judge_part(part, trace) for part in parts_of(self.formula))
         if len(parts) == 1:
-            return replace(parts[0], sentence=self.sentence)
+            return replace(parts[0], sentence=self.sentence, close=self.close)
         return replace(
             _deciding(parts),
             sentence=self.sentence,
@@ -180,19 +200,23 @@ class _Asked:
         """How often the part was certainly put to the test, and what it is that never happened if that is 0.
 
         A trigger counts each time that it begins to hold, "until" the ticks before its second part does,
-        anything else every tick that is known.  A signal that counts its own occasions bounds the
-        number, unless the trigger has set it.  ``perhaps``: as if all that is unknown had been an occasion.
+        anything else every tick that is known and asked of.  A signal that counts its own occasions bounds
+        the number by those at such ticks, unless the trigger has set it.  ``perhaps``: as if all that is
+        unknown had been an occasion.
         """
         part, tried = self.part, set(self.sampled)
+        asked = ticks_asked(at_ticks, self.period_s)
+        when = {signal: np.zeros(len(self.trace.ticks), np.bool_) for signal in self.sampled}
+        for node, mask in asked:
+            when[node.signal] |= mask[: len(self.trace.ticks)]
         known = np.all([perhaps | ~np.isnan(one.value) for one in self.sampled.values()], axis=0)
+        known &= np.any(list(when.values()), axis=0)
         count, untried = int(np.count_nonzero(known)), "what it reads is never known"
         if isinstance(part, Globally):
             trigger = at_ticks.parts[0].bounds
             count = self.begun((trigger.high if perhaps else trigger.low) >= 0.0, trigger.high < 0.0)
             untried = f'"{part.trigger}" never holds{self.nearest(part.trigger, at_ticks.parts[0])}'
             tried -= set(signals_of(part.trigger))
-        elif isinstance(part, Initially):
-            count = int(known[0])
         elif isinstance(part, Until):
             second = at_ticks.parts[1].bounds
             ends = np.flatnonzero((second.high if self.lacking and not perhaps else second.low) >= 0.0)
@@ -201,10 +225,22 @@ class _Asked:
         for signal in tried:
             one = self.sampled[signal]
             if one.tried is not None:
-                tries, never = one.tried[perhaps] > 0.0, one.tried[1] <= 0.0
-                own = self.begun(tries, never) if one.begins else int(np.count_nonzero(tries))
-                count, untried = (own, one.untried) if own < count else (count, untried)
+                near_m = near_of(part, signal) if one.comes else 0.0
+                least, most = (side + (near_m - NEAR_M) * bool(one.comes) for side in one.tried)
+                tries, never = ((least, most)[perhaps] > 0.0) & when[signal], (most <= 0.0) | ~when[signal]
+                own = self.begun(tries, never) if one.comes else int(np.count_nonzero(tries))
+                if own < count:
+                    count, untried = own, self.untried(one, when[signal], near_m)
         return count, untried
+
+    def untried(self, one: Sampled, when: NDArray[np.bool_], near_m: float) -> str:
+        """What it is that did not happen at the ticks ``when`` (n,) it is asked of."""
+        asked = "" if when.all() else " at any tick that the formula asks of"
+        if one.comes is None:
+            return f"{one.untried}{asked}"
+        whose, what = one.comes
+        nearest = nearest_of(self.trace, np.where(when, one.value, np.inf), near_m, whose, what)
+        return (nearest or f"there was no {whose}") + asked
 
     def begun(self, surely: NDArray[np.bool_], never: NDArray[np.bool_]) -> int:
         """How often something begins, at least: between two unknown ticks it may have gone on."""
@@ -304,6 +340,12 @@ class _Asked:
             reason = f"{signal.words} {value * shown.per_si:.4g} {shown.symbol}".rstrip()
             reason += ", exactly the limit" if abs(margin) <= LEAST else ""
         return replace(told, worst_time_s=float(self.trace.time_s[found.tick]), reason=reason)
+
+
+def near_of(part: Formula, signal: Signal) -> float:
+    """How near has to come what a part says of the distance ``signal``, for it to be an occasion."""
+    said = (node for node in part.nodes() if isinstance(node, Comparison) and node.signal is signal)
+    return occasion_m(max((one.limit.value for one in said), default=0.0))
 
 
 def judge_part(part: Formula, trace: Trace) -> Evaluation:

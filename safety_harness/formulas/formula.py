@@ -10,9 +10,10 @@ has for them.  They are joined by ``&``, ``|`` and ``~``, each comparison in par
 raise FormulaError.
 
 A claim asks its formula as the parts that "and" joins at its top, each of the whole run.  A part without a
-temporal operator is asked at every tick, as if "always" stood before it; one with such an operator is asked
-once, of the first tick and what follows.  "always (a and b)" and "whenever t then (a and b)" are the same
-as their two halves, so that each has a margin of its own.
+temporal operator is asked at every tick, as if "always" stood before it; one that such operators begin is
+asked once, of the first tick and what follows.  One that joins both kinds could mean either, and is refused.
+"always (a and b)" and "whenever t then (a and b)" are the same as their two halves, so that each has a margin
+of its own.
 """
 
 from __future__ import annotations
@@ -26,7 +27,16 @@ from safety_harness.exceptions import FormulaError, Place
 from safety_harness.formulas.quantities import Quantity, Span, Window, formula_error, span_of
 from safety_harness.properties.base import Unit
 from safety_harness.scenario.model import Scenario
-from safety_harness.scenario.units import ANGLE, ANGULAR_SPEED, LENGTH, NUMBER, SPEED, TIME, Dimension
+from safety_harness.scenario.units import (
+    ANGLE,
+    ANGULAR_SPEED,
+    LENGTH,
+    NUMBER,
+    OTHER_UNIT,
+    SPEED,
+    TIME,
+    Dimension,
+)
 
 if TYPE_CHECKING:
     from safety_harness.formulas.signal import Signal
@@ -95,6 +105,10 @@ class Comparison(Formula):
             )
             hint = f"allowed units: {', '.join(wanted.units)}" if wanted and wanted.units else ""
             raise formula_error(expected, str(self.limit), hint)
+        least, most = self.signal.limits
+        if not least <= self.limit.value <= most:
+            expected = f"a limit of {self.signal.words} from {least:g} to {most:.4g} {wanted.si}".rstrip()
+            raise formula_error(expected, str(self.limit), OTHER_UNIT)
 
     def __str__(self) -> str:
         return f"{self.signal.words} {self.relation.value} {self.limit}"
@@ -309,7 +323,25 @@ def _split(formula: Formula) -> list[Formula]:
 
 
 def _asked(part: Formula) -> Formula:
-    return part if any(isinstance(node, TEMPORAL) for node in part.nodes()) else Always(part)
+    """With "always" before it if no operator says when; FormulaError if one does for a part of it alone."""
+    if not any(isinstance(node, TEMPORAL) for node in part.nodes()):
+        return Always(part)
+    if (bare := next(_of_no_time(part), None)) is not None:
+        raise formula_error(
+            f'"always ({part})" or "initially ({part})", which say when "{bare}" is asked',
+            f'"{part}", where a temporal word stands beside what has none',
+            "in Python: always(...) or initially(...) around the whole",
+        )
+    return part
+
+
+def _of_no_time(formula: Formula) -> Iterator[Formula]:
+    """The comparisons and truths that no temporal operator stands over."""
+    if isinstance(formula, Comparison | Truth):
+        yield formula
+    elif not isinstance(formula, TEMPORAL):
+        for part in formula.parts:
+            yield from _of_no_time(part)
 
 
 def unit_of(part: Formula) -> Unit:

@@ -76,7 +76,7 @@ def as_known(signal: Signal, one: Sampled, trace: Trace) -> Sampled:
     value_low, value_high = np.where(gone, -np.inf, value - at), value + at
     tried = one.tried
     if tried is not None:
-        by, untold = (at, gone) if one.begins else (above, cells)
+        by, untold = (at, gone) if one.comes else (above, cells)
         least, most = tried[0] - by, tried[1] + by
         tried = np.where(np.isnan(least), -np.inf, least), np.where(untold | np.isnan(most), np.inf, most)
     return replace(

@@ -96,6 +96,36 @@ def margins(formula: Formula, atoms: Atoms, period_s: float, cases: Sequence[Cas
     return Margins(formula, bounds, parts)
 
 
+def ticks_asked(
+    margins: Margins, period_s: float, begin: NDArray[np.bool_] | None = None
+) -> list[tuple[Comparison | Truth, NDArray[np.bool_]]]:
+    """Each comparison and truth with the ticks (n,) at which the formula, asked at the first, asks of it.
+
+    Asked at the ticks ``begin`` (n,), an operator asks its parts at those of its window, to its end.
+    """
+    formula, n = margins.formula, len(margins.bounds.low)
+    asked = np.arange(n) == 0 if begin is None else begin
+    if isinstance(formula, Comparison | Truth):
+        return [(formula, asked)]
+    whens = [asked] * len(margins.parts)
+    if isinstance(formula, Always | Eventually | Until):
+        first, last = (0, n) if formula.span is None else formula.span.ticks(period_s)
+        whens = [_windows(asked, 0 if k + 1 < len(whens) else first, last) for k in range(len(whens))]
+    elif isinstance(formula, Globally):
+        every = _windows(asked, 0, n)
+        whens = [every, every & (margins.parts[0].bounds.high >= 0.0)]
+    pairs = zip(margins.parts, whens, strict=True)
+    return [one for part, when in pairs for one in ticks_asked(part, period_s, when)]
+
+
+def _windows(begin: NDArray[np.bool_], first: int, last: int) -> NDArray[np.bool_]:
+    """(n,) from ``first`` to ``last`` ticks after any of ``begin`` (n,)."""
+    before = np.append(0, np.cumsum(begin))
+    ticks = np.arange(len(begin))
+    found: NDArray[np.bool_] = before[np.maximum(ticks - first + 1, 0)] > before[np.maximum(ticks - last, 0)]
+    return found
+
+
 def _of_any_case(bounds: MarginBounds, cases: list[tuple[NDArray[np.bool_], Margins]]) -> MarginBounds:
     low = np.minimum.reduce([np.where(where, one.bounds.low, np.inf) for where, one in cases])
     high = np.maximum.reduce([np.where(where, one.bounds.high, -np.inf) for where, one in cases])

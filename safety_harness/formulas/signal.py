@@ -41,9 +41,9 @@ class Sampled:
 
     ``value`` (n,) at each tick; ``low`` and ``high`` (n,) bound it from that tick to the next one.
     ``absent`` says why there is no such signal in this run at all, else it is empty.  ``tried`` (n,) are
-    bounds of a number, above 0 where the run puts a claim on it to the test (None: every tick does); it
-    counts as often as that ``begins``, or at each such tick.  ``untried`` says what it is that never
-    happened.
+    bounds of a number, above 0 where the run puts a claim on it to the test (None: every tick does), and
+    ``untried`` says what it is that did not happen.  Of a distance both are of somebody who ``comes`` near to
+    something: it counts as often as that begins, and its limit says how near is near.
 
     Of a trace that was measured in part, ``lost`` (n,) are the ticks at which it is not known, and
     ``value_low`` and ``value_high`` (n,) bound it at the ticks (None: it is ``value``).  ``value`` at a lost
@@ -55,7 +55,7 @@ class Sampled:
     high: Values
     absent: str = ""
     tried: tuple[Values, Values] | None = None
-    begins: bool = False
+    comes: tuple[str, str] | None = None
     untried: str = ""
     value_low: Values | None = None
     value_high: Values | None = None
@@ -80,6 +80,11 @@ class Signal:
     reads: tuple[str, ...]
     off: Callable[[Trace], tuple[float, float, float]] | None = None
 
+    @property
+    def limits(self) -> tuple[float, float]:
+        """Of what has no limit: none."""
+        return 0.0, 0.0
+
     def __str__(self) -> str:
         return f'the signal "{self.words}" alone'
 
@@ -100,12 +105,19 @@ class Flag(Signal):
 class Measure(Signal):
     """Something with a value of ``dimension`` at each tick, to be compared with a limit of that kind.
 
-    No run has a value below ``least``, nor one without end unless it is ``endless``.
+    No run has a value below ``least``, nor one without end unless it is ``endless``.  No run comes near to a
+    limit below ``lowest``, or above what a limit of its dimension can be.
     """
 
     dimension: Dimension
     least: float = 0.0
     endless: bool = False
+    lowest: float = 0.0
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """Between which its limits (SI) lie."""
+        return self.lowest, self.dimension.most_of_limits
 
     def impossible(self, sampled: Sampled) -> tuple[int, float] | None:
         """The first tick with a value, or a bound of one, that no run has, and what it is; NaN is unknown."""

@@ -40,11 +40,12 @@ from safety_harness.formulas.signal import (
     tent,
     turned_rad,
 )
+from safety_harness.properties.base import NEAR_M
 from safety_harness.properties.hand_distance import RESOLUTION_M, followed_hands, instants, joint_bend_m
 from safety_harness.properties.hand_prediction import prediction_errors_m
 from safety_harness.properties.servoing import pose_errors
 from safety_harness.properties.true_motion import TOLERANCE, HandPaths, arm_of, hand_bend_m, true_motion
-from safety_harness.properties.unexercised import nearest_of, no_decision, no_hand, no_predicted_hand
+from safety_harness.properties.unexercised import no_decision, no_hand, no_predicted_hand
 from safety_harness.robot.capsules import Arm
 from safety_harness.robot.closest_approach import MAX_BISECTIONS, closest_approach_between
 from safety_harness.scenario.units import ANGLE, ANGULAR_SPEED, LENGTH, NUMBER, SPEED, TIME, Dimension
@@ -123,6 +124,7 @@ def truth(true: NDArray[np.bool_] | np.bool_) -> Sampled:
     LENGTH,
     "of any hand or forearm from any link of the robot, surface to surface; negative inside",
     least=-np.inf,
+    lowest=-0.3,  # a hand and a link are no thicker
     reads=[
         "joint_position_rad",
         "joint_velocity_radps",
@@ -139,8 +141,8 @@ def hand_distance(trace: Trace) -> Sampled:
     """Of any hand or forearm from any link, surface to surface, with the bounds of the catalogue's claim.
 
     Between two ticks it is not below the certified bound of ``HandDistance``, and not above what
-    both ends and the ways of arm and hand allow.  Occasions: a hand comes within the critical
-    distance of the arm's surface.
+    both ends and the ways of arm and hand allow.  Occasions: a hand comes near to
+    the arm's surface.
     """
     paths, why = followed_hands(trace)
     if paths is None:
@@ -200,6 +202,7 @@ def tcp_speed(trace: Trace) -> Sampled:
     LENGTH,
     "of the TCP above the origin of the robot's base frame",
     least=-np.inf,
+    lowest=-LENGTH.most,
     reads=[TCP, TCP_SPEED],
     off=of_place,
 )
@@ -295,7 +298,7 @@ def predicted_hand_distance(trace: Trace) -> Sampled:
     distance_m = trace.ticks["predicted_distance_m"]
     if not np.any(np.isfinite(distance_m)):
         return _untried(trace, no_predicted_hand, "no hand was predicted")
-    return _coming_near(at_ticks(distance_m), trace, "predicted hand", "the TCP")
+    return _coming_near(at_ticks(distance_m), "predicted hand", "the TCP")
 
 
 @measure(
@@ -407,15 +410,13 @@ def _nearest(
             for side, unknown in sides
         )
     nearest = Sampled(value=value.min(axis=1), low=low.min(axis=1), high=high.min(axis=1), lost=gone)
-    return _coming_near(nearest, trace, "hand", what)
+    return _coming_near(nearest, "hand", what)
 
 
-def _coming_near(distance: Sampled, trace: Trace, whose: str, what: str) -> Sampled:
-    """The distance of ``whose`` from ``what``, exercised each time that it falls below the critical one."""
-    critical_m = trace.scenario.settings.avoidance.critical_distance_m
-    near = critical_m - distance.value
-    untried = "" if (near > 0.0).any() else nearest_of(trace, distance.value, critical_m, whose, what)
-    return replace(distance, tried=(near, near), begins=True, untried=untried)
+def _coming_near(distance: Sampled, whose: str, what: str) -> Sampled:
+    """The distance of ``whose`` from ``what``, exercised each time that it falls below NEAR_M."""
+    near = NEAR_M - distance.value
+    return replace(distance, tried=(near, near), comes=(whose, what))
 
 
 def _path_m(trace: Trace, paths: HandPaths, hand: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -85,8 +85,7 @@ class Sensing:
         self._arm = arm_with(cell.arm, cell_capsules(arm_capsules(cell.scenario.robot), settings))
         count = len(self._arm.capsules)
         self._room = np.empty((MAX_BISECTIONS + 1, count, 2, 3))
-        size, critical_m = settings.hand, settings.avoidance.critical_distance_m
-        self._sizes = size.radius_m, size.forearm_radius_m, critical_m, cell.period_s
+        self._sizes = settings.hand.radius_m, settings.hand.forearm_radius_m, cell.period_s
 
     def see(
         self, moments: Sequence[TickSeen], fresh: int, off: Sequence[tuple[float, float] | None]
@@ -165,7 +164,6 @@ def _sense(
     corners_m: NDArray[np.float64],  # (c, 2, 3)
     radius_m: float,
     forearm_radius_m: float,
-    critical_m: float,
     period_s: float,
     found: NDArray[np.float64],  # (m, signals, 6), written
 ) -> None:
@@ -219,10 +217,8 @@ def _sense(
             at_m = max(hand_off_m, elbow_off_m) + off_m[k]
             _nearer(known[APART], apart_m[k, h], at_m, moved_m)
         for signal in (APART, NEAR):
-            if not np.isnan(known[signal, VALUE]):
-                known[signal, TRIED] = 1.0 if critical_m - known[signal, HIGH] > 0.0 else 0.0
-                if (unmeasured if signal == APART else unseen) > 0:
-                    known[signal, LOW] = known[signal, CELL_LOW] = -np.inf
+            if not np.isnan(known[signal, VALUE]) and (unmeasured if signal == APART else unseen) > 0:
+                known[signal, LOW] = known[signal, CELL_LOW] = -np.inf
     for k in range(count - 1):
         known = found[k]
         known[ELAPSED, CELL_HIGH] = elapsed_s[k + 1]

@@ -6,8 +6,9 @@ from collections.abc import Collection, Sequence
 from math import inf, isnan
 
 import numpy as np
+from numpy.typing import NDArray
 
-from safety_harness.formulas.claim import GRAVEST
+from safety_harness.formulas.claim import GRAVEST, near_of
 from safety_harness.formulas.formula import (
     Comparison,
     Formula,
@@ -18,14 +19,16 @@ from safety_harness.formulas.formula import (
     Truth,
     Until,
     parts_of,
+    reach_ticks,
     shown_in,
     signals_of,
     unit_of,
 )
 from safety_harness.formulas.parse import parse_formula
-from safety_harness.formulas.prefix import Prefix
+from safety_harness.formulas.prefix import Prefix, is_endless
 from safety_harness.formulas.quantities import formula_error
 from safety_harness.formulas.signal import Signal
+from safety_harness.formulas.signals import hand_distance, nearest_hand_to_tcp
 from safety_harness.monitoring.sensing import (
     CELL_HIGH,
     CELL_LOW,
@@ -144,6 +147,12 @@ class WatchedPart:
         triggers = signals_of(part.trigger) if isinstance(part, Globally) else ()
         self._untried = {k for k, one in zip(self._read, self._signals, strict=True) if one not in triggers}
         self._asked = False
+        of_hands = (hand_distance, nearest_hand_to_tcp)
+        near_m = (near_of(part, one) if one in of_hands else -inf for one in self._signals)
+        self._near_m = dict(zip(self._read, near_m, strict=True))
+        span = getattr(part, "span", None)
+        self._begin = span.ticks(period_s)[0] if span is not None else 0
+        self._last = inf if any(map(is_endless, part.nodes())) else reach_ticks(part, period_s)
 
     def see(self, seen: Values, first: int, *, grown: bool) -> None:
         """As ``WatchedClaim.see``; ``seen`` (m, signals, 6)."""
@@ -167,8 +176,18 @@ class WatchedPart:
         elif not self._asked and (first == 0 or not isinstance(self.part, Initially)):
             asked = seen[:1] if isinstance(self.part, Initially) else seen
             self._asked = not bool(np.isnan(asked[:, self._read, VALUE]).any(axis=1).all())
-        if self._untried:
-            self._untried -= {k for k in self._untried if seen[:, k, TRIED].any()}
+        ticks = first + np.arange(len(seen))
+        own = seen[(ticks >= self._begin) & (ticks <= self._last)]
+        if self._untried and (not isinstance(self.part, Globally) or self._most.triggered):
+            self._untried -= {k for k in self._untried if self._tries(own[:, k], self._near_m[k]).any()}
+
+    @staticmethod
+    def _tries(own: Values, near_m: float) -> NDArray[np.bool_]:
+        """(m,) where a signal ``own`` (m, 6) puts a claim on it to the test; within ``near_m`` it does."""
+        tries: NDArray[np.bool_] = (own[:, TRIED] > 0.0) | (
+            ~np.isnan(own[:, VALUE]) & (own[:, HIGH] < near_m)
+        )
+        return tries
 
     @property
     def exercised(self) -> bool:

@@ -27,6 +27,9 @@ from safety_harness.trace.records import ENDLESS, as_numbers, columns
 from safety_harness.trace.trace import Trace, once_a_trace
 
 HORIZON_M = 1e3
+# A hand nearer than this puts a claim to the test: the claims' own number.  Were it a setting of the tested
+# system, whoever changes that setting would change how many runs count.
+NEAR_M = 0.4
 OF_HANDS = ("hand_position_in_base_m", "elbow_position_in_base_m", "hand_distance_m")
 
 
@@ -73,7 +76,7 @@ class Evaluation:
     ``margin`` (SI) and ``worst_time_s`` are None where there is none to give; ``reason`` says in
     a sentence what decided; ``exercised`` counts the occasions on which the property could have
     been violated (0 for a property that was never put to the test).  ``parts`` are the words on its
-    conjuncts, if it is made of several.
+    conjuncts, if it is made of several.  ``close`` is that of ``close_to``.
     """
 
     sentence: str
@@ -85,6 +88,7 @@ class Evaluation:
     exercised: int
     parts: tuple[Evaluation, ...] = ()
     unmeasured: tuple[str, ...] = ()
+    close: float | None = None
 
     def margin_text(self) -> str:
         """The margin with its sign and unit, or a dash."""
@@ -103,6 +107,24 @@ class Said(Protocol):
         """What its margins are shown in."""
 
 
+def close_to(prop: Said) -> float | None:
+    """The margin (SI) of a run that comes within half of a property's limit; None without one such limit.
+
+    That is half of the most that is allowed, and twice the least.
+    """
+    if hasattr(prop, "close"):
+        return prop.close  # type: ignore[no-any-return]
+    most = ("maximum_m", "maximum_mps", "maximum_mps2", "maximum_radps2")
+    halves = (0.5 * getattr(prop, name) for name in most if hasattr(prop, name))
+    return next(halves, getattr(prop, "minimum_m", None))
+
+
+def far_words(close: float | None, least_margin: float | None) -> str:
+    """That no run came within half of a limit; empty if one did, or if there is no limit."""
+    far = close and least_margin is not None and least_margin > close
+    return "no run came within half of its limit; is it in the unit that is meant?" if far else ""
+
+
 class Property(Said, Protocol):
     """A safety property."""
 
@@ -118,6 +140,7 @@ def inconclusive(prop: Said, reason: str, *, exercised: int = 0) -> Evaluation:
         unit=prop.unit,
         reason=reason,
         exercised=exercised,
+        close=close_to(prop),
     )
 
 
@@ -219,6 +242,11 @@ def times_begun(state: NDArray[np.bool_]) -> int:
     return int(np.count_nonzero(begins_at(state)))
 
 
+def occasion_m(limit_m: float = 0.0) -> float:
+    """How near a hand has to come to put a limit of its distance to the test: twice the limit, or NEAR_M."""
+    return max(NEAR_M, 2.0 * limit_m)
+
+
 def time_left_s(trace: Trace, limit_s: float, ticks: int) -> float:
     """``limit_s`` less a whole number of control periods; 0.0 where they differ by their own rounding.
 
@@ -265,4 +293,5 @@ def judged(
         worst_time_s=float(worst_time_s),
         reason=reason,
         exercised=exercised,
+        close=close_to(prop),
     )

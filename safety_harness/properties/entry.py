@@ -13,26 +13,8 @@ from safety_harness.exceptions import InadmissibleError, Place
 from safety_harness.properties.base import Property, Unit
 from safety_harness.properties.measured import columns_read_by
 from safety_harness.scenario.model import Scenario
-from safety_harness.scenario.units import (
-    ACCELERATION,
-    ANGULAR_ACCELERATION,
-    FRACTION,
-    LENGTH,
-    NUMBER,
-    SPEED,
-    TIME,
-    Dimension,
-    parse_quantity,
-)
+from safety_harness.scenario.units import FRACTION, OTHER_UNIT, TIME, Dimension, parse_quantity
 
-_LARGEST = {  # in SI
-    NUMBER.name: 100.0,
-    LENGTH.name: 10.0,
-    SPEED.name: 10.0,
-    TIME.name: 3600.0,
-    ACCELERATION.name: 1000.0,
-    ANGULAR_ACCELERATION.name: 10_000.0,
-}
 LARGEST_COUNT = 1_000_000
 NONE = "-"
 
@@ -84,12 +66,21 @@ class CatalogueEntry:
 
 def quantity(text: str, dimension: Dimension, place: Place) -> float:
     """A quantity above zero: a limit of zero or less would be kept by anything, or by nothing."""
-    value = parse_quantity(text, dimension, place)
-    most = _LARGEST[dimension.name]
+    value, most = parse_quantity(text, dimension, place), dimension.most_of_limits
     if not 0.0 < value <= most:
         expected = f"{dimension.expected}, above zero and at most {most:g} {dimension.si}"
-        raise InadmissibleError(place=place, expected=expected, got=repr(text))
+        hint = OTHER_UNIT if value > most else ""
+        raise InadmissibleError(place=place, expected=expected, got=repr(text), hint=hint)
     return value
+
+
+def time_within(text: str, scenario: Scenario, place: Place) -> float:
+    """A time above zero that ends within a run of ``scenario``: a later end would be kept by anything."""
+    value_s = quantity(text, TIME, place)
+    if value_s > scenario.duration_s:
+        expected = f"a time that ends within the scenario's duration, {scenario.duration_s:g} s"
+        raise InadmissibleError(place=place, expected=expected, got=repr(text))
+    return value_s
 
 
 def share(text: str, place: Place) -> float:

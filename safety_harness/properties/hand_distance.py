@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled, inlined
 from safety_harness.geometry.arrays import ArrayNx6
-from safety_harness.properties.base import Evaluation, Unit, inconclusive, judged, times_begun
+from safety_harness.properties.base import Evaluation, Unit, inconclusive, judged, occasion_m, times_begun
 from safety_harness.properties.entry import CatalogueEntry, quantity
 from safety_harness.properties.measured import reads
 from safety_harness.properties.true_motion import (
@@ -29,7 +29,7 @@ from safety_harness.robot.closest_approach import MAX_BISECTIONS, closest_approa
 from safety_harness.robot.distance import hand_distance, place_capsules
 from safety_harness.robot.kinematics import forward_kinematics
 from safety_harness.scenario.units import LENGTH
-from safety_harness.settings import DEFAULTS, Hand
+from safety_harness.settings import Hand
 from safety_harness.trace.trace import Trace, once_a_trace
 
 RESOLUTION_M = 1e-4
@@ -74,7 +74,7 @@ class HandDistance:
 
     Rationale: contact with a moving robot is the hazard itself; ISO/TS 15066 speaks of a
     protective separation distance, of which this is the constant form.  Exercised when a hand
-    comes within ``near_m``, by default the critical distance; a run in which none did says nothing.
+    comes within ``near_m``, by default ``occasion_m``; a run in which none did says nothing.
     """
 
     minimum_m: float
@@ -332,18 +332,20 @@ def displacement_m(
     return float(moved + np.sqrt(max(hand, elbow)))
 
 
+def _at_least(minimum_m: float) -> HandDistance:
+    return HandDistance(minimum_m=minimum_m, near_m=occasion_m(minimum_m))
+
+
 HAND_DISTANCE = CatalogueEntry(
-    prop=HandDistance(minimum_m=0.05, near_m=DEFAULTS.avoidance.critical_distance_m),
+    prop=_at_least(0.05),
     pattern=r"hand distance never below (.+)",
-    make=lambda match, scenario, place: HandDistance(
-        minimum_m=quantity(match[1], LENGTH, place), near_m=scenario.settings.avoidance.critical_distance_m
-    ),
+    make=lambda match, _, place: _at_least(quantity(match[1], LENGTH, place)),
     rationale="contact with a moving robot is the hazard itself",
     source="the protective separation distance as a constant",
     margin="least distance, surface to surface, of any hand or forearm from any link, less the limit; a "
     "certified bound between ticks",
-    parameters="the limit; the hands' sizes and the critical distance of the settings",
-    exercised="a hand comes within the critical distance of the arm's surface",
+    parameters="the limit; the hands' sizes of the settings",
+    exercised="a hand comes within 400 mm of the arm's surface, or within twice a limit above 200 mm",
     inconclusive="a hand that is not where its scenario moves it",
     broken_by="an avoider that heads for the hand, behind a gate that passes everything",
 )

@@ -5,7 +5,7 @@ Where nobody is it does not, nor does it go to and fro between giving way and it
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from math import sqrt
 
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from safety_harness.compiled import compiled
 from safety_harness.properties.base import (
     HORIZON_M,
+    NEAR_M,
     Evaluation,
     Unit,
     begins_at,
@@ -24,7 +25,7 @@ from safety_harness.properties.base import (
     time_left_s,
     times_begun,
 )
-from safety_harness.properties.entry import CatalogueEntry, count, quantity
+from safety_harness.properties.entry import CatalogueEntry, count, quantity, time_within
 from safety_harness.properties.measured import reads
 from safety_harness.properties.true_motion import nearest_hand_m, true_motion
 from safety_harness.properties.unexercised import (
@@ -34,8 +35,9 @@ from safety_harness.properties.unexercised import (
     no_predicted_hand,
     unexercised,
 )
+from safety_harness.scenario.model import Verdict
 from safety_harness.scenario.moves import REACHING_MPS
-from safety_harness.scenario.units import LENGTH, TIME
+from safety_harness.scenario.units import LENGTH
 from safety_harness.settings import Settings
 from safety_harness.trace.records import Limit, Mode
 from safety_harness.trace.trace import Trace, once_a_trace
@@ -49,14 +51,14 @@ def gives_way(trace: Trace) -> NDArray[np.bool_]:
     return given
 
 
-def predicted_near(trace: Trace) -> tuple[NDArray[np.bool_], int]:
-    """(n,) is any predicted hand within the critical distance of the true TCP?
+def predicted_near(trace: Trace, within_m: float = np.inf) -> tuple[NDArray[np.bool_], int]:
+    """(n,) is any predicted hand within the critical distance of the true TCP, and within ``within_m``?
 
     And the first tick with a prediction that is nowhere, or -1.
     """
-    tcp_m, critical_m = true_motion(trace).tcp_m, trace.scenario.settings.avoidance.critical_distance_m
-    ticks = trace.ticks
-    return _predicted_near(tcp_m, ticks["track_valid"], ticks["predicted_hand_in_base_m"], critical_m)
+    ticks, near_m = trace.ticks, min(trace.scenario.settings.avoidance.critical_distance_m, within_m)
+    tracked, predicted_m = ticks["track_valid"], ticks["predicted_hand_in_base_m"]
+    return _predicted_near(true_motion(trace).tcp_m, tracked, predicted_m, near_m)
 
 
 @compiled
@@ -114,6 +116,9 @@ def _answer_ends(
                 too_long |= side == 1 and end > last and over  # already, when the run ends
     low, high = (time_left_s(trace, prop.within_s, took) for took in (longest[0] + 1, longest[1] - 1))
     exercised = bool((sure if too_long else sure[:open_from]).any())
+    if not whole_stretch:
+        met = zip(*runs_of(maybe), strict=True)
+        exercised &= too_long or all(end > last or gives[first:end].any() for first, end in met)
     return low, high if exercised else np.inf, exercised
 
 
@@ -155,7 +160,8 @@ class GivesWay:
     the run cuts short counts only if it was too long already.
 
     Giving way is what the controller says it does, repulsion or protective stop; that it then does it
-    is for the claims about ways and stops.  Exercised each time that a predicted hand comes near.
+    is for the claims about ways and stops.  Exercised each time that a predicted hand comes near, and within
+    NEAR_M: a longer critical distance makes no more occasions.
     """
 
     within_s: float
@@ -181,7 +187,7 @@ class GivesWay:
             inside = np.flatnonzero(near[first:end])
             if len(inside):
                 found.append((first + int(inside[0]), end))
-        return _judged(self, trace, near, found, "predicted hand")
+        return _judged(self, trace, predicted_near(trace, NEAR_M)[0], found, "predicted hand")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -190,10 +196,12 @@ class GivesWayToTrueHand:
 
     Near: its centre within the critical distance of the TCP, whatever the controller sees, tracks or
     predicts.  The time is that of consecutive ticks at which a hand is near and the controller neither
-    repulses nor is stopped; one that has left need not be answered any more.  A hand that is near when the
-    run ends counts only if that was too long already.
+    repulses nor is stopped.  A hand that has left sooner, and to which it never gave way, makes the claim
+    inconclusive: nobody knows if it would have.  A hand that is near when the run ends counts only if that
+    was too long already.
 
-    Giving way is what the controller says it does.  Exercised each time that a true hand comes near.
+    Giving way is what the controller says it does.  Exercised each time that a true hand comes near, and
+    within NEAR_M.
     """
 
     within_s: float
@@ -213,22 +221,23 @@ class GivesWayToTrueHand:
     )
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge every stretch with a hand and without giving way."""
-        near = nearest_hand_m(trace) < trace.scenario.settings.avoidance.critical_distance_m
-        return _judged(self, trace, near, zip(*runs_of(near & ~gives_way(trace)), strict=True), "true hand")
+        nearest_m, gives = nearest_hand_m(trace), gives_way(trace)
+        near = nearest_m < trace.scenario.settings.avoidance.critical_distance_m
+        ignored = [slice(*one) for one in zip(*runs_of(near), strict=True) if not gives[slice(*one)].any()]
+        found = zip(*runs_of(near & ~gives), strict=True)
+        return _judged(self, trace, near & (nearest_m < NEAR_M), found, "true hand", ignored)
 
 
 def _judged(
     prop: GivesWay | GivesWayToTrueHand,
     trace: Trace,
-    near: NDArray[np.bool_],  # (n,)
+    near: NDArray[np.bool_],  # (n,) what counts as an occasion
     unanswered: Iterable[tuple[int, int]],
     whose: str,
+    ignored: Sequence[slice] = (),  # encounters in which the arm never gave way
 ) -> Evaluation:
     """By the longest of the stretches in which a hand that came near was not answered."""
     occasions = times_begun(near)
-    if occasions == 0:
-        true = isinstance(prop, GivesWayToTrueHand)
-        return unexercised(prop, no_near_hand(trace) if true else no_predicted_hand(trace))
     longest, since, open_from = 0, int(np.argmax(near)), len(near)  # in ticks
     for first, end in unanswered:
         took = min(end, len(near) - 1) - first
@@ -236,27 +245,37 @@ def _judged(
             open_from = first
         elif took > longest:
             longest, since = took, first
+    margin_s = time_left_s(trace, prop.within_s, longest)
     decided = times_begun(near[:open_from])  # one that gave way and is open again has been answered once
-    if decided == 0:
+    if margin_s >= 0.0 and occasions == 0:
+        true = isinstance(prop, GivesWayToTrueHand)
+        return unexercised(prop, no_near_hand(trace) if true else no_predicted_hand(trace))
+    if margin_s >= 0.0 and decided == 0:
         had_ms = (len(near) - 1 - int(np.argmax(near))) * trace.scenario.settings.clock.control_period_s * 1e3
         why = f"the run ends {had_ms:.0f} ms after a {whose} came near, before the {prop.within_s * 1e3:g} ms"
         return inconclusive(prop, f"{why} allowed; a longer duration exercises it")
-    margin_s = time_left_s(trace, prop.within_s, longest)
     reason = f"longest {trace.time_s[longest] * 1e3:.0f} ms, of {occasions} times that a {whose} came near"
-    return judged(prop, trace, margin_s, trace.time_s[since + longest], reason, decided)
+    told = judged(prop, trace, margin_s, trace.time_s[since + longest], reason, decided)
+    left = next((one for one in ignored if one.stop < len(near)), None)
+    if left is None or told.verdict is not Verdict.HOLDS:
+        return told
+    when = f"from {trace.time_s[left.start]:.3f} s to {trace.time_s[left.stop]:.3f} s"
+    why = f"a {whose} was near {when} and left before the {prop.within_s * 1e3:g} ms allowed"
+    why += "; the arm never gave way to it"
+    return replace(told, verdict=Verdict.INCONCLUSIVE, reason=why, exercised=decided - 1)
 
 
 GIVES_WAY = CatalogueEntry(
     prop=GivesWay(within_s=0.1),
     pattern=r"gives way within (.+) of a predicted hand",
-    make=lambda match, _, place: GivesWay(within_s=quantity(match[1], TIME, place)),
+    make=lambda match, scenario, place: GivesWay(within_s=time_within(match[1], scenario, place)),
     rationale="every later step takes it for granted that the arm reacts within the time that its separation "
     "allows for",
     source="the paper, section 3.3; the reaction time T_r",
     margin="the time allowed less the longest for which a predicted hand was near and the arm neither gave "
     "way nor was stopped",
     parameters="the time; the critical distance of the settings",
-    exercised="a predicted hand comes within the critical distance",
+    exercised="a predicted hand comes within the critical distance of the TCP, and within 400 mm",
     inconclusive="a prediction that is not finite; a run that ends within the time allowed",
     broken_by="a controller whose own critical distance is too short",
 )
@@ -264,14 +283,14 @@ GIVES_WAY_TO_TRUE_HAND = replace(
     GIVES_WAY,
     prop=GivesWayToTrueHand(within_s=0.1),
     pattern=r"gives way within (.+) of a true hand",
-    make=lambda match, _, place: GivesWayToTrueHand(within_s=quantity(match[1], TIME, place)),
+    make=lambda match, scenario, place: GivesWayToTrueHand(within_s=time_within(match[1], scenario, place)),
     rationale="a hand that is not seen, or seen elsewhere, is as much in danger as one that is: every claim "
     "about predictions passes it over",
     source="the project's own; the reaction time T_r, from the hand and not from what is known of it",
     margin="the time allowed less the longest for which a true hand was near and the arm neither gave way "
     "nor was stopped",
-    exercised="a true hand comes within the critical distance of the TCP",
-    inconclusive="a run that ends within the time allowed",
+    exercised="a true hand comes within the critical distance of the TCP, and within 400 mm",
+    inconclusive="a hand that leaves, or a run that ends, within the time allowed, without an answer",
     scenario="hidden-by-the-arm",
     broken_by="a hand sensor that is blind",
 )

@@ -415,7 +415,8 @@ NEVER_STARVED = CatalogueEntry(
 class ObjectInView:
     """``within_s`` less the longest time in which the last image did not show the whole object.
 
-    Before the first image it is not in view.  A loss that lasts to the end of the run, and not yet
+    Before the first image it is not in view.  A run that is no longer than the limit could not violate it,
+    and says nothing.  A loss that lasts to the end of the run, and not yet
     longer than the limit, leaves open whether the object is recovered in time.
     """
 
@@ -430,6 +431,9 @@ class ObjectInView:
     @reads("tcp_speed_mps", also=["object_visible"])
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge every loss from its first tick to that of the recovery."""
+        if time_left_s(trace, self.within_s, trace.scenario.ticks) >= 0.0:
+            lasts = f"the run lasts {trace.scenario.duration_s:g} s"
+            return inconclusive(self, f"{lasts}; longer than {self.within_s:g} s exercises it")
         lost = ~trace.ticks["object_visible"]
         begins, ends = runs_of(lost)
         times_s = trace.time_s

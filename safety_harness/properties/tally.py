@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from math import inf, isfinite, nan
 
-from safety_harness.properties.base import Evaluation
+from safety_harness.properties.base import Evaluation, far_words
 from safety_harness.scenario.model import Verdict
 
 HEADINGS = (
@@ -124,6 +124,15 @@ def _nearness(one: Judged) -> tuple[float, str, str, str, str]:
     found = one.evaluation
     margin = _margin(one) if isfinite(_margin(one)) else inf
     return margin, one.run, found.reason, found.verdict.value, one.expected.value
+
+
+def far_lines(tallies: Sequence[ClaimTally]) -> list[str]:
+    """A note on every claim that held, and whose limit no run came near to."""
+    worst = [tally.worst.evaluation for tally in tallies if tally.worst is not None]
+    found = [
+        (one.sentence, far_words(one.close, one.margin)) for one in worst if one.verdict is Verdict.HOLDS
+    ]
+    return [f"note: {sentence}: {words}" for sentence, words in found if words]
 
 
 def untested_lines(tallies: Sequence[ClaimTally]) -> list[str]:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled
 from safety_harness.controller.stack import STANDSTILL_RADPS
-from safety_harness.properties.base import Evaluation, Unit, inconclusive, judged, times_begun
+from safety_harness.properties.base import NEAR_M, Evaluation, Unit, inconclusive, judged, times_begun
 from safety_harness.properties.entry import CatalogueEntry
 from safety_harness.properties.hand_distance import (
     RESOLUTION_M,
@@ -25,7 +25,6 @@ from safety_harness.properties.measured import reads
 from safety_harness.properties.true_motion import HandPaths, arm_of, capsules_of, hand_paths, true_motion
 from safety_harness.properties.unexercised import OFF_THE_GOAL, nearest_of, unexercised
 from safety_harness.robot.capsules import Arm
-from safety_harness.settings import DEFAULTS
 from safety_harness.trace.trace import Trace, once_a_trace
 
 
@@ -206,18 +205,13 @@ def _known(
 
 
 NO_MOVING_PART_TOUCHES = CatalogueEntry(
-    prop=NoMovingPartTouches(near_m=DEFAULTS.avoidance.critical_distance_m),
-    pattern="no moving part touches a hand",
-    make=lambda _, scenario, place: NoMovingPartTouches(
-        near_m=scenario.settings.avoidance.critical_distance_m
-    ),
+    prop=NoMovingPartTouches(near_m=NEAR_M),
     rationale="a person may always touch an arm, even run into it; what hurts is an arm that moves",
     source="speed and separation monitoring: the arm stops before a person is there",
     margin="least distance, surface to surface, of any hand or forearm from any part of the arm, over the "
     "ticks in which that part moves; a certified bound between ticks",
-    parameters="the hands' sizes and the critical distance of the settings; a part stands whose joints turn "
-    "by less than 1 mrad/s",
-    exercised="a hand comes within the critical distance of the arm's surface, and the arm moves in that run",
+    parameters="the hands' sizes of the settings; a part stands whose joints turn by less than 1 mrad/s",
+    exercised="a hand comes within 400 mm of the arm's surface, and the arm moves in that run",
     inconclusive="a hand that is not where its scenario moves it; an arm that did not move beside a hand",
     broken_by="an avoider that heads for the hand, behind a gate that passes everything",
 )

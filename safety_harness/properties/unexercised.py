@@ -13,7 +13,7 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.properties.base import Evaluation, Property, Said, inconclusive
+from safety_harness.properties.base import NEAR_M, Evaluation, Property, Said, inconclusive
 from safety_harness.properties.measured import Judge, not_measured
 from safety_harness.properties.true_motion import nearest_hand_m, true_motion
 from safety_harness.trace.known import PRESENCE
@@ -81,16 +81,21 @@ def nearest_of(
     return f"{came} at {trace.time_s[tick]:.3f} s; within {limit_m * 1e3:g} mm exercises it"
 
 
+def _near_m(trace: Trace) -> float:
+    """How near a hand has to come that has to be answered, and that counts."""
+    return min(trace.scenario.settings.avoidance.critical_distance_m, NEAR_M)
+
+
 def no_near_hand(trace: Trace) -> str:
-    """Why no true hand was within the critical distance of the TCP."""
-    critical_m = trace.scenario.settings.avoidance.critical_distance_m
-    return nearest_of(trace, nearest_hand_m(trace), critical_m, "hand") or no_hand(trace)
+    """Why no true hand was near the TCP."""
+    near_m = _near_m(trace)
+    return nearest_of(trace, nearest_hand_m(trace), near_m, "hand") or no_hand(trace)
 
 
 def no_hand(trace: Trace) -> str:
     """There is nobody."""
-    critical_m = trace.scenario.settings.avoidance.critical_distance_m
-    enough = f"one within {critical_m * 1e3:g} mm of the TCP exercises it"
+    near_m = _near_m(trace)
+    enough = f"one within {near_m * 1e3:g} mm of the TCP exercises it"
     return f"{'no hand was there' if trace.scenario.hands else 'there is no hand in this scenario'}; {enough}"
 
 
@@ -99,13 +104,13 @@ def no_predicted_hand(trace: Trace) -> str:
 
     Where not all of that was measured, only what would have been enough.
     """
-    critical_m = trace.scenario.settings.avoidance.critical_distance_m
+    near_m = _near_m(trace)
     if _not_all_seen(trace):
-        return f"a predicted hand within {critical_m * 1e3:g} mm of the TCP exercises it"
-    predicted = nearest_of(trace, trace.ticks["predicted_distance_m"], critical_m, "predicted hand")
+        return f"a predicted hand within {near_m * 1e3:g} mm of the TCP exercises it"
+    predicted = nearest_of(trace, trace.ticks["predicted_distance_m"], near_m, "predicted hand")
     if predicted:
         return predicted
-    true = nearest_of(trace, nearest_hand_m(trace), critical_m, "hand")
+    true = nearest_of(trace, nearest_hand_m(trace), near_m, "hand")
     return f"no hand was ever tracked; {true} if the hand sensor sees it" if true else no_hand(trace)
 
 

@@ -48,11 +48,11 @@ class Ending:
         """The table of claims, the kept failures, the seed."""
         if not self._sent:
             return
-        from safety_harness.properties.tally import table_lines, untested_lines
+        from safety_harness.properties.tally import far_lines, table_lines, untested_lines
 
         say = terminalreporter.write_line
         terminalreporter.section("safety claims")
-        for line in table_lines(self._tallies()):
+        for line in (*table_lines(self._tallies()), *far_lines(self._tallies())):
             say(line)
         untested = untested_lines(self._tallies())
         for line in untested and [
@@ -68,6 +68,7 @@ class Ending:
             *self._not_taken(),
             self._overruled(),
             *self._computing_times(),
+            *self._untried(),
             *self._remarks(),
         ):
             say(line)
@@ -105,6 +106,16 @@ class Ending:
 
         runs = (ComputingTime(*values) for sent in self._sent for values in sent["computing"])
         return [f"computing time: {line}" for line in lines_of(runs)]
+
+    def _untried(self) -> list[str]:
+        """The moves and faults that no run of the session tried; each run counts once."""
+        from safety_harness.properties.tried import TriedParts
+
+        tried = TriedParts()
+        for parts in {run: parts for sent in self._sent for run, parts in sent["tried"].items()}.values():
+            for title, of_run in parts.items():
+                tried.join(title, of_run)
+        return tried.lines()
 
     def _remarks(self) -> list[str]:
         from safety_harness.testing.failure_text import near

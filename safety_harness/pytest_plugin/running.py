@@ -176,6 +176,7 @@ def payload(test: TestRun) -> Payload:
         "draws": test.draws,
         "computing": [list(astuple(one)) for one in test.computing_times],
         "overruled": {run: list(one.counts) for run, one in test.overruled.items()},
+        "tried": {run: one.parts for run, one in test.tried.items()},
         "against": [
             [
                 digest,

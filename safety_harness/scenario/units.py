@@ -20,6 +20,7 @@ _NUMBER = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?
 _LONGEST_NUMBER = 64  # characters; a float's shortest exact form has at most 24
 _LARGEST_EXPONENT = 400  # decimal; beyond it there is no float
 
+OTHER_UNIT = "nothing in a cell comes near to that: probably another unit is meant"
 _RARE = ("cm", "/cm", "mrad", "min", "km/h", "kHz")  # understood, and not what we write ourselves
 
 _Factor = Fraction | None  # None: degrees, by math.radians
@@ -48,6 +49,11 @@ class Dimension:
         """For the sentence "expected ..."."""
         article = "an" if self.name[0] in "aeiou" else "a"
         return f"{article} {self.name} such as {self.example}"
+
+    @property
+    def most_of_limits(self) -> float:
+        """The largest limit of a claim (SI) that a cell can come near to; a time may be as long as a run."""
+        return max(self.most, {"time": 3600.0, "number": 100.0}.get(self.name, 0.0))
 
 
 def _powers(scale: Mapping[str, _Factor], suffix: str = "") -> dict[str, _Factor]:

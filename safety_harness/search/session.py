@@ -21,7 +21,7 @@ from safety_harness.admission.repeatability import RepeatabilityResult
 from safety_harness.exceptions import OutputError, explanation
 from safety_harness.properties.against import Against
 from safety_harness.properties.answered import fallback_words
-from safety_harness.properties.base import Unit
+from safety_harness.properties.base import Unit, close_to, far_words
 from safety_harness.scenario.model import Scenario, Verdict
 from safety_harness.scenario.write import write_scenario
 from safety_harness.search.confirm import Complaint, Disagreement, disagreement_of
@@ -143,8 +143,9 @@ class SearchSession:
 
     @property
     def differs(self) -> bool:
-        """Was anything found that the space does not expect, or not found what it does?"""
-        return bool(self.not_found) or not all(one.expected for one in self.written)
+        """Was anything found that the space does not expect, not found what it does, or nothing known?"""
+        unknown = not self.findings.evidence.all()  # of a claim that no run put to the test
+        return bool(self.not_found) or unknown or not all(one.expected for one in self.written)
 
     def search(self, make: MakesSearcher, trials: Trials, folder: str = "") -> Findings:
         """Until the budget is spent, Ctrl-C, or a disk that takes no more."""
@@ -440,6 +441,10 @@ def remarks(trials: Trials, findings: Findings) -> list[str]:
             lines.append(f"every run violates {goal.sentence!r}: it is the claim or the space, no corner")
         elif findings.tried and not findings.evidence[claim]:
             lines.append(f"no run put {goal.sentence!r} to the test: nothing is known of it")
+        elif (nearest := findings.nearest[claim]) is not None and trials.reference is None:
+            words = far_words(close_to(trials.properties[claim]), float(nearest.margins[claim]))
+            lines += [f"{goal.sentence}: {words}"] * bool(words)
+    lines += trials.tried.lines(trials.space)
     touching = trials.coverage.touching
     if np.isfinite(trials.nearest_hand_m):
         near = Unit.LENGTH.margin_text(trials.nearest_hand_m)

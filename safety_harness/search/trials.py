@@ -38,6 +38,7 @@ from safety_harness.properties.answered import (
     without_numbers,
 )
 from safety_harness.properties.base import Evaluation, Property
+from safety_harness.properties.tried import TriedParts
 from safety_harness.scenario.model import Claim, Scenario, Verdict
 from safety_harness.search.against import Reference, difference
 from safety_harness.search.coverage import Coverage, CoverageCell, cell_of
@@ -99,7 +100,8 @@ class Trials:
     point is run with that avoider as well, and what leads the search is what the one violates and the
     reference keeps; ``differences`` has them all.  Of all runs, ``nearest_hand_m`` is the least distance
     between a hand and the arm, ``decisions`` their number, ``unanswered`` those without an answer,
-    ``overruling`` what the gate did; ``repeatability`` takes their questions in.  Each point's scenario has a
+    ``overruling`` what the gate did; ``repeatability`` takes their questions in, and ``tried``
+    what of the space they tried.  Each point's scenario has a
     seed of its own, from ``seed`` and the point's number, unless the file fixes it.  An avoider with a memory
     of its own keeps it from run to run, as ``Admitter`` says.
     """
@@ -120,6 +122,7 @@ class Trials:
     overruling: Overruling = field(default_factory=Overruling, init=False)
     differences: list[RunDifference] = field(default_factory=list, init=False)
     repeatability: Repeatability = field(default_factory=Repeatability, init=False)
+    tried: TriedParts = field(default_factory=TriedParts, init=False)
     _admitter: Admitter = field(default_factory=Admitter, init=False)
 
     def __post_init__(self) -> None:
@@ -205,6 +208,7 @@ class Trials:
             self.system = trace.system if self.system is NOT_NOTED else self.system
             self.decisions += len(trace.decisions)
             self.repeatability.add(trace)
+            self.tried.add(trace)
             self.unanswered += int(np.count_nonzero(unanswered(trace)))
             self.overruling += Overruling.of([trace])
             own = reference is None or not fault_of(reference)

@@ -1,5 +1,7 @@
 """Faults of sensors and joints, compiled for both worlds: each function says which faults acted, as bits.
 
+A fault acts where it changes something: a blind sensor that had no hand before it does not.
+
 A world calls ``mount_camera`` before its cameras look, ``spoil_object_frame`` and ``spoil_hand_frame``
 on each frame that was just put on its way, and ``hold_joints`` on what the motors are told.  Without
 faults they change nothing.  Noise is drawn by frame: a fault never shifts it.
@@ -65,7 +67,7 @@ def spoil_object_frame(
     if hidden and hides_object(sensors, polygon_in_base_m, hands, transform_tcp_to_base):
         frame.visible = False
         bits |= hidden
-    blind = acting(faults, FaultKind.CAMERA_BLIND, time_s)
+    blind = acting(faults, FaultKind.CAMERA_BLIND, time_s) if frame.visible else 0
     if blind:
         frame.visible = False
     frozen = acting(faults, FaultKind.CAMERA_FROZEN, time_s)
@@ -114,9 +116,9 @@ def spoil_hand_frame(
     """
     s = sensors[0]
     frame = frames[(s.hand_frames - 1) % RING]
-    off = acting(faults, FaultKind.HAND_SENSOR_OFF, time_s)
+    off = acting(faults, FaultKind.HAND_SENSOR_OFF, time_s) if frame.count else 0
     false = acting(faults, FaultKind.FALSE_HAND, time_s)
-    bits = off | acting(faults, FaultKind.HAND_SENSOR_LATE, time_s)
+    bits = off
     if off or false:
         pose = sensor_pose(sensors, transform_tcp_to_base)
         base_to_sensor = inverse_transform(pose)
@@ -131,16 +133,20 @@ def spoil_hand_frame(
             ):
                 frame.count += 1
                 bits |= 1 << k
-    blind = acting(faults, FaultKind.HAND_SENSOR_BLIND, time_s)
+    blind = acting(faults, FaultKind.HAND_SENSOR_BLIND, time_s) if frame.count else 0
     if blind:
         frame.count = 0
-    frozen = acting(faults, FaultKind.HAND_SENSOR_FROZEN, time_s)
+    seen, frozen = frame.count, acting(faults, FaultKind.HAND_SENSOR_FROZEN, time_s)
     if frozen:
         frame.count = 0
         if s.hand_frames > 1:
             before = frames[(s.hand_frames - 2) % RING]
             frame.count = before.count
             copy_matrix(before.boxes, frame.boxes)
+    if seen == 0 and frame.count == 0:
+        frozen = 0
+    if frame.count:  # an empty frame that comes late is none the later
+        bits |= acting(faults, FaultKind.HAND_SENSOR_LATE, time_s)
     frame.late_s = delay_s(faults, FaultKind.HAND_SENSOR_LATE, time_s)
     return bits | blind | frozen
 
@@ -182,7 +188,9 @@ def shift_boxes(
 @compiled
 def hold_joints(faults: FaultRecords, velocity_radps: ArrayN, time_s: float) -> int:
     """Set what the motors of stuck joints are told to zero."""
+    bits = 0
     for k in range(faults.shape[0]):
-        if acts(faults, k, FaultKind.JOINT_STUCK, time_s):
+        if acts(faults, k, FaultKind.JOINT_STUCK, time_s) and velocity_radps[faults[k].joint] != 0.0:
             velocity_radps[faults[k].joint] = 0.0
-    return acting(faults, FaultKind.JOINT_STUCK, time_s)
+            bits |= 1 << k
+    return bits

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from safety_harness.exceptions import SafetyHarnessError
     from safety_harness.properties.against import RunDifference
     from safety_harness.properties.base import Evaluation
+    from safety_harness.properties.tried import TriedParts
     from safety_harness.report.decisions import ComputingTime
     from safety_harness.scenario.model import Verdict
     from safety_harness.trace.overruling import Overruling
@@ -91,6 +92,7 @@ class TestRun:
     as_kept: bool = False  # these with the avoiders of their files
     computing_times: list[ComputingTime] = field(default_factory=list)  # of its runs
     overruled: dict[str, Overruling] = field(default_factory=dict)  # of those that count, by their digests
+    tried: dict[str, TriedParts] = field(default_factory=dict)  # by the same
     differences: dict[str, RunDifference] = field(default_factory=dict)  # from a reference, by digest
     shared: list[str] = field(default_factory=list)  # failures that the reference has as well
     not_taken: str = ""  # the avoider that cannot take its scenario

@@ -19,6 +19,7 @@ from safety_harness.avoidance.flaky import refuse_flaky
 from safety_harness.controller.contract import UserController
 from safety_harness.exceptions import FlakyAvoiderError, InputError, Place
 from safety_harness.properties.answered import by_default
+from safety_harness.properties.tried import TriedParts
 from safety_harness.report.decisions import ComputingTime
 from safety_harness.scenario.files import as_path
 from safety_harness.scenario.model import RecordedHand, Scenario
@@ -125,6 +126,7 @@ class Simulate:
         if len(trace.decisions):
             run = f"{trace.system.tested.name}: {digest_of(trace.scenario)}"
             test.overruled[run] = Overruling.of([trace])
+        test.tried[digest_of(trace.scenario)] = TriedParts.of(trace)
         if test.fallback is None and by_default(trace) is not None:
             test.fallback = trace
         return trace

@@ -191,7 +191,7 @@ def test_every_example_of_the_catalogue_is_understood_and_written_back() -> None
         ("hand predictions within 50", "length", ""),
         ("decisions within 100 mm", "time", ""),
         ("joint accelerations never above 500 deg/s", "angular acceleration", ""),
-        ("joint accelerations never above 1e9 deg/s2", "at most 10000 rad/s2", ""),
+        ("joint accelerations never above 1e9 deg/s2", "at most 100 rad/s2", "another unit"),
         ("TCP acceleration never above 0 m/s2", "above zero", ""),
         ("object in view or recovered within soon", "time", ""),
         ("gain switch reached within 600.5 iterations", "a whole number", ""),

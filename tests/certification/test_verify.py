@@ -200,7 +200,7 @@ LEDGERS: dict[str, tuple[tuple[str, ...], str]] = {
     "other seeds": (("UPDATE episode SET seed = seed + 1",), "its seed is not the plan's"),
     "other reasons of the gate": (
         ("UPDATE episode SET overruled_uncertain = overruled_uncertain + 1",),
-        "its draws, decisions or cell come out otherwise",
+        "its draws, decisions, cell or mishap come out otherwise",
     ),
     "proposals that were never made": (
         ("UPDATE episode SET proposals = proposals + 1",),
@@ -208,7 +208,7 @@ LEDGERS: dict[str, tuple[tuple[str, ...], str]] = {
     ),
     "fewer stops": (
         ("UPDATE episode SET opposite = opposite + 1, decisions = decisions + 1",),
-        "its draws, decisions or cell come out otherwise",
+        "its draws, decisions, cell or mishap come out otherwise",
     ),
 }
 
@@ -232,7 +232,7 @@ def test_outcomes_of_runs_without_a_trace_are_noticed_by_making_them_again(repor
     kept = "SELECT 1 FROM trace t WHERE t.stratum = e.stratum AND t.episode = e.episode"
     change(report, f"UPDATE episode AS e SET cell = NULL WHERE NOT EXISTS ({kept})")
     write(report)
-    assert "its draws, decisions or cell come out otherwise" in faults(report, runs=16)
+    assert "its draws, decisions, cell or mishap come out otherwise" in faults(report, runs=16)
 
 
 def test_a_damaged_ledger_is_a_report_that_does_not_stand(report: Path) -> None:

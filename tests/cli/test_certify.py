@@ -26,6 +26,7 @@ from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, DIFFERS, INTERRUP
 from safety_harness.cli.main import app
 from safety_harness.search import session as search_session
 from tests.campaign.plans import PLAN, plan_in
+from tests.search.short_space import TEXT
 
 SEARCHING = PLAN + "search:\n  runs: 20\n"
 
@@ -331,3 +332,29 @@ def test_a_plan_is_certified_declared_or_sealed_by_one_command(
     done = CliRunner().invoke(app, words, env={"COLUMNS": "200", "NO_COLOR": "1"})
     assert done.exit_code == code
     assert told in done.output
+
+
+def test_what_no_kept_run_tried_is_named_in_the_terminal_and_among_the_findings(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A reach that comes after the end of every run; and a limit that no run comes near to."""
+    late = TEXT.replace("      - reach for tcp", "      - wait: 50 s\n      - reach for tcp")
+    plan_in(tmp_path, PLAN.replace("150 mm", "1 mm"), late)
+    certify(tmp_path / "plan.yaml", out=tmp_path / "report", workers=1)
+    out = capsys.readouterr().err
+    idle = "nothing is known of: move 2 of right hand (reach for tcp); hands[0].moves[1].reach for tcp, which"
+    assert f"note: near: untried in 2 kept runs of 'a hand nearby', and {idle} varies" in out
+    assert "note: hand distance never below 1 mm: no run came within half of its limit" in out
+    found = [one.text for one in read_evidence(tmp_path / "report" / "evidence.json").findings]
+    assert any(idle in text for text in found)
+
+
+def test_a_move_that_some_draws_begin_is_not_called_untried(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Though none of the kept runs does: one draw in thirty of the space goes on after its wait."""
+    seldom = "      - one of:\n          - wait: 50 s\n          - wait: 10 ms\n        chances: [30, 1]\n"
+    rare = TEXT.replace("      - reach for tcp", seldom + "      - reach for tcp")
+    plan_in(tmp_path, PLAN.replace("150 mm", "1 mm"), rare)
+    certify(tmp_path / "plan.yaml", out=tmp_path / "report", workers=1)
+    assert "untried" not in capsys.readouterr().err

@@ -93,8 +93,35 @@ def test_a_claim_that_every_run_violates_is_said_to_be_no_corner(
 def test_a_claim_that_is_never_put_to_the_test_is_named(
     space: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert fuzz(space, out=tmp_path / "out", budget=2, claims=["gain switch reached"]) == AS_EXPECTED
+    assert fuzz(space, out=tmp_path / "out", budget=2, claims=["gain switch reached"]) == DIFFERS
     assert "no run put 'gain switch reached' to the test" in capsys.readouterr().err
+
+
+def test_what_no_run_tried_is_named_and_a_space_without_an_occasion_is_no_success(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The hand works two metres off, and its last move would begin after the run."""
+    file = tmp_path / "far.yaml"
+    text = TEXT.replace("[from 700 mm to 900 mm, -500 mm, 400 mm]", "[2.2 m, -1.9 m, 300 mm]")
+    moves = "      - wait: 1 s\n      - withdraw: from 0.3 m/s to 0.5 m/s\n"
+    file.write_text(text[: text.index("      - reach")] + moves + text[text.index("claims:") :])
+    assert fuzz(file, out=tmp_path / "out", budget=4) == DIFFERS
+    err = capsys.readouterr().err
+    assert "no run put 'hand distance never below 150 mm' to the test" in err
+    assert (
+        "nothing is known of: move 2 of right hand (withdraw); hands[0].moves[1].withdraw, which varies"
+        in err
+    )
+
+
+def test_a_limit_that_no_run_comes_near_to_is_noted(
+    space: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    claims = ["TCP speed never above 9 m/s", "TCP speed never above 300 mm/s"]
+    fuzz(space, out=tmp_path / "out", budget=4, claims=claims)
+    notes = [line for line in capsys.readouterr().err.splitlines() if "half of its limit" in line]
+    assert len(notes) == 1
+    assert notes[0].startswith("TCP speed never above 9000 mm/s: ")
 
 
 def test_an_avoider_that_crashes_in_a_corner_is_found_counted_and_saved(

@@ -70,6 +70,22 @@ def test_validate_says_ok_of_scenarios_and_spaces(capsys: Captured) -> None:
     assert other.startswith(f"ok {files[1]}: a space, ")
 
 
+def test_validate_names_what_no_run_could_try(tmp_path: Path, capsys: Captured) -> None:
+    """Beside an arm that stands still; the file is good all the same."""
+    visit = (SCENARIOS / "hand-visits-and-leaves.yaml").read_text()
+    file = tmp_path / "idle.yaml"
+    faults = "faults:\n  - avoider: answers NaN\n    from: 200 ms\n    for: 300 ms\n"
+    file.write_text(visit.replace("claims:", faults + "claims:"))
+    short = tmp_path / "short.yaml"
+    short.write_text(
+        f"scenario: cut off\nextends: {SCENARIOS / 'hand-visits-and-leaves.yaml'}\nduration: 2 s\n"
+    )
+    assert validate([file, short]) == AS_EXPECTED
+    one, other = capsys.readouterr().err.splitlines()
+    assert one.endswith("and nothing is known of: fault 1 (avoider answers NaN)")
+    assert "'cut off', and nothing is known of: move" in other
+
+
 def test_validate_names_the_controller_where_no_avoider_is_asked(tmp_path: Path, capsys: Captured) -> None:
     file = tmp_path / "driven.yaml"
     head = "scenario: driven\nduration: 1 s\ncontroller: stop when near\n"

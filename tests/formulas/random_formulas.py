@@ -47,7 +47,15 @@ def never(trace: Trace) -> Sampled:
 
 
 X, Y = (
-    Measure(words=words, dimension=LENGTH, meaning="-", between=Interpolation.HELD, sample=never, reads=())
+    Measure(
+        words=words,
+        dimension=LENGTH,
+        meaning="-",
+        between=Interpolation.HELD,
+        sample=never,
+        reads=(),
+        lowest=-1.0,
+    )
     for words in ("x", "y")
 )
 P, Q = (Flag(words=words, meaning="-", sample=never, reads=()) for words in ("p", "q"))

@@ -33,6 +33,7 @@ from safety_harness.formulas.language import (
     whenever,
 )
 from safety_harness.formulas.quantities import quantity
+from safety_harness.formulas.signal import Measure
 from safety_harness.formulas.signals import SIGNALS
 from safety_harness.properties.base import Evaluation, Unit
 from safety_harness.properties.hand_distance import RESOLUTION_M
@@ -275,7 +276,8 @@ def atoms(draw: st.DrawFn) -> Formula:
     if signal.dimension is None:
         return Truth(signal)
     limit = draw(st.sampled_from(LIMITS.get(signal.dimension.si, (0.0, 0.01, 0.5, 2.0))))
-    own = quantity(limit, signal.dimension.si, signal.dimension)
+    assert isinstance(signal, Measure)
+    own = quantity(max(limit, signal.lowest), signal.dimension.si, signal.dimension)
     return Comparison(signal, draw(st.sampled_from(list(Relation))), own)
 
 

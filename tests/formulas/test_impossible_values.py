@@ -76,7 +76,8 @@ def limits(signal: Measure, trace: Trace) -> Iterator[Formula]:
     one = signal.sample(trace)
     known = one.value[np.isfinite(one.value)]
     for relation in Relation:
-        for value in (-1e3, float(known.min()), float(known.max()), 1e3):
+        least, most = signal.limits
+        for value in (least, float(known.min()), float(known.max()), most):
             yield Comparison(signal, relation, Quantity(value, signal.dimension, f"{value!r}"))
 
 

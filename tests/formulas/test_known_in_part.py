@@ -267,6 +267,7 @@ def random_formula(rng: np.random.Generator, trace: Trace, depth: int = 2) -> Fo
         value = value[np.isfinite(value)]
         limit = float(rng.choice([*np.quantile(value, [0.02, 0.2, 0.98]), 1e-4, 10.0]) if len(value) else 1.0)
         relation = list(Relation)[rng.integers(4)]
+        limit = float(np.clip(limit, *signal.limits))
         return Comparison(signal, relation, Quantity(limit, signal.dimension, repr(limit)))
     one, other = (
         random_formula(rng, trace, depth - int(rng.integers(1, 3)) if depth > 1 else 0) for _ in "ab"

@@ -78,7 +78,7 @@ def says(signal: Signal, trace: Trace) -> list[Any]:
     """All that a signal is, but for words that are told of wholly known traces only."""
     one = signal.sample(trace)
     words = (one.absent.startswith("never exercised"), bool(one.absent), bool(one.untried))
-    return [one.value, one.low, one.high, *(one.tried or ()), one.begins, *words]
+    return [one.value, one.low, one.high, *(one.tried or ()), one.comes, *words]
 
 
 def same(one: list[Any], other: list[Any]) -> bool:

@@ -177,7 +177,7 @@ def test_each_tick_beside_a_true_hand_costs_a_control_period(late: int, verdict:
     assert evaluation.verdict is Verdict(verdict)
 
 
-def test_a_true_hand_that_has_left_need_not_be_answered(visit: Trace) -> None:
+def test_a_true_hand_that_has_left_unanswered_shows_nothing(visit: Trace) -> None:
     """Unlike a prediction: the claim is about the danger and not about the controller's own rule."""
     near = np.flatnonzero(true_near(visit))
     ticks = visit.ticks.copy()
@@ -185,6 +185,7 @@ def test_a_true_hand_that_has_left_need_not_be_answered(visit: Trace) -> None:
     ticks["hand_position_in_base_m"][near[5] :] = [2.0, -1.5, 0.2]
     evaluation = IN_TRUTH.evaluate(replace(visit, ticks=ticks))
     assert evaluation.margin == pytest.approx(0.1 - 0.008 * 5, abs=1e-12)
+    assert evaluation.verdict is Verdict.INCONCLUSIVE
 
 
 def test_a_run_that_ends_beside_a_true_hand_before_the_time_allowed_is_no_evidence(visit: Trace) -> None:

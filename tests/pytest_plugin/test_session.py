@@ -315,3 +315,18 @@ def test_what_is_compiled_in_a_captured_test_is_said_on_the_terminal(run, pytest
     result.stdout.fnmatch_lines(["compiling the control stack for this machine, once: 3 of at most 50 *"])
     run("-s").stdout.fnmatch_lines(["compiling the control stack *"])
     run("-p", "no:terminal").stdout.no_fnmatch_line("compiling*")
+
+
+def test_what_no_run_of_the_session_tried_is_named(run, project: Path) -> None:
+    text = (project / "reaches.yaml").read_text().replace("scenario space:", "scenario:")
+    late = "      - wait: 5 s\n      - withdraw: 1 m/s\nclaims:\n  TCP speed never above 900 mm/s: holds\n"
+    moves = text[: text.index("      - reach")] + late
+    (project / "idle.yaml").write_text(moves)
+    result = run("idle.yaml", "--safety-world", "kinematic")
+    result.assert_outcomes(passed=1)
+    result.stdout.fnmatch_lines(
+        [
+            "note: TCP speed never above 900 mm/s: no run came within half of its limit; *",
+            "untried in 1 run of *, and nothing is known of: move 2 of right hand (withdraw)",
+        ]
+    )
