@@ -50,6 +50,7 @@ from safety_harness.report.shielding import shield_lines
 from safety_harness.scenario.expand import gather
 from safety_harness.scenario.files import told
 from safety_harness.scenario.model import Scenario, Verdict
+from safety_harness.scenario.ours import aside_lines
 from safety_harness.simulation.worlds import REFERENCE, WorldEntry
 from safety_harness.trace.store import save_trace
 from safety_harness.whole_file import writing
@@ -75,6 +76,7 @@ def read_all(
         return taken(one, avoiders, admit)
 
     gathered = gather(paths)
+    say(*aside_lines(gathered.aside))
     if gathered.scenarios:
         world.opener()
     avoiders = [(avoider, option_of(avoider or ""))] + ([] if against is None else [(against, "--against")])

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled
+from safety_harness.exceptions import no_truth_value
 from safety_harness.geometry.arrays import Array3
 from safety_harness.scenario.model import Verdict
 from safety_harness.trace.consistency import first_inconsistency
@@ -86,9 +87,19 @@ class Evaluation:
     parts: tuple[Evaluation, ...] = ()
     unmeasured: tuple[str, ...] = ()
 
+    def __bool__(self) -> bool:
+        raise no_truth_value(f"whether an evaluation is true, of {self.sentence}: {self.verdict.value}")
+
     def margin_text(self) -> str:
         """The margin with its sign and unit, or a dash."""
         return self.unit.margin_text(self.margin)
+
+
+class Evaluations(tuple[Evaluation, ...]):
+    """What a run's claims came to, in their order; to ask whether that is true is refused."""
+
+    def __bool__(self) -> bool:
+        raise no_truth_value(f"whether {len(self)} evaluations are true")
 
 
 class Said(Protocol):

@@ -24,14 +24,19 @@ class Ending:
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         """Take what a test judged."""
         sent = vars(report).get("safety_harness")
-        if sent is not None and (sent["judged"] or sent["replayed"] or sent["not_taken"]):
+        if sent is not None and any(sent[what] for what in ("judged", "simulated", "replayed", "not_taken")):
             self._sent.append(sent)
+
+    @pytest.hookimpl(optionalhook=True)
+    def pytest_testnodedown(self, node: Any) -> None:
+        """Take what a worker of xdist ignored."""
+        current().ignored += getattr(node, "workeroutput", {}).get("safety_ignored", [])
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_sessionfinish(self, session: pytest.Session) -> None:
         """A session in which a claim was never put to the test has failed; write the report."""
         nothing = self._not_taken() and not any(sent["judged"] for sent in self._sent)
-        if (self._untested() or nothing) and session.exitstatus == pytest.ExitCode.OK:
+        if (self._untested() or self._unjudged() or nothing) and session.exitstatus == pytest.ExitCode.OK:
             session.exitstatus = pytest.ExitCode.TESTS_FAILED
         file = current().report
         if file is not None and self._sent:
@@ -45,7 +50,11 @@ class Ending:
                 session.exitstatus = pytest.ExitCode.TESTS_FAILED
 
     def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
-        """The table of claims, the kept failures, the seed."""
+        """The files of others; the table of claims, the kept failures, the seed."""
+        if ignored := ", ".join(dict.fromkeys(current().ignored)):
+            terminalreporter.write_line(
+                f"safety-harness ignored {ignored}: a title as ours, and no key or no file that is ours"
+            )
         if not self._sent:
             return
         from safety_harness.properties.tally import table_lines, untested_lines
@@ -61,6 +70,11 @@ class Ending:
             f"{' or not measured' * any('not measured, and' in line for line in untested)} is no evidence.",
         ]:
             say(line, red=True)
+        if self._unjudged():
+            say(
+                f"{self._unjudged()}; the session has failed: assert_holds(claim, trace) judges a run",
+                red=True,
+            )
         if self._fallback():
             say(self._fallback(), red=True)
         for line in (
@@ -146,6 +160,15 @@ class Ending:
         missing = sum(-int(one.margin or 0.0) for one in found.values())
         words = fallback_words(missing, sum(one.exercised for one in found.values()))
         return words and f"{words} of {count_words(len(found), 'run', 'runs')}"
+
+    def _unjudged(self) -> str:
+        """The simulated runs of which no test judged a claim, with the tests that made them."""
+        from safety_harness.report.words import count_words
+
+        judged = {run for sent in self._sent for run in sent["judged_runs"]}
+        runs = {run: sent["test"] for sent in self._sent for run in {*sent["simulated"]} - judged}
+        words = f"{count_words(len(runs), 'simulated run', 'simulated runs')} that nobody judged, in "
+        return words * bool(runs) + ", ".join(dict.fromkeys(runs.values()))
 
     def _tallies(self) -> tuple[ClaimTally, ...]:
         from safety_harness.properties.tally import Judged, tally_claims

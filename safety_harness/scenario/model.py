@@ -16,7 +16,7 @@ from typing import Any, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.exceptions import Place, ScenarioError
+from safety_harness.exceptions import Place, ScenarioError, no_truth_value
 from safety_harness.scenario.codec import (
     POINT,
     ROTATION,
@@ -71,6 +71,9 @@ class Verdict(Enum):
     HOLDS = "holds"
     VIOLATED = "violated"
     INCONCLUSIVE = "inconclusive"
+
+    def __bool__(self) -> bool:
+        raise no_truth_value(f"whether the verdict {self.value} is true")
 
 
 _TILTED = "tilt: [0 deg, 3 deg, 0 deg]"

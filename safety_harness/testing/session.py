@@ -93,6 +93,7 @@ class TestRun:
     overruled: dict[str, Overruling] = field(default_factory=dict)  # of those that count, by their digests
     differences: dict[str, RunDifference] = field(default_factory=dict)  # from a reference, by digest
     shared: list[str] = field(default_factory=list)  # failures that the reference has as well
+    judges_itself: bool = False  # by the marker, without assert_holds
     not_taken: str = ""  # the avoider that cannot take its scenario
 
     @property
@@ -135,6 +136,9 @@ class Session:
     report: Path | None = None
     saved: set[Path] = field(default_factory=set)  # traces that this process wrote for the report
     recordings: dict[str, bytes] = field(default_factory=dict)  # of logs, by their SHA-256
+    simulated: set[str] = field(default_factory=set)  # runs since the last report
+    judged: set[str] = field(default_factory=set)  # of these, or of earlier ones
+    ignored: list[str] = field(default_factory=list)  # files with a title as ours have it, of other programs
     test: TestRun | None = None
 
 
