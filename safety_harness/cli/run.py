@@ -228,11 +228,14 @@ class RunSession:
         say(*(f"shield: {line}" for line in shield_lines(run.trace for run in self.runs)))
         say(*(f"gate: {line}" for line in possible_lines(run.trace for run in self.runs)))
         say(*overruling_lines(overruling_of_each(run.trace for run in self.runs)))
-        verdicts = [same for one in self.runs for same in one.as_expected]
+        every = [same for one in self.runs for same in zip(one.as_expected, one.applicable, strict=True)]
+        verdicts = [same for same, applicable in every if applicable]
+        others = len(every) - len(verdicts)
         fallback = DecisionTally.of(one.trace for one in self.runs).fallback
         say(
             f"{sum(verdicts)} of {len(verdicts)} verdicts as expected, "
             f"{len(self.runs)} of {self.planned + len(self.skipped)} scenarios run"
+            + (f", {others} claims not applicable to the controller" if others else "")
             + (f", {not_taken_words(self.skipped)}" if self.skipped else "")
             + (f", {len(self.refused)} of the inputs cannot be used" if self.refused else "")
             + (f"; {fallback}" if fallback else "")
@@ -248,7 +251,7 @@ class RunSession:
             return INTERRUPTED
         if self.refused:
             return BAD_INPUT
-        good = all(verdicts) if self.against is None else self._as_good()
+        good = all(verdicts) and bool(verdicts or not others) if self.against is None else self._as_good()
         good &= self.repeated is None or not self.repeated.words
         return AS_EXPECTED if good and not (self.failed or untested or self.skipped) else DIFFERS
 
@@ -347,8 +350,8 @@ def _run_one(admitted: Admitted, apart: RunProcesses, traces: Path, progress: Ru
 def say_results(run: JudgedRun) -> None:
     """One line for each claim of a run, and one more for what could not be judged for want of measurement."""
     for claim, evaluation in run.judged_claims():
-        same = evaluation.verdict is claim.expected
-        mark = "ok  " if same else "DIFF"
+        same = evaluation.verdict is claim.expected or not evaluation.applicable
+        mark = ("ok  " if same else "DIFF") if evaluation.applicable else "n/a "
         when = "-" if evaluation.worst_time_s is None else f"{evaluation.worst_time_s:.3f} s"
         expected = "" if same else f"  (expected {claim.expected.value})"
         result(

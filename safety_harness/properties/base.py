@@ -74,7 +74,8 @@ class Evaluation:
     ``margin`` (SI) and ``worst_time_s`` are None where there is none to give; ``reason`` says in
     a sentence what decided; ``exercised`` counts the occasions on which the property could have
     been violated (0 for a property that was never put to the test).  ``parts`` are the words on its
-    conjuncts, if it is made of several.
+    conjuncts, if it is made of several.  It is not ``applicable`` if it is about what the controller under
+    test does not have or say, such as an avoider's answers.
     """
 
     sentence: str
@@ -86,6 +87,7 @@ class Evaluation:
     exercised: int
     parts: tuple[Evaluation, ...] = ()
     unmeasured: tuple[str, ...] = ()
+    applicable: bool = True
 
     def __bool__(self) -> bool:
         raise no_truth_value(f"whether an evaluation is true, of {self.sentence}: {self.verdict.value}")

@@ -177,8 +177,17 @@ def _space_items(parent: pytest.Collector, *, runs: SpaceRuns) -> Nodes:
 def _judge(scenario: Scenario, claim: Claim, test: TestRun) -> None:
     trace = simulate(scenario)
     prop = property_of(claim, trace.scenario)
-    require(prop.evaluate(trace), claim.expected, trace, prop.evaluate)
+    evaluation = prop.evaluate(trace)
+    _skip_inapplicable([evaluation])
+    require(evaluation, claim.expected, trace, prop.evaluate)
     refuse_fallback(trace)
+
+
+def _skip_inapplicable(evaluations: Iterable[Evaluation]) -> None:
+    """Of a claim about what the controller under test does not have or say, there is nothing to test."""
+    every = list(evaluations)
+    if every and not any(one.applicable for one in every):
+        pytest.skip(f"not applicable to the controller: {every[0].reason}")
 
 
 def _judge_log(trace: Trace, claim: Claim, _: TestRun) -> None:
@@ -225,6 +234,7 @@ class SpaceRuns:
         drawing._hypothesis_internal_use_settings = under_profile()  # type: ignore[attr-defined]
         try:
             drawing()
+            _skip_inapplicable(one.evaluations[number] for one in self._judged.values())
         finally:
             shown = self._shown.get(self.claims[number].sentence)
             if shown is not None:

@@ -269,7 +269,7 @@ def test_verdicts_have_no_truth_value_and_a_run_that_nobody_judged_fails_the_ses
         result = run("test_it.py", "-k", test)
         result.assert_outcomes(passed=1, deselected=4)
         assert result.ret == code
-    result = run("test_it.py", "fast.yaml", "-k", "never or speed", "-n", "2")
+    result = run("test_it.py", "fast.yaml", "-k", "test_never or TCP", "-n", "2")
     assert result.ret == pytest.ExitCode.OK, "another test judged the same run"
 
 
