@@ -158,6 +158,7 @@ def _carry_on(
     from safety_harness.campaign.ledger import Ledger
     from safety_harness.campaign.session import carry_on, processes
     from safety_harness.campaign.summary import fallback_of
+    from safety_harness.cli.campaign_lines import tested_lines
     from safety_harness.cli.progress import watching_campaign
     from safety_harness.interrupts import one_more_ctrl_c
     from safety_harness.properties.answered import is_claimed
@@ -174,6 +175,7 @@ def _carry_on(
     with one_more_ctrl_c(say, remark) as interrupted, watching_campaign(plan) as show:
         carry_on(plan, path, make_crew, on_progress=show, enough=interrupted, part=numbers)
         stopped = interrupted()
+    result(*tested_lines(plan))
     with Ledger.open(path, check=False) as ledger:
         finished = kind_of(path.parent) is FileKind.REPORT  # whose files are those of its manifest
         state = _say_ledger(ledger, None if finished else path.with_suffix(".html"))

@@ -47,6 +47,7 @@ from safety_harness.report.decisions import (
 from safety_harness.report.evidence import JudgedRun, notes_of, tallies
 from safety_harness.report.possible_hands import possible_lines
 from safety_harness.report.shielding import shield_lines
+from safety_harness.report.words import tested_words
 from safety_harness.scenario.expand import gather
 from safety_harness.scenario.files import told
 from safety_harness.scenario.model import Scenario, Verdict
@@ -349,6 +350,7 @@ def _run_one(admitted: Admitted, apart: RunProcesses, traces: Path, progress: Ru
 
 def say_results(run: JudgedRun) -> None:
     """One line for each claim of a run, and one more for what could not be judged for want of measurement."""
+    result(f"tested in {run.trace.scenario.name}: {tested_words(run.trace.scenario, run.trace.system)}")
     for claim, evaluation in run.judged_claims():
         same = evaluation.verdict is claim.expected or not evaluation.applicable
         mark = ("ok  " if same else "DIFF") if evaluation.applicable else "n/a "

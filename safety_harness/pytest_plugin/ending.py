@@ -61,7 +61,7 @@ class Ending:
 
         say = terminalreporter.write_line
         terminalreporter.section("safety claims")
-        for line in table_lines(self._tallies()):
+        for line in (*table_lines(self._tallies()), *self._tested()):
             say(line)
         untested = untested_lines(self._tallies())
         for line in untested and [
@@ -169,6 +169,15 @@ class Ending:
         runs = {run: sent["test"] for sent in self._sent for run in {*sent["simulated"]} - judged}
         words = f"{count_words(len(runs), 'simulated run', 'simulated runs')} that nobody judged, in "
         return words * bool(runs) + ", ".join(dict.fromkeys(runs.values()))
+
+    def _tested(self) -> list[str]:
+        """What the verdicts are about, where anything but the avoider or controller is not the default."""
+        from safety_harness.pytest_plugin.running import judgements
+
+        runs: dict[str, set[str]] = {}
+        for run in (one.run for sent in self._sent for one in judgements(sent)):
+            runs.setdefault(run.beside, set()).add(run.name.partition("#")[0])
+        return [f"tested in {', '.join(sorted(names))}: {words}" for words, names in runs.items() if words]
 
     def _tallies(self) -> tuple[ClaimTally, ...]:
         from safety_harness.properties.tally import Judged, tally_claims

@@ -263,6 +263,8 @@ def junit_properties(test: TestRun) -> list[tuple[str, object]]:
             kind: name,
             "seed": worst.run.seed,
         }
+        if worst.run.beside != worst.run.tested:
+            values["tested"] = worst.run.beside
         if evaluation.unmeasured:
             values["not measured"] = ", ".join(evaluation.unmeasured)
         found += [(name + end, value) for name, value in values.items()]

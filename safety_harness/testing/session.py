@@ -44,6 +44,7 @@ class Run:
     tested: str  # "avoider" or "controller", and its name
     seed: int
     sound: bool
+    beside: str = ""  # as ``tested``, with its shield and what is not the default
 
 
 @dataclass(frozen=True, eq=False)
