@@ -166,7 +166,7 @@ def certify(
 
 
 def _shielded_lines(plan: Plan, ledger: Path) -> list[str]:
-    """How much shields slowed the arm, in the runs of each stratum whose traces are kept whatever came out."""
+    """How much shields slowed the arm, in the random runs of each stratum whose traces are kept."""
     from safety_harness.campaign.ledger import Ledger
     from safety_harness.certification.stored import random_traces
     from safety_harness.report.shielding import shield_lines
