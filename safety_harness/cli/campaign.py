@@ -348,7 +348,7 @@ def compare(
     from safety_harness.campaign.session import LEDGER
     from safety_harness.campaign.summary import fallback_of
     from safety_harness.cli.campaign_lines import difference_lines
-    from safety_harness.report.machine import SI_UNITS
+    from safety_harness.properties.base import SI_UNITS
 
     reference = one_of(against, controller)
     if (second is None) is (reference is None):

@@ -19,9 +19,8 @@ from safety_harness.campaign.summary import (
     fallback_of,
 )
 from safety_harness.certification.verdicts import confidence_words, percent
-from safety_harness.properties.base import Unit
+from safety_harness.properties.base import SI_UNITS, Unit
 from safety_harness.proportions import share_words
-from safety_harness.report.machine import SI_UNITS
 from safety_harness.report.words import rounded_down, rounded_up, tested_words
 from safety_harness.statistics.binomial import ProbabilityBounds
 from safety_harness.statistics.importance import FEWEST_WEIGHTS, LARGEST_SHAPE

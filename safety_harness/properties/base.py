@@ -61,6 +61,19 @@ class Unit(Enum):
         return shown_margin(margin * self.per_si, self.symbol)
 
 
+SI_UNITS = {
+    Unit.LENGTH: "m",
+    Unit.ANGLE: "rad",
+    Unit.SPEED: "m/s",
+    Unit.ANGULAR_SPEED: "rad/s",
+    Unit.TIME: "s",
+    Unit.ACCELERATION: "m/s2",
+    Unit.ANGULAR_ACCELERATION: "rad/s2",
+    Unit.FRACTION: "1",
+    Unit.COUNT: "1",
+}
+
+
 def shown_margin(margin: float, symbol: str) -> str:
     """A margin that is in the unit ``symbol`` already; without a symbol it is a count, and whole."""
     number = f"{margin:+.1f}" if abs(margin) >= 1.0 and symbol else f"{margin:+.{3 if symbol else 9}g}"

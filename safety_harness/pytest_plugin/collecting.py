@@ -15,7 +15,7 @@ import pytest
 from hypothesis import given, seed
 
 from safety_harness.admission.claims import property_of
-from safety_harness.admission.taking import NotTaken, taken
+from safety_harness.admission.taking import NotTaken, made_equal, taken
 from safety_harness.exceptions import InputError
 from safety_harness.logs.judging import recorded
 from safety_harness.properties.against import ClaimDifference
@@ -73,9 +73,10 @@ class ScenarioFile(pytest.File):
         gathered = gather([self.path], spaces=True)
         errors, scenarios, spaces = list(gathered.errors), [], []
         refused: list[tuple[NotTaken, Claims]] = []
+        equal = made_equal(gathered.scenarios, *avoiders_asked()[0])
         for scenario in gathered.scenarios:
             try:
-                found = taken(scenario, avoiders_asked(), looker.look)
+                found = equal.get(scenario.name) or taken(scenario, avoiders_asked(), looker.look)
             except InputError as error:
                 errors.append(error)
                 continue
@@ -179,7 +180,7 @@ def _judge(scenario: Scenario, claim: Claim, test: TestRun) -> None:
     prop = property_of(claim, trace.scenario)
     evaluation = prop.evaluate(trace)
     _skip_inapplicable([evaluation])
-    require(evaluation, claim.expected, trace, prop.evaluate)
+    require(evaluation, claim.given(evaluation.margin), trace, prop.evaluate)
     refuse_fallback(trace)
 
 
@@ -193,7 +194,8 @@ def _skip_inapplicable(evaluations: Iterable[Evaluation]) -> None:
 def _judge_log(trace: Trace, claim: Claim, _: TestRun) -> None:
     prop = property_of(claim, trace.scenario)
     refuse_contradictions(trace, trace.scenario.file)
-    require(prop.evaluate(trace), claim.expected, trace, prop.evaluate)
+    evaluation = prop.evaluate(trace)
+    require(evaluation, claim.given(evaluation.margin), trace, prop.evaluate)
 
 
 @dataclass(frozen=True, eq=False)

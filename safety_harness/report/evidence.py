@@ -56,7 +56,7 @@ class JudgedRun:
     def as_expected(self) -> tuple[bool, ...]:
         """For each claim, whether the verdict is the one that its author expects; so are claims of others."""
         return tuple(
-            evaluation.verdict is claim.expected or not evaluation.applicable
+            evaluation.verdict is claim.given(evaluation.margin) or not evaluation.applicable
             for claim, evaluation in self.judged_claims()
         )
 
