@@ -81,8 +81,6 @@ def fuzz(
         raise ScenarioError.of_option("--baseline", expected, "--searcher uniform")
     attribution = SearchAttribution()
     read, asked = read_space(space), one_of(avoider, controller)
-    tested = read.simplest if asked is None else with_avoider(read.simplest, asked)
-    say(f"tested in {read.name}: {tested_words(tested, named_system(tested))}")
     made = search_space(
         Trials(
             read,
@@ -100,6 +98,8 @@ def fuzz(
         baseline=baseline,
         explain=attribution.explain,
     )
+    tested = read.simplest if asked is None else with_avoider(read.simplest, asked)
+    say(f"tested in {read.name}: {tested_words(tested, named_system(tested))}")
     if made.unwritable is not None:
         return BAD_INPUT
     if made.interrupted:

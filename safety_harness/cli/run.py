@@ -351,7 +351,6 @@ def _run_one(admitted: Admitted, apart: RunProcesses, traces: Path, progress: Ru
 
 def say_results(run: JudgedRun) -> None:
     """One line for each claim of a run, and one more for what could not be judged for want of measurement."""
-    result(f"tested in {run.trace.scenario.name}: {tested_words(run.trace.scenario, run.trace.system)}")
     place = run.trace.scenario.places.get("avoider")
     overridden = place.field if place is not None and (place.field or "").startswith("--") else ""
     for claim, evaluation in run.judged_claims():
@@ -367,3 +366,4 @@ def say_results(run: JudgedRun) -> None:
         )
         if evaluation.unmeasured:
             result(f"     {evaluation.reason}")
+    say(f"tested in {run.trace.scenario.name}: {tested_words(run.trace.scenario, run.trace.system)}")

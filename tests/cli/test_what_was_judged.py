@@ -115,7 +115,7 @@ def test_every_verdict_names_avoider_shield_and_what_is_not_the_default(folder: 
     (folder / "shielded.yaml").write_text(changed + "settings: {avoidance: {gate: reach}}\n")
     result = ran("shielded.yaml", "--avoider", "into.py:Into")
     assert (
-        "tested in shielded: avoider into, shield speed and separation, avoidance.gate reach" in result.stdout
+        "tested in shielded: avoider into, shield speed and separation, avoidance.gate reach" in result.output
     )
 
 
