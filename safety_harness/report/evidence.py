@@ -67,8 +67,8 @@ class JudgedRun:
 
     @property
     def all_as_expected(self) -> bool:
-        """Whether every claim came out as expected; true of a scenario without claims."""
-        return all(self.as_expected)
+        """Whether every claim came out as expected, and any is of the system; true without claims."""
+        return all(self.as_expected) and (any(self.applicable) or not self.applicable)
 
     def count(self, verdict: Verdict) -> int:
         """How many claims came out as ``verdict``."""

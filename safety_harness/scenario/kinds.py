@@ -64,11 +64,6 @@ class FileKind(Enum):
         """With its article."""
         return str(self.value[0])
 
-    @property
-    def is_titled(self) -> bool:
-        """Is it told by a title, which files of other programs may have as well?"""
-        return self in _BY_TITLE.values()
-
 
 _BY_FORMAT = {
     "report": FileKind.RUNS,

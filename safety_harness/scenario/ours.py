@@ -35,6 +35,7 @@ NOT_ENTERED = (
 )
 _ALONE = {"scenario space", "tcp start", "hand sensor"}  # nobody else's, whatever is beside them
 _TITLED = {"avoider", "hands"}  # nobody else's beside a title
+_TOLD = (FileKind.SCENARIO, FileKind.SPACE, FileKind.SUITE)  # by a title that others have as well
 _OTHERS = {"plan", "proof", "log"}  # titles of ours that begin something else
 _WORTH = re.compile(r"\b(?:scenario|suite|extends|claims|tcp start|hand sensor)\b", re.IGNORECASE)
 _LINE = re.compile(r"^[\"']?([A-Za-z ]+?)[\"']?[ \t]*:(?=[ \t\r\n]|$)", re.MULTILINE)
@@ -101,7 +102,7 @@ def aside_lines(files: Iterable[Path]) -> list[str]:
     by_kind: dict[str, list[str]] = {}
     for file in files:
         kind = kind_of(file)
-        words = "not ours" if kind is None or (kind.is_titled and not is_ours(file)) else kind.words
+        words = "not ours" if kind is None or (kind in _TOLD and not is_ours(file)) else kind.words
         by_kind.setdefault(words, []).append(str(told(file)))
     return [f"left aside, {words}: {', '.join(names)}" for words, names in by_kind.items()]
 
