@@ -135,6 +135,12 @@ def refuse_other_type(argument: str, value: object, *kinds: type, expected: str 
         raise InputError.of_option(argument, expected or f"a {name}", got, hint or _MADE_BY.get(name, ""))
 
 
+def no_truth_value(asked: str) -> InputError:
+    """The error for ``assert judge(trace)`` and its like, which would pass whatever came out."""
+    hint = "assert_holds(claim, trace), or evaluation.verdict is Verdict.HOLDS"
+    return InputError.of_option("truth value", "a question that a verdict answers", asked, hint)
+
+
 def explanation(error: BaseException) -> str:
     """The error for people: where, what was expected, what came and the hint, each on a line of its own.
 

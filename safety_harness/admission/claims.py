@@ -8,18 +8,26 @@ from functools import lru_cache
 from safety_harness.exceptions import InadmissibleError, near_miss
 from safety_harness.formulas.claim import FormulaClaim
 from safety_harness.formulas.parse import ALL_CLAIMS, looks_like_formula, parse_formula
-from safety_harness.properties.base import Property
+from safety_harness.properties.base import SI_UNITS, Property
 from safety_harness.properties.catalogue import CATALOGUE
 from safety_harness.properties.entry import CatalogueEntry
-from safety_harness.scenario.model import Claim, Scenario
+from safety_harness.scenario.model import BY_AT_MOST, Claim, Scenario
 
 
 def property_of(claim: Claim, scenario: Scenario) -> Property:
     """The property that a claim's sentence names.
 
     FormulaError for a formula that cannot be read, or that has no room in the scenario;
-    InadmissibleError with the catalogue for what is no formula either.
+    InadmissibleError with the catalogue for what is no formula either, and for a bound in another unit.
     """
+    found = _property_of(claim, scenario)
+    if claim.most is not None and (claim.most[1] or "1") != SI_UNITS[found.unit]:
+        expected = f"{claim.expected.value}{BY_AT_MOST}a margin in {found.unit.symbol or 'whole numbers'}"
+        raise InadmissibleError(place=claim.place, expected=expected, got=claim.expectation)
+    return found
+
+
+def _property_of(claim: Claim, scenario: Scenario) -> Property:
     meant = _entry_of(claim.sentence)
     if meant is not None:
         entry, match = meant

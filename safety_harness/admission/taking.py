@@ -6,13 +6,16 @@ A network that was trained for another workspace is one reason, a measured profi
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TypeVar
 
 from safety_harness.admission.admit import check
 from safety_harness.admission.avoiders import told_avoider, with_avoider
-from safety_harness.exceptions import InputError, Place
+from safety_harness.exceptions import InadmissibleError, InputError, Place
 from safety_harness.scenario.model import Scenario
+from safety_harness.scenario.write import write_scenario
 
 _Looked = TypeVar("_Looked")
 
@@ -47,6 +50,32 @@ def taken(
         except InputError as error:
             check(scenario)
             return NotTaken(scenario.name, told_avoider(reference), error)
+    return found
+
+
+def made_equal(scenarios: Sequence[Scenario], reference: str | None, option: str) -> dict[str, NotTaken]:
+    """By their names the rows of a matrix that one avoider in place of theirs makes the same scenario.
+
+    Each would hold under a name that says otherwise.
+    """
+    rows: dict[tuple[Path | None, str], list[Scenario]] = {}
+    if reference is None:
+        return {}
+    for one in scenarios:
+        if one.name.endswith("]"):
+            with suppress(InputError):  # which is told of it alone
+                same = write_scenario(replace(with_avoider(one, reference), claims=scenarios[0].claims))
+                rows.setdefault((one.file, same), []).append(one)
+    found: dict[str, NotTaken] = {}
+    for alike in rows.values():
+        if len({one.under_test for one in alike}) > 1:
+            names = ", ".join(one.name for one in alike)
+            error = InadmissibleError(
+                place=Place(file=alike[0].file, field=option),
+                expected="rows of a matrix that differ",
+                got=f"the same scenario in {names}, with one avoider in place of theirs",
+            )
+            found |= {one.name: NotTaken(one.name, told_avoider(reference), error) for one in alike}
     return found
 
 

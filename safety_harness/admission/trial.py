@@ -16,7 +16,7 @@ from safety_harness.avoidance.avoider import Avoider, shown_to
 from safety_harness.controller.controller import Controller
 from safety_harness.exceptions import ControllerError, InadmissibleError, InstallationError, refuse_other_type
 from safety_harness.perception.detector import BoundingBoxDetector
-from safety_harness.properties.base import Evaluation
+from safety_harness.properties.base import Evaluations
 from safety_harness.properties.true_motion import refuse_contradictions
 from safety_harness.scenario.decision_times import refuse_wall_clock
 from safety_harness.simulation.kinematic_world import KinematicWorld
@@ -141,7 +141,7 @@ def slower_because(avoider: Avoider) -> str:
     return f"{avoider.name} is asked for one decision after another: it has no propose_many"
 
 
-def judge(trace: Trace, *, file: Path | None = None) -> tuple[Evaluation, ...]:
+def judge(trace: Trace, *, file: Path | None = None) -> Evaluations:
     """Judge a trace by its scenario's claims, in their order.
 
     Nothing is simulated and no avoider is made: a user's own would be executed.  TraceError, naming
@@ -149,7 +149,8 @@ def judge(trace: Trace, *, file: Path | None = None) -> tuple[Evaluation, ...]:
     """
     refuse_other_type("judge(trace)", trace, Trace)
     refuse_contradictions(trace, file)
-    return tuple(property_of(claim, trace.scenario).evaluate(trace) for claim in trace.scenario.claims)
+    properties = [property_of(claim, trace.scenario) for claim in trace.scenario.claims]
+    return Evaluations(one.evaluate(trace) for one in properties)
 
 
 def _run_chunk(chunk: list[Admitted], world: WorldEntry) -> Iterator[Trace | Exception]:

@@ -1,10 +1,10 @@
 """What changed from one evidence report to a later one, what got worse, and which runs carry over.
 
 Worse is: a claim that was shown in a stratum and is not any more (because it is gone, too), a target or a
-confidence that was lowered, a finding that was opened, a proof that is gone, a hazard that was as rare as is
-asked and is not any more, and a violation probability that is *shown* to be larger.  That is so where the
-exact interval of the difference, paired by episode, lies above zero; or, where the two reports drew other
-episodes, where the two intervals have no value in common.
+confidence that was lowered, what was not shown and is not asked any more, a finding that was opened, a proof
+that is gone, a hazard that was as rare as is asked and is not any more, and a violation probability that is
+*shown* to be larger.  That is so where the exact interval of the difference, paired by episode, lies above
+zero; or, where the two reports drew other episodes, where the two intervals have no value in common.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from __future__ import annotations
 import json
 import re
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -165,13 +165,15 @@ def delta_between(
     ``identities`` are what the runs of each hang on.
     """
     bounds = tuple(_bounds(before, after, paired))
-    opened, closed, reworded = _findings(before, after)
+    unasked = dict(_unasked(before, after))
+    opened, closed, reworded = _findings(before, after, unasked)
     return EvidenceDelta(
         format=FORMAT,
         before=(names[0], before.record.rows_sha256),
         after=(names[1], after.record.rows_sha256),
         regressions=(
             *_lost(before, after),
+            *unasked.values(),
             *_loosened(before, after),
             *(_worse_words(one) for one in bounds if one.worse),
             *_unproven(before, after),
@@ -227,6 +229,22 @@ def _lost(before: Evidence, after: Evidence) -> Iterator[str]:
         lost = claim and claim.standing is ClaimStatus.SHOWN is not (later and later.standing)
         if lost and later and sentence not in told:
             yield f"{sentence}: shown before, now {later.standing.value}: {later.why}"
+
+
+def _unasked(before: Evidence, after: Evidence) -> Iterator[tuple[tuple[str, str], str]]:
+    """By (claim, stratum) what was asked and not shown, and is gone or asked of another space now."""
+    later, claims = _outcomes(after), _claims_by(after)
+    spaces = [{one.name: one.space_sha256 for one in each.strata} for each in (before, after)]
+    for key, was in _outcomes(before).items():
+        now = later.get(key)
+        if was.standing in (ClaimStatus.SHOWN, ClaimStatus.ESTIMATED):
+            continue
+        why = f"the {'stratum' if key[0] in claims else 'claim'} is not in the plan"
+        if now is not None:
+            if now.standing is not ClaimStatus.SHOWN or spaces[0].get(key[1]) == spaces[1].get(key[1]):
+                continue
+            why = "its space is another"
+        yield key, f"{', '.join(key)}: {was.standing.value} before, not asked any more: {why}"
 
 
 def _loosened(before: Evidence, after: Evidence) -> Iterator[str]:
@@ -306,14 +324,21 @@ _QUOTED_OR_NUMBER = re.compile(r"('[^']*'|\"[^\"]*\")|(?<![\w.-])\d[\d,.]*(?![\w
 
 
 def _findings(
-    before: Evidence, after: Evidence
+    before: Evidence, after: Evidence, unasked: Iterable[tuple[str, str]]
 ) -> tuple[tuple[str, ...], tuple[str, ...], tuple[tuple[str, str], ...]]:
-    """Opened, closed, and told otherwise: a claim's finding is its own, another is known by its words."""
+    """Opened, closed, and told otherwise: a claim's finding is its own, another is known by its words.
+
+    One of an ``unasked`` claim, or of a stratum that is gone, is not closed.
+    """
+    gone = {one.name for one in before.strata} - {one.name for one in after.strata}
+    left = (*(f"claim {claim} " for claim, _ in unasked), *(f"{name}: " for name in gone))
     earlier, later = _open_in(before), _open_in(after)
     opened: list[str] = []
     closed: list[str] = []
     reworded: list[tuple[str, str]] = []
-    for _, was, now in both(earlier, later):
+    for key, was, now in both(earlier, later):
+        if now is None and key.startswith(left):
+            continue
         if was is None or now is None:
             (opened if was is None else closed).append((now or was or (0, ""))[1])
         elif was[0] < now[0]:

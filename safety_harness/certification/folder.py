@@ -138,8 +138,8 @@ _NOT_XML = re.compile(r"[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 def junit_xml(evidence: Evidence) -> str:
     """The claims for machines that gate on tests: one suite a stratum, one case a claim.
 
-    Only a claim that is *shown* passes.  Refuted is a failure; everything else is an error or, where the plan
-    set no target, skipped: nothing that is open is ever green.
+    Only a claim that is *shown* passes.  Refuted is a failure, and so is any violation where the plan set no
+    target; without one such a claim is skipped, and everything else is an error: nothing open is ever green.
     """
     name = evidence.plan.name + (f"; {evidence.fallback}" if evidence.fallback else "")
     root = ElementTree.Element("testsuites", name=_xml_text(name))
@@ -163,7 +163,8 @@ def _case(suite: ElementTree.Element, claim: ClaimEvidence, outcome: ClaimResult
     )
     if outcome.standing is ClaimStatus.SHOWN:
         return
-    tag = {ClaimStatus.REFUTED: "failure", ClaimStatus.ESTIMATED: "skipped"}.get(outcome.standing, "error")
+    untargeted = "failure" if outcome.violated else "skipped"
+    tag = {ClaimStatus.REFUTED: "failure", ClaimStatus.ESTIMATED: untargeted}.get(outcome.standing, "error")
     said = ElementTree.SubElement(case, tag, message=_xml_text(f"{outcome.standing.value}: {outcome.why}"))
     if tag != "skipped":
         said.set("type", outcome.standing.value)

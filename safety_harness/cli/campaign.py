@@ -68,15 +68,18 @@ def run(
     cluster: _Cluster = None,
     part: _Part = "1/1",
     controller: OfController = None,
+    require_shown: Annotated[
+        bool, Option("--require-shown", help="Fail unless every target of the plan is shown.")
+    ] = False,
 ) -> int:
     """Run a plan's episodes in many processes, or what is left of them if the ledger is there already.
 
-    Beside the ledger a page, .html, says how it stands.
+    Beside the ledger a page, .html, says how it stands; none is added to a finished report.
     Ctrl-C keeps every finished episode, and so does whatever kills the program or the machine.
     Exit code 0: complete, or this part is; 1: complete, but episodes failed to run, none put a claim to the
     test, the avoider did not always answer and the plan claims nothing of that, or answered otherwise when
-    asked again, or no worker is left; 2: bad input, another plan's ledger, or a disk that takes no more; 130:
-    interrupted.
+    asked again, no worker is left, or, with --require-shown, a target is not shown; 2: bad input, another
+    plan's ledger, or a disk that takes no more; 130: interrupted.
     """
     from safety_harness.campaign.against import plan_with
     from safety_harness.campaign.plan import read_plan
@@ -86,7 +89,10 @@ def run(
     read = read_plan(plan)
     if controller is not None:
         read = plan_with(read.files, Driver(controller), Path("reports") / read.name)
-    return _carry_on(read, ledger or Path("reports") / read.name / LEDGER, workers, cluster, part)
+    if require_shown and all(claim.target is None for claim in read.claims):
+        raise ScenarioError.of_option("--require-shown", "a plan with a target to show", f"none in {plan}")
+    path = ledger or Path("reports") / read.name / LEDGER
+    return _carry_on(read, path, workers, cluster, part, require_shown)
 
 
 @_unwritten("pilot")
@@ -146,13 +152,17 @@ def resume(
         return _carry_on(plan, ledger, workers, cluster, part)
 
 
-def _carry_on(plan: Plan, path: Path, workers: int | None, cluster: str | None, part: str) -> int:
+def _carry_on(
+    plan: Plan, path: Path, workers: int | None, cluster: str | None, part: str, require_shown: bool = False
+) -> int:
     from safety_harness.campaign.ledger import Ledger
     from safety_harness.campaign.session import carry_on, processes
     from safety_harness.campaign.summary import fallback_of
+    from safety_harness.cli.campaign_lines import tested_lines
     from safety_harness.cli.progress import watching_campaign
     from safety_harness.interrupts import one_more_ctrl_c
     from safety_harness.properties.answered import is_claimed
+    from safety_harness.scenario.kinds import FileKind, kind_of
     from safety_harness.statistics.sample import EpisodeOutcome
 
     make_crew = processes(workers)
@@ -166,16 +176,23 @@ def _carry_on(plan: Plan, path: Path, workers: int | None, cluster: str | None, 
     with one_more_ctrl_c(say, remark) as interrupted, watching_campaign(plan) as show:
         carry_on(plan, path, make_crew, on_progress=show, enough=interrupted, part=numbers, say=say)
         stopped = interrupted()
+    result(*tested_lines(plan))
     with Ledger.open(path, check=False) as ledger:
-        tally = _say_ledger(ledger, path.with_suffix(".html")).tally
+        finished = kind_of(path.parent) is FileKind.REPORT  # whose files are those of its manifest
+        state = _say_ledger(ledger, None if finished else path.with_suffix(".html"))
+        tally, targets = state.tally, {claim.sentence: claim.target for claim in plan.claims}
+        asked = [(one, target) for one in state.bounds if (target := targets[one.claim]) is not None]
+        unshown = require_shown and not (asked and all(one.shows(target) for one, target in asked))
         unlike = bool(ledger.repeated.words or ledger.dependent)
         unanswered = fallback_of(ledger).unanswered and not is_claimed(claim.claim for claim in plan.claims)
     if stopped and not tally.complete:
         say(f"interrupted; go on: safety-harness campaign resume {path}")
         return INTERRUPTED
+    if unshown:
+        say("not every target of the plan is shown, as --require-shown asks")
     claims = [tally.of_claim(number).counts for number in range(len(plan.claims))]
     unknown = any(one[EpisodeOutcome.UNTESTED] == sum(one.values()) for one in claims)
-    return DIFFERS if tally.failed or unanswered or unlike or unknown else AS_EXPECTED
+    return DIFFERS if tally.failed or unanswered or unlike or unknown or unshown else AS_EXPECTED
 
 
 def _say_ledger(ledger: Ledger, page: Path | None = None) -> LedgerState:
@@ -334,7 +351,7 @@ def compare(
     from safety_harness.campaign.session import LEDGER
     from safety_harness.campaign.summary import fallback_of
     from safety_harness.cli.campaign_lines import difference_lines
-    from safety_harness.report.machine import SI_UNITS
+    from safety_harness.properties.base import SI_UNITS
 
     reference = one_of(against, controller)
     if (second is None) is (reference is None):

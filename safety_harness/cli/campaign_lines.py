@@ -6,8 +6,10 @@ import csv
 import io
 from collections.abc import Iterator, Sequence
 
+from safety_harness.admission.driving import named_system
 from safety_harness.campaign.ledger import Declared, Ledger
 from safety_harness.campaign.overruled import overruling_in
+from safety_harness.campaign.plan import Plan
 from safety_harness.campaign.rare import RareViolation
 from safety_harness.campaign.summary import (
     CampaignTally,
@@ -16,15 +18,23 @@ from safety_harness.campaign.summary import (
     fallback_of,
 )
 from safety_harness.certification.verdicts import confidence_words, percent
-from safety_harness.properties.base import Unit
+from safety_harness.properties.base import SI_UNITS, Unit
 from safety_harness.proportions import share_words
-from safety_harness.report.machine import SI_UNITS
-from safety_harness.report.words import rounded_down, rounded_up
+from safety_harness.report.words import rounded_down, rounded_up, tested_words
 from safety_harness.statistics.binomial import ProbabilityBounds
 from safety_harness.statistics.paired import PairedComparison
 from safety_harness.statistics.sample import EpisodeOutcome
 
 _MOST_REASONS = 5
+
+
+def tested_lines(plan: Plan) -> list[str]:
+    """What each stratum is about: avoider or controller, shield, and each value that is not the default."""
+    tested: dict[str, list[str]] = {}
+    for stratum in plan.strata:
+        scenario = plan.with_avoider(stratum.space.simplest)
+        tested.setdefault(tested_words(scenario, named_system(scenario)), []).append(stratum.name)
+    return [f"tested in {', '.join(names)}: {words}" for words, names in tested.items()]
 
 
 def ledger_lines(ledger: Ledger, state: LedgerState) -> Iterator[str]:

@@ -12,6 +12,7 @@ from safety_harness.cli.console import AS_EXPECTED, DIFFERS, INTERRUPTED, docume
 from safety_harness.cli.options import Executes, OfController, Workers, command
 
 if TYPE_CHECKING:
+    from safety_harness.campaign.plan import Plan
     from safety_harness.certification.delta import EarlierReport
 
 
@@ -98,12 +99,14 @@ def certify(
     from safety_harness.admission.claims import property_of
     from safety_harness.campaign.against import plan_with
     from safety_harness.campaign.plan import read_plan
+    from safety_harness.campaign.session import LEDGER
     from safety_harness.certification.argument import STATE
     from safety_harness.certification.certify import Certification
     from safety_harness.certification.delta import EarlierReport
     from safety_harness.certification.evidence import ClaimStatus
     from safety_harness.certification.folder import PAGE
     from safety_harness.certification.verdicts import overruling_line, percent
+    from safety_harness.cli.campaign_lines import tested_lines
     from safety_harness.cli.progress import watching_campaign, watching_search, watching_words
     from safety_harness.properties.base import close_to, far_words
     from safety_harness.properties.tried import UNTRIED
@@ -146,6 +149,7 @@ def certify(
         workers, watching_campaign, SearchOutput(say, say, watching_search, watching_words)
     )
     document(**plain(evidence), page=job.folder / PAGE)
+    result(*tested_lines(job.plan), *_shielded_lines(job.plan, job.folder / LEDGER))
     for claim in evidence.claims:
         mark = {"holds": "ok  ", "violated": "NO  "}.get(STATE[claim.standing], "open")
         result(f"{mark} {claim.standing.value:<21} {claim.sentence}: {claim.why}")
@@ -168,6 +172,23 @@ def certify(
     if earlier is not None:
         return _tell_delta(earlier, EarlierReport.read(job.folder), again)
     return AS_EXPECTED if evidence.standing is ClaimStatus.SHOWN else DIFFERS
+
+
+def _shielded_lines(plan: Plan, ledger: Path) -> list[str]:
+    """How much shields slowed the arm, in the random runs of each stratum whose traces are kept."""
+    from safety_harness.campaign.ledger import Ledger
+    from safety_harness.certification.stored import random_traces
+    from safety_harness.report.shielding import shield_lines
+
+    with Ledger.open(ledger, alone=True) as opened:
+        stored, _ = random_traces(plan, opened)
+    lines = []
+    for k, stratum in enumerate(plan.strata):
+        if stratum.space.simplest.shield is not None:
+            traces = [one.trace for one in stored if one.stratum == k]
+            words = shield_lines(traces) or ["how much it slowed is not known"]
+            lines.append(f"shield in {stratum.name}, {len(traces)} stored runs: {words[0]}")
+    return lines
 
 
 def _tell_delta(before: EarlierReport, after: EarlierReport, made_by: str) -> int:

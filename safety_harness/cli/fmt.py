@@ -5,13 +5,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, DIFFERS, document, explain, result
+from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, DIFFERS, document, explain, result, say
 from safety_harness.exceptions import InputError, Place, ScenarioError
 from safety_harness.scenario.compose import MAX_BYTES, tree_of
-from safety_harness.scenario.files import decode, files_of, read_bytes
+from safety_harness.scenario.files import decode, read_bytes
 from safety_harness.scenario.kinds import FileKind, refuse_other_kind
 from safety_harness.scenario.layout import laid_out
+from safety_harness.scenario.ours import aside_lines, files_of
 from safety_harness.whole_file import write_text
+
+TAKEN = (FileKind.SCENARIO, FileKind.SPACE, FileKind.SUITE, FileKind.PLAN)
 
 
 def format_files(paths: Sequence[Path], *, check: bool) -> int:
@@ -19,7 +22,9 @@ def format_files(paths: Sequence[Path], *, check: bool) -> int:
     changed, failed = list[Path](), False
     for path in paths:
         try:
-            for file in files_of(path):
+            files, aside = files_of(path, TAKEN)
+            say(*aside_lines(aside))
+            for file in files:
                 changed += [file] * _format(file, check=check)
         except InputError as error:
             explain(error)
@@ -32,7 +37,7 @@ def format_files(paths: Sequence[Path], *, check: bool) -> int:
 
 def _format(file: Path, *, check: bool) -> bool:
     """Whether the layout of ``file`` was, or would be, another one."""
-    refuse_other_kind(file, FileKind.SCENARIO, FileKind.SPACE, FileKind.SUITE, FileKind.PLAN)
+    refuse_other_kind(file, *TAKEN)
     data = read_bytes(file, most=MAX_BYTES, place=Place(file=file), error=ScenarioError)
     before = decode(data, most=MAX_BYTES, file=file, error=ScenarioError)
     tree_of(before, file)  # refuses what is not ours

@@ -59,10 +59,12 @@ def fuzz(
     none of what it does, a claim that no run put to the test, or an avoider that gave no answer, or answered
     otherwise when asked again; 2: bad input, or a place that cannot be written; 130: interrupted.
     """
-    from safety_harness.admission.avoiders import one_of
+    from safety_harness.admission.avoiders import one_of, with_avoider
+    from safety_harness.admission.driving import named_system
     from safety_harness.cli.progress import watching_search, watching_words
     from safety_harness.report.search_attribution import SearchAttribution
     from safety_harness.report.search_files import write_search
+    from safety_harness.report.words import tested_words
     from safety_harness.search.against import Reference
     from safety_harness.search.sampling import UniformSampling
     from safety_harness.search.searchers import searcher_named
@@ -78,12 +80,13 @@ def fuzz(
         expected = "another searcher, to compare with uniform sampling"
         raise ScenarioError.of_option("--baseline", expected, "--searcher uniform")
     attribution = SearchAttribution()
+    read, asked = read_space(space), one_of(avoider, controller)
     made = search_space(
         Trials(
-            read_space(space),
+            read,
             in_kinematic,
             seed=seed,
-            avoider=one_of(avoider, controller),
+            avoider=asked,
             sentences=tuple(claims or ()),
             reference=None if against is None else Reference(against),
         ),
@@ -95,6 +98,8 @@ def fuzz(
         baseline=baseline,
         explain=attribution.explain,
     )
+    tested = read.simplest if asked is None else with_avoider(read.simplest, asked)
+    say(f"tested in {read.name}: {tested_words(tested, named_system(tested))}")
     if made.unwritable is not None:
         return BAD_INPUT
     if made.interrupted:

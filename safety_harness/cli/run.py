@@ -15,7 +15,7 @@ from typing import Any
 from safety_harness.admission.admit import Admitted, admit
 from safety_harness.admission.avoiders import command_line_reference, option_of, replay_command, told_avoider
 from safety_harness.admission.repeatability import Repeatability, RepeatabilityResult
-from safety_harness.admission.taking import NotTaken, not_taken_words, taken
+from safety_harness.admission.taking import NotTaken, made_equal, not_taken_words, taken
 from safety_harness.admission.trial import run_trial
 from safety_harness.cli.console import (
     AS_EXPECTED,
@@ -48,9 +48,11 @@ from safety_harness.report.decisions import (
 from safety_harness.report.evidence import JudgedRun, notes_of, tallies
 from safety_harness.report.possible_hands import possible_lines
 from safety_harness.report.shielding import shield_lines
+from safety_harness.report.words import tested_words
 from safety_harness.scenario.expand import gather
 from safety_harness.scenario.files import told
 from safety_harness.scenario.model import Scenario, Verdict
+from safety_harness.scenario.ours import aside_lines
 from safety_harness.simulation.worlds import REFERENCE, WorldEntry
 from safety_harness.trace.store import save_trace
 from safety_harness.whole_file import writing
@@ -73,12 +75,14 @@ def read_all(
 
     def take(one: Scenario) -> list[Admitted] | NotTaken:
         world.refuse(one)
-        return taken(one, avoiders, admit)
+        return equal.get(one.name) or taken(one, avoiders, admit)
 
     gathered = gather(paths)
+    say(*aside_lines(gathered.aside))
     if gathered.scenarios:
         world.opener()
     avoiders = [(avoider, option_of(avoider or ""))] + ([] if against is None else [(against, "--against")])
+    equal = made_equal(gathered.scenarios, *avoiders[0])
     found, errors = usable(gathered.scenarios, take)
     return (
         [one for one in found if not isinstance(one, NotTaken)],
@@ -228,11 +232,14 @@ class RunSession:
         say(*(f"shield: {line}" for line in shield_lines(run.trace for run in self.runs)))
         say(*(f"gate: {line}" for line in possible_lines(run.trace for run in self.runs)))
         say(*overruling_lines(overruling_of_each(run.trace for run in self.runs)))
-        verdicts = [same for one in self.runs for same in one.as_expected]
+        every = [same for one in self.runs for same in zip(one.as_expected, one.applicable, strict=True)]
+        verdicts = [same for same, applicable in every if applicable]
+        others = len(every) - len(verdicts)
         fallback = DecisionTally.of(one.trace for one in self.runs).fallback
         say(
             f"{sum(verdicts)} of {len(verdicts)} verdicts as expected, "
             f"{len(self.runs)} of {self.planned + len(self.skipped)} scenarios run"
+            + (f", {others} claims not applicable to the controller" if others else "")
             + (f", {not_taken_words(self.skipped)}" if self.skipped else "")
             + (f", {len(self.refused)} of the inputs cannot be used" if self.refused else "")
             + (f"; {fallback}" if fallback else "")
@@ -248,7 +255,7 @@ class RunSession:
             return INTERRUPTED
         if self.refused:
             return BAD_INPUT
-        good = all(verdicts) if self.against is None else self._as_good()
+        good = all(verdicts) and bool(verdicts or not others) if self.against is None else self._as_good()
         good &= self.repeated is None or not self.repeated.words
         return AS_EXPECTED if good and not (self.failed or untested or self.skipped) else DIFFERS
 
@@ -256,7 +263,7 @@ class RunSession:
         """The commands that attribute what was violated and not expected to be: one for each avoider."""
         wrong: dict[str, list[JudgedRun]] = {}
         for one in self.runs:
-            if any(e.verdict is Verdict.VIOLATED is not claim.expected for claim, e in one.judged_claims()):
+            if any(e.verdict is Verdict.VIOLATED is not c.given(e.margin) for c, e in one.judged_claims()):
                 wrong.setdefault(command_line_reference(one.trace.scenario), []).append(one)
         for runs in wrong.values():
             files = [one.trace_file for one in runs if one.trace_file is not None]
@@ -346,14 +353,19 @@ def _run_one(admitted: Admitted, apart: RunProcesses, traces: Path, progress: Ru
 
 def say_results(run: JudgedRun) -> None:
     """One line for each claim of a run, and one more for what could not be judged for want of measurement."""
+    place = run.trace.scenario.places.get("avoider")
+    overridden = place.field if place is not None and (place.field or "").startswith("--") else ""
     for claim, evaluation in run.judged_claims():
-        same = evaluation.verdict is claim.expected
-        mark = "ok  " if same else "DIFF"
+        same = evaluation.verdict is claim.given(evaluation.margin) or not evaluation.applicable
+        mark = ("ok  " if same else "DIFF") if evaluation.applicable else "n/a "
         when = "-" if evaluation.worst_time_s is None else f"{evaluation.worst_time_s:.3f} s"
-        expected = "" if same else f"  (expected {claim.expected.value})"
+        expected = "" if same else f"  (expected {claim.expectation})"
+        if overridden and evaluation.verdict is Verdict.VIOLATED is claim.expected and claim.most is None:
+            expected = f"  (expected of another than {overridden}: it may be for another reason)"
         result(
             f"{mark} {evaluation.verdict.value:<12} {evaluation.margin_text():>13} at {when:>9}  "
             f"{run.trace.scenario.name}: {claim.sentence}{expected}"
         )
         if evaluation.unmeasured:
             result(f"     {evaluation.reason}")
+    say(f"tested in {run.trace.scenario.name}: {tested_words(run.trace.scenario, run.trace.system)}")

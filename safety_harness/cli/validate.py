@@ -30,6 +30,7 @@ from safety_harness.scenario.compose import Variant
 from safety_harness.scenario.expand import Gathered, gather
 from safety_harness.scenario.kinds import FileKind, kind_of
 from safety_harness.scenario.model import Scenario
+from safety_harness.scenario.ours import aside_lines
 from safety_harness.shipped.contents import located
 from safety_harness.space.read import space_of
 from safety_harness.space.space import ScenarioSpace
@@ -44,6 +45,8 @@ def validate(paths: Sequence[Path], avoider: str | None = None) -> int:
     others = [path for path in paths if path not in plans]
     try:
         gathered = gather(others, spaces=True) if others or not plans else Gathered()
+        plans += [file for file in gathered.aside if kind_of(file) is FileKind.PLAN]
+        say(*aside_lines(file for file in gathered.aside if file not in plans))
         looker = Looker()  # which executes nothing
         checked, errors = usable(
             gathered.scenarios,

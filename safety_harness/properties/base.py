@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled
+from safety_harness.exceptions import no_truth_value
 from safety_harness.geometry.arrays import Array3
 from safety_harness.scenario.model import Verdict
 from safety_harness.trace.consistency import first_inconsistency
@@ -63,6 +64,19 @@ class Unit(Enum):
         return shown_margin(margin * self.per_si, self.symbol)
 
 
+SI_UNITS = {
+    Unit.LENGTH: "m",
+    Unit.ANGLE: "rad",
+    Unit.SPEED: "m/s",
+    Unit.ANGULAR_SPEED: "rad/s",
+    Unit.TIME: "s",
+    Unit.ACCELERATION: "m/s2",
+    Unit.ANGULAR_ACCELERATION: "rad/s2",
+    Unit.FRACTION: "1",
+    Unit.COUNT: "1",
+}
+
+
 def shown_margin(margin: float, symbol: str) -> str:
     """A margin that is in the unit ``symbol`` already; without a symbol it is a count, and whole."""
     number = f"{margin:+.1f}" if abs(margin) >= 1.0 and symbol else f"{margin:+.{3 if symbol else 9}g}"
@@ -76,7 +90,8 @@ class Evaluation:
     ``margin`` (SI) and ``worst_time_s`` are None where there is none to give; ``reason`` says in
     a sentence what decided; ``exercised`` counts the occasions on which the property could have
     been violated (0 for a property that was never put to the test).  ``parts`` are the words on its
-    conjuncts, if it is made of several.  ``close`` is that of ``close_to``.
+    conjuncts, if it is made of several.  ``close`` is that of ``close_to``.  It is not ``applicable`` if it is
+    about what the controller under test does not have or say, such as an avoider's answers.
     """
 
     sentence: str
@@ -89,10 +104,21 @@ class Evaluation:
     parts: tuple[Evaluation, ...] = ()
     unmeasured: tuple[str, ...] = ()
     close: float | None = None
+    applicable: bool = True
+
+    def __bool__(self) -> bool:
+        raise no_truth_value(f"whether an evaluation is true, of {self.sentence}: {self.verdict.value}")
 
     def margin_text(self) -> str:
         """The margin with its sign and unit, or a dash."""
         return self.unit.margin_text(self.margin)
+
+
+class Evaluations(tuple[Evaluation, ...]):
+    """What a run's claims came to, in their order; to ask whether that is true is refused."""
+
+    def __bool__(self) -> bool:
+        raise no_truth_value(f"whether {len(self)} evaluations are true")
 
 
 class Said(Protocol):

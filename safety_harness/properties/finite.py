@@ -68,7 +68,7 @@ class FiniteTrace:
     unit: Unit = Unit.COUNT
     sentence: str = "trace finite and monotone"
 
-    @only_whole(*READ)
+    @only_whole(*READ, of_any=True)
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge ticks and decisions."""
         ticks, decisions = trace.ticks, trace.decisions

@@ -97,8 +97,9 @@ def not_measured(
     Or not reported, if all of them are what the controller of a ``known`` run does not say.
     """
     words = what or ", ".join(columns)
-    why = "not reported" if known is not None and known.unreported(columns) else "not measured"
-    return replace(inconclusive(prop, f"{why}: {words}"), unmeasured=tuple(columns))
+    other = known is not None and known.unreported(columns)
+    why = "not reported" if other else "not measured"
+    return replace(inconclusive(prop, f"{why}: {words}"), unmeasured=tuple(columns), applicable=not other)
 
 
 @dataclass(frozen=True)

@@ -55,6 +55,7 @@ class ClaimTally:
     violated: int
     inconclusive: int
     unmeasured: int
+    applicable: bool
     worst: Judged | None
     nearest: Judged | None = None
 
@@ -73,7 +74,7 @@ class ClaimTally:
     def worst_words(self) -> str:
         """The least margin with its moment and run, or a dash."""
         if self.worst is None:
-            return "-"
+            return "-" if self.applicable else "not applicable"
         time_s = self.worst.evaluation.worst_time_s
         when = "" if time_s is None else f" at {time_s:.3f} s"
         return f"{self.worst.evaluation.margin_text()}{when}, {self.worst.run}"
@@ -90,7 +91,9 @@ def tally_claims(judged: Iterable[Judged]) -> tuple[ClaimTally, ...]:
 def _tally(sentence: str, found: Sequence[Judged]) -> ClaimTally:
     evaluations = [one.evaluation for one in found]
     verdicts = [evaluation.verdict for evaluation in evaluations]
-    conclusive = [one for one in found if one.expected is not Verdict.INCONCLUSIVE]
+    conclusive = [
+        one for one in found if one.expected is not Verdict.INCONCLUSIVE and one.evaluation.applicable
+    ]
     untested = bool(conclusive) and not any(_tested(one.evaluation) for one in conclusive)
     finite = [one for one in found if isfinite(_margin(one))]
     return ClaimTally(
@@ -101,6 +104,7 @@ def _tally(sentence: str, found: Sequence[Judged]) -> ClaimTally:
         holds=verdicts.count(Verdict.HOLDS),
         violated=verdicts.count(Verdict.VIOLATED),
         inconclusive=verdicts.count(Verdict.INCONCLUSIVE),
+        applicable=any(evaluation.applicable for evaluation in evaluations),
         unmeasured=sum(bool(evaluation.unmeasured) for evaluation in evaluations),
         worst=min(finite, key=_margin, default=None),
         nearest=min(conclusive, key=_nearness) if untested else None,

@@ -25,10 +25,11 @@ SEEN = ("predicted_distance_m", "transform_tcp_to_base", "hand_position_in_base_
 OFF_THE_GOAL = "a TCP start farther from the desired pose"
 
 
-def only_whole(*columns: str) -> Callable[[Judge], Judge]:
+def only_whole(*columns: str, of_any: bool = False) -> Callable[[Judge], Judge]:
     """For an ``evaluate`` that says nothing of a part of a run, as what comes later may undo it.
 
-    It is inconclusive where any of ``columns``, or of those that it ``reads``, was not measured throughout.
+    It is inconclusive where any of ``columns``, or of those that it ``reads``, was not measured throughout; a
+    controller need not report all of them if the claim is ``of_any`` system.
     """
 
     def decorate(evaluate: Judge) -> Judge:
@@ -38,6 +39,7 @@ def only_whole(*columns: str) -> Callable[[Judge], Judge]:
         def evaluate_whole(prop: Property, trace: Trace) -> Evaluation:
             known = trace.known
             lacking = [name for name in names if known.missing([name]) or known.of(name).gaps]
+            lacking = [] if of_any and known.simulated else lacking
             return not_measured(prop, lacking, known=trace.known) if lacking else evaluate(prop, trace)
 
         evaluate_whole.reads = names  # type: ignore[attr-defined]

@@ -15,7 +15,7 @@ import pytest
 from hypothesis import given, seed
 
 from safety_harness.admission.claims import property_of
-from safety_harness.admission.taking import NotTaken, taken
+from safety_harness.admission.taking import NotTaken, made_equal, taken
 from safety_harness.exceptions import InputError
 from safety_harness.logs.judging import recorded
 from safety_harness.properties.against import ClaimDifference
@@ -73,9 +73,10 @@ class ScenarioFile(pytest.File):
         gathered = gather([self.path], spaces=True)
         errors, scenarios, spaces = list(gathered.errors), [], []
         refused: list[tuple[NotTaken, Claims]] = []
+        equal = made_equal(gathered.scenarios, *avoiders_asked()[0])
         for scenario in gathered.scenarios:
             try:
-                found = taken(scenario, avoiders_asked(), looker.look)
+                found = equal.get(scenario.name) or taken(scenario, avoiders_asked(), looker.look)
             except InputError as error:
                 errors.append(error)
                 continue
@@ -177,14 +178,24 @@ def _space_items(parent: pytest.Collector, *, runs: SpaceRuns) -> Nodes:
 def _judge(scenario: Scenario, claim: Claim, test: TestRun) -> None:
     trace = simulate(scenario)
     prop = property_of(claim, trace.scenario)
-    require(prop.evaluate(trace), claim.expected, trace, prop.evaluate)
+    evaluation = prop.evaluate(trace)
+    _skip_inapplicable([evaluation])
+    require(evaluation, claim.given(evaluation.margin), trace, prop.evaluate)
     refuse_fallback(trace)
+
+
+def _skip_inapplicable(evaluations: Iterable[Evaluation]) -> None:
+    """Of a claim about what the controller under test does not have or say, there is nothing to test."""
+    every = list(evaluations)
+    if every and not any(one.applicable for one in every):
+        pytest.skip(f"not applicable to the controller: {every[0].reason}")
 
 
 def _judge_log(trace: Trace, claim: Claim, _: TestRun) -> None:
     prop = property_of(claim, trace.scenario)
     refuse_contradictions(trace, trace.scenario.file)
-    require(prop.evaluate(trace), claim.expected, trace, prop.evaluate)
+    evaluation = prop.evaluate(trace)
+    require(evaluation, claim.given(evaluation.margin), trace, prop.evaluate)
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,6 +236,7 @@ class SpaceRuns:
         drawing._hypothesis_internal_use_settings = under_profile()  # type: ignore[attr-defined]
         try:
             drawing()
+            _skip_inapplicable(one.evaluations[number] for one in self._judged.values())
         finally:
             shown = self._shown.get(self.claims[number].sentence)
             if shown is not None:

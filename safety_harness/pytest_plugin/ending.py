@@ -24,14 +24,19 @@ class Ending:
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         """Take what a test judged."""
         sent = vars(report).get("safety_harness")
-        if sent is not None and (sent["judged"] or sent["replayed"] or sent["not_taken"]):
+        if sent is not None and any(sent[what] for what in ("judged", "simulated", "replayed", "not_taken")):
             self._sent.append(sent)
+
+    @pytest.hookimpl(optionalhook=True)
+    def pytest_testnodedown(self, node: Any) -> None:
+        """Take what a worker of xdist ignored."""
+        current().ignored += getattr(node, "workeroutput", {}).get("safety_ignored", [])
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_sessionfinish(self, session: pytest.Session) -> None:
         """A session in which a claim was never put to the test has failed; write the report."""
         nothing = self._not_taken() and not any(sent["judged"] for sent in self._sent)
-        if (self._untested() or nothing) and session.exitstatus == pytest.ExitCode.OK:
+        if (self._untested() or self._unjudged() or nothing) and session.exitstatus == pytest.ExitCode.OK:
             session.exitstatus = pytest.ExitCode.TESTS_FAILED
         file = current().report
         if file is not None and self._sent:
@@ -45,14 +50,18 @@ class Ending:
                 session.exitstatus = pytest.ExitCode.TESTS_FAILED
 
     def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
-        """The table of claims, the kept failures, the seed."""
+        """The files of others; the table of claims, the kept failures, the seed."""
+        if ignored := ", ".join(dict.fromkeys(current().ignored)):
+            terminalreporter.write_line(
+                f"safety-harness ignored {ignored}: a title as ours, and no key or no file that is ours"
+            )
         if not self._sent:
             return
         from safety_harness.properties.tally import far_lines, table_lines, untested_lines
 
         say = terminalreporter.write_line
         terminalreporter.section("safety claims")
-        for line in (*table_lines(self._tallies()), *far_lines(self._tallies())):
+        for line in (*table_lines(self._tallies()), *far_lines(self._tallies()), *self._tested()):
             say(line)
         untested = untested_lines(self._tallies())
         for line in untested and [
@@ -61,6 +70,11 @@ class Ending:
             f"{' or not measured' * any('not measured, and' in line for line in untested)} is no evidence.",
         ]:
             say(line, red=True)
+        if self._unjudged():
+            say(
+                f"{self._unjudged()}; the session has failed: assert_holds(claim, trace) judges a run",
+                red=True,
+            )
         if self._fallback():
             say(self._fallback(), red=True)
         for line in (
@@ -157,6 +171,24 @@ class Ending:
         missing = sum(-int(one.margin or 0.0) for one in found.values())
         words = fallback_words(missing, sum(one.exercised for one in found.values()))
         return words and f"{words} of {count_words(len(found), 'run', 'runs')}"
+
+    def _unjudged(self) -> str:
+        """The simulated runs of which no test judged a claim, with the tests that made them."""
+        from safety_harness.report.words import count_words
+
+        judged = {run for sent in self._sent for run in sent["judged_runs"]}
+        runs = {run: sent["test"] for sent in self._sent for run in {*sent["simulated"]} - judged}
+        words = f"{count_words(len(runs), 'simulated run', 'simulated runs')} that nobody judged, in "
+        return words * bool(runs) + ", ".join(dict.fromkeys(runs.values()))
+
+    def _tested(self) -> list[str]:
+        """What the verdicts are about, where anything but the avoider or controller is not the default."""
+        from safety_harness.pytest_plugin.running import judgements
+
+        runs: dict[str, set[str]] = {}
+        for run in (one.run for sent in self._sent for one in judgements(sent)):
+            runs.setdefault(run.beside, set()).add(run.name.partition("#")[0])
+        return [f"tested in {', '.join(sorted(names))}: {words}" for words, names in runs.items() if words]
 
     def _tallies(self) -> tuple[ClaimTally, ...]:
         from safety_harness.properties.tally import Judged, tally_claims

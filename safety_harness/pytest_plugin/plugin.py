@@ -8,6 +8,7 @@ from __future__ import annotations
 import io
 import os
 import random
+import re
 import sys
 from collections.abc import Generator
 from fnmatch import fnmatch
@@ -19,8 +20,7 @@ import pytest
 
 from safety_harness.compiling import CompilationLine, watchers
 from safety_harness.exceptions import InputError, Place, SafetyHarnessError, explanation
-from safety_harness.scenario.files import is_titled
-from safety_harness.scenario.kinds import HEAD_BYTES, is_log
+from safety_harness.scenario.kinds import is_log
 from safety_harness.testing.session import (
     FAILURES,
     PROFILES,
@@ -35,7 +35,8 @@ if TYPE_CHECKING:
     from safety_harness.pytest_plugin.collecting import LogFile, ScenarioFile
     from safety_harness.testing.simulating import Simulate
 
-SUFFIXES = (".yaml", ".yml")
+
+JUDGES_ITSELF = "judges_runs_itself"
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -81,6 +82,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 def pytest_configure(config: pytest.Config) -> None:
     """Begin a session; an avoider that cannot be used ends it at once."""
+    config.addinivalue_line("markers", f"{JUDGES_ITSELF}: a test that looks at runs without assert_holds")
     name = config.getoption("safety_profile") or config.getini("safety_profile")
     profiles = {profile.name: profile for profile in PROFILES}
     if name not in profiles:
@@ -100,7 +102,9 @@ def pytest_configure(config: pytest.Config) -> None:
     if config.getoption("safety_world"):
         _refuse_unknown_world(new.world)
     config.add_cleanup(partial(_end, begin(new)))
-    if not _is_worker(config):
+    if _is_worker(config):
+        config.workeroutput["safety_ignored"] = new.ignored  # type: ignore[attr-defined]
+    else:
         from safety_harness.pytest_plugin.ending import Ending
 
         config.pluginmanager.register(Ending(config), "safety-harness-ending")
@@ -108,6 +112,7 @@ def pytest_configure(config: pytest.Config) -> None:
         config.add_cleanup(lambda: watchers.remove(line))
         if not config.option.help:
             _refuse_unusable_avoiders(make=False)
+            _refuse_idle_patterns(config)
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -117,29 +122,29 @@ def pytest_configure_node(node: Any) -> None:
 
 
 def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> LogFile | ScenarioFile | None:
-    """Scenario files, spaces, suites, logs: those of ``safety_scenarios``, else those with keys of ours."""
+    """Scenario files, spaces, suites, logs: those of ``safety_scenarios``, else those that are ours.
+
+    A file with a title of ours that somebody names is taken, so that its mistakes are told.
+    """
+    from safety_harness.scenario.ours import SUFFIXES, is_ours, is_titled
+
     patterns = parent.config.getini("safety_scenarios")
     if patterns is not None:
         name = os.path.relpath(file_path, parent.config.rootpath)
         ours = any(fnmatch(name, pattern) for pattern in patterns)
+    elif file_path.suffix.lower() not in SUFFIXES:
+        return None
     else:
-        ours = file_path.suffix.lower() in SUFFIXES and (looks_like_ours(file_path) or is_log(file_path))
+        ours = is_log(file_path) or is_ours(file_path)
+        if not ours and is_titled(file_path):
+            ours = parent.session.isinitpath(file_path)
+            session().ignored += [os.path.relpath(file_path)] * (not ours)
     if not ours:
         return None
     from safety_harness.pytest_plugin.collecting import LogFile, ScenarioFile
 
     kind = LogFile if is_log(file_path) else ScenarioFile
     return kind.from_parent(parent, path=file_path)
-
-
-def looks_like_ours(path: Path) -> bool:
-    """Has a YAML file the title of a scenario, a space or a suite, and one more key?"""
-    try:
-        with path.open("rb") as file:
-            text = file.read(HEAD_BYTES).decode("utf-8", "replace").removeprefix("\ufeff")
-    except OSError:
-        return False
-    return is_titled(text)
 
 
 @pytest.hookimpl(tryfirst=True)
@@ -240,6 +245,20 @@ def explained(error: BaseException) -> str:
     """Where, what was expected, what came, the hint; and the line of the test that asked."""
     lines = [explanation(error), *(f"  {note}" for note in getattr(error, "__notes__", []))]
     return "\n".join(lines).replace(f"{Path.cwd()}{os.sep}", "")
+
+
+def _refuse_idle_patterns(config: pytest.Config) -> None:
+    """UsageError for a pattern of ``safety_scenarios`` that matches no file where pytest looks for tests."""
+    of_ini = config.args_source is pytest.Config.ArgsSource.TESTPATHS
+    for pattern in config.getini("safety_scenarios") or ():
+        literal = re.split(r"[*?[]", pattern)[0].rpartition("/")[0]
+        starts = [config.rootpath / literal] if not of_ini else map(Path, config.args)
+        names = (Path(at, file) for start in starts for at, _, files in os.walk(start) for file in files)
+        if not any(fnmatch(os.path.relpath(name, config.rootpath), pattern) for name in names):
+            where = f"below {' '.join(config.args)}, of testpaths" if of_ini else f"below {config.rootpath}"
+            raise pytest.UsageError(
+                f"safety_scenarios: expected a pattern of scenario files; got {pattern!r}, no file {where}"
+            )
 
 
 def _refuse_unusable_avoiders(*, make: bool) -> None:

@@ -24,7 +24,7 @@ from safety_harness.properties.against import ClaimDifference, RunDifference
 from safety_harness.properties.answered import ANSWERED
 from safety_harness.properties.base import Evaluation, Unit
 from safety_harness.pytest_plugin.collecting import FileItem, SpaceClaimItem
-from safety_harness.pytest_plugin.plugin import TEST, explained
+from safety_harness.pytest_plugin.plugin import JUDGES_ITSELF, TEST, explained
 from safety_harness.report.words import count_words
 from safety_harness.scenario.model import Verdict
 from safety_harness.testing.asserting import NotEstablished, SafetyViolation, refuse_fallback, run_of
@@ -44,6 +44,7 @@ def watch(item: pytest.Item) -> Iterator[None]:
     function = _hypothesis_function(item)
     draws = function is not None or isinstance(item, SpaceClaimItem)
     test = TestRun(item.nodeid, draws=draws, keep_traces=session().report is not None)
+    test.judges_itself = item.get_closest_marker(JUDGES_ITSELF) is not None
     item.stash[TEST] = test
     session().test = test
     try:
@@ -122,7 +123,11 @@ def complete(
         report.longrepr = "\n".join([explained(error), *_asked_at(error, item)])
     if report.passed and not test.draws:  # it expected the failures that did not fail it
         test.judgements = [j for j in test.judgements if j.evaluation.verdict is j.expected]
-    sent = payload(test) | {"failed": report.failed}
+    now = session()
+    sent = payload(test) | {"failed": report.failed, "judged_runs": sorted(now.judged)}
+    if not test.judges_itself and not isinstance(item, FileItem) and not (test.draws and test.judgements):
+        sent["simulated"] = sorted(now.simulated)
+    now.simulated, now.judged = set(), set()
     file = session().report
     if file is not None:
         from safety_harness.pytest_plugin.reporting import save_runs
@@ -187,6 +192,8 @@ def payload(test: TestRun) -> Payload:
             for digest, run in test.differences.items()
         ],
         "not_taken": test.not_taken,
+        "simulated": [],
+        "judged_runs": [],
         "traces": [],
         "executed": list(executed.values()),
         "failed": False,
@@ -257,6 +264,8 @@ def junit_properties(test: TestRun) -> list[tuple[str, object]]:
             kind: name,
             "seed": worst.run.seed,
         }
+        if worst.run.beside != worst.run.tested:
+            values["tested"] = worst.run.beside
         if evaluation.unmeasured:
             values["not measured"] = ", ".join(evaluation.unmeasured)
         found += [(name + end, value) for name, value in values.items()]

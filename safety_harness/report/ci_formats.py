@@ -50,7 +50,7 @@ def markdown(runs: Sequence[JudgedRun]) -> str:
             run.trace.scenario.name,
             claim.sentence,
             verdict,
-            claim.expected.value,
+            claim.expectation,
             margin_words(found),
             at,
         )
@@ -87,7 +87,7 @@ def _result(run: JudgedRun, claim: Claim, found: Evaluation, expected: bool) -> 
     at = "" if found.worst_time_s is None else f" at {found.worst_time_s:.3f} s"
     text = (
         f"{run.trace.scenario.name}: {claim.sentence}: {found.verdict.value}, "
-        f"expected {claim.expected.value}; margin {margin_words(found)}{at}; {found.reason}"
+        f"expected {claim.expectation}; margin {margin_words(found)}{at}; {found.reason}"
     )
     result: dict[str, Any] = {
         "ruleId": claim.sentence,

@@ -54,17 +54,25 @@ class JudgedRun:
 
     @property
     def as_expected(self) -> tuple[bool, ...]:
-        """For each claim, whether the verdict is the one that the scenario's author expects."""
-        return tuple(evaluation.verdict is claim.expected for claim, evaluation in self.judged_claims())
+        """For each claim, whether the verdict is the one that its author expects; so are claims of others."""
+        return tuple(
+            evaluation.verdict is claim.given(evaluation.margin) or not evaluation.applicable
+            for claim, evaluation in self.judged_claims()
+        )
+
+    @property
+    def applicable(self) -> tuple[bool, ...]:
+        """For each claim, whether it is one about the system under test."""
+        return tuple(evaluation.applicable for _, evaluation in self.judged_claims())
 
     @property
     def all_as_expected(self) -> bool:
-        """Whether every claim came out as expected; true of a scenario without claims."""
-        return all(self.as_expected)
+        """Whether every claim came out as expected, and any is of the system; true without claims."""
+        return all(self.as_expected) and (any(self.applicable) or not self.applicable)
 
     def count(self, verdict: Verdict) -> int:
         """How many claims came out as ``verdict``."""
-        return sum(evaluation.verdict is verdict for _, evaluation in self.judged_claims())
+        return sum(e.verdict is verdict and e.applicable for _, e in self.judged_claims())
 
     def under(self, sentence: str) -> JudgedRun:
         """The same run below a heading with this claim's sentence; below no claim's, if it has none such."""
@@ -113,7 +121,9 @@ def tallies(runs: Iterable[JudgedRun]) -> tuple[ClaimTally, ...]:
 
 def answer(runs: Sequence[JudgedRun]) -> str:
     """All verdicts in one sentence: how many are as expected, and what they are."""
+    applicable = [one for run in runs for one in run.applicable]
     expected = [one for run in runs for one in run.as_expected]
+    expected = [same for same, own in zip(expected, applicable, strict=True) if own]
     holds, violated, nothing = (sum(run.count(verdict) for run in runs) for verdict in Verdict)
     if not all(expected):
         of_violated = f"{violated} {'is' if violated == 1 else 'are'} violated"
@@ -125,6 +135,7 @@ def answer(runs: Sequence[JudgedRun]) -> str:
         (holds, f"{holds} {'holds' if holds == 1 else 'hold'}"),
         (violated, of_violated),
         (nothing, f"{nothing} {'decides' if nothing == 1 else 'decide'} nothing"),
+        (others := applicable.count(False), f"{others} not applicable to the controller"),
     )
     words = ", ".join(one for count, one in parts if count) or "no claim was judged"
     return f"{sum(expected)} of {len(expected)} as expected: {words}."

@@ -13,9 +13,10 @@ from typing import Any
 from markupsafe import Markup
 
 from safety_harness.exceptions import InputError, Place
+from safety_harness.properties.base import SI_UNITS
 from safety_harness.proportions import share_words
 from safety_harness.report.axes import Picture
-from safety_harness.report.machine import FORMAT, SI_UNITS
+from safety_harness.report.machine import FORMAT
 from safety_harness.report.page_parts import render_page
 from safety_harness.report.svg import HANDS
 from safety_harness.report.words import count_words, with_minus

@@ -44,9 +44,8 @@ from safety_harness.report.shielding import shield_lines, slowings
 from safety_harness.report.timeline import thinning, timeline
 from safety_harness.report.words import (
     MODE_WORDS,
-    changed_settings,
+    changes,
     count_words,
-    drives_as_modelled,
     flag_words,
     margin_words,
     with_minus,
@@ -54,7 +53,6 @@ from safety_harness.report.words import (
 from safety_harness.scenario.faults import fault_words
 from safety_harness.scenario.files import as_path
 from safety_harness.scenario.model import Verdict
-from safety_harness.scenario.robots import Robot
 from safety_harness.scenario.write import write_scenario
 from safety_harness.trace.records import Limit
 from safety_harness.trace.trace import Trace
@@ -284,7 +282,7 @@ def _drawn(run: JudgedRun, section: str, replays: Replays) -> Row:
         ],
         "modes": _ticks_rows(trace, "mode", modes),
         "measured_ticks": {name: int(measured(trace, name).sum()) for name in ("mode", "limits")},
-        "changes": changes(run),
+        "changes": changes(run.trace.scenario),
         "text": write_scenario(trace.scenario),
     }
 
@@ -351,11 +349,3 @@ def acted_faults(trace: Trace) -> list[str]:
             f"Fault: {fault_words(fault)}. It acted on {count_words(ticks, 'tick', 'ticks')}, {when}."
         )
     return found
-
-
-def changes(run: JudgedRun) -> list[tuple[str, str, str]]:
-    """(setting, default, this run) where they differ, the robot and its drives first."""
-    scenario = run.trace.scenario
-    robot = [("robot", Robot.UR10.value, scenario.robot.label)] if scenario.robot is not Robot.UR10 else []
-    drives = drives_as_modelled(scenario.robot, scenario.settings.clock.control_period_s)
-    return robot + drives + changed_settings(scenario.settings)

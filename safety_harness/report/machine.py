@@ -15,7 +15,7 @@ from safety_harness.admission.taking import NotTaken
 from safety_harness.exceptions import InputError
 from safety_harness.properties.against import Against
 from safety_harness.properties.answered import AvoiderAnswered
-from safety_harness.properties.base import Evaluation, Unit
+from safety_harness.properties.base import SI_UNITS, Evaluation
 from safety_harness.properties.tally import ClaimTally
 from safety_harness.report.decisions import (
     DecisionTally,
@@ -32,17 +32,6 @@ from safety_harness.trace.overruling import Overruling, is_measured
 from safety_harness.whole_file import write_whole
 
 FORMAT = "safety-harness report 1"
-SI_UNITS = {
-    Unit.LENGTH: "m",
-    Unit.ANGLE: "rad",
-    Unit.SPEED: "m/s",
-    Unit.ANGULAR_SPEED: "rad/s",
-    Unit.TIME: "s",
-    Unit.ACCELERATION: "m/s2",
-    Unit.ANGULAR_ACCELERATION: "rad/s2",
-    Unit.FRACTION: "1",
-    Unit.COUNT: "1",
-}
 
 
 def write_json(path: Path, found: dict[str, Any]) -> None:

@@ -15,9 +15,11 @@ from safety_harness.geometry.arrays import Array3
 from safety_harness.properties.base import Evaluation, Unit
 from safety_harness.properties.positions import BEYOND_M, RepulsivePosesReachable
 from safety_harness.robot.drive import delay_ticks
+from safety_harness.scenario.model import Scenario
 from safety_harness.scenario.robots import AnyRobot, Robot
 from safety_harness.settings import DEFAULTS, Settings
 from safety_harness.trace.records import Check, DecisionOutcome, Mode, Trigger
+from safety_harness.trace.system import SystemUnderTest
 
 MODE_WORDS = {mode: mode.name.lower().replace("_", " ") for mode in Mode}
 TRIGGER_WORDS = {trigger: trigger.name.lower().replace("_", " ") for trigger in Trigger}
@@ -169,6 +171,21 @@ def _numbers(value: Any, factor: float) -> str:
 def changed_settings(settings: Settings) -> list[tuple[str, str, str]]:
     """(name, default, this run) of every setting that differs from ``DEFAULTS``."""
     return list(_changes("", DEFAULTS, settings))
+
+
+def changes(scenario: Scenario) -> list[tuple[str, str, str]]:
+    """(setting, default, this run) where they differ, the robot and its drives first."""
+    robot = [("robot", Robot.UR10.value, scenario.robot.label)] if scenario.robot is not Robot.UR10 else []
+    drives = drives_as_modelled(scenario.robot, scenario.settings.clock.control_period_s)
+    return robot + drives + changed_settings(scenario.settings)
+
+
+def tested_words(scenario: Scenario, system: SystemUnderTest) -> str:
+    """What a verdict is about: avoider or controller, shield, and each value that is not the default."""
+    shield = [] if scenario.shield is None else [f"shield {scenario.shield.kind.value}"]
+    gate = [] if scenario.gate is None else [f"gate {', '.join(scenario.gate.words)}"]
+    changed = (f"{name} {value}" for name, _, value in changes(scenario))
+    return ", ".join([system.words, *shield, *gate, *changed])
 
 
 def _changes(prefix: str, default: Any, own: Any) -> Iterator[tuple[str, str, str]]:

@@ -18,10 +18,11 @@ from safety_harness.scenario.compose import (
     without_keys,
 )
 from safety_harness.scenario.fields import Field
-from safety_harness.scenario.files import as_path, files_of, resolved
+from safety_harness.scenario.files import as_path, resolved
 from safety_harness.scenario.kinds import FileKind, refuse_other_kind
 from safety_harness.scenario.model import Scenario
 from safety_harness.scenario.nodes import Mapping, parse_tree
+from safety_harness.scenario.ours import files_of, yaml_files
 from safety_harness.scenario.read import scenario_of_variant
 from safety_harness.scenario.reference_tables import SUITE as SUITE_TABLE
 from safety_harness.scenario.reference_tables import TOP
@@ -44,6 +45,7 @@ class Gathered:
     scenarios: list[Scenario] = field(default_factory=list)
     spaces: list[tuple[Variant, Path]] = field(default_factory=list)  # trees, which another room reads
     errors: list[InputError] = field(default_factory=list)
+    aside: list[Path] = field(default_factory=list)  # YAML files of folders that are not taken
     _spaces_too: bool = False
     _library: Library = field(default_factory=Library)
     _seen: set[Path] = field(default_factory=set)
@@ -56,9 +58,11 @@ class Gathered:
     def add(self, path: Path, place: Place | None = None, suites: tuple[Path, ...] = ()) -> None:
         """What ``path``, named at ``place`` in the last of ``suites``, leads to."""
         try:
-            if path.is_dir() and not any(path.glob("*.yaml")):
+            if path.is_dir() and not any(yaml_files(path)):
                 refuse_other_kind(path, *self._kinds, FileKind.FOLDER, place=place)
-            for file in files_of(path, place):
+            files, aside = files_of(path, self._kinds, place)
+            self.aside += aside
+            for file in files:
                 asked_for_itself = resolved(file) in suites and file == located(path)
                 if resolved(file) in self._seen and not asked_for_itself:
                     continue

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterator
 from pathlib import Path
 
 from safety_harness.exceptions import InputError, Place, ScenarioError, refuse_other_type
@@ -24,8 +23,7 @@ KEYS = (
 # Ours beside a title only.
 COMMON = ("about", "duration", "seed", "robot", "controller", "object", "camera", "settings")
 ALL = (*TITLES, *KEYS, *COMMON)
-_KEY = re.compile(rf"^[\"']?({'|'.join(ALL)})[\"']?[ \t]*:(?:[ \t]+(\S)|[ \t]*\r?$)", re.MULTILINE)
-_TITLE = re.compile(rf"\b(?:{'|'.join(TITLES)})[\"']?\s*(?:#.*\s*)?:")
+TOP_KEY = re.compile(rf"^[\"']?({'|'.join(ALL)})[\"']?[ \t]*:(?=[ \t\r\n]|$)", re.MULTILINE)
 
 
 def as_path(source: str | Path, argument: str, *, of_text: str = "") -> Path:
@@ -110,56 +108,9 @@ def decode(data: bytes, *, most: int, file: Path | None, error: type[InputError]
         ) from reason
 
 
-def files_of(path: Path, place: Place | None = None) -> Iterator[Path]:
-    """A file as it is, a folder with all its *.yaml; ScenarioError, at ``place``, for an empty folder.
-
-    ``shipped:NAME`` stands for either.
-    """
-    path = located(path, place)
-    if not path.is_dir():
-        yield path
-        return
-    found = sorted(path.glob("*.yaml"))
-    if not found:
-        raise ScenarioError(
-            place=place or Place(file=path),
-            expected="a folder with scenario files (*.yaml)",
-            got=f"none in {path}" if place else "none in it",
-        )
-    yield from found
-
-
-def is_titled(text: str) -> bool:
-    """Has a text the title of a scenario, a space or a suite, and one more key of ours?"""
-    keys, titles = _keys_of(text)
-    if not (keys and titles) and _TITLE.search(text):
-        keys, titles = _parsed_keys_of(text)
-    return bool(titles) and bool(keys) and "plan" not in keys
-
-
 def has_a_key(text: str) -> bool:
     """Has a text a title or a key that few others have, at the beginning of a line?"""
-    keys, titles = _keys_of(text)
-    return bool(titles | keys - {*COMMON})
-
-
-def _keys_of(text: str) -> tuple[set[str], set[str]]:
-    """The keys, and the titles, which have a text on their line."""
-    found = _KEY.findall(text)
-    return {key for key, _ in found} - {*TITLES}, {key for key, value in found if value} & {*TITLES}
-
-
-def _parsed_keys_of(text: str) -> tuple[set[str], set[str]]:
-    """The same of a text in any style, such as in braces or indented; none of one that cannot be parsed."""
-    from safety_harness.scenario.nodes import Mapping, Scalar, parse_tree
-
-    try:
-        tree = parse_tree(text, None)
-    except ScenarioError:
-        return set(), set()
-    found = {key.text: node for key, node in tree.entries} if isinstance(tree, Mapping) else {}
-    titles = {key for key in TITLES if isinstance(one := found.get(key), Scalar) and one.text}
-    return {*found} & {*KEYS, *COMMON}, titles
+    return not {*COMMON}.issuperset(TOP_KEY.findall(text))
 
 
 def foreign(file: Path, place: Place | None) -> ScenarioError:

@@ -12,12 +12,11 @@ from enum import Enum
 from pathlib import Path
 
 from safety_harness.exceptions import InputError, Place, ScenarioError
-from safety_harness.scenario.files import ALL, TITLES
+from safety_harness.scenario.files import TITLES, TOP_KEY
 
 HEAD_BYTES = 1_000_000  # of a file, which is as much as a scenario has
 TAIL_BYTES = 100_000
 MOST_ENTRIES = 100  # of a folder
-_KEY = re.compile(rf"^[\"']?({'|'.join(ALL)})[\"']?[ \t]*:(?=[ \t\r\n]|$)", re.MULTILINE)
 _LOG = re.compile(r"^log:(?=[ \t\r\n]|$)", re.MULTILINE), re.compile(r"^(claims|clock|robot):", re.MULTILINE)
 _FORMAT = re.compile(r'"(?:format|schema)": ?"safety-harness ([a-z ]+) \d+"')
 _UTF_16 = (b"\xff\xfe", b"\xfe\xff")
@@ -227,7 +226,7 @@ def _text_kind(path: Path, text: str) -> FileKind | None:
         return _BY_FORMAT.get(form)
     if all(one.search(text) for one in _LOG):
         return FileKind.LOG
-    keys = {*_KEY.findall(text)}
+    keys = {*TOP_KEY.findall(text)}
     titles = keys & {*TITLES, "plan", "proof"}
     return _BY_TITLE[titles.pop()] if len(titles) == 1 else None
 

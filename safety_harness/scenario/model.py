@@ -16,7 +16,7 @@ from typing import Any, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.exceptions import Place, ScenarioError
+from safety_harness.exceptions import Place, ScenarioError, no_truth_value
 from safety_harness.scenario.codec import (
     POINT,
     ROTATION,
@@ -65,12 +65,18 @@ class Driver(str):
     __slots__ = ()
 
 
+BY_AT_MOST = " by at most "
+
+
 class Verdict(Enum):
     """What a property says of a trace."""
 
     HOLDS = "holds"
     VIOLATED = "violated"
     INCONCLUSIVE = "inconclusive"
+
+    def __bool__(self) -> bool:
+        raise no_truth_value(f"whether the verdict {self.value} is true")
 
 
 _TILTED = "tilt: [0 deg, 3 deg, 0 deg]"
@@ -354,11 +360,26 @@ HANDS = Several(of=HAND, words="list of at most eight", most=MAX_HANDS)
 
 @dataclass(frozen=True, kw_only=True)
 class Claim:
-    """A sentence of the catalogue and the verdict that the author expects of it."""
+    """A sentence of the catalogue and the verdict that the author expects of it.
+
+    ``most`` bounds an expected violation: a margin of at least minus this (SI, and the unit's name).
+    """
 
     sentence: str
     expected: Verdict
+    most: tuple[float, str] | None = None
     place: Place = field(default_factory=Place, compare=False)
+
+    def given(self, margin: float | None) -> Verdict:
+        """The verdict that is expected of a run with this margin: beyond the bound that it holds."""
+        beyond = self.most is not None and (margin is None or not -margin <= self.most[0])
+        return Verdict.HOLDS if beyond else self.expected
+
+    @property
+    def expectation(self) -> str:
+        """As a file has it."""
+        bound = "" if self.most is None else f"{BY_AT_MOST}{self.most[0]!r} {self.most[1]}".rstrip()
+        return f"{self.expected.value}{bound}"
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)

@@ -10,19 +10,21 @@ import hashlib
 import math
 import re
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from safety_harness.exceptions import RecordingError, refuse_other_type
+from safety_harness.exceptions import RecordingError, ScenarioError, refuse_other_type
 from safety_harness.scenario.compose import COMPOSING, SPACE_KEY, SUITE, Library, Variant, only_variant
 from safety_harness.scenario.faults import read_faults
 from safety_harness.scenario.fields import SENTENCE, Field, Fields, Places, is_sentence, walk
 from safety_harness.scenario.files import as_path, read_bytes
 from safety_harness.scenario.kinds import FileKind, refuse_other_kind
 from safety_harness.scenario.model import (
+    BY_AT_MOST,
     JOINED_HAND,
     MAX_HANDS,
     MOVING_HAND,
@@ -42,10 +44,10 @@ from safety_harness.scenario.moves import MOVE, REACHING_MPS, HandMove, Reach, S
 from safety_harness.scenario.nodes import Mapping as MappingNode
 from safety_harness.scenario.nodes import Node, Scalar, parse_tree
 from safety_harness.scenario.recording import MAX_BYTES, Recording, load_recording, parse_recording
-from safety_harness.scenario.reference_tables import CLAIMS, TOP
+from safety_harness.scenario.reference_tables import CLAIMS, EXPECTED, TOP
 from safety_harness.scenario.robots import AnyRobot, OwnRobot, read_robot
 from safety_harness.scenario.settings_keys import SETTINGS_KEYS, TOP_GROUPS, read_group, setting_keys
-from safety_harness.scenario.units import shown
+from safety_harness.scenario.units import DIMENSIONS, parse_quantity, shown
 from safety_harness.settings import DEFAULTS, Settings, Vector3
 from safety_harness.shipped.contents import located
 
@@ -351,4 +353,12 @@ def _claims(field: Field, *, required: bool) -> tuple[Claim, ...]:
 def _claim(sentence: str, verdict: Field) -> Claim:
     if not is_sentence(sentence):
         raise verdict.error(SENTENCE, got=shown(sentence))
-    return Claim(sentence=sentence, expected=verdict.choice(Verdict), place=verdict.place)
+    text, bounded, largest = verdict.scalar(EXPECTED).partition(BY_AT_MOST)
+    if not bounded or text != Verdict.VIOLATED.value:
+        return Claim(sentence=sentence, expected=verdict.choice(Verdict), place=verdict.place)
+    for dimension in DIMENSIONS:
+        with suppress(ScenarioError):
+            most = parse_quantity(largest, dimension, verdict.place), dimension.si
+            if most[0] >= 0.0:
+                return Claim(sentence=sentence, expected=Verdict.VIOLATED, most=most, place=verdict.place)
+    raise verdict.error("violated by at most a quantity of at least zero, such as 130 mm")

@@ -5,12 +5,20 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-from safety_harness.scenario.codec import Below, FreeKeys, Key, KeyTable, QuantityValue, Several, Text, Word
+from safety_harness.scenario.codec import Below, FreeKeys, Key, KeyTable, QuantityValue, Several, Text
 from safety_harness.scenario.compose import LONGEST_CHAIN, MOST_COMBINATIONS
 from safety_harness.scenario.faults import MOST_FAULTS, fault_tables
 from safety_harness.scenario.fields import Field
 from safety_harness.scenario.gate import GATE
-from safety_harness.scenario.model import DEFAULT_AVOIDER, HANDS, LARGEST_SEED, START, VISUAL_SERVO, Verdict
+from safety_harness.scenario.model import (
+    BY_AT_MOST,
+    DEFAULT_AVOIDER,
+    HANDS,
+    LARGEST_SEED,
+    START,
+    VISUAL_SERVO,
+    Claim,
+)
 from safety_harness.scenario.moves import LASTING, LONGEST_S
 from safety_harness.scenario.obstacles import OBSTACLES
 from safety_harness.scenario.robots import ROBOT_VALUE, Robot
@@ -18,8 +26,17 @@ from safety_harness.scenario.settings_keys import SETTINGS_KEYS, TOP_GROUPS, gro
 from safety_harness.scenario.shield import SHIELD_VALUE
 from safety_harness.scenario.units import NUMBER
 
+EXPECTED = "holds, violated, inconclusive or, with a bound, violated by at most 130 mm"
+
+
+def _expectation(claim: Claim) -> str:
+    return claim.expectation
+
+
 CLAIMS = FreeKeys(
-    of=Word(Verdict),
+    of=Text(
+        words=EXPECTED, pattern=f"^(holds|violated|inconclusive|violated{BY_AT_MOST}.+)$", writes=_expectation
+    ),
     words="mapping, at least one",
     expected="a mapping of claims, such as hand distance never below 50 mm: holds",
     least=1,

@@ -44,7 +44,7 @@ def tree_of(scenario: Scenario, *, all_settings: bool = False) -> dict[str, Tree
     if isinstance(scenario.robot, OwnRobot):  # which says itself how it stops
         settings = _without_braking(settings)
     tree.update(settings)
-    tree["claims"] = CLAIMS.write({claim.sentence: claim.expected for claim in scenario.claims})
+    tree["claims"] = CLAIMS.write({claim.sentence: claim for claim in scenario.claims})
     return tree
 
 

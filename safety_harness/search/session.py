@@ -139,13 +139,16 @@ class SearchSession:
     def not_found(self) -> list[str]:
         """Claims that the space expects to be violated, and no confirmed counterexample violates."""
         missing = self.trials.to_be_found - {one.one.complaint.sentence for one in self.written}
-        return [goal.sentence for goal in self.trials.goals if goal.sentence in missing]
+        goals = zip(self.trials.goals, self.trials.applicable, strict=True)
+        return [goal.sentence for goal, applicable in goals if goal.sentence in missing and applicable]
 
     @property
     def differs(self) -> bool:
         """Was anything found that the space does not expect, not found what it does, or nothing known?"""
-        unknown = not self.findings.evidence.all()  # of a claim that no run put to the test
-        return bool(self.not_found) or unknown or not all(one.expected for one in self.written)
+        applicable = self.trials.applicable  # of the other claims nothing can be known
+        unknown = bool(self.findings.tried) and not applicable.any()
+        unknown |= not self.findings.evidence[applicable].all()  # of a claim that no run put to the test
+        return unknown or bool(self.not_found) or not all(one.expected for one in self.written)
 
     def search(self, make: MakesSearcher, trials: Trials, folder: str = "") -> Findings:
         """Until the budget is spent, Ctrl-C, or a disk that takes no more."""
@@ -407,7 +410,7 @@ def not_found_words(findings: Findings) -> str:
     """That what a space expects to be violated was not, and what that may come from."""
     return (
         f"the space expects it to be violated, and of {findings.tried} runs none is known to do so; the "
-        "avoider does better than the space says, or the budget is too small"
+        "system does better than the space says, or the budget is too small"
     )
 
 
@@ -437,7 +440,9 @@ def remarks(trials: Trials, findings: Findings) -> list[str]:
     """What a reader would otherwise get wrong."""
     lines = [f"{count} points refused: {reason}" for reason, count in findings.refused.most_common(3)]
     for claim, goal in enumerate(findings.goals):
-        if findings.always_violated(claim):
+        if findings.tried and not trials.applicable[claim]:
+            lines.append(f"not applicable to the controller: {goal.sentence}")
+        elif findings.always_violated(claim):
             lines.append(f"every run violates {goal.sentence!r}: it is the claim or the space, no corner")
         elif findings.tried and not findings.evidence[claim]:
             lines.append(f"no run put {goal.sentence!r} to the test: nothing is known of it")

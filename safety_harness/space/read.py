@@ -101,6 +101,10 @@ def _with_regions(space: ScenarioSpace) -> ScenarioSpace:
 
 def _try_out(space: ScenarioSpace) -> None:
     """ScenarioError for the first value that the reader refuses, or that a scenario does not show again."""
+    for claim in space.simplest.claims:
+        if claim.most is not None:
+            expected = "holds, violated or inconclusive, without a bound, in a space"
+            raise ScenarioError(place=claim.place, expected=expected, got=claim.expectation)
     anchors = _anchors(space.scenario(space.simplest_values))
     for parameter in space.parameters:
         for values, read_back in _trials(space, parameter):

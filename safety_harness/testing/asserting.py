@@ -24,11 +24,12 @@ from safety_harness.properties.against import ClaimDifference
 from safety_harness.properties.answered import AvoiderAnswered, by_default
 from safety_harness.properties.base import Evaluation, Property, inconclusive, unreadable
 from safety_harness.properties.measured import columns_read_by
+from safety_harness.report.words import tested_words
 from safety_harness.scenario.model import Claim, Scenario, Verdict
 from safety_harness.testing.against import against_reference, is_shared, note_of
 from safety_harness.testing.failure_text import failure_text
 from safety_harness.testing.session import Judgement, Run, session
-from safety_harness.testing.simulating import original
+from safety_harness.testing.simulating import original, run_key
 from safety_harness.trace.trace import Trace
 
 TRUTH = ("joint_position_rad", "joint_velocity_radps", "transform_tcp_to_base", "hand_position_in_base_m")
@@ -110,6 +111,8 @@ def require(
     A run that was not simulated is not held against a reference, which cannot be run in its place.
     """
     __tracebackhide__ = True
+    if trace.known.simulated:
+        session().judged.add(run_key(trace))
     found = against_reference(trace, evaluation, judge) if trace.known.simulated else None
     if not settle(evaluation, run_of(trace), expected, trace) and not is_shared(found):
         raise violation_of(evaluation, trace, expected, found)
@@ -132,6 +135,7 @@ def run_of(trace: Trace) -> Run:
         tested=trace.system.words,
         seed=trace.scenario.seed,
         sound=trace.complete and unreadable(trace, TRUTH) is None and _is_measured(trace),
+        beside=tested_words(trace.scenario, trace.system),
     )
 
 

@@ -12,7 +12,12 @@ from numpy.typing import NDArray
 
 from safety_harness.properties.base import Evaluation
 from safety_harness.report.decisions import DecisionRow, decision_rows
-from safety_harness.report.words import claimed_hand_distance_m, claimed_tcp_speed_mps, count_words
+from safety_harness.report.words import (
+    claimed_hand_distance_m,
+    claimed_tcp_speed_mps,
+    count_words,
+    tested_words,
+)
 from safety_harness.scenario.expand import gather
 from safety_harness.scenario.model import Scenario, Verdict
 from safety_harness.scenario.write import write_scenario
@@ -62,6 +67,8 @@ def _facts(evaluation: Evaluation, trace: Trace) -> list[str]:
     ]
     lines.append(f"  exercised {count_words(evaluation.exercised, 'time', 'times')}")
     lines.append(f"  run       {trace.scenario.name}, {trace.system.words}, seed {trace.scenario.seed}")
+    tested = tested_words(trace.scenario, trace.system)
+    lines += [f"  tested    {tested}"] * (tested != trace.system.words)
     if not trace.complete:
         lines.append(f"  ended     {trace.ended}")
     return lines

@@ -45,6 +45,7 @@ class Run:
     tested: str  # "avoider" or "controller", and its name
     seed: int
     sound: bool
+    beside: str = ""  # as ``tested``, with its shield and what is not the default
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,6 +96,7 @@ class TestRun:
     tried: dict[str, TriedParts] = field(default_factory=dict)  # by the same
     differences: dict[str, RunDifference] = field(default_factory=dict)  # from a reference, by digest
     shared: list[str] = field(default_factory=list)  # failures that the reference has as well
+    judges_itself: bool = False  # by the marker, without assert_holds
     not_taken: str = ""  # the avoider that cannot take its scenario
 
     @property
@@ -137,6 +139,9 @@ class Session:
     report: Path | None = None
     saved: set[Path] = field(default_factory=set)  # traces that this process wrote for the report
     recordings: dict[str, bytes] = field(default_factory=dict)  # of logs, by their SHA-256
+    simulated: set[str] = field(default_factory=set)  # runs since the last report
+    judged: set[str] = field(default_factory=set)  # of these, or of earlier ones
+    ignored: list[str] = field(default_factory=list)  # files with a title as ours have it, of other programs
     test: TestRun | None = None
 
 

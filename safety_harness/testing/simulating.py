@@ -55,6 +55,11 @@ def digest_of(scenario: Scenario) -> str:
     return hashlib.sha256("\n".join(parts).encode()).hexdigest()
 
 
+def run_key(trace: Trace) -> str:
+    """What the same run has in every process: who is tested, and in which scenario."""
+    return f"{trace.system.tested.name}: {digest_of(trace.scenario)}"
+
+
 def as_asked(scenario: Scenario) -> Scenario:
     """The scenario with the avoider of ``--avoider``, if there is one."""
     reference = session().avoider
@@ -121,11 +126,12 @@ class Simulate:
         except (InputError, FlakyAvoiderError) as error:
             raise error.with_traceback(None) from None
         test = session().test
+        if test is None or test.counts:
+            session().simulated.add(run_key(trace))
         if test is None or not test.counts:
             return trace
         if len(trace.decisions):
-            run = f"{trace.system.tested.name}: {digest_of(trace.scenario)}"
-            test.overruled[run] = Overruling.of([trace])
+            test.overruled[run_key(trace)] = Overruling.of([trace])
         test.tried[digest_of(trace.scenario)] = TriedParts.of(trace)
         if test.fallback is None and by_default(trace) is not None:
             test.fallback = trace

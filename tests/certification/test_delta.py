@@ -78,6 +78,33 @@ def without_the_stratum(found: Evidence) -> Evidence:
     return with_claim(found, lambda one: replace(one, outcomes=one.outcomes[1:]))
 
 
+def refuted(found: Evidence) -> Evidence:
+    return with_outcome(found, lambda one: replace(one, standing=ClaimStatus.REFUTED))
+
+
+def in_another_space(found: Evidence) -> Evidence:
+    first, *others = found.strata
+    return replace(found, strata=(replace(first, space_sha256="0" * 64), *others))
+
+
+@pytest.mark.parametrize(
+    ("exchanged", "told"),
+    [
+        (without_the_stratum, "the stratum is not in the plan"),
+        (without_the_claim, "the claim is not in the plan"),
+        (in_another_space, "its space is another"),
+    ],
+)
+def test_what_was_refuted_and_is_not_asked_any_more_got_worse(
+    exchanged: Callable[[Evidence], Evidence], told: str
+) -> None:
+    """With its question gone a refutation is not mended; in the same space it is."""
+    found = delta(refuted(evidence()), exchanged(evidence()))
+    assert f"{SHOWN}, seen: refuted before, not asked any more: {told}" in found.regressions
+    assert not any(SHOWN in text for text in found.closed)
+    assert not delta(refuted(evidence()), evidence()).regressions
+
+
 def worse(found: Evidence) -> Evidence:
     return with_outcome(found, lambda one: replace(one, bound=bound(0.01, 0.09)))
 

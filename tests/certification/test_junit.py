@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from xml.etree import ElementTree
 
 from made_up_evidence import STRATA, evidence
@@ -23,11 +24,22 @@ def test_only_what_is_shown_passes() -> None:
 def test_refuted_is_a_failure_and_what_is_open_an_error() -> None:
     root = ElementTree.fromstring(junit_xml(evidence()).split("\n", 1)[1])
     suite = root[0]
-    assert (suite.get("failures"), suite.get("errors"), suite.get("skipped")) == ("1", "3", "1")
+    assert (suite.get("failures"), suite.get("errors"), suite.get("skipped")) == ("2", "3", "0")
     assert [child.tag for case in suite for child in case] == [
         "failure",
         "error",
         "error",
         "error",
-        "skipped",
+        "failure",
     ]
+
+
+def test_without_a_target_a_claim_that_runs_violate_is_a_failure_and_else_skipped() -> None:
+    """Nobody said how often it may be violated, and a gate has to see that it is."""
+    *others, estimated = (one := evidence()).claims
+    assert estimated.standing is ClaimStatus.ESTIMATED
+    for violated, tag in ((120, "failure"), (0, "skipped")):
+        outcomes = tuple(replace(each, violated=violated) for each in estimated.outcomes)
+        found = replace(one, claims=(*others, replace(estimated, outcomes=outcomes)))
+        suite = ElementTree.fromstring(junit_xml(found).split("\n", 1)[1])[0]
+        assert [child.tag for child in suite[-1]] == [tag]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import random
+import shutil
 import signal
 import sqlite3
 import subprocess
@@ -19,6 +20,7 @@ from safety_harness.campaign.episodes import failed_row
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.rows import ClaimJudgement, Row
 from safety_harness.campaign.summary import fingerprint_of, tally_of
+from safety_harness.certification.folder import write_manifest
 from safety_harness.cli.campaign import (
     RareWay,
     compare,
@@ -77,6 +79,33 @@ def test_a_complete_campaign_is_not_run_again(folder: Path) -> None:
     assert run(folder / "plan.yaml", ledger=folder / "ledger.sqlite") == AS_EXPECTED
     assert resume(folder / "ledger.sqlite") == AS_EXPECTED
     assert (folder / "ledger.sqlite").read_bytes() == before
+
+
+def test_a_gate_that_requires_what_is_asked_to_be_shown_fails_where_it_is_not(
+    folder: Path, tmp_path: Path
+) -> None:
+    """Complete is not shown, of a kinematic world nothing is, and a plan without a target shows nothing."""
+    gate = ["campaign", "run", str(folder / "plan.yaml"), "--ledger", str(folder / "ledger.sqlite")]
+    assert CliRunner().invoke(app, gate).exit_code == AS_EXPECTED
+    assert CliRunner().invoke(app, [*gate, "--require-shown"]).exit_code == DIFFERS
+    easy = SMALL.replace("kinematic", "PyBullet").replace("50 %", "60 %")
+    easy = easy.replace("hand distance never below 150 mm", "TCP speed never above 2000 mm/s")
+    plan_in(tmp_path, easy)
+    gate = ["campaign", "run", str(tmp_path / "plan.yaml"), "--ledger", str(tmp_path / "ledger.sqlite")]
+    assert CliRunner().invoke(app, [*gate, "--require-shown"]).exit_code == AS_EXPECTED
+    (tmp_path / "none.yaml").write_text(easy.replace("    violated in at most: 60 %\n", ""))
+    none = ["campaign", "run", str(tmp_path / "none.yaml"), "--ledger", str(tmp_path / "none.sqlite")]
+    assert CliRunner().invoke(app, [*none, "--require-shown"]).exit_code == BAD_INPUT
+
+
+def test_a_finished_report_gets_no_file_from_its_ledger(folder: Path, tmp_path: Path) -> None:
+    """``verify`` would call it different."""
+    report = Path(shutil.copytree(folder, tmp_path / "report"))
+    (report / "ledger.html").unlink()
+    write_manifest(report, ())
+    gate = ["campaign", "run", str(folder / "plan.yaml"), "--ledger", str(report / "ledger.sqlite")]
+    assert CliRunner().invoke(app, gate).exit_code == AS_EXPECTED
+    assert not (report / "ledger.html").exists()
 
 
 def test_why_episodes_failed_is_said_the_most_frequent_reason_first(

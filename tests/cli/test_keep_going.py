@@ -17,7 +17,7 @@ Captured = pytest.CaptureFixture[str]
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """Two files that run between two that cannot be used."""
+    """Two files that run, one that cannot be used, and a plan, which another command takes."""
     texts = {
         "a-bad": SCENARIO.replace("-60 mm", "-60"),
         "b-good": SCENARIO,
@@ -34,8 +34,8 @@ def test_the_others_are_run_and_the_end_is_bad_input(folder: Path, tmp_path: Pat
     out, err = capsys.readouterr()
     assert out.count("ok   holds") == 2
     assert f"{folder / 'a-bad.yaml'}:3: tcp start.offset[1]" in err
-    assert f"safety-harness certify {folder / 'c-plan.yaml'}" in err
-    assert "2 of 2 scenarios run, 2 of the inputs cannot be used" in err
+    assert "left aside, a plan: " in err
+    assert "2 of 2 scenarios run, 1 of the inputs cannot be used" in err
     assert sorted(one.name for one in (tmp_path / "out" / "traces").iterdir()) == [
         "b-good.trace",
         "d-good.trace",
@@ -48,7 +48,6 @@ def test_the_others_are_run_and_the_end_is_bad_input(folder: Path, tmp_path: Pat
     refused = json.loads((tmp_path / "out" / "report.json").read_text())["refused"]
     assert [(Path(one["file"]).name, one["line"]) for one in refused] == [
         ("a-bad.yaml", 3),
-        ("c-plan.yaml", None),
     ]
     assert refused[0]["reason"].endswith("got -60, which has no unit")
     assert all(one["file"] in page for one in refused)
@@ -80,7 +79,7 @@ def test_without_the_option_nothing_is_run_and_the_option_is_named(
     assert run([folder], tmp_path / "out") == BAD_INPUT
     out, err = capsys.readouterr()
     assert out == ""
-    assert "2 of the inputs cannot be used; nothing was run; --keep-going runs the others." in err
+    assert "1 of the inputs cannot be used; nothing was run; --keep-going runs the others." in err
     assert not (tmp_path / "out").exists()
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from safety_harness.pytest_plugin.plugin import looks_like_ours
+from safety_harness.scenario.ours import is_ours
 
 DISTANCE, SPEED = "hand distance never below 50 mm", "TCP speed never above 250 mm/s"
 
@@ -84,14 +84,17 @@ def test_mistakes_are_told_at_collection_without_our_frames(run, project: Path) 
 @pytest.mark.parametrize(
     "text",
     [
-        "scenario: a hand\nduration: 1 s\n",
+        "scenario: a hand\nduration: 1 s\nhand sensor: {}\n",
+        "Scenario: a hand\nclaims: {no moving part touches a hand: holds}\n",
+        "scenario: cannot be parsed }}\nhands: [\n",
+        "extends: shipped:fast-reach\n",
         "scenario space: hands\nseed: 1\n",
         "scenario: >\n  folded\nextends: base.yaml\n",
-        "# a comment\nsuite: all of them\nscenarios: []\n",
-        "'scenario': quoted\r\nclaims:\r\n",
+        "# a comment\nsuite: all of them\nscenarios: [shipped:fast-reach]\n",
+        "'scenario': quoted\r\nclaims:\r\n  no moving part touches a hand: holds\r\n",
         "{scenario: in braces, hands: []}\n",
         "  scenario: indented\n  hands: []\n",
-        "suite:\n  on its own line\nscenarios: []\n",
+        "suite:\n  on its own line\nscenarios: [some.yaml]\n",
         "? scenario space # of a complex key\n: x\nseed: 1\n",
         f"{'# late' * 20_000}\nscenario: x\nhands: []\n",
     ],
@@ -99,7 +102,7 @@ def test_mistakes_are_told_at_collection_without_our_frames(run, project: Path) 
 def test_scenario_files_are_known_by_their_keys(tmp_path: Path, text: str) -> None:
     file = tmp_path / "some.yaml"
     file.write_text(text)
-    assert looks_like_ours(file)
+    assert is_ours(file)
 
 
 @pytest.mark.parametrize(
@@ -113,6 +116,11 @@ def test_scenario_files_are_known_by_their_keys(tmp_path: Path, text: str) -> No
         "about: a scenario: of a kind\n",
         "seed: 1\nrobot: ur10\ncamera: {}\n",
         "scenario: of another program\n",
+        "scenario: checkout at peak\nduration: 5 m\nusers: 100\n",
+        "scenario: chaos\nseed: 1\nfaults: [{kill: web}]\nmatrix: {a: [1]}\n",
+        "scenario: log in\nclaims: {sub: alice, scope: read}\n",
+        "scenario: a street\nextends: some.json\ncamera: {fov: 90}\nobject: car\n",
+        "suite: api\nseed: 1\nscenarios: [login, checkout]\n",
         "plan: of ours\nscenario: x\nclaims: []\n",
         "{plan: of ours, scenario: x, claims: []}\n",
         "a:\n  scenario: nested\n  hands: []\n",
@@ -125,4 +133,4 @@ def test_scenario_files_are_known_by_their_keys(tmp_path: Path, text: str) -> No
 def test_other_yaml_files_are_left_alone(tmp_path: Path, text: str) -> None:
     file = tmp_path / "some.yaml"
     file.write_bytes(text.encode("latin-1"))
-    assert not looks_like_ours(file)
+    assert not is_ours(file)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from safety_harness.pytest_plugin.plugin import looks_like_ours
+from safety_harness.scenario.ours import is_ours
 from tests.pytest_plugin.conftest import CLAIMS, HEAD
 
 OTHERS: dict[str, bytes] = {
@@ -19,6 +19,11 @@ OTHERS: dict[str, bytes] = {
     "molecule/default/molecule.yml": b"scenario:\n  name: default\ndriver:\n  name: docker\n",
     "ansible.yml": b"- hosts: all\n  scenario: local\n  tasks: []\n",
     "load-test.yaml": b"scenario: checkout\nusers: 10\n",
+    "peak.yaml": b"scenario: checkout at peak\nduration: 5 m\nusers: 100\n",
+    "api.yaml": b"suite: api\nseed: 1\nscenarios: [login, load-test.yaml]\n",
+    "jwt.yaml": b"scenario: log in\nclaims: {sub: alice}\n",
+    "chaos.yaml": b"scenario: chaos\nduration: 5 m\nfaults: [{kill: web}]\n",
+    "street.yaml": b"scenario: a street\ncamera: {fov: 90}\nobject: car\nrobot: taxi\n",
     "helm_test.yaml": b"suite: deployment\ntemplates: [a.yaml]\ntests: []\n",
     "openapi.yaml": b"openapi: 3.0.0\ninfo: {title: x, version: '1'}\npaths: {}\n",
     "plan.yaml": b"plan: ours\nabout: scenario\nseed: 1\navoider: opposite pose\nstrata: []\nclaims: []\n",
@@ -28,6 +33,9 @@ OTHERS: dict[str, bytes] = {
     "broken.yaml": b"a: [1, 2\nb: }\n\t:\n",
     "huge.yaml": b"x: " + b"y" * 30_000_000,
 }
+TITLED = {
+    *("load-test.yaml", "peak.yaml", "api.yaml", "jwt.yaml", "chaos.yaml", "street.yaml", "helm_test.yaml"),
+}
 
 
 def test_a_tree_of_other_programs_files_gives_no_item_and_no_error(run, pytester: pytest.Pytester) -> None:
@@ -35,11 +43,13 @@ def test_a_tree_of_other_programs_files_gives_no_item_and_no_error(run, pytester
         path = pytester.path / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(data)
-        assert not looks_like_ours(path), name
+        assert not is_ours(path), name
     pytester.makepyfile(test_other="def test_it(): pass")
     result = run("-rA", "conf", ".")
     result.assert_outcomes(passed=1)
     assert result.ret == pytest.ExitCode.OK
+    (line,) = [line for line in result.outlines if line.startswith("safety-harness ignored ")]
+    assert {name for name in OTHERS if name in line} == TITLED
 
 
 @pytest.mark.parametrize("name", ["conf/train.yaml", "plan.yaml"])
@@ -53,11 +63,19 @@ def test_being_named_makes_no_scenario_of_a_file(run, pytester: pytest.Pytester,
 
 
 @pytest.mark.parametrize(
-    "text", ["scenario: t\nhands: 3\n", "scenario: t\r\nduration: x\r\n", "suite: all\nscenarios: 3\n"]
+    ("text", "args"),
+    [
+        ("scenario: t\nhands: 3\n", ()),
+        ("scenario: t\nhnads: []\nclaims: {no moving part touches a hand: holds}\n", ()),
+        ("scenario: t\r\nduration: x\r\n", ("mine.yaml",)),
+        ("suite: all\nscenarios: 3\n", ("mine.yaml",)),
+    ],
 )
-def test_a_broken_file_of_ours_is_an_error_that_names_it(run, pytester: pytest.Pytester, text: str) -> None:
+def test_a_broken_file_of_ours_or_one_that_is_named_is_an_error_that_names_it(
+    run, pytester: pytest.Pytester, text: str, args: tuple[str, ...]
+) -> None:
     (pytester.path / "mine.yaml").write_bytes(text.encode())
-    result = run()
+    result = run(*args)
     assert result.ret == pytest.ExitCode.INTERRUPTED
     result.stdout.fnmatch_lines(["mine.yaml:*"])
 
@@ -75,6 +93,34 @@ def test_the_setting_names_the_scenario_files_and_no_other_is_one(run, pytester:
     pytester.makeini("[pytest]\nsafety_scenarios =\n")
     result = run("--collect-only", "-q")
     assert result.ret == pytest.ExitCode.NO_TESTS_COLLECTED
+
+
+def test_a_pattern_of_the_setting_that_matches_nothing_ends_the_session(
+    run, pytester: pytest.Pytester
+) -> None:
+    """Neither one that no file has, nor one of files where pytest does not look."""
+    pytester.makepyfile(test_other="def test_it(): pass")
+    (pytester.path / "mine").mkdir()
+    (pytester.path / "mine" / "a.yaml").write_text(HEAD.format(title="scenario: t", speed="1 m/s"))
+    for ini in (
+        "safety_scenarios = mine/*.yml\n",
+        "testpaths = test_other.py\nsafety_scenarios = mine/*.yaml\n",
+    ):
+        pytester.makeini(f"[pytest]\n{ini}")
+        result = run()
+        assert result.ret == pytest.ExitCode.USAGE_ERROR
+        result.stderr.fnmatch_lines(["*safety_scenarios: expected a pattern * got 'mine/*"])
+
+
+def test_a_child_file_is_ours_by_what_it_extends_whatever_its_title(run, project: Path) -> None:
+    """Its violation is found, or its misspelt title told; it is never skipped in silence."""
+    (project / "child.yml").write_text("extends: fast.yaml\n")
+    (project / "below").mkdir()
+    (project / "below" / "capital.YAML").write_text("Scenario: c\nextends: ../fast.yaml\n")
+    result = run(".", "--collect-only", "-q")
+    result.stdout.fnmatch_lines(
+        ["child.yml::hand distance*", "below/capital.YAML:*", "*did you mean*scenario*"]
+    )
 
 
 MARKING = """\
@@ -132,7 +178,7 @@ def test_an_avoider_that_does_not_import_ends_the_session_before_its_first_test(
 
 def test_a_link_to_another_file_echoes_nothing_of_it(run, pytester: pytest.Pytester) -> None:
     secret = pytester.path / "secret"
-    secret.write_text("scenario: t\nduration: hunter2\n")
+    secret.write_text("scenario: t\nhands: hunter2\n")
     Path(pytester.path / "a.yaml").symlink_to(secret)
     assert run().ret == pytest.ExitCode.INTERRUPTED  # it has our keys: a scenario, and it is told
     secret.write_text("token: hunter2\n")

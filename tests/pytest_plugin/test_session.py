@@ -206,7 +206,7 @@ def test_what_is_never_put_to_the_test_fails_test_and_session(run, project: Path
     never.stdout.fnmatch_lines(["*inconclusive in * of * judgements*"])
 
 
-def test_an_assertion_that_no_draw_reaches_fails_and_plain_asserts_are_enough(run, project: Path) -> None:
+def test_an_assertion_that_no_draw_reaches_fails_and_plain_asserts_judge_no_run(run, project: Path) -> None:
     (project / "test_it.py").write_text(
         "from hypothesis import given, settings\n"
         "from safety_harness.testing import assert_holds, scenarios\n"
@@ -223,8 +223,54 @@ def test_an_assertion_that_no_draw_reaches_fails_and_plain_asserts_are_enough(ru
     result = run("test_it.py")
     result.assert_outcomes(passed=1, failed=1)
     result.stdout.fnmatch_lines(
-        ["*test_never*", "assert_holds was never reached in 3 draws: nothing was put to the test"]
+        [
+            "*test_never*",
+            "assert_holds was never reached in 3 draws: nothing was put to the test",
+            "* simulated runs that nobody judged, in *test_it.py::test_plain; the session has failed*",
+        ]
     )
+
+
+TRUTHS = """\
+import pytest
+from safety_harness import Verdict, judge
+from safety_harness.formulas.claim import FormulaClaim
+from safety_harness.testing import assert_holds, hand_distance, mm
+
+RUN = "fast.yaml"
+
+def test_truth_of_all(simulate):
+    assert judge(simulate(RUN))
+
+def test_truth_of_one(simulate):
+    assert FormulaClaim(hand_distance() > mm(50)).evaluate(simulate(RUN))
+
+def test_truth_of_verdicts(simulate):
+    assert all(evaluation.verdict for evaluation in judge(simulate(RUN)))
+
+def test_never_judged(simulate):
+    simulate(RUN)
+
+@pytest.mark.judges_runs_itself
+def test_as_meant(simulate):
+    assert judge(simulate(RUN))[0].verdict is Verdict.VIOLATED
+"""
+
+
+def test_verdicts_have_no_truth_value_and_a_run_that_nobody_judged_fails_the_session(
+    run, project: Path
+) -> None:
+    """What is asserted of a verdict is a comparison; a test that compares by itself says so by a marker."""
+    (project / "test_it.py").write_text(TRUTHS)
+    result = run("test_it.py", "--strict-markers")
+    result.assert_outcomes(passed=2, failed=3)
+    result.stdout.fnmatch_lines(["*expected a question that a verdict answers"])
+    for test, code in (("never", pytest.ExitCode.TESTS_FAILED), ("meant", pytest.ExitCode.OK)):
+        result = run("test_it.py", "-k", test)
+        result.assert_outcomes(passed=1, deselected=4)
+        assert result.ret == code
+    result = run("test_it.py", "fast.yaml", "-k", "test_never or TCP", "-n", "2")
+    assert result.ret == pytest.ExitCode.OK, "another test judged the same run"
 
 
 def test_mistakes_in_a_test_are_told_in_place_of_a_traceback(run, project: Path) -> None:

@@ -53,6 +53,7 @@ def test_a_text_is_a_path_and_a_scenario_stays_what_it_is(file: Path) -> None:
     assert read_all_scenarios(str(file)) == (read,)
 
 
+@pytest.mark.judges_runs_itself
 def test_simulate_takes_a_path_as_well(file: Path) -> None:
     assert simulate(str(file)).complete
     assert simulate(file).scenario == safety_harness.read_scenario(file)

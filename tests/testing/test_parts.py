@@ -180,6 +180,7 @@ def test_an_answer_that_a_simulated_fault_delayed_is_not_held_against_the_avoide
     refuse_flaky(Up(0.0), trace)
 
 
+@pytest.mark.judges_runs_itself
 def test_simulate_remembers_a_run_and_forgets_nothing_of_who_asked() -> None:
     run = Simulate()
     what = scenario(VISIT, duration_s=0.4)
