@@ -248,8 +248,8 @@ def judged(
     run did not last as long as its scenario says.  A margin that is not finite, of whichever sign,
     comes from nothing that can have happened and is no evidence at all.  ``lacked`` says, in place of
     ``reason``, what it would have taken to exercise it.  A violation is ``revocable`` where later ticks could
-    undo it: of a run that was cut short it is none.  Of a ``margin`` that is a lower end ``most`` is the upper
-    one, and only a violation by both is one.
+    undo it: of a run that was cut short it is none.  Where ``margin`` is a lower end, ``most`` is the
+    upper one, and only a violation by both is one.
     """
     if most is not None and margin < 0.0:
         if most >= 0.0:

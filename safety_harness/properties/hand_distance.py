@@ -37,7 +37,7 @@ from safety_harness.simulation.worlds import WORLDS
 from safety_harness.trace.trace import Trace, once_a_trace
 
 RESOLUTION_M = 1e-4
-SATURATED_RADPS = 1e-3  # motors that do not saturate are nearer than that to their speed at the end, in the mean
+SATURATED_RADPS = 1e-3  # a mean speed this far from that of the tick's end is of motors that may saturate
 ROUNDING_RADPS = 1e-6  # by which a mean speed may be beyond what is recorded: a nanometre or two
 TURNED_RAD = 8.0 * np.pi  # four times the limits: an arm that has come apart, in an engine or in a file
 
@@ -113,7 +113,7 @@ class HandDistance:
         nearest_m = true_motion(trace).nearest_m
         name = trace.scenario.hands[found.hand].name
         part = capsule_name(trace, int(np.argmin(trace.ticks["hand_distance_m"][:, found.hand])), found.hand)
-        reason = f"{name}: {_words(found.low_m)} {part}"
+        reason = f"{name}: {_words(found.low_m if found.low_m > -np.inf else found.high_m)} {part}"
         margin_m, times = found.low_m - self.minimum_m, times_begun(nearest_m < self.near_m)
         most_m = found.high_m - self.minimum_m
 
@@ -257,8 +257,8 @@ def joint_bend_m(trace: Trace) -> NDArray[np.float64]:
 
     A joint whose speed changes by at most dv, between the values at the two ticks, leaves the
     straight line by at most dv dt/4; a point is displaced by no more than that angle times the
-    length of the chain of links that the joint moves.  Of a mean speed m between them, at a and b from either,
-    it is dt a b/(a + b): nothing where the whole tick went at the speed of its end, as in both worlds.
+    length of the chain of links that the joint moves.  Of a mean speed between them, at a and b from
+    either, it is dt a b/(a + b): nothing where a whole tick went at the speed of its end, as in both worlds.
 
     Motors that saturate go beyond both.  That is without end where an engine did not record by how much, and
     the mean speed of a joint is not that of the end.

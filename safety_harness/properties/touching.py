@@ -90,7 +90,7 @@ class NoMovingPartTouches:
         if paths is None:
             return inconclusive(self, why)
         found = known_to(0.0, closest_moving, trace, paths)
-        distance_m = found.low_m
+        distance_m = found.low_m if found.low_m > -np.inf else found.high_m
         if found == Nearest():
             return unexercised(self, f"the arm did not move while a hand was there: {OFF_THE_GOAL}")
         nearest_m = true_motion(trace).nearest_m
@@ -104,7 +104,7 @@ class NoMovingPartTouches:
             return nearest_of(trace, nearest_m, self.near_m, "hand", "the arm's surface")
 
         reason = f"{name}: {inside} a part that moves"
-        return judged(self, trace, distance_m, found.time_s, reason, times, lacked, most=found.high_m)
+        return judged(self, trace, found.low_m, found.time_s, reason, times, lacked, most=found.high_m)
 
 
 @once_a_trace

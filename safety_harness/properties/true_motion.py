@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from math import sqrt
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -395,7 +396,9 @@ def _follow(
                         mps = before[i].velocity_in_base_mps[j]
                         mps += 0.5 * (hands[i].velocity_in_base_mps[j] - mps) * gone_s / period_s
                         trembles = there[i].position_in_base_m[j] - there[i].steady_in_base_m[j]
-                        there[i].position_in_base_m[j] = before[i].steady_in_base_m[j] + mps * gone_s + trembles
+                        there[i].position_in_base_m[j] = (
+                            before[i].steady_in_base_m[j] + mps * gone_s + trembles
+                        )
                 if parts[k, i] > 1:
                     point_forearm(there, i)
                     corner_hand[found], corner_at[found] = i, k + part / parts[k, i]
@@ -407,7 +410,7 @@ def _follow(
 
 
 @njit_no_nrt
-def _evenly(before: np.void, after: np.void, period_s: float) -> bool:
+def _evenly(before: Any, after: Any, period_s: float) -> bool:
     """Whether a hand's way within a tick is that of a velocity that changes evenly."""
     even = True
     for j in range(3):
@@ -418,7 +421,7 @@ def _evenly(before: np.void, after: np.void, period_s: float) -> bool:
 
 
 @njit_no_nrt
-def _heads_for_tcp(before: np.void, after: np.void, moves: NDArray[np.void]) -> bool:
+def _heads_for_tcp(before: Any, after: Any, moves: Any) -> bool:
     """Whether a move of a hand within a tick heads for the TCP; the others can be followed to any time."""
     heads = False
     for row in range(before.current, min(after.current + 1, after.count)):

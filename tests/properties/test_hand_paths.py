@@ -157,7 +157,7 @@ def test_a_hand_that_is_not_the_scenarios_is_no_evidence(visit: Trace) -> None:
 
 
 def test_joints_that_change_their_speed_lower_the_bound(visit: Trace) -> None:
-    """Oracle: what accelerates uniformly leaves its chord by a dt^2/8; with the speed of its end, by nothing."""
+    """Oracle: what accelerates uniformly leaves its chord by a dt^2/8; at the speed of its end by nothing."""
     assert joint_bend_m(visit).max() < 1e-7
     dt_s, ticks = 0.008, visit.ticks.copy()
     ticks["joint_velocity_radps"][50:, 0] += 1.0
