@@ -41,8 +41,8 @@ def closest_approach_between(
     Joints go from ``q0`` to ``q1`` [rad] and the hand's two points from state 0 to state 1 [m, base frame],
     in the same parameter t from 0 to 1.  Returns (bound, t of the least distance that was sampled, that
     distance, distance at t = 1).  The bound is never above the true minimum, and at most ``tolerance_m`` > 0
-    below it; where it exceeds ``not_below_m``, it may be farther below, for less work.  NaN if the distance at
-    either end is.
+    below it; where it exceeds ``not_below_m``, it may be farther below, for less work.  NaN if the distance
+    at either end is.
 
     Branch and bound, from left to right: an interval [a, b] is halved until its bound is good enough,
 
