@@ -20,7 +20,7 @@ from safety_harness.controller.records import (
     parameters,
 )
 from safety_harness.controller.rows import seen_dtype
-from safety_harness.controller.stack import STANDSTILL_RADPS, command_arm, see_hands, see_object
+from safety_harness.controller.stack import STANDSTILL_RADPS, clip_joints, command_arm, see_hands, see_object
 from safety_harness.geometry.linear import copy_matrix, copy_vector
 from safety_harness.geometry.transforms import compose_into
 from safety_harness.perception.hand_boxes import position_from_box
@@ -266,6 +266,7 @@ def obey(
     command.protective_stop = False
     for i in range(joints):
         command.joint_velocity_radps[i] = scale * wanted[i]
+    clip_joints(parameters, command.joint_velocity_radps)
     for i in range(6):
         s.previous_twist_in_base[i] = 0.0
         for j in range(joints):

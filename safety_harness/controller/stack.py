@@ -20,7 +20,7 @@ from safety_harness.controller.records import (
     StateRecords,
     TrackRecords,
 )
-from safety_harness.geometry.arrays import Array3
+from safety_harness.geometry.arrays import Array3, ArrayN
 from safety_harness.geometry.linear import copy_matrix, copy_vector
 from safety_harness.geometry.transforms import compose_into
 from safety_harness.perception.tracking import advance_tracks, predict_positions
@@ -240,6 +240,15 @@ def finish_tick(
 
 
 @inlined
+def clip_joints(parameters: ParameterRecords, rates_radps: ArrayN) -> None:
+    """Cut joint speeds at their limits, of which a scaled one may be the float above."""
+    limit_radps = parameters[0].joint_velocity_limit_radps
+    for i in range(rates_radps.shape[0]):
+        if abs(rates_radps[i]) > limit_radps[i]:
+            rates_radps[i] = np.copysign(limit_radps[i], rates_radps[i])
+
+
+@inlined
 def command_arm(
     parameters: ParameterRecords,
     states: StateRecords,
@@ -252,8 +261,8 @@ def command_arm(
 
         q' = k J^-1 (v, w),   k = min(1, min_i limit_i/|q'_i|),
 
-    so that a joint at its limit slows all down and the TCP keeps its direction.  Near a singularity
-    (``joint_velocity``) a protective stop.
+    so that a joint at its limit slows all down and the TCP keeps its direction.  What rounding leaves above a
+    limit is cut (``clip_joints``).  Near a singularity (``joint_velocity``) a protective stop.
     """
     p, s, o, command = parameters[0], states[0], observations[0], commands[0]
     jacobian, wanted, twist = s.jacobian, s.wanted_twist_in_base, s.twist_in_base
@@ -273,6 +282,7 @@ def command_arm(
     command.protective_stop = s.mode == PROTECTIVE_STOP
     for i in range(joints):
         command.joint_velocity_radps[i] *= scale
+    clip_joints(parameters, command.joint_velocity_radps)
     for i in range(6):
         # while stopped the drives rule: go on from what the arm really does
         total = scale * twist[i]

@@ -473,7 +473,7 @@ def _bounds(
     bounds = np.empty(max(joints_rad.shape[0] - 1, 0))
     room = np.empty((MAX_BISECTIONS + 1, arm.capsules.shape[0], 2, 3))
     for k in range(bounds.shape[0]):
-        bounds[k], _, _ = closest_approach_between(
+        bounds[k], _, _, _ = closest_approach_between(
             arm,
             room,
             joints_rad[k],

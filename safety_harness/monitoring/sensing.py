@@ -265,7 +265,7 @@ def _sense(
                 hand_m += _distance_m(before[0], after[0])
                 elbow_m += _distance_m(before[1], after[1])
                 if measured:
-                    own_m, _, _ = closest_approach_between(
+                    own_m, _, _, _ = closest_approach_between(
                         arm,
                         room,
                         begin,

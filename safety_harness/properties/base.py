@@ -10,7 +10,7 @@ truncation is still a violation.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from functools import lru_cache
 from math import isclose, isfinite
@@ -31,6 +31,7 @@ HORIZON_M = 1e3
 # A hand nearer than this puts a claim to the test: the claims' own number.  Were it a setting of the tested
 # system, whoever changes that setting would change how many runs count.
 NEAR_M = 0.4
+MAY_SATURATE = "between the ticks nothing is known, as motors may saturate"
 OF_HANDS = ("hand_position_in_base_m", "elbow_position_in_base_m", "hand_distance_m")
 
 
@@ -90,8 +91,8 @@ class Evaluation:
     ``margin`` (SI) and ``worst_time_s`` are None where there is none to give; ``reason`` says in
     a sentence what decided; ``exercised`` counts the occasions on which the property could have
     been violated (0 for a property that was never put to the test).  ``parts`` are the words on its
-    conjuncts, if it is made of several.  ``close`` is that of ``close_to``.  It is not ``applicable`` if it is
-    about what the controller under test does not have or say, such as an avoider's answers.
+    conjuncts, if it is made of several.  ``close`` is that of ``close_to``.  It is not ``applicable`` if it
+    is about what the controller under test does not have or say, such as an avoider's answers.
     """
 
     sentence: str
@@ -293,6 +294,7 @@ def judged(
     lacked: Callable[[], str] | None = None,
     *,
     revocable: bool = False,
+    most: float | None = None,
 ) -> Evaluation:
     """The verdict that a finite margin gives, with the two ways in which it is no evidence.
 
@@ -300,8 +302,18 @@ def judged(
     run did not last as long as its scenario says.  A margin that is not finite, of whichever sign,
     comes from nothing that can have happened and is no evidence at all.  ``lacked`` says, in place of
     ``reason``, what it would have taken to exercise it.  A violation is ``revocable`` where later ticks could
-    undo it: of a run that was cut short it is none.
+    undo it: of a run that was cut short it is none.  Where ``margin`` is a lower end, ``most`` is the
+    upper one, and only a violation by both is one.
     """
+    if most is not None and margin < 0.0:
+        if most >= 0.0:
+            ends = f"between {prop.unit.margin_text(margin)} and {prop.unit.margin_text(most)}"
+            why = f"it holds at the ticks, perhaps not between them: {ends} ({reason})"
+            if not isfinite(margin):
+                why = f"{MAY_SATURATE}; at the ticks {prop.unit.margin_text(most)} ({reason})"
+            told = inconclusive(prop, why, exercised=exercised)
+            return told if not isfinite(margin) else replace(told, margin=margin, worst_time_s=worst_time_s)
+        margin = max(margin, most) if not isfinite(margin) else margin
     if not isfinite(margin):
         return inconclusive(prop, f"the margin is not finite ({margin})", exercised=exercised)
     verdict = Verdict.HOLDS

@@ -5,6 +5,7 @@ And how far the arm is from these along any sequence of joint positions.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,8 +17,9 @@ from safety_harness.geometry.segments import segment_segment_distance
 from safety_harness.properties.base import Evaluation, Unit, inconclusive, is_somewhere, judged
 from safety_harness.properties.entry import CatalogueEntry
 from safety_harness.properties.giving_way import last_tick
+from safety_harness.properties.hand_distance import RESOLUTION_M, joint_bend_m
 from safety_harness.properties.measured import reads
-from safety_harness.properties.true_motion import arm_of, capsules_of
+from safety_harness.properties.true_motion import PARTS, arm_of, capsules_of
 from safety_harness.properties.unexercised import no_position, unexercised
 from safety_harness.robot.capsules import Arm
 from safety_harness.robot.distance import place_capsules
@@ -28,16 +30,18 @@ from safety_harness.simulation.cameras import object_polygon_in_base
 from safety_harness.trace.records import DecisionOutcome
 from safety_harness.trace.trace import Trace
 
+Floats = NDArray[np.float64]
 STEP_M = 0.0025  # between two samples of a planned way
 OBSTACLES = ("table", "object", "robot itself")
 
 
 @dataclass(frozen=True)
 class Way:
-    """The least clearance from each obstacle (3,) [m] along one way, and when it was [s] (3,)."""
+    """Both ends of the least clearance from each obstacle (3,) [m] along one way, and its time [s] (3,)."""
 
     words: str
     least_m: NDArray[np.float64]
+    most_m: NDArray[np.float64]
     time_s: NDArray[np.float64]
 
 
@@ -47,8 +51,7 @@ class ClearWays:
 
     Planned: the straight way from where the arm truly was to the chosen position, as far as the arm
     can follow it.  Executed: the true joints from the decision to the end of the repulsion.  Between
-    two samples the clearance is a lower bound: a point moves by no more than each joint's turn times
-    the length of the chain of links behind it.
+    two samples both ends of the clearance are known (``least_along``).
 
     ``parts`` says it of each obstacle.  Exercised by every way that was chosen.
     """
@@ -89,7 +92,8 @@ class ClearWays:
         least_m = np.array([way.least_m[obstacle] for way in ways])
         worst = ways[int(np.argmin(least_m))]  # the first NaN, if there is one
         margin, time_s, name = worst.least_m[obstacle], worst.time_s[obstacle], OBSTACLES[obstacle]
-        evaluation = judged(self, trace, margin, time_s, f"{name}: {worst.words}", exercised=len(ways) // 2)
+        most = min(float(way.most_m[obstacle]) for way in ways)
+        evaluation = judged(self, trace, margin, time_s, f"{name}: {worst.words}", len(ways) // 2, most=most)
         return replace(evaluation, sentence=f"repulsive ways clear of the {name}")
 
 
@@ -99,9 +103,8 @@ def planned(trace: Trace, number: int, reach_m: NDArray[np.float64]) -> Way:
     arm = arm_model(trace.scenario.robot)
     start_rad = trace.ticks["joint_position_rad"][decision["tick"]]
     joints_rad = straight_way(arm, start_rad, decision["chosen_position_in_base_m"], step_m=STEP_M)
-    moved_m = np.abs(np.diff(joints_rad, axis=0)) @ reach_m
-    least_m, _ = _least(clearances_m(trace, joints_rad), moved_m)
-    return Way(f"planned way of decision {number}", least_m, np.full(3, decision["time_s"]))
+    least_m, most_m, _ = least_along(lambda q: clearances_m(trace, q), joints_rad, reach_m)
+    return Way(f"planned way of decision {number}", least_m, most_m, np.full(3, decision["time_s"]))
 
 
 def executed(trace: Trace, number: int, reach_m: NDArray[np.float64]) -> Way:
@@ -109,28 +112,38 @@ def executed(trace: Trace, number: int, reach_m: NDArray[np.float64]) -> Way:
     first = int(trace.decisions[number]["tick"])
     window = slice(first, last_tick(trace, number) + 1)
     joints_rad = trace.ticks["joint_position_rad"][window]
-    least_m, at = _least(clearances_m(trace, joints_rad), turned_rad(trace, window) @ reach_m)
-    return Way(f"executed way of decision {number}", least_m, trace.time_s[first + at])
+    slack_m = joint_bend_m(trace)[first : first + len(joints_rad) - 1]
+    least_m, most_m, at = least_along(lambda q: clearances_m(trace, q), joints_rad, reach_m, slack_m)
+    return Way(f"executed way of decision {number}", least_m, most_m, trace.time_s[first + at])
 
 
-def turned_rad(trace: Trace, window: slice) -> NDArray[np.float64]:
-    """(n - 1, joints) by how much each joint turns at most from tick to tick of ``window``."""
-    speed_radps = np.abs(trace.ticks["joint_velocity_radps"][window])
-    period_s = trace.scenario.settings.clock.control_period_s
-    turned = np.abs(np.diff(trace.ticks["joint_position_rad"][window], axis=0))
-    most: NDArray[np.float64] = np.maximum(turned, period_s * np.maximum(speed_radps[:-1], speed_radps[1:]))
-    return most
+def least_along(
+    clearance_m: Callable[[Floats], Floats],
+    joints_rad: Floats,  # (n, joints)
+    reach_m: Floats,  # (joints,)
+    slack_m: Floats | float = 0.0,
+    limit_m: float = 0.0,
+) -> tuple[Floats, Floats, NDArray[np.int64]]:
+    """Both ends (c,) of the least clearance along joints that move linearly, and (c,) the sample before it.
 
-
-def _least(
-    clearance_m: NDArray[np.float64], moved_m: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """(3,) least of (n, 3) and the sample at or before it, nothing having moved more than (n-1,) between."""
-    bound = clearance_m.copy()
-    between = 0.5 * (clearance_m[:-1] + clearance_m[1:] - moved_m[:, None])
+    ``clearance_m`` gives (n, c) at joints (n, joints).  Between two samples no point moves farther than each
+    joint's turn times its chain of links, and leaves that way by ``slack_m`` (n - 1,).  Where a limit lies
+    between both ends, the steps that may decide are looked at in PARTS.
+    """
+    at_samples = clearance_m(joints_rad)
+    moved_m = np.abs(np.diff(joints_rad, axis=0)) @ reach_m
+    slack_m = np.broadcast_to(slack_m, moved_m.shape)
+    bound, high = at_samples.copy(), at_samples.min(axis=0)
+    between = 0.5 * (at_samples[:-1] + at_samples[1:] - moved_m[:, None]) - slack_m[:, None]
+    unsure = ((between < limit_m) & (high >= limit_m)).any(axis=1)
+    for k in np.flatnonzero(unsure & (slack_m < np.inf) & (moved_m > 2.0 * RESOLUTION_M)):
+        share = np.linspace(0.0, 1.0, PARTS + 1)[:, None]
+        finer = clearance_m(joints_rad[k] + share * (joints_rad[k + 1] - joints_rad[k]))
+        between[k] = (0.5 * (finer[:-1] + finer[1:] - moved_m[k] / PARTS)).min(axis=0) - slack_m[k]
+        high = np.minimum(high, finer.min(axis=0) + slack_m[k])
     bound[:-1] = np.minimum(bound[:-1], between)
     at = bound.argmin(axis=0)
-    return bound[at, np.arange(3)], at
+    return np.take_along_axis(bound, at[None], axis=0)[0], high, at
 
 
 CLEAR_WAYS = CatalogueEntry(

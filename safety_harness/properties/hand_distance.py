@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +19,7 @@ from safety_harness.properties.true_motion import (
     apart_moved_m,
     arm_of,
     capsules_of,
+    finer_paths,
     first_stray,
     follows_unknown,
     hand_bend_m,
@@ -30,9 +33,12 @@ from safety_harness.robot.distance import hand_distance, place_capsules
 from safety_harness.robot.kinematics import forward_kinematics
 from safety_harness.scenario.units import LENGTH
 from safety_harness.settings import Hand
+from safety_harness.simulation.worlds import WORLDS
 from safety_harness.trace.trace import Trace, once_a_trace
 
 RESOLUTION_M = 1e-4
+SATURATED_RADPS = 1e-3  # a mean speed this far from that of the tick's end is of motors that may saturate
+ROUNDING_RADPS = 1e-6  # by which a mean speed may be beyond what is recorded: a nanometre or two
 TURNED_RAD = 8.0 * np.pi  # four times the limits: an arm that has come apart, in an engine or in a file
 
 
@@ -45,7 +51,7 @@ def _ends(prop: HandDistance, trace: Trace, margin_m: float) -> tuple[float, flo
     off_m, surely_m = np.maximum(at_ticks_m, between_m), true_motion(trace).nearest_m + at_ticks_m
     low_m = margin_m - float(off_m.max())
     if off_m.min() < off_m.max():
-        low_m = max(low_m, closest_approach(trace, hand_paths(trace), off_m)[0] - prop.minimum_m)
+        low_m = max(low_m, closest_approach(trace, hand_paths(trace), off_m).low_m - prop.minimum_m)
     nearest_m = float(surely_m.min())
     return low_m - RESOLUTION_M, nearest_m - prop.minimum_m, nearest_m < prop.near_m
 
@@ -70,7 +76,8 @@ class HandDistance:
     Between two ticks the margin is a certified lower bound of the distance: hands turn where their
     moves or samples turn, and joints move linearly, from which it is at most 0.1 mm below; it is
     lower by what joints may leave the straight line while their speeds change (``joint_bend_m``),
-    and hands while theirs do (``hand_bend_m``).
+    and hands while theirs do (``hand_bend_m``).  It is violated if the upper end of the least distance is
+    below ``minimum_m`` too.
 
     Rationale: contact with a moving robot is the hazard itself; ISO/TS 15066 speaks of a
     protective separation distance, of which this is the constant form.  Exercised when a hand
@@ -102,17 +109,40 @@ class HandDistance:
         paths, why = followed_hands(trace)
         if paths is None:
             return inconclusive(self, why)
-        distance_m, time_s, hand = closest_approach(trace, paths)
+        found = known_to(self.minimum_m, closest_approach, trace, paths)
         nearest_m = true_motion(trace).nearest_m
-        name = trace.scenario.hands[hand].name
-        part = capsule_name(trace, int(np.argmin(trace.ticks["hand_distance_m"][:, hand])), hand)
-        reason = f"{name}: {_words(distance_m)} {part}"
-        margin_m, times = distance_m - self.minimum_m, times_begun(nearest_m < self.near_m)
+        name = trace.scenario.hands[found.hand].name
+        part = capsule_name(trace, int(np.argmin(trace.ticks["hand_distance_m"][:, found.hand])), found.hand)
+        reason = f"{name}: {_words(found.low_m if found.low_m > -np.inf else found.high_m)} {part}"
+        margin_m, times = found.low_m - self.minimum_m, times_begun(nearest_m < self.near_m)
+        most_m = found.high_m - self.minimum_m
 
         def lacked() -> str:
             return nearest_of(trace, nearest_m, self.near_m, "hand", "the arm's surface")
 
-        return judged(self, trace, margin_m, time_s, reason, times, lacked)
+        return judged(self, trace, margin_m, found.time_s, reason, times, lacked, most=most_m)
+
+
+class Nearest(NamedTuple):
+    """The ends [m] of a least distance, when [s] the lower one was, and of which hand; ``inf``: of none."""
+
+    low_m: float = np.inf
+    time_s: float = 0.0
+    hand: int = 0
+    high_m: float = np.inf
+
+    def or_nearer(self, other: Nearest) -> Nearest:
+        """The least of two."""
+        low = self if other.low_m >= self.low_m else other  # a NaN comes out
+        return low._replace(high_m=min(self.high_m, other.high_m))
+
+
+def known_to(
+    limit_m: float, nearest: Callable[[Trace, HandPaths], Nearest], trace: Trace, paths: HandPaths
+) -> Nearest:
+    """What is nearest, with the hands followed in parts of a tick if that may decide about a limit."""
+    found = nearest(trace, paths)
+    return nearest(trace, finer_paths(trace)) if found.low_m < limit_m <= found.high_m else found
 
 
 def followed_hands(trace: Trace) -> tuple[HandPaths | None, str]:
@@ -151,15 +181,13 @@ def capsule_name(trace: Trace, tick: int, hand: int) -> str:
     return names[number].replace("_", " ") if 0 <= number < len(names) else "an unknown part"
 
 
-def closest_approach(
-    trace: Trace, paths: HandPaths, off_m: NDArray[np.float64] | None = None
-) -> tuple[float, float, int]:
-    """(distance [m], time [s], hand) of the closest approach of any hand, ticks and between them.
+def closest_approach(trace: Trace, paths: HandPaths, off_m: NDArray[np.float64] | None = None) -> Nearest:
+    """The closest approach of any hand, at the ticks and between them.
 
     Less ``off_m`` (n,), by which the distance may be off at each tick, and the larger of two between them.
     """
     settings = trace.scenario.settings
-    best = (np.inf, 0.0, 0)
+    best = Nearest()
     for hand in range(len(trace.scenario.hands)):
         at, joints_rad, hand_m, elbow_m, distance_m, slack_m = instants(trace, paths, hand)
         if off_m is not None:
@@ -167,32 +195,31 @@ def closest_approach(
             distance_m = distance_m - off_m[before]
             after = np.minimum(before[:-1] + 1, len(off_m) - 1)
             slack_m = slack_m + np.maximum(off_m[before[:-1]], off_m[after])
-        least_m, index, fraction = closest_between(
-            arm_of(trace), joints_rad, hand_m, elbow_m, distance_m, slack_m, settings.hand, RESOLUTION_M
+        ends_m, instant = closest_between(
+            arm_of(trace), at, joints_rad, hand_m, elbow_m, distance_m, slack_m, settings.hand
         )
-        if not least_m >= best[0]:
-            later = at[min(index + 1, len(at) - 1)]
-            instant = at[index] + fraction * (later - at[index])
-            best = (least_m, float(instant * settings.clock.control_period_s), hand)
+        time_s = instant * settings.clock.control_period_s
+        best = best.or_nearer(Nearest(ends_m[0], time_s, hand, ends_m[1]))
     return best
 
 
 def closest_between(
     arm: Arm,
+    at: NDArray[np.float64],  # (n,) in ticks
     joints_rad: NDArray[np.float64],  # (n, joints)
     hand_m: NDArray[np.float64],  # (n, 3)
     elbow_m: NDArray[np.float64],  # (n, 3)
     distance_m: NDArray[np.float64],  # (n,)
     slack_m: NDArray[np.float64],  # (n - 1,)
     size: Hand,
-    tolerance_m: float,
-) -> tuple[float, int, float]:
-    """(distance [m], instant before it, fraction of the way to the next) over ``instants`` of one hand."""
+) -> tuple[tuple[float, float], float]:
+    """Both ends of the least distance [m] over ``instants`` of one hand, and where the lower is, in ticks."""
     radii_m = size.radius_m, size.forearm_radius_m
-    least_m, index, fraction = _closest_in_trace(
-        arm, joints_rad, hand_m, elbow_m, distance_m, slack_m, *radii_m, tolerance_m
+    low_m, index, fraction, high_m = _closest_in_trace(
+        arm, joints_rad, hand_m, elbow_m, distance_m, slack_m, *radii_m, RESOLUTION_M
     )
-    return least_m, index, fraction
+    later = at[min(index + 1, len(at) - 1)]
+    return (low_m, high_m), float(at[index] + fraction * (later - at[index]))
 
 
 def instants(trace: Trace, paths: HandPaths, hand: int) -> tuple[NDArray[np.float64], ...]:
@@ -230,24 +257,50 @@ def joint_bend_m(trace: Trace) -> NDArray[np.float64]:
 
     A joint whose speed changes by at most dv, between the values at the two ticks, leaves the
     straight line by at most dv dt/4; a point is displaced by no more than that angle times the
-    length of the chain of links that the joint moves.
+    length of the chain of links that the joint moves.  Of a mean speed between them, at a and b from
+    either, it is dt a b/(a + b): nothing where a whole tick went at the speed of its end, as in both worlds.
+
+    Motors that saturate go beyond both.  That is without end where an engine did not record by how much, and
+    the mean speed of a joint is not that of the end.
     """
-    period_s = trace.scenario.settings.clock.control_period_s
-    return _joint_bends(arm_of(trace), true_motion(trace).rates_radps, period_s)
+    true, world = true_motion(trace), trace.provenance.world
+    period_s, known = trace.scenario.settings.clock.control_period_s, trace.known
+    return _joint_bends(
+        arm_of(trace),
+        true.joints_rad,
+        true.rates_radps,
+        trace.overshoot_radps,
+        period_s,
+        not (known.of("joint_position_rad").limited or known.of("joint_velocity_radps").limited),
+        any(one.substeps for one in WORLDS if one.name == world),
+    )
 
 
 @compiled
 def _joint_bends(
     arm: Arm,
+    joints_rad: NDArray[np.float64],  # (n, joints)
     rates_radps: NDArray[np.float64],  # (n, joints)
+    overshoot_radps: NDArray[np.float64],  # (n, joints), or (0, joints) where nobody recorded it
     period_s: float,
+    exact: bool,  # positions and speeds are known exactly
+    engine: bool,  # the world has motors, which may saturate
 ) -> NDArray[np.float64]:
-    """(n-1,) dt/4 sum over joints of |q'_(k+1) - q'_k| l [m], with l of ``chain_lengths``."""
-    found = np.zeros(max(rates_radps.shape[0] - 1, 0))
+    """(n-1,) dt times the sum over joints of l a b/(a + b) [m], with l of ``chain_lengths``; else dv/4."""
+    found, recorded = np.zeros(max(rates_radps.shape[0] - 1, 0)), len(overshoot_radps) >= len(rates_radps)
     for k in range(found.shape[0]):
         for joint in range(arm.chain[0].joint_axes.shape[0]):
-            found[k] += abs(rates_radps[k + 1, joint] - rates_radps[k, joint]) * arm.reach_m[joint]
-        found[k] *= period_s / 4.0
+            before, after = rates_radps[k, joint], rates_radps[k + 1, joint]
+            beyond = overshoot_radps[k, joint] if recorded else 0.0
+            mean = (joints_rad[k + 1, joint] - joints_rad[k, joint]) / period_s
+            below, above = mean - min(before, after) + beyond, max(before, after) + beyond - mean
+            inside, angle = min(below, above) > -ROUNDING_RADPS, 0.25 * (below + above) * period_s
+            if engine and not (inside if recorded else abs(mean - after) < SATURATED_RADPS):
+                angle = np.inf
+            elif exact and inside and below + above > 0.0:
+                angle = max(below, 0.0) * max(above, 0.0) / (below + above) * period_s
+            if angle > 0.0:
+                found[k] += angle * arm.reach_m[joint]
     return found
 
 
@@ -262,8 +315,8 @@ def _closest_in_trace(
     hand_radius_m: float,
     forearm_radius_m: float,
     tolerance_m: float,
-) -> tuple[float, int, float]:
-    """Least distance over a trace: (distance, tick before it, fraction of the way to the next).
+) -> tuple[float, int, float, float]:
+    """Least distance over a trace: (distance, tick before it, fraction of the way to the next, upper end).
 
     From where the distance is known, stretches are passed over in which nothing can come as near as the
     best so far: a joint moves no point farther than by its angle times its chain of links, and distances
@@ -274,6 +327,7 @@ def _closest_in_trace(
     for k in range(distance_m.shape[0]):
         if distance_m[k] < best:
             best, index, fraction = distance_m[k], k, 0.0
+    high = best
     frames = arm.chain[0].joint_axes.shape[0] + 2
     transforms, ends = np.empty((frames, 4, 4)), np.empty((arm.capsules.shape[0], 2, 3))
     room = np.empty((MAX_BISECTIONS + 1, arm.capsules.shape[0], 2, 3))
@@ -288,12 +342,12 @@ def _closest_in_trace(
         first, known = k, False
         while k < distance_m.shape[0] - 1:
             left_m -= displacement_m(arm.reach_m, joints_rad, hands_m, elbows_m, k)
-            if not left_m - slack_m[k] > best + tolerance_m:  # a NaN must come out, not be passed over
+            if not left_m - slack_m[k] > high + tolerance_m:  # a NaN must come out, not be passed over
                 break
             k += 1
         if k > first:
             continue
-        bound, where, left_m = closest_approach_between(
+        bound, where, sampled, left_m = closest_approach_between(
             arm,
             room,
             joints_rad[k],
@@ -305,13 +359,14 @@ def _closest_in_trace(
             hand_radius_m,
             forearm_radius_m,
             tolerance_m,
-            best + slack_m[k],
+            high + slack_m[k],
         )
         bound, known = bound - slack_m[k], True
+        high = min(high, left_m, sampled + slack_m[k] if 0.0 < where < 1.0 else sampled)
         if not bound >= best:
             best, index, fraction = bound, k, where
         k += 1
-    return best, index, fraction
+    return best, index, fraction, high
 
 
 @inlined

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from safety_harness.properties.base import Evaluation, Unit, judged
-from safety_harness.properties.clear_ways import turned_rad
+from safety_harness.properties.clear_ways import least_along
 from safety_harness.properties.entry import CatalogueEntry, quantity
+from safety_harness.properties.hand_distance import joint_bend_m
 from safety_harness.properties.measured import reads
 from safety_harness.properties.true_motion import arm_of
 from safety_harness.properties.unexercised import unexercised
@@ -21,7 +22,7 @@ from safety_harness.trace.trace import Trace
 class ObstacleDistance:
     """Least distance of any moving link from any obstacle, less ``minimum_m``; a lower bound between ticks.
 
-    A point moves by no more than each joint's turn times the length of the chain of links behind it.
+    Between ticks by ``least_along``, and it is violated if the upper end of the least distance is below too.
     Exercised by every tick of a scenario with an obstacle.
     """
 
@@ -39,15 +40,17 @@ class ObstacleDistance:
         obstacles = trace.scenario.obstacles
         if not obstacles:
             return unexercised(self, "obstacles = 0; a box in the cell exercises it")
-        joints_rad = np.ascontiguousarray(trace.ticks["joint_position_rad"])
-        distance_m = distances_m(arm_of(trace), box_records(obstacles), joints_rad)
-        moved_m = turned_rad(trace, slice(None)) @ arm_of(trace).reach_m
-        bound_m = distance_m.copy()
-        bound_m[:-1] = np.minimum(bound_m[:-1], 0.5 * (distance_m[:-1] + distance_m[1:] - moved_m))
-        worst = int(np.argmin(bound_m))  # the first NaN, if there is one
-        words = "the arm and an obstacle"
+        arm, boxes = arm_of(trace), box_records(obstacles)
+        (low_m,), (high_m,), (worst,) = least_along(
+            lambda q: distances_m(arm, boxes, np.ascontiguousarray(q))[:, None],
+            trace.ticks["joint_position_rad"],
+            arm.reach_m,
+            joint_bend_m(trace),
+            self.minimum_m,
+        )
+        words, most = "the arm and an obstacle", float(high_m) - self.minimum_m
         return judged(
-            self, trace, bound_m[worst] - self.minimum_m, trace.time_s[worst], words, len(trace.ticks)
+            self, trace, low_m - self.minimum_m, trace.time_s[worst], words, len(trace.ticks), most=most
         )
 
 

@@ -279,7 +279,10 @@ def described(trace: Trace, found: Separation) -> str:
     )
 
 
-_TIMES = "reaction time, stop time and hand sizes of the settings"
+_TIMES = (
+    "reaction time, stop time and hand sizes of the settings; the stop time is by the TCP's speed, and a "
+    "link that is faster may stop later; C, Z_d and Z_r are those of an oracle, and a real sensor's are more"
+)
 _MARGIN = "distance, surface to surface, less S_p, least over hands, links and ticks at which the arm moves"
 
 PROTECTIVE_SEPARATION = CatalogueEntry(

@@ -14,12 +14,14 @@ from safety_harness.properties.base import NEAR_M, Evaluation, Unit, inconclusiv
 from safety_harness.properties.entry import CatalogueEntry
 from safety_harness.properties.hand_distance import (
     RESOLUTION_M,
+    Nearest,
     closest_approach,
     closest_between,
     displacement_m,
     distance_moved_m,
     followed_hands,
     instants,
+    known_to,
 )
 from safety_harness.properties.measured import reads
 from safety_harness.properties.true_motion import HandPaths, arm_of, capsules_of, hand_paths, true_motion
@@ -35,7 +37,7 @@ def _ends(prop: NoMovingPartTouches, trace: Trace, margin_m: float) -> tuple[flo
     """
     at_ticks_m, between_m = distance_moved_m(trace)
     off_m, true, surely_m = np.maximum(at_ticks_m, between_m), true_motion(trace), np.inf
-    low_m = closest_approach(trace, hand_paths(trace), off_m)[0] - RESOLUTION_M
+    low_m = closest_approach(trace, hand_paths(trace), off_m).low_m - RESOLUTION_M
     known_rad = trace.known.within("joint_position_rad", len(trace.ticks))
     turned_rad = np.abs(np.diff(true.joints_rad, axis=0)) - (known_rad[1:] + known_rad[:-1])[:, None]
     turns = turned_rad >= STANDSTILL_RADPS * trace.scenario.settings.clock.control_period_s
@@ -86,11 +88,12 @@ class NoMovingPartTouches:
         paths, why = followed_hands(trace)
         if paths is None:
             return inconclusive(self, why)
-        distance_m, time_s, hand = closest_moving(trace, paths)
-        if not distance_m < np.inf:
+        found = known_to(0.0, closest_moving, trace, paths)
+        distance_m = found.low_m if found.low_m > -np.inf else found.high_m
+        if found == Nearest():
             return unexercised(self, f"the arm did not move while a hand was there: {OFF_THE_GOAL}")
         nearest_m = true_motion(trace).nearest_m
-        name = trace.scenario.hands[hand].name
+        name = trace.scenario.hands[found.hand].name
         inside = (
             f"{-distance_m * 1e3:.1f} mm inside" if distance_m < 0.0 else f"{distance_m * 1e3:.1f} mm from"
         )
@@ -99,7 +102,8 @@ class NoMovingPartTouches:
         def lacked() -> str:
             return nearest_of(trace, nearest_m, self.near_m, "hand", "the arm's surface")
 
-        return judged(self, trace, distance_m, time_s, f"{name}: {inside} a part that moves", times, lacked)
+        reason = f"{name}: {inside} a part that moves"
+        return judged(self, trace, found.low_m, found.time_s, reason, times, lacked, most=found.high_m)
 
 
 @once_a_trace
@@ -112,9 +116,9 @@ def first_turning(trace: Trace) -> NDArray[np.int64]:
     return first
 
 
-def closest_moving(trace: Trace, paths: HandPaths) -> tuple[float, float, int]:
-    """(distance [m], time [s], hand) of the closest approach of a hand to a moving part; inf: none."""
-    best = (np.inf, 0.0, 0)
+def closest_moving(trace: Trace, paths: HandPaths) -> Nearest:
+    """The closest approach of a hand to a moving part; inf: none."""
+    best = Nearest()
     hand_size = trace.scenario.settings.hand
     for hand in range(len(trace.scenario.hands)):
         at, joints_rad, hand_m, elbow_m, distance_m, slack_m = instants(trace, paths, hand)
@@ -127,28 +131,25 @@ def closest_moving(trace: Trace, paths: HandPaths) -> tuple[float, float, int]:
         for begin, end in _runs(first):
             if first[begin] == joints_rad.shape[1]:
                 continue  # it stands
-            if lower_m[begin:end].min() > min(best[0], most_m):  # never of a NaN
+            if lower_m[begin:end].min() > min(best.high_m, most_m):  # never of a NaN
                 continue  # nothing comes as near
             arm = _beyond(arm_of(trace), int(first[begin]))
             if len(arm.capsules) == 0:
                 continue
             own = slice(begin, end + 1)
             known = _known(distance_m[own], at[own], nearest > first[begin])
-            least_m, index, fraction = closest_between(
+            ends_m, instant = closest_between(
                 arm,
+                at[own],
                 joints_rad[own],
                 hand_m[own],
                 elbow_m[own],
                 known,
                 slack_m[begin:end],
                 hand_size,
-                RESOLUTION_M,
             )
-            if not least_m >= best[0]:
-                index += begin
-                later = at[min(index + 1, len(at) - 1)]
-                instant = at[index] + fraction * (later - at[index])
-                best = (least_m, float(instant * trace.scenario.settings.clock.control_period_s), hand)
+            time_s = instant * trace.scenario.settings.clock.control_period_s
+            best = best.or_nearer(Nearest(ends_m[0], time_s, hand, ends_m[1]))
     return best
 
 

@@ -3,7 +3,8 @@
 At a tick a trace says where a hand is.  Between two the scenario's own moves are followed again.  Within
 a tick a recorded hand may have turned, at a sample: on the chord from tick to tick such a corner is lost,
 by up to half the way of a tick (8 mm at 2 m/s and 8 ms).  Other hands have no corners, as their
-acceleration is bounded, but leave the chord by what that bound lets them.
+acceleration is bounded, but leave the chord by what that bound lets them.  Followed in parts of a tick
+(``finer_paths``), they leave shorter chords by less.
 
 And whether a trace's truth agrees with itself: poses, speeds and distances follow from joints and hands.
 """
@@ -14,17 +15,18 @@ from dataclasses import dataclass
 from functools import cached_property
 from math import sqrt
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.compiled import compiled
+from safety_harness.compiled import compiled, njit_no_nrt
 from safety_harness.exceptions import Place, TraceError
 from safety_harness.robot.capsules import Arm, CapsuleSet, arm_with
 from safety_harness.robot.robots import arm_capsules, arm_model
 from safety_harness.scenario.model import MovingHand, RecordedHand
 from safety_harness.scenario.moves import FollowTcp, ReachForTcp
-from safety_harness.simulation.hand_motion import HAND, advance_hands, point_forearm
+from safety_harness.simulation.hand_motion import HAND, REACH_FOR_TCP, advance_hands, point_forearm
 from safety_harness.simulation.hand_programs import hands_at_start
 from safety_harness.simulation.truth import arm_record, cell_capsules, fill_truth
 from safety_harness.trace.consistency import Inconsistency, at_first, first_inconsistency
@@ -40,6 +42,7 @@ DERIVED = {  # from what
     "tcp_speed_mps": JOINTS,
     "hand_distance_m": (JOINTS[0], *BODIES, PRESENCE),
 }
+PARTS = 16  # of a tick: what 90 m/s2 bends within 8 ms is 3 um in one of them
 TOLERANCE = 1e-9  # metres, metres a second and entries of rotations: another machine's last digits
 
 
@@ -142,7 +145,8 @@ class HandPaths:
     ``positions_in_base_m`` (n, hands, 2, 3): hand and elbow at each tick.  ``moving`` (n-1, hands):
     False where a hand rests from one tick to the next.  ``corner_hand`` and ``corner_at`` (m,):
     whose corner, and when, in ticks (3.25: a quarter of the way from tick 3 to 4), rising for each
-    hand; ``corners_in_base_m`` (m, 2, 3): hand and elbow there.
+    hand; ``corners_in_base_m`` (m, 2, 3): hand and elbow there.  ``parts`` (n-1, hands): into how many parts
+    corners divide the way of a hand that its own moves lead.
     """
 
     positions_in_base_m: NDArray[np.float64]
@@ -150,14 +154,26 @@ class HandPaths:
     corner_hand: NDArray[np.int64]
     corner_at: NDArray[np.float64]
     corners_in_base_m: NDArray[np.float64]
+    parts: NDArray[np.int64]
 
 
 @once_a_trace
 def hand_paths(trace: Trace) -> HandPaths:
     """Follow the moves again; hands that head for the TCP see the trace's."""
+    return _paths(trace, 1)
+
+
+@once_a_trace
+def finer_paths(trace: Trace) -> HandPaths:
+    """Follow them in PARTS of each tick, for whoever has to know more exactly."""
+    return _paths(trace, PARTS)
+
+
+def _paths(trace: Trace, most_parts: int) -> HandPaths:
     scenario, count = trace.scenario, len(trace.ticks)
     hands = hands_at_start(scenario)
-    most = len(scenario.hands) * len(hands.samples) + 1
+    most = len(scenario.hands) * (len(hands.samples) + count * (most_parts - 1)) + 1
+    parts = np.full((max(count - 1, 0), len(scenario.hands)), most_parts)
     positions = np.zeros((count, len(scenario.hands), 2, 3))
     moving = np.zeros((max(count - 1, 0), len(scenario.hands)), np.bool_)
     whose, at, corners = np.zeros(most, np.int64), np.zeros(most), np.zeros((most, 2, 3))
@@ -172,8 +188,9 @@ def hand_paths(trace: Trace) -> HandPaths:
         whose,
         at,
         corners,
+        parts,
     )
-    return HandPaths(positions, moving, whose[:found], at[:found], corners[:found])
+    return HandPaths(positions, moving, whose[:found], at[:found], corners[:found], parts)
 
 
 def first_stray(trace: Trace, paths: HandPaths) -> int | None:
@@ -229,8 +246,8 @@ def hand_bend_m(trace: Trace, paths: HandPaths, hand: int) -> NDArray[np.float64
     A way whose second derivative is at most b leaves its chord by at most b dt^2/8.  For a hand that
     is its acceleration a, its tremor's included.  The elbow is a forearm's length L from the hand
     towards a fixed point; at the speed v, at least r away from that point, b is at most
-    a (1 + L/r) + L (4/3)^(1/2) (v/r)^2.  A recorded hand, and its recorded elbow, go straight from
-    corner to corner.
+    a (1 + L/r) + L (4/3)^(1/2) (v/r)^2.  Where corners divide a tick, dt is the time from one to the next.
+    A recorded hand, and its recorded elbow, go straight from corner to corner.
     """
     scenario = trace.scenario
     trajectory, period_s = scenario.hands[hand], scenario.settings.clock.control_period_s
@@ -249,6 +266,7 @@ def hand_bend_m(trace: Trace, paths: HandPaths, hand: int) -> NDArray[np.float64
         paths.positions_in_base_m[:, hand, 0],
         towards,
         paths.moving[:, hand],
+        paths.parts[:, hand],
         fastest,
         hardest,
         scenario.settings.hand.forearm_length_m,
@@ -261,12 +279,16 @@ def _hand_bends(
     hand_m: NDArray[np.float64],  # (n, 3)
     towards_m: NDArray[np.float64],  # (3,) the point that the elbow is towards
     moving: NDArray[np.bool_],  # (n - 1,)
+    parts: NDArray[np.int64],  # (n - 1,)
     fastest_mps: float,
     hardest_mps2: float,
     length_m: float,
     period_s: float,
 ) -> NDArray[np.float64]:
-    """(n-1,) b dt^2/8 [m] with b = a (1 + L/r) + L (4/3)^(1/2) (v/r)^2, as ``hand_bend_m`` has it."""
+    """(n-1,) b dt^2/8 [m] with b = a (1 + L/r) + L (4/3)^(1/2) (v/r)^2, as ``hand_bend_m`` has it.
+
+    dt is the period divided by the parts.
+    """
     bends, after = np.zeros(moving.shape[0]), np.nan
     for k in range(hand_m.shape[0]):
         total = 0.0
@@ -279,7 +301,8 @@ def _hand_bends(
         elbow = hardest_mps2 * (1.0 + length_m / nearest)
         elbow += length_m * sqrt(4.0 / 3.0) * (fastest_mps / nearest) ** 2
         # an elbow is never farther from where it was than the hand's way and twice the forearm
-        bends[k - 1] = min(elbow * period_s**2 / 8.0, fastest_mps * period_s + 2.0 * length_m)
+        part_s = period_s / parts[k - 1]
+        bends[k - 1] = min(elbow * part_s**2 / 8.0, fastest_mps * part_s + 2.0 * length_m)
     return bends
 
 
@@ -312,13 +335,14 @@ def _follow(
     corner_hand: NDArray[np.int64],  # written, as the next two
     corner_at: NDArray[np.float64],  # (c,)
     corners: NDArray[np.float64],  # (c, 2, 3)
+    parts: NDArray[np.int64],  # (n - 1, hands) wanted; 1 is written where the way is not known in parts
 ) -> int:
     """Positions at the ticks and corners between them; returns the number of corners.
 
     ``corner_hand`` (c,), as the next two.
     """
     found = 0
-    before = hands.copy()
+    before, even = hands.copy(), np.zeros(positions.shape[1], np.bool_)
     for k in range(positions.shape[0]):
         for i in range(positions.shape[1]):
             for j in range(3):
@@ -356,7 +380,53 @@ def _follow(
                 moves_on = moves_on or hands[one].velocity_in_base_mps[j] != 0.0
                 moves_on = moves_on or hands[one].position_in_base_m[j] != before[one].position_in_base_m[j]
             moving[k, i] = moves_on
+            even[i] = _evenly(before[one], hands[one], period_s)
+            heads = not even[i] and _heads_for_tcp(before[one], hands[one], moves)
+            if not moves_on or heads or hands[one].recorded:
+                parts[k, i] = 1  # it rests, or its way is not known but at the ticks
+        for part in range(1, parts[k].max() if parts.shape[1] else 1):
+            there, gone_s = before.copy(), part * period_s / parts[k].max()
+            advance_hands(there, moves, samples, tcp_in_base_m[k], k * period_s, gone_s)
+            for i in range(positions.shape[1]):
+                for j in range(3):
+                    if there[i].leader >= 0:
+                        leader_m = there[there[i].leader].position_in_base_m[j]
+                        there[i].position_in_base_m[j] = leader_m + there[i].apart_in_base_m[j]
+                    elif even[i]:
+                        mps = before[i].velocity_in_base_mps[j]
+                        mps += 0.5 * (hands[i].velocity_in_base_mps[j] - mps) * gone_s / period_s
+                        trembles = there[i].position_in_base_m[j] - there[i].steady_in_base_m[j]
+                        there[i].position_in_base_m[j] = (
+                            before[i].steady_in_base_m[j] + mps * gone_s + trembles
+                        )
+                if parts[k, i] > 1:
+                    point_forearm(there, i)
+                    corner_hand[found], corner_at[found] = i, k + part / parts[k, i]
+                    for j in range(3):
+                        corners[found, 0, j] = there[i].position_in_base_m[j]
+                        corners[found, 1, j] = there[i].elbow_in_base_m[j]
+                    found += 1
     return found
+
+
+@njit_no_nrt
+def _evenly(before: Any, after: Any, period_s: float) -> bool:
+    """Whether a hand's way within a tick is that of a velocity that changes evenly."""
+    even = True
+    for j in range(3):
+        mean_mps = 0.5 * (before.velocity_in_base_mps[j] + after.velocity_in_base_mps[j])
+        way_m = after.steady_in_base_m[j] - before.steady_in_base_m[j]
+        even = even and abs(way_m - mean_mps * period_s) < 1e-12
+    return even
+
+
+@njit_no_nrt
+def _heads_for_tcp(before: Any, after: Any, moves: Any) -> bool:
+    """Whether a move of a hand within a tick heads for the TCP; the others can be followed to any time."""
+    heads = False
+    for row in range(before.current, min(after.current + 1, after.count)):
+        heads = heads or moves[before.first + row].kind >= REACH_FOR_TCP
+    return heads
 
 
 def refuse_contradictions(trace: Trace, file: Path | None = None) -> None:

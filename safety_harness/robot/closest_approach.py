@@ -1,4 +1,4 @@
-"""How near a hand and the arm come to each other between two instants: a certified lower bound.
+"""How near a hand and the arm come to each other between two instants: certified from below, met from above.
 
 Hand, arm and distance are those of ``distance``.
 """
@@ -35,13 +35,14 @@ def closest_approach_between(
     forearm_radius_m: float,
     tolerance_m: float,
     not_below_m: float,
-) -> tuple[float, float, float]:
+) -> tuple[float, float, float, float]:
     """Certified lower bound [m] of ``hand_distance`` while joints and hand move linearly.
 
     Joints go from ``q0`` to ``q1`` [rad] and the hand's two points from state 0 to state 1 [m, base frame],
-    in the same parameter t from 0 to 1.  Returns (bound, t of the least distance that was sampled, distance
-    at t = 1).  The bound is never above the true minimum and at most ``tolerance_m`` > 0 below it; where it
-    exceeds ``not_below_m``, it may be farther below, for less work.  NaN if the distance at either end is.
+    in the same parameter t from 0 to 1.  Returns (bound, t of the least distance that was sampled, that
+    distance, distance at t = 1).  The bound is never above the true minimum, and at most ``tolerance_m`` > 0
+    below it; where it exceeds ``not_below_m``, it may be farther below, for less work.  NaN if the distance
+    at either end is.
 
     Branch and bound, from left to right: an interval [a, b] is halved until its bound is good enough,
 
@@ -75,7 +76,7 @@ def closest_approach_between(
             arm.capsules, sample, hands[2, 0], hands[2, 1], hand_radius_m, forearm_radius_m
         )
         if not isfinite(distance):
-            return nan, t_next, nan
+            return nan, t_next, nan, nan
         if distance < best:
             best, t_best = distance, t_next
         if t_next == 0.0:
@@ -88,7 +89,7 @@ def closest_approach_between(
             chord += max(segment_length(hand0, hand1), segment_length(elbow0, elbow1))
             coarse = 0.5 * (first + last - chord) - bend / 8.0
             if coarse > not_below_m:
-                return min(coarse, best), t_best, last
+                return min(coarse, best), t_best, best, last
         at[depth] = t_next
         depth += 1
         # Pass over every interval whose bound is good enough.
@@ -108,7 +109,7 @@ def closest_approach_between(
                 copy_matrix(right_m[depth - 1, capsule], left_m[capsule])
             depth -= 1
         if depth == 0:
-            return min(lower, best), t_best, last
+            return min(lower, best), t_best, best, last
         t_next = 0.5 * (left + at[depth - 1])
 
 

@@ -34,6 +34,7 @@ from safety_harness.simulation.steps import (
 )
 from safety_harness.simulation.world import RecordedWorld
 
+UNNOTICED_RADPS = 1e-7  # by which motors miss the speeds that they are told without being saturated
 AMPLE = 1e4  # times the torque limits: within a sub-step, of several times the mass
 
 
@@ -62,6 +63,7 @@ class PyBulletWorld(RecordedWorld):
         self._render_hands = settings.hand_sensor.detector is DetectorKind.RENDERED
         self._detector = detector or SkinColourDetector(self.records.observation["boxes"].shape[1])
         self._commanded_radps = np.empty(len(arm.joint_names))
+        self.overshoot_radps = np.zeros((scenario.ticks + 1, len(arm.joint_names)))  # as a trace has it
         self._pictures: dict[int, NDArray[np.uint8]] = {}  # of the object, by the number of the frame
         self._client = int(pybullet.connect(pybullet.DIRECT))
         if self._client < 0:
@@ -126,10 +128,19 @@ class PyBulletWorld(RecordedWorld):
             forces=self._efforts,
             physicsClientId=self._client,
         )
+        before_radps, tick = r.truth[0]["joint_velocity_radps"].copy(), int(r.clock[0]["tick"])
+        speeds_radps: list[list[float]] = []
         for _ in range(self._substeps):
             pybullet.stepSimulation(physicsClientId=self._client)
-        states = pybullet.getJointStates(self._robot, self._joints, physicsClientId=self._client)
-        move_on(*r[1:9], np.array([state[0] for state in states]), np.array([state[1] for state in states]))
+            states = pybullet.getJointStates(self._robot, self._joints, physicsClientId=self._client)
+            speeds_radps.append([state[1] for state in states])
+        own_radps = np.array(speeds_radps)  # (sub-steps, joints)
+        move_on(*r[1:9], np.array([state[0] for state in states]), own_radps[-1])
+        if np.abs(own_radps - own_radps[-1]).max() > UNNOTICED_RADPS:
+            ends_radps = np.stack([before_radps, own_radps[-1]])
+            above = own_radps.max(axis=0) - ends_radps.max(axis=0)
+            below = ends_radps.min(axis=0) - own_radps.min(axis=0)
+            self.overshoot_radps[tick] = np.maximum(np.maximum(above, below), 0.0)
         return braking
 
     def image(self) -> Image:

@@ -26,7 +26,7 @@ from safety_harness.trace.known import knowing
 from safety_harness.trace.provenance import provenance
 from safety_harness.trace.records import Limit, tick_dtype
 from safety_harness.trace.system import Component, SystemUnderTest, system_of
-from safety_harness.trace.trace import Trace, no_interventions
+from safety_harness.trace.trace import Trace, no_interventions, not_recorded
 
 INTERRUPTED = "interrupted by the user"
 
@@ -110,6 +110,7 @@ def trace_of(
         ended=ended,
         system=_system(scenario, controller),
         interventions=_interventions(scenario, controller)[: len(ticks)].copy(),
+        overshoot_radps=getattr(world, "overshoot_radps", not_recorded())[: len(ticks)].copy(),
     )
     return knowing(trace, controller.known) if isinstance(controller, DrivenController) else trace
 

@@ -47,23 +47,25 @@ def first_difference(first: Trace, second: Trace) -> TraceDifference | None:
     found = [
         _compare("decision", first.decisions, second.decisions),
         _compare("tick", first.ticks, second.ticks),
-        _compare_interventions(first, second),
+        _compare_rows("interventions", first, second),
     ]
+    if len(first.overshoot_radps) and len(second.overshoot_radps):  # earlier versions did not record it
+        found.append(_compare_rows("overshoot_radps", first, second))
     differences = [difference for difference in found if difference is not None]
     return min(differences, key=lambda difference: difference.time_s, default=None)
 
 
-def _compare_interventions(first: Trace, second: Trace) -> TraceDifference | None:
-    """Of what their shields did, with the times of the ticks."""
-    one, other = first.interventions, second.interventions
+def _compare_rows(name: str, first: Trace, second: Trace) -> TraceDifference | None:
+    """Of what their shields, or the sub-steps of an engine, did, with the times of the ticks."""
+    one, other = getattr(first, name), getattr(second, name)
     if len(one) != len(other):
         lengths = f"{len(one)} ticks", f"{len(other)} ticks"
-        return TraceDifference("trace", 0, 0.0, ("interventions",), *lengths)
-    at = np.flatnonzero(one != other)
+        return TraceDifference("trace", 0, 0.0, (name,), *lengths)
+    at = np.nonzero(one != other)[0]
     if len(at) == 0:
         return None
     k = int(at[0])
-    return TraceDifference("tick", k, float(first.time_s[k]), ("interventions",), str(one[k]), str(other[k]))
+    return TraceDifference("tick", k, float(first.time_s[k]), (name,), str(one[k]), str(other[k]))
 
 
 def _told(one: Measurement) -> str:

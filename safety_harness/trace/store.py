@@ -39,7 +39,7 @@ from safety_harness.trace.consistency import first_inconsistency
 from safety_harness.trace.known import WHOLLY_KNOWN, Knowledge, Measurement
 from safety_harness.trace.records import DECISION, INTERVENTION, decision_dtype, tick_dtype
 from safety_harness.trace.system import Component, Line, SystemUnderTest, system_of
-from safety_harness.trace.trace import Provenance, Trace, no_interventions
+from safety_harness.trace.trace import Provenance, Trace, no_interventions, not_recorded
 from safety_harness.whole_file import replacing
 
 FORMAT = "safety-harness trace 4"
@@ -51,8 +51,9 @@ ARRAY_HEADER_BYTES = 20_000
 KNOWN = "known.json"
 CERTIFIED = "certified.json"  # only where somebody asked for it
 INTERVENTIONS = "interventions.npy"  # only of a scenario that has a shield
+OVERSHOOT = "overshoot.npy"  # only where an engine's sub-steps were recorded
 CARRIED = ("recordings/", "robot/")  # files of the scenario by their SHA-256
-MOST_PARTS = 11 + MAX_HANDS
+MOST_PARTS = 12 + MAX_HANDS
 ZIP_END = struct.Struct("<4s4H2LH")  # without a comment, as it is written here
 OF_AVOIDER = ("avoider", "avoider_sha256")  # in the provenance, before the system was a record
 NEW = ("asked_tick", "decision_time_s")
@@ -96,6 +97,8 @@ def save_trace(trace: Trace, path: str | Path, recordings: Mapping[str, bytes] |
     }
     if trace.scenario.shield is not None:
         arrays[INTERVENTIONS] = _fields_alone(trace.interventions)
+    if len(trace.overshoot_radps):
+        arrays[OVERSHOOT] = trace.overshoot_radps.ravel()
     for name, array in arrays.items():
         buffer = io.BytesIO()
         np.lib.format.write_array(buffer, array, allow_pickle=False)
@@ -237,6 +240,13 @@ class _Reader:
             interventions = self._array(archive, INTERVENTIONS, INTERVENTION, most)
             if len(interventions) != len(ticks):
                 raise self._error(f"{len(ticks)}, one a tick", str(len(interventions)), INTERVENTIONS)
+        overshoot_radps = not_recorded()
+        if OVERSHOOT in self._parts:
+            overshoot_radps = self._array(archive, OVERSHOOT, np.dtype(np.float64), joints * most)
+            if len(overshoot_radps) != joints * len(ticks) or not (overshoot_radps >= 0.0).all():
+                expected = f"{joints * len(ticks)} speeds, none below 0"
+                raise self._error(expected, f"{len(overshoot_radps)}, or one below 0", OVERSHOOT)
+            overshoot_radps = overshoot_radps.reshape(-1, joints)
         known = WHOLLY_KNOWN
         if self._format == IN_PART or KNOWN in self._parts:
             self._unpack(archive, KNOWN, SMALL_BYTES)
@@ -258,6 +268,7 @@ class _Reader:
             system=run.system or system_of(scenario, avoider=before),
             interventions=interventions,
             certified=certified,
+            overshoot_radps=overshoot_radps,
         )
         wrong = first_inconsistency(trace)
         if wrong is not None:

@@ -25,6 +25,11 @@ def no_interventions() -> NDArray[np.void]:
     return np.zeros(0, INTERVENTION)
 
 
+def not_recorded() -> NDArray[np.float64]:
+    """(0, 0): of a run in which nobody looked at the sub-steps."""
+    return np.zeros((0, 0))
+
+
 @dataclass(frozen=True, kw_only=True)
 class Provenance:
     """Which software made a trace.  ``source_hash`` covers every Python file of the package.
@@ -54,7 +59,9 @@ class Trace:
     ``known`` says which columns were measured, and how well; of a simulated run all are known.
     ``certified`` is what was proven of its decisions afterwards, if anybody asked; no verdict reads it.
     ``system`` is what was tested.  ``interventions`` (n,) INTERVENTION are those of the shield, one a tick;
-    empty where the scenario has none.
+    empty where the scenario has none.  ``overshoot_radps`` (n, joints) is by how much the joints' speeds left
+    those of the two ticks in the sub-steps of an engine, from each tick to the next; (0, joints) where nobody
+    recorded it.
     """
 
     scenario: Scenario
@@ -67,12 +74,14 @@ class Trace:
     system: SystemUnderTest = NOT_NOTED
     interventions: NDArray[np.void] = field(default_factory=no_interventions)
     certified: CertifiedDecisions | None = None
+    overshoot_radps: NDArray[np.float64] = field(default_factory=not_recorded)
 
     def __post_init__(self) -> None:
         self.ticks.setflags(write=False)
         self.decisions.setflags(write=False)
         self.decision_latency_s.setflags(write=False)
         self.interventions.setflags(write=False)
+        self.overshoot_radps.setflags(write=False)
         self.known.refuse_gaps_beyond(self.ticks, len(self.scenario.hands))
 
     @property

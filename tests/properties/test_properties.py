@@ -270,7 +270,7 @@ def test_the_closest_approach_between_ticks_counts() -> None:
     at_ticks = trace.ticks["hand_distance_m"][:, 0].min()
     paths = hand_paths(trace)
     straight = replace(paths, moving=np.zeros_like(paths.moving))  # and not by what it may bend
-    distance_m, time_s, _ = closest_approach(trace, straight)
+    distance_m, time_s, *_ = closest_approach(trace, straight)
     assert distance_m < at_ticks - 1e-3
     assert not np.isclose(np.mod(time_s, 0.008), 0.0, atol=1e-6)
 

@@ -177,7 +177,7 @@ def test_nothing_comes_nearer_between_two_instants_than_the_bound(n: int) -> Non
             place_capsules(arm.capsules, transforms_at(arm.chain, first + t * (last - first)), placed)
             found.append(hand_distance(arm.capsules, placed, hand, elbow, 0.06, 0.045)[0])
         hands = (hand, hand, elbow, elbow, 0.06, 0.045)
-        bound, _, at_end = closest_approach_between(arm, room, first, last, *hands, 1e-4, np.inf)
+        bound, _, _, at_end = closest_approach_between(arm, room, first, last, *hands, 1e-4, np.inf)
         assert bound <= min(found)
         assert bound >= min(found) - 1e-4 - 2e-3  # which leaves room for what lies between the samples
         assert at_end == pytest.approx(found[-1], abs=1e-12)

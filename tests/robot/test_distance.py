@@ -121,7 +121,7 @@ def closest(
 ) -> tuple[float, float]:
     """``closest_approach_between`` with pairs (before, after)."""
     room = np.empty((MAX_BISECTIONS + 1, len(CAPSULES.names), 2, 3))
-    bound, t, _ = closest_approach_between(
+    bound, t, _, _ = closest_approach_between(
         arm_with(ARM, CAPSULES),
         room,
         *q,
