@@ -22,6 +22,7 @@ from safety_harness.properties.hand_distance import (
     instants,
 )
 from safety_harness.properties.measured import reads
+from safety_harness.properties.shield_theorem import with_assumptions
 from safety_harness.properties.true_motion import HandPaths, arm_of, capsules_of, hand_paths, true_motion
 from safety_harness.properties.unexercised import OFF_THE_GOAL, nearest_of, unexercised
 from safety_harness.robot.capsules import Arm
@@ -100,7 +101,8 @@ class NoMovingPartTouches:
         def lacked() -> str:
             return nearest_of(trace, nearest_m, self.near_m, "hand", "the arm's surface")
 
-        return judged(self, trace, distance_m, time_s, f"{name}: {inside} a part that moves", times, lacked)
+        words = f"{name}: {inside} a part that moves"
+        return with_assumptions(trace, judged(self, trace, distance_m, time_s, words, times, lacked))
 
 
 @once_a_trace
