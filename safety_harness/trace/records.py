@@ -189,7 +189,9 @@ DECISION = decision_dtype()
 
 # What the shield of a scenario that has one did in a tick: the share of the wanted speed that it allowed, and
 # the capsule that the hand which asked for it was nearest to; -1 for none, and for want of a frame.
-INTERVENTION = np.dtype([("scale", np.float64), ("capsule", np.int64)], align=True)  # all that old traces have
+INTERVENTION = np.dtype(
+    [("scale", np.float64), ("capsule", np.int64)], align=True
+)  # all that old traces have
 
 
 @lru_cache

@@ -37,7 +37,13 @@ from safety_harness.shipped.contents import located
 from safety_harness.trace.certified import CertifiedDecisions
 from safety_harness.trace.consistency import first_inconsistency
 from safety_harness.trace.known import WHOLLY_KNOWN, Knowledge, Measurement
-from safety_harness.trace.records import DECISION, INTERVENTION, decision_dtype, intervention_dtype, tick_dtype
+from safety_harness.trace.records import (
+    DECISION,
+    INTERVENTION,
+    decision_dtype,
+    intervention_dtype,
+    tick_dtype,
+)
 from safety_harness.trace.system import Component, Line, SystemUnderTest, system_of
 from safety_harness.trace.trace import Provenance, Trace, no_interventions
 from safety_harness.whole_file import replacing

@@ -203,7 +203,9 @@ SMALL = "settings:\n  hand: {forearm length: 10 mm}\n"
 WITHIN = "body within: 60 mm"
 POSTURE = "  cell: {preferred joint position: [-14 deg, -82 deg, 116 deg, -124 deg, -90 deg, -104 deg]}\n"
 UR10E = f"{SMALL}{POSTURE}shield: {{{WITHIN}}}\n"
-LATE = UR10E.replace(WITHIN, f"{WITHIN}, reaction time: 2 s")  # admission wants it, and the shield is not told
+LATE = UR10E.replace(
+    WITHIN, f"{WITHIN}, reaction time: 2 s"
+)  # admission wants it, and the shield is not told
 BROKEN = {
     "no hand is faster": f"{SMALL}shield: {{{WITHIN}, hand speed: 300 mm/s}}\n",
     "no hand speeds up faster": f"{SMALL}shield: {{{WITHIN}, hand acceleration: 100 mm/s2}}\n",

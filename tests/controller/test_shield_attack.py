@@ -80,19 +80,26 @@ def episode(x: np.ndarray, number: int) -> tuple[str, Restless]:
         needs_ms = np.ceil(dead_ms / 8.0 - 1e-6) * 8.0 + 7.0 * lag_ms + 8.0 * bool(lag_ms or torque)
         slack_ms += pick(0.0, 20.0)
     accelerates = pick("", ", hand acceleration: 10 m/s2")
-    sensor = pick("ideal", "ideal", "surround, rate: 30 Hz, latency: 30 ms, pixel noise: 0 px, depth noise: 0 /m")
+    sensor = pick(
+        "ideal", "ideal", "surround, rate: 30 Hz, latency: 30 ms, pixel noise: 0 px, depth noise: 0 /m"
+    )
     off = np.array([next(v), next(v), next(v)]) - 0.5
     off *= 0.95 * max(z_mm - 4.5, 0.0) / max(float(np.linalg.norm(off)), 1e-9)
     shows = ", ".join(f"{one:.4f} mm" for one in off)
     hands = ""
     for side in ("right", "left")[: pick(1, 1, 2)]:
-        start = f"[{mm(300, 1300)}, {mm(700, 1900)}, {mm(150, 1100)}]" if side == "right" else (
-            f"[{mm(300, 1300)}, {mm(-1900, -700)}, {mm(150, 1100)}]"
+        start = (
+            f"[{mm(300, 1300)}, {mm(700, 1900)}, {mm(150, 1100)}]"
+            if side == "right"
+            else (f"[{mm(300, 1300)}, {mm(-1900, -700)}, {mm(150, 1100)}]")
         )
         to = f"[{mm(0, 900)}, {mm(-700, 700)}, {mm(150, 900)}]"
         elbow = pick("[700 mm, -3000 mm, 450 mm]", "[700 mm, 3000 mm, 450 mm]", "[0 mm, 0 mm, 500 mm]", to)
         speed = _between(0.8, 2.0, pick(1.0, 1.0, next(v)))
-        move = pick(f"move to: {to}\n        speed: {speed:.4f} m/s", f"reach for tcp: {speed:.4f} m/s\n        until: 1 mm\n        at most: 2 s")
+        move = pick(
+            f"move to: {to}\n        speed: {speed:.4f} m/s",
+            f"reach for tcp: {speed:.4f} m/s\n        until: 1 mm\n        at most: 2 s",
+        )
         hands += f"""  - hand: {side} hand
     starts at: {start}
     elbow towards: {elbow}
@@ -100,7 +107,9 @@ def episode(x: np.ndarray, number: int) -> tuple[str, Restless]:
       - wait: {20.0 + 600.0 * next(v):.1f} ms
       - {move}
 """
-    obstacle = pick("", "", "obstacles:\n  - {box: [100 mm, 100 mm, 200 mm], at: [-600 mm, 600 mm, 200 mm]}\n")
+    obstacle = pick(
+        "", "", "obstacles:\n  - {box: [100 mm, 100 mm, 200 mm], at: [-600 mm, 600 mm, 200 mm]}\n"
+    )
     faults = f"faults:\n  - hand sensor: is off\n    offset: [{shows}]\n" if pick(0, 1) and z_mm > 5.0 else ""
     shield = f"body within: {body} mm, position uncertainty: {z_mm:.4f} mm, deceleration: {a:.4f} m/s2{accelerates}"
     forearm = "300 mm" if body > 100.0 else "10 mm"
