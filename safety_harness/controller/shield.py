@@ -4,7 +4,8 @@ A command is scaled so that the arm, braking from the next tick on, stands befor
 can reach a part that moves.  docs/shield.md has the theorem, its assumptions and its proof; this is its rule,
 with the names of the page: for each hand i
 
-    s <= (g_i - F - v_h t_0) / (v_h V/a + R),   R = V l + D.L.|u| l + A l^2/2,   l = P + V/2a,   t_0 = age + P + T_r
+    s <= (g_i - F - v_h t_0) / (v_h V/a + R),   R = V l + D.L.|u| l + A l^2/2,
+    l = P + V/2a,   t_0 = age + P + T_r
 
 with F = sum of V(c) P + D.L.D/2 over the commands c that may still be on their way, and of a hand that cannot
 speed up at once (acceleration at most b, seen no faster than w), also if
@@ -218,7 +219,7 @@ def in_flight(
     """
     g, flight_m = shields[0], 0.0
     g.flight_rad[:] = 0.0
-    for k in range(max(tick - int(round(g.reaction_time_s / period_s)), 0), tick):
+    for k in range(max(tick - round(g.reaction_time_s / period_s), 0), tick):
         sent, moves = interventions[k].sent_radps, False
         for i in range(sent.shape[0]):
             moves = moves or sent[i] != 0.0
@@ -348,7 +349,7 @@ def allowed_share(
 def share_within(
     free_m: float, robot_m: float, known_s: float, stop_s: float, hand_mps: float, hand_mps2: float
 ) -> float:
-    """The largest s for which w t + b t^2/2 + s R is within ``free_m``, t = t_0 + s V/a; 0 for none, or a NaN."""
+    """The largest s with w t + b t^2/2 + s R within ``free_m``, t = t_0 + s V/a; 0 for none, or a NaN."""
     room_m = free_m - hand_mps * known_s - 0.5 * hand_mps2 * known_s * known_s
     if not room_m > 0.0:
         return 0.0

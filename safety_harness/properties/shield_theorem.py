@@ -1,4 +1,4 @@
-"""Which assumptions of docs/shield.md did not hold in a run, of those that its trace can tell: 1 to 5, 7 and 9.
+"""Which assumptions of docs/shield.md did not hold in a run, as far as its trace tells: 1 to 5, 7 and 9.
 
 A time stamp that is wrong (6) puts a hand where it was not (5), and drives that brake late or less than they
 are told (8) do not do what they are told (7).  A trace does not tell whether a capsule encloses its link.
@@ -113,16 +113,16 @@ def _of_drives(trace: Trace, shield: Shield) -> list[str]:
     for i in range(held + 1):
         off = np.fmin(off, np.abs(turned - late[i : i + len(sent)] * period_s).max(axis=1))
     most = STANDSTILL_RADPS * period_s
-    for k in np.flatnonzero(~(off <= most)):
+    for k in np.flatnonzero(~(off <= most)).tolist():
         if not _mean(late[k : k + held + 1] * period_s, turned[k]) <= most:
-            return [_not_sent(trace, int(k), turned[k], held)]
+            return [_not_sent(trace, k, turned[k], held)]
     path = np.concatenate([np.zeros((1, sent.shape[1])), np.abs(turned).cumsum(axis=0)])
     worth = np.abs(late * period_s).cumsum(axis=0)
     begun = np.concatenate([np.zeros((1, sent.shape[1])), worth])[: len(path)]
     spare = np.minimum.accumulate((path - begun)[:-1], axis=0)
     wrong = ~(path[1:] - worth[held:] <= spare + TURNED_RAD)
     if wrong.any():
-        k = int(np.argwhere(wrong)[0][0])
+        k = int(wrong.any(axis=1).argmax())
         return [_not_sent(trace, k, turned[k], held)]
     return []
 

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from safety_harness import Move
+from safety_harness import Move, Stop
 from safety_harness.admission.admit import Admitted, admit
 from safety_harness.admission.trial import run_kinematic
 from safety_harness.attribution.shielding import attribute_shield
@@ -28,6 +28,7 @@ from safety_harness.controller.records import (
 )
 from safety_harness.controller.shield import Guard, allowed_share, guard_of, keep_apart
 from safety_harness.properties.base import Evaluation
+from safety_harness.properties.shield_theorem import broken_assumptions
 from safety_harness.properties.touching import NO_MOVING_PART_TOUCHES
 from safety_harness.report.shielding import slowings
 from safety_harness.robot.capsules import load_capsules
@@ -83,7 +84,7 @@ class Swings:
     def reset(self, *, settings: Any, arm: Any, start: Any, seed: int) -> None:
         self.joints = len(arm.joint_names)
 
-    def act(self, seen: Any) -> Move:
+    def act(self, seen: Any) -> Move | Stop:
         rates = np.zeros(self.joints)
         rates[0] = 0.3 if seen.time_s % 2.0 < 1.0 else -0.3
         return Move(joint_velocity_radps=rates)
@@ -286,6 +287,62 @@ def test_a_forearm_that_reaches_farther_than_assumed_is_touched() -> None:
 def test_where_all_of_them_are_true_nothing_is_touched(what: str) -> None:
     _, said = swinging(KEPT[what])
     assert said.verdict is Verdict.HOLDS
+
+
+# A forearm, elbow first, meets an arm that turns at full speed when the shield begins to slow it.
+MEETS = f"""
+scenario: a forearm meets an arm
+duration: 3 s
+seed: 3
+tcp start: {{offset: [0 mm, -60 mm, 20 mm]}}
+hands:
+  - hand: right hand
+    starts at: [700 mm, %d mm, 450 mm]
+    elbow towards: [700 mm, -3000 mm, 450 mm]
+    moves:
+      - wait: %d ms
+      - move to: [700 mm, -200 mm, 450 mm]
+        speed: 2 m/s
+claims:
+  no moving part touches a hand: holds
+settings:
+{POSTURE}shield: {{reaction time: 100 ms, deceleration: 10 m/s2}}
+robot: {{arm: "shipped:ur10e", drives: {{dead time: 100 ms}}}}
+"""
+
+
+class Turns(Swings):
+    """Turns the arm about its base at full speed, whatever is there."""
+
+    def act(self, seen: Any) -> Move | Stop:
+        rates = np.zeros(self.joints)
+        rates[0] = 0.6
+        return Move(joint_velocity_radps=rates)
+
+
+class Stops(Turns):
+    """As it, and asks for a protective stop after half a second."""
+
+    def act(self, seen: Any) -> Move | Stop:
+        return Stop() if seen.time_s > 0.5 else super().act(seen)
+
+
+@pytest.mark.parametrize(("from_mm", "wait_ms"), [(1500, 140), (1500, 20), (1700, 100), (1700, 180)])
+def test_commands_on_their_way_count(from_mm: int, wait_ms: int) -> None:
+    """A dead time that is declared and true: what was sent before the arm slows still moves it."""
+    trace = run_kinematic(admit(parse_scenario(MEETS % (from_mm, wait_ms)), controller=Turns()))
+    assert broken_assumptions(trace) == []
+    said = NO_MOVING_PART_TOUCHES.prop.evaluate(trace)
+    assert said.verdict is Verdict.HOLDS, said.reason
+
+
+def test_a_stop_is_handed_to_the_drives_when_no_command_is_on_its_way() -> None:
+    """Theirs begins with a reaction time in which the arm goes on with what it then does."""
+    trace = run_kinematic(admit(parse_scenario(MEETS % (1700, 2000)), controller=Stops()))
+    assert broken_assumptions(trace) == []
+    braking = trace.ticks["limits"] & int(Limit.BRAKING) != 0
+    assert braking.any()
+    assert np.abs(trace.ticks["joint_velocity_radps"])[1:][braking[:-1]].max() == 0.0
 
 
 def fastest(q: np.ndarray, rates: np.ndarray) -> float:

@@ -1,6 +1,6 @@
 """The theorem of the shield under attack: a search for a touch in a run in which every assumption holds.
 
-It draws arms, drives, reaction times, shields, sensors and hands, and goes on from the runs that came nearest.
+It draws arms, drives, shields, sensors and hands, and goes on from the runs that came nearest.
 """
 
 from __future__ import annotations
@@ -25,20 +25,29 @@ IIWA_CELL = """  cell:
     desired tcp position: [550 mm, 0 mm, 250 mm]
     preferred joint position: [0 deg, 40 deg, 0 deg, -95 deg, 0 deg, 45 deg, 0 deg]
 """
-TOOL = ", tool: {position: [0 mm, 0 mm, 150 mm], capsules: [{from: [0 mm, 0 mm, 0 mm], to: [0 mm, 0 mm, 150 mm], radius: 30 mm}]}"
+TOOL = (
+    ", tool: {position: [0 mm, 0 mm, 150 mm], "
+    "capsules: [{from: [0 mm, 0 mm, 0 mm], to: [0 mm, 0 mm, 150 mm], radius: 30 mm}]}"
+)
+ELBOWS = (
+    "[700 mm, -3000 mm, 450 mm]",
+    "[700 mm, 3000 mm, 450 mm]",
+    "[0 mm, 0 mm, 500 mm]",
+    "[450 mm, 90 mm, 300 mm]",
+)
 SEAT = ", seated at: {position: [0 mm, 0 mm, 150 mm], yaw: 180 deg}"
 ARMS = ("shipped:ur10e", "shipped:ur10e", "shipped:iiwa14", "UR10")
 SIZE, ELITE = 44, 20
 
 
 class Restless:
-    """Changes its mind on every tick, or now and then: where each joint goes, and how fast; may ask to stop."""
+    """Changes its mind on every tick, or now and then: where each joint goes, and how fast."""
 
     name = "restless"
     sees = ("joints",)
 
-    def __init__(self, number: int, joints: np.ndarray, share: float, keeps: int, stops: float) -> None:
-        self.number, self.rates, self.share, self.keeps, self.stops = number, joints, share, keeps, stops
+    def __init__(self, number: int, joints: np.ndarray, share: float, keeps: int) -> None:
+        self.number, self.rates, self.share, self.keeps = number, joints, share, keeps
 
     def reset(self, *, settings: Any, arm: Any, start: Any, seed: int) -> None:
         self.random, self.tick = np.random.default_rng(self.number), 0
@@ -76,7 +85,8 @@ def episode(x: np.ndarray, number: int) -> tuple[str, Restless]:
         robot, needs_ms = "robot: UR10", 0.0
     else:
         place = (tool + seat) if arm == "shipped:ur10e" else seat
-        robot = f"robot: {{arm: '{arm}', drives: {{dead time: {dead_ms:.4f} ms, lag: {lag_ms} ms{torque}}}{place}}}"
+        drives = f"dead time: {dead_ms:.4f} ms, lag: {lag_ms} ms{torque}"
+        robot = f"robot: {{arm: '{arm}', drives: {{{drives}}}{place}}}"
         needs_ms = np.ceil(dead_ms / 8.0 - 1e-6) * 8.0 + 7.0 * lag_ms + 8.0 * bool(lag_ms or torque)
         slack_ms += pick(0.0, 20.0)
     accelerates = pick("", ", hand acceleration: 10 m/s2")
@@ -94,7 +104,7 @@ def episode(x: np.ndarray, number: int) -> tuple[str, Restless]:
             else (f"[{mm(300, 1300)}, {mm(-1900, -700)}, {mm(150, 1100)}]")
         )
         to = f"[{mm(0, 900)}, {mm(-700, 700)}, {mm(150, 900)}]"
-        elbow = pick("[700 mm, -3000 mm, 450 mm]", "[700 mm, 3000 mm, 450 mm]", "[0 mm, 0 mm, 500 mm]", to)
+        elbow = pick(*ELBOWS)
         speed = _between(0.8, 2.0, pick(1.0, 1.0, next(v)))
         move = pick(
             f"move to: {to}\n        speed: {speed:.4f} m/s",
@@ -111,7 +121,8 @@ def episode(x: np.ndarray, number: int) -> tuple[str, Restless]:
         "", "", "obstacles:\n  - {box: [100 mm, 100 mm, 200 mm], at: [-600 mm, 600 mm, 200 mm]}\n"
     )
     faults = f"faults:\n  - hand sensor: is off\n    offset: [{shows}]\n" if pick(0, 1) and z_mm > 5.0 else ""
-    shield = f"body within: {body} mm, position uncertainty: {z_mm:.4f} mm, deceleration: {a:.4f} m/s2{accelerates}"
+    shield = f"body within: {body} mm, position uncertainty: {z_mm:.4f} mm, deceleration: {a:.4f} m/s2"
+    shield += accelerates
     forearm = "300 mm" if body > 100.0 else "10 mm"
     posture = {"shipped:ur10e": UR_CELL, "shipped:iiwa14": IIWA_CELL, "UR10": ""}[arm]
     text = f"""scenario: a hand meets an arm that changes its mind
@@ -129,7 +140,7 @@ settings:
 """
     joints = 2.0 * x[-10:-3] - 1.0
     keeps = (1, 1, 4, 1000)[min(int(x[-3] * 4), 3)]
-    return text, Restless(number, joints, float(x[-2]), keeps, 0.0)
+    return text, Restless(number, joints, float(x[-2]), keeps)
 
 
 def attack(episodes: int, seed: int) -> tuple[Counter[str], float]:
