@@ -179,9 +179,11 @@ def keep_apart(
     left_s = g.stop_s - period_s
     if command.protective_stop or (share < 1.0 and not share * stop_s >= left_s):
         kept = left_s / g.stop_s if left_s > 0.0 else 0.0
-        stands = True
+        # The drives go on with what they did: the latest command that none has to have replaced yet.
+        stands, done_with = True, max(tick - 1 - round(g.reaction_time_s / period_s), 0)
         for i in range(joints):
             stands = stands and g.last_radps[i] == 0.0 and g.flight_rad[i] == 0.0
+            stands = stands and interventions[done_with].sent_radps[i] == 0.0
             command.joint_velocity_radps[i] = kept * g.last_radps[i]
         command.protective_stop = command.protective_stop and stands
         g.stop_s = max(left_s, 0.0)
