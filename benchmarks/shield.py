@@ -3,7 +3,7 @@
 Run: python benchmarks/shield.py [SECTION]... [--ledgers FOLDER] [--pairs N] [--search N]; the full numbers,
 and the campaigns themselves, take days: make shield-all.
 
-*contacts*: what the ledgers of plans/shield-million.yaml and plans/shield-in-pybullet.yaml hold.
+*contacts*: what the ledgers of plans/shield-hundred-thousand.yaml and plans/shield-in-pybullet.yaml hold.
 *cost*: the same draws of each space with a shield and without one: who comes within 20 mm of the desired
 TCP and stays, and when.  *gate*: what share of proposals `every hand within` refuses.  *tick*: the
 kinematic loop with and without, in turns.  *search*: told to break the claim, with the margin as its guide,
@@ -67,7 +67,7 @@ WITHIN_SHARES = (None, 0.9, 0.99, 0.999)
 SPEEDS_MPS = (0.5, 1.0, 1.6, 2.0)
 ARRIVED_M, LONG_S = 0.020, 40.0
 SEED, BATCH, TURNS = 20261124, 24, 15
-PLANS = ("shield-million", "shield-in-pybullet")
+PLANS = ("shield-hundred-thousand", "shield-in-pybullet")
 FIRST_FORGOTTEN, FAR_M = 4, 10.0  # the links of the wrist and of the tool
 SMALL = """settings:
   hand: {forearm length: 10 mm}
@@ -78,6 +78,9 @@ WITHIN = "body within: 60 mm"
 SLOWLY = "deceleration: 200 mm/s2, hand acceleration: 100 mm/s2"
 KNOWN = f"{SMALL}shield: {{{WITHIN}}}\n"
 UR10E = KNOWN + "avoider: opposite pose\nrobot: {arm: shipped:ur10e, drives: {%s}}\n"
+UNTOLD = (
+    UR10E.replace(WITHIN, f"{WITHIN}, reaction time: 5 s") + "about: its shield is told no reaction time\n"
+)
 FORGETS = KNOWN + "about: its shield knows nothing of the wrist and of what it carries\n"
 STOUT = "300 mm, forearm radius: 150 mm"
 FAULTY = KNOWN + "faults:\n  - hand sensor: "
@@ -93,8 +96,8 @@ VIOLATED = [  # assumption, how, lines of the space
     ("4 sight", "the sensor sees nothing", f"{FAULTY}sees nothing\n"),
     ("5 place", "850 mm off", f"{FAULTY}is off\n    offset: [600 mm, -600 mm, 0 mm]\n"),
     ("6 time", "frozen, with new time stamps", f"{FAULTY}freezes\n    from: 100 ms\n"),
-    ("7 drives", "a UR10e with a dead time of 100 ms", UR10E % "dead time: 100 ms"),
-    ("8 deceleration", "a UR10e whose drives lag by 500 ms", UR10E % "lag: 500 ms"),
+    ("7 drives", "a dead time of 100 ms, untold", UNTOLD % "dead time: 100 ms"),
+    ("8 deceleration", "drives that lag by 500 ms, untold", UNTOLD % "lag: 500 ms"),
     ("9 shape", "the wrist and all beyond are forgotten", FORGETS),
 ]
 HEAD = """# Shield
@@ -341,7 +344,7 @@ def search(given: argparse.Namespace) -> str:
                 file = Path(folder) / f"{Path(space).name}-{number}.yaml"
                 head = f"scenario space: searched\nextends: {file_of(space)}\n"
                 file.write_text(head + lines)
-                world = forgetting if lines is FORGETS else in_kinematic
+                world = forgetting if lines is FORGETS else untold if "untold" in how else in_kinematic
                 rows.append(f"| {space} | {assumption} | {how} | {_searched(file, world, given.search)} |")
                 print(rows[-1], flush=True)
     text = (
@@ -375,6 +378,21 @@ class Forgets(Admitted):
 def forgetting(admitted: Sequence[Admitted]) -> Sequence[Trace | Exception]:
     """In the kinematic world, each behind a shield that forgets."""
     return in_kinematic([Forgets(**vars(one)) for one in admitted])
+
+
+class Untold(Admitted):
+    """Its shield takes the drives for ones that do at once what they are told."""
+
+    def guard(self) -> Guard:
+        """As it is, without a reaction time."""
+        guard = super().guard()
+        guard.shield["reaction_time_s"] = 0.0
+        return guard
+
+
+def untold(admitted: Sequence[Admitted]) -> Sequence[Trace | Exception]:
+    """In the kinematic world, each behind a shield that knows of no reaction time."""
+    return in_kinematic([Untold(**vars(one)) for one in admitted])
 
 
 SECTIONS = {"contacts": contacts, "cost": cost, "gate": gate, "tick": tick, "search": search}

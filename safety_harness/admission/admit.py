@@ -19,6 +19,7 @@ from safety_harness.admission.checks import (
     check_faults,
     checked_view,
     refuse_gate,
+    refuse_late_drives,
 )
 from safety_harness.admission.claims import property_of
 from safety_harness.admission.driving import (
@@ -250,6 +251,7 @@ def _check(scenario: Scenario, *, sees_object: bool) -> Checked:
             refuse_faults_of_avoider(scenario)
         check_obstacles(scenario, arm, start)
         check_drives(scenario, arm, start)
+        refuse_late_drives(scenario)
         check_hands(scenario, arm, start)
         check_faults(scenario)
         properties = tuple(property_of(claim, scenario) for claim in scenario.claims)

@@ -13,6 +13,8 @@ from safety_harness.controller.records import overhead_transform_sensor_to_base
 from safety_harness.exceptions import AvoiderError, InadmissibleError
 from safety_harness.geometry.segments import segment_segment_distance
 from safety_harness.geometry.transforms import inverse_transform
+from safety_harness.robot.drive import delay_ticks, settled_s
+from safety_harness.robot.robots import drive_model
 from safety_harness.scenario.fault_table import fault_table
 from safety_harness.scenario.faults import CameraHidden, CameraLate, FalseHand, HandSensorLate
 from safety_harness.scenario.model import Scenario
@@ -171,6 +173,24 @@ def refuse_gate(scenario: Scenario) -> None:
         if not all(low < high for low, high in zip(box.low_m, box.high_m, strict=True)):
             expected = "boxes whose from is below to on each axis"
             raise InadmissibleError(place=scenario.place("gate"), expected=expected, got=box.words)
+
+
+def refuse_late_drives(scenario: Scenario) -> None:
+    """A shield whose reaction time is below that of the arm's own drives contradicts its assumption 7."""
+    if scenario.shield is None:
+        return
+    period_s = scenario.settings.clock.control_period_s
+    needed_s = settled_s(drive_model(scenario.robot), period_s)
+    given_s = delay_ticks(scenario.shield.reaction_time_s, period_s) * period_s
+    if given_s < needed_s - 1e-9:
+        raise InadmissibleError(
+            place=scenario.place("shield.reaction time", "shield"),
+            expected=f"a reaction time of at least {needed_s * 1e3:.0f} ms, in which the robot's drives have "
+            "carried a command out",
+            got=f"{scenario.shield.reaction_time_s * 1e3:g} ms",
+            hint="that is their dead time in whole control periods, seven times their lag, and one control "
+            "period where they lag or have a torque limit",
+        )
 
 
 def _refuse_shield(scenario: Scenario) -> None:

@@ -24,6 +24,7 @@ from safety_harness.properties.hand_distance import (
     known_to,
 )
 from safety_harness.properties.measured import reads
+from safety_harness.properties.shield_theorem import with_assumptions
 from safety_harness.properties.true_motion import HandPaths, arm_of, capsules_of, hand_paths, true_motion
 from safety_harness.properties.unexercised import OFF_THE_GOAL, nearest_of, unexercised
 from safety_harness.robot.capsules import Arm
@@ -103,7 +104,8 @@ class NoMovingPartTouches:
             return nearest_of(trace, nearest_m, self.near_m, "hand", "the arm's surface")
 
         reason = f"{name}: {inside} a part that moves"
-        return judged(self, trace, found.low_m, found.time_s, reason, times, lacked, most=found.high_m)
+        judgement = judged(self, trace, found.low_m, found.time_s, reason, times, lacked, most=found.high_m)
+        return with_assumptions(trace, judgement)
 
 
 @once_a_trace

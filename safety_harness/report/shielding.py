@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from safety_harness.geometry.segments import point_segment_distance
+from safety_harness.properties.shield_theorem import broken_assumptions
 from safety_harness.properties.true_motion import capsules_of
 from safety_harness.robot.distance import place_capsules
 from safety_harness.robot.kinematics import links_in_base
@@ -77,11 +78,12 @@ def shield_data(trace: Trace) -> dict[str, Any] | None:
         "by_part": dict(by_part.most_common()),
         "least_scale": float(trace.interventions["scale"].min()),
         "slowings": [asdict(one) for one in slowings(trace)],
+        "broken_assumptions": broken_assumptions(trace),
     }
 
 
 def shield_lines(traces: Iterable[Trace]) -> list[str]:
-    """One line on all runs that have a shield; none where no run has."""
+    """Lines on all runs that have a shield; none where no run has."""
     shielded = [trace for trace in traces if len(trace.interventions)]
     if not shielded:
         return []
@@ -89,4 +91,6 @@ def shield_lines(traces: Iterable[Trace]) -> list[str]:
     ticks, slowed = sum(len(one.interventions) for one in shielded), by_part.total()
     parts = ", ".join(f"{part} {count}" for part, count in by_part.most_common())
     line = f"slowed {slowed} of {ticks} ticks ({slowed / ticks:.1%})".replace("%", " %")
-    return [line + (f": {parts}" if parts else "")]
+    broken = [(trace.scenario.name, found[0]) for trace in shielded if (found := broken_assumptions(trace))]
+    held = f"assumptions 1 to 5, 7 and 9 held in {len(shielded) - len(broken)} of {len(shielded)} runs"
+    return [line + (f": {parts}" if parts else ""), held, *(f"{name}: {why}" for name, why in broken[:10])]

@@ -78,6 +78,14 @@ def delay_ticks(dead_time_s: float, period_s: float) -> int:
     return ceil(dead_time_s / period_s - 1e-9)
 
 
+def settled_s(model: DriveModel | None, period_s: float) -> float:
+    """After how long a demand is carried out: a lag but for a thousandth, torques if they suffice."""
+    if model is None:
+        return 0.0
+    gradual = model.lag_s > 0.0 or model.masses is not None
+    return delay_ticks(model.dead_time_s, period_s) * period_s + 7.0 * model.lag_s + gradual * period_s
+
+
 DriveRecords = NewType("DriveRecords", NDArray[np.void])  # (1,) DRIVE
 
 

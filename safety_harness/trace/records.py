@@ -189,4 +189,23 @@ DECISION = decision_dtype()
 
 # What the shield of a scenario that has one did in a tick: the share of the wanted speed that it allowed, and
 # the capsule that the hand which asked for it was nearest to; -1 for none, and for want of a frame.
-INTERVENTION = np.dtype([("scale", np.float64), ("capsule", np.int64)], align=True)
+INTERVENTION = np.dtype(
+    [("scale", np.float64), ("capsule", np.int64)], align=True
+)  # all that old traces have
+
+
+@lru_cache
+def intervention_dtype(hands: int, joints: int = JOINTS) -> np.dtype[Any]:
+    """INTERVENTION, the hands that the shield went by, and what it sent to the drives."""
+    boxes = TRACKS_PER_HAND * hands
+    return np.dtype(
+        [
+            ("scale", np.float64),
+            ("capsule", np.int64),
+            ("taken_s", np.float64),  # when, as its time stamp has it; -inf: no frame yet
+            ("count", np.int64),
+            ("hand_in_base_m", np.float64, (boxes, 3)),
+            ("sent_radps", np.float64, (joints,)),
+        ],
+        align=True,
+    )

@@ -37,7 +37,13 @@ from safety_harness.shipped.contents import located
 from safety_harness.trace.certified import CertifiedDecisions
 from safety_harness.trace.consistency import first_inconsistency
 from safety_harness.trace.known import WHOLLY_KNOWN, Knowledge, Measurement
-from safety_harness.trace.records import DECISION, INTERVENTION, decision_dtype, tick_dtype
+from safety_harness.trace.records import (
+    DECISION,
+    INTERVENTION,
+    decision_dtype,
+    intervention_dtype,
+    tick_dtype,
+)
 from safety_harness.trace.system import Component, Line, SystemUnderTest, system_of
 from safety_harness.trace.trace import Provenance, Trace, no_interventions, not_recorded
 from safety_harness.whole_file import replacing
@@ -237,7 +243,8 @@ class _Reader:
             raise self._error(f"{len(decisions)}, one a decision", str(len(latencies_s)), "latencies.npy")
         interventions = no_interventions()
         if scenario.shield is not None:
-            interventions = self._array(archive, INTERVENTIONS, INTERVENTION, most)
+            dtype = intervention_dtype(scenario.hand_slots, joints)
+            interventions = self._array(archive, INTERVENTIONS, dtype, most, INTERVENTION)
             if len(interventions) != len(ticks):
                 raise self._error(f"{len(ticks)}, one a tick", str(len(interventions)), INTERVENTIONS)
         overshoot_radps = not_recorded()
@@ -362,8 +369,18 @@ class _Reader:
         except InputError as error:
             raise self._error("a scenario that this version reads", str(error), "scenario.yaml") from error
 
-    def _array(self, archive: zipfile.ZipFile, name: str, dtype: np.dtype[Any], most: int) -> NDArray[Any]:
-        """At most so many records.  The array's header is not believed before its length is compared."""
+    def _array(
+        self,
+        archive: zipfile.ZipFile,
+        name: str,
+        dtype: np.dtype[Any],
+        most: int,
+        before: np.dtype[Any] | None = None,
+    ) -> NDArray[Any]:
+        """At most so many records, or such as ``before``.
+
+        The array's header is not believed before its length is compared.
+        """
         self._unpack(archive, name, most * dtype.itemsize + ARRAY_HEADER_BYTES)
         data = io.BytesIO(self._parts.pop(name))
         try:
@@ -372,6 +389,7 @@ class _Reader:
             shape, _, found = np.lib.format.read_array_header_1_0(data)
         except Exception as error:  # whatever its parser stumbles over
             raise self._error("an array of records", f"none that can be read ({error})", name) from error
+        dtype = before if before is not None and found == before else dtype
         if found != dtype or len(shape) != 1:
             raise self._error("records as this version writes them", f"{found}", name)
         records = data.read()

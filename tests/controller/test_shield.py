@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from safety_harness import Move
+from safety_harness import Move, Stop
 from safety_harness.admission.admit import Admitted, admit
 from safety_harness.admission.trial import run_kinematic
 from safety_harness.attribution.shielding import attribute_shield
@@ -28,6 +28,7 @@ from safety_harness.controller.records import (
 )
 from safety_harness.controller.shield import Guard, allowed_share, guard_of, keep_apart
 from safety_harness.properties.base import Evaluation
+from safety_harness.properties.shield_theorem import broken_assumptions
 from safety_harness.properties.touching import NO_MOVING_PART_TOUCHES
 from safety_harness.report.shielding import slowings
 from safety_harness.robot.capsules import load_capsules
@@ -83,7 +84,7 @@ class Swings:
     def reset(self, *, settings: Any, arm: Any, start: Any, seed: int) -> None:
         self.joints = len(arm.joint_names)
 
-    def act(self, seen: Any) -> Move:
+    def act(self, seen: Any) -> Move | Stop:
         rates = np.zeros(self.joints)
         rates[0] = 0.3 if seen.time_s % 2.0 < 1.0 else -0.3
         return Move(joint_velocity_radps=rates)
@@ -203,6 +204,9 @@ SMALL = "settings:\n  hand: {forearm length: 10 mm}\n"
 WITHIN = "body within: 60 mm"
 POSTURE = "  cell: {preferred joint position: [-14 deg, -82 deg, 116 deg, -124 deg, -90 deg, -104 deg]}\n"
 UR10E = f"{SMALL}{POSTURE}shield: {{{WITHIN}}}\n"
+LATE = UR10E.replace(
+    WITHIN, f"{WITHIN}, reaction time: 2 s"
+)  # admission wants it, and the shield is not told
 BROKEN = {
     "no hand is faster": f"{SMALL}shield: {{{WITHIN}, hand speed: 300 mm/s}}\n",
     "no hand speeds up faster": f"{SMALL}shield: {{{WITHIN}, hand acceleration: 100 mm/s2}}\n",
@@ -211,9 +215,8 @@ BROKEN = {
     "frames tell when they were taken": f"{SMALL}shield: {{{WITHIN}}}\n"
     "faults:\n  - hand sensor: freezes\n    from: 100 ms\n",
     "every hand is in every frame": f"{SMALL}shield: {{{WITHIN}}}\nfaults:\n  - hand sensor: sees nothing\n",
-    "drives follow in the reaction time": UR10E
-    + "robot: {arm: shipped:ur10e, drives: {dead time: 100 ms}}\n",
-    "drives brake as they are told": f"{UR10E}robot: {{arm: shipped:ur10e, drives: {{lag: 200 ms}}}}\n",
+    "drives follow in the reaction time": LATE + "robot: {arm: shipped:ur10e, drives: {dead time: 100 ms}}\n",
+    "drives brake as they are told": LATE + "robot: {arm: shipped:ur10e, drives: {lag: 200 ms}}\n",
 }
 ONLY_THE_ARM = f"{SMALL}shield: {{{WITHIN}}}\n"
 KEPT = {
@@ -231,8 +234,27 @@ KEPT = {
 
 @pytest.mark.parametrize("assumption", BROKEN)
 def test_each_assumption_is_needed(assumption: str) -> None:
-    _, said = swinging(BROKEN[assumption])
+    admitted = admit(parse_scenario(REACH + BROKEN[assumption]), controller=Swings())
+    if LATE in BROKEN[assumption]:
+        at_once = replace(admitted.scenario.shield or Shield(), reaction_time_s=0.0)
+        unaware = replace(admitted, scenario=replace(admitted.scenario, shield=at_once))
+        trace = run_kinematic(unaware)
+    else:
+        trace = run_kinematic(admitted)
+    said = NO_MOVING_PART_TOUCHES.prop.evaluate(trace)
     assert said.verdict is Verdict.VIOLATED
+    assert f"assumption {ASSUMPTIONS[assumption]} did not hold at " in said.reason
+
+
+ASSUMPTIONS = {
+    "no hand is faster": 1,
+    "no hand speeds up faster": 2,
+    "a place is measured within its uncertainty": 5,
+    "frames tell when they were taken": 5,  # the hand is not where the frame has it
+    "every hand is in every frame": 4,
+    "drives follow in the reaction time": 7,
+    "drives brake as they are told": 7,
+}
 
 
 class Forgets(Admitted):
@@ -265,6 +287,62 @@ def test_a_forearm_that_reaches_farther_than_assumed_is_touched() -> None:
 def test_where_all_of_them_are_true_nothing_is_touched(what: str) -> None:
     _, said = swinging(KEPT[what])
     assert said.verdict is Verdict.HOLDS
+
+
+# A forearm, elbow first, meets an arm that turns at full speed when the shield begins to slow it.
+MEETS = f"""
+scenario: a forearm meets an arm
+duration: 3 s
+seed: 3
+tcp start: {{offset: [0 mm, -60 mm, 20 mm]}}
+hands:
+  - hand: right hand
+    starts at: [700 mm, %d mm, 450 mm]
+    elbow towards: [700 mm, -3000 mm, 450 mm]
+    moves:
+      - wait: %d ms
+      - move to: [700 mm, -200 mm, 450 mm]
+        speed: 2 m/s
+claims:
+  no moving part touches a hand: holds
+settings:
+{POSTURE}shield: {{reaction time: 100 ms, deceleration: 10 m/s2}}
+robot: {{arm: "shipped:ur10e", drives: {{dead time: 100 ms}}}}
+"""
+
+
+class Turns(Swings):
+    """Turns the arm about its base at full speed, whatever is there."""
+
+    def act(self, seen: Any) -> Move | Stop:
+        rates = np.zeros(self.joints)
+        rates[0] = 0.6
+        return Move(joint_velocity_radps=rates)
+
+
+class Stops(Turns):
+    """As it, and asks for a protective stop after half a second."""
+
+    def act(self, seen: Any) -> Move | Stop:
+        return Stop() if seen.time_s > 0.5 else super().act(seen)
+
+
+@pytest.mark.parametrize(("from_mm", "wait_ms"), [(1500, 140), (1500, 20), (1700, 100), (1700, 180)])
+def test_commands_on_their_way_count(from_mm: int, wait_ms: int) -> None:
+    """A dead time that is declared and true: what was sent before the arm slows still moves it."""
+    trace = run_kinematic(admit(parse_scenario(MEETS % (from_mm, wait_ms)), controller=Turns()))
+    assert broken_assumptions(trace) == []
+    said = NO_MOVING_PART_TOUCHES.prop.evaluate(trace)
+    assert said.verdict is Verdict.HOLDS, said.reason
+
+
+def test_a_stop_is_handed_to_the_drives_when_no_command_is_on_its_way() -> None:
+    """Theirs begins with a reaction time in which the arm goes on with what it then does."""
+    trace = run_kinematic(admit(parse_scenario(MEETS % (1700, 2000)), controller=Stops()))
+    assert broken_assumptions(trace) == []
+    braking = trace.ticks["limits"] & int(Limit.BRAKING) != 0
+    assert braking.any()
+    assert np.abs(trace.ticks["joint_velocity_radps"])[1:][braking[:-1]].max() == 0.0
 
 
 def fastest(q: np.ndarray, rates: np.ndarray) -> float:
@@ -331,7 +409,7 @@ def _stands_in_time(
     g = guard.shield
     if np.abs(rates).max() < 1e-3:
         return 0.0
-    moved = np.flatnonzero(np.abs(rates) > 0.0)[0] < CAPSULES.link_index
+    moved = CAPSULES.link_index > 0
     ends = ends_at(q)
     tip = ends[-1].mean(axis=0)
     hand = tip + away_m * np.array([0.6, -0.64, 0.48])
@@ -342,16 +420,21 @@ def _stands_in_time(
     clear = np.where(moved, axis_distance(hand, ends) - radius, inf)
     g["clearance_m"][0, 0], g["capsule"][0, 0] = clear.min(), int(clear.argmin())
     fastest_mps = fastest(q, rates)
-    share, by = allowed_share(g, rates, fastest_mps, PERIOD_S, 1.0)
+    before = rates[::-1] * 0.7  # other commands, on their way for the whole of the reaction time
+    turn = before * g["reaction_time_s"][0]
+    g["flight_rad"] = np.abs(turn)
+    share, by = allowed_share(g, rates, fastest_mps, fastest(q, turn), PERIOD_S, 1.0)
     assert 0.0 <= share <= 1.0
     assert by == (int(clear.argmin()) if share < 1.0 else -1)
-    hold_s, stop_s = PERIOD_S + shield.reaction_time_s, share * fastest_mps / shield.deceleration_mps2
+    hold_s, stop_s = PERIOD_S + g["reaction_time_s"][0], share * fastest_mps / shield.deceleration_mps2
     if share == 0.0:
         return share
     for t in np.linspace(0.0, hold_s + stop_s, 23):
-        late = max(t - hold_s, 0.0)
-        gone_s = min(t, hold_s) + (late - late**2 / (2.0 * stop_s) if late > 0.0 else 0.0)
-        least = np.where(moved, axis_distance(hand, ends_at(q + share * rates * gone_s)) - radius, inf).min()
+        flown = min(t / g["reaction_time_s"][0], 1.0) if g["reaction_time_s"][0] > 0.0 else 0.0
+        own_s, late = max(t - (hold_s - PERIOD_S), 0.0), max(t - hold_s, 0.0)
+        gone_s = min(own_s, PERIOD_S) + (late - late**2 / (2.0 * stop_s) if late > 0.0 else 0.0)
+        then = q + flown * turn + share * rates * gone_s
+        least = np.where(moved, axis_distance(hand, ends_at(then)) - radius, inf).min()
         known = age_s + t
         reach = shield.hand_speed_mps * known
         if shield.hand_acceleration_mps2 is not None:

@@ -19,6 +19,9 @@ tcp start: {offset: [0 mm, 0 mm, 0 mm]}
 claims:
   joint speeds within limits: holds
 """
+POSTURE = (
+    "settings: {cell: {preferred joint position: [-14 deg, -82 deg, 116 deg, -124 deg, -90 deg, -104 deg]}}\n"
+)
 
 
 @pytest.mark.parametrize(
@@ -63,3 +66,20 @@ def test_an_agent_learns_without_one() -> None:
     shielded = parse_scenario(TEXT + "shield: speed and separation\n")
     with pytest.raises(InadmissibleError, match=r":7: shield: expected no shield"):
         Episodes(shielded, None, KINEMATIC)
+
+
+@pytest.mark.parametrize(
+    ("drives", "too_short", "enough"),
+    [
+        ("lag: 2 ms", "0 ms", "22 ms"),
+        ("lag: 20 ms", "0 ms", "148 ms"),
+        ("dead time: 100 ms", "90 ms", "100 ms"),
+        ("torque limit: 100 %", "0 ms", "8 ms"),
+    ],
+)
+def test_drives_later_than_its_reaction_time_are_refused(drives: str, too_short: str, enough: str) -> None:
+    """Such a scenario contradicts assumption 7 on its face."""
+    text = TEXT + f"robot: {{arm: 'shipped:ur10e', drives: {{{drives}}}}}\n" + POSTURE
+    with pytest.raises(InadmissibleError, match=r"expected a reaction time of at least"):
+        check(parse_scenario(text + f"shield: {{reaction time: {too_short}}}\n"))
+    check(parse_scenario(text + f"shield: {{reaction time: {enough}}}\n"))
