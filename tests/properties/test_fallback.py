@@ -107,7 +107,7 @@ def test_noting_down_the_opposite_pose_does_not_make_up_for_going_elsewhere() ->
     )
     evaluation = UNCERTAIN.evaluate(said)
     assert evaluation.verdict is Verdict.VIOLATED, evaluation
-    assert evaluation.reason.endswith("from the opposite pose"), evaluation
+    assert "from the opposite pose" in evaluation.reason, evaluation
 
 
 def test_using_an_answer_is_judged_by_the_way_too() -> None:
@@ -119,7 +119,7 @@ def test_using_an_answer_is_judged_by_the_way_too() -> None:
     )
     evaluation = USED.evaluate(said)
     assert evaluation.verdict is Verdict.VIOLATED, evaluation
-    assert evaluation.reason.endswith("from the proposed position")
+    assert "from the proposed position" in evaluation.reason
 
 
 def test_a_stop_is_no_fallback_while_the_opposite_pose_could_be_used() -> None:
