@@ -219,7 +219,8 @@ class CertainIsUsed:
 WAY = (
     f"what is left of a cone of {np.degrees(OFF_RAD):g} deg to the pose, from 10 mm of way on; how far the "
     f"TCP keeps up with a point mass of {PACE.speed:.0%} of a repulsion's speed and "
-    f"{PACE.acceleration:.0%} of its acceleration; what is left of the arrival tolerance and {SHORT_M * 1e3:g} mm at the end"
+    f"{PACE.acceleration:.0%} of its acceleration; what is left of the arrival tolerance and "
+    f"{SHORT_M * 1e3:g} mm at the end"
 )
 
 UNCERTAIN = CatalogueEntry(
