@@ -25,6 +25,7 @@ PLANS = DOCS / "schema" / "plan.schema.json"
 KILLS = DOCS / "selftest-results.json"
 ORACLES = DOCS.parent / "plans" / "oracles.json"
 MUTANTS = DOCS / "mutants.json"
+BREAKS = DOCS / "smallest-breaks.json"
 KILL_HEAD = ("part", "fault", "slightest caught", "by", "in", "after episodes", "survives")
 KILL_FIELDS = ("part", "fault", "slightest_caught", "caught_by", "scenario", "after_episodes", "survives")
 _MARKED = re.compile(r"(<!-- table: (.*?) -->\n).*?(<!-- end -->\n)", re.DOTALL)
@@ -34,13 +35,22 @@ def with_tables(text: str) -> str:
     """A page with every marked table as it should be; KeyError for a table that there is not."""
     tables = {table.name: markdown(table) for table in (*every_table(), *TABLES)}
     tables["moves"] = markdown_of_moves(MOVES)
-    tables["claims"] = markdown_of_claims(CATALOGUE, told_with_standards)
+    tables["claims"] = markdown_of_claims(CATALOGUE, told_with_standards, smallest_breaks())
     tables["standards"] = markdown_of_standards()
     tables["signals"] = markdown_of_signals()
     tables["oracles"] = markdown_of_oracles()
     tables["kills"], tables["harmless"] = markdown_of_kills()
     tables["mutants"], tables["mutants that survived"] = markdown_of_mutants()
     return _MARKED.sub(lambda found: found[1] + tables[found[2]] + found[3], text)
+
+
+def smallest_breaks() -> dict[str, str]:
+    """By sentence the smallest break of each kind caught, as ``benchmarks/smallest_breaks.py`` found."""
+    found: dict[str, str] = {}
+    for one in json.loads(BREAKS.read_text("utf-8")):
+        said = f"{one['smallest']:g} {one['unit']} ({one['what']})"
+        found[one["claim"]] = "; ".join([*filter(None, [found.get(one["claim"])]), said])
+    return found
 
 
 def markdown_of_standards() -> str:

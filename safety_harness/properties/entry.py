@@ -6,8 +6,9 @@ Pages are written from the entries, so that they say what the code knows.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 
 from safety_harness.exceptions import InadmissibleError, Place
 from safety_harness.properties.base import Property, Unit
@@ -121,10 +122,17 @@ def _unit_words(entry: CatalogueEntry) -> str:
 def markdown_of_claims(
     entries: Sequence[CatalogueEntry],
     told: Callable[[CatalogueEntry], Iterable[tuple[str, str]]] = told,
+    breaks: Mapping[str, str] = MappingProxyType({}),
 ) -> str:
-    """A table of all sentences, then each with everything that is ``told`` of it."""
-    rows = ["| sentence | margin in | exercised when |", "|---|---|---|"]
-    rows += [f"| `{e.example}` | {_unit_words(e)} | {e.exercised} |" for e in entries]
+    """A table of all sentences, then each with everything that is ``told`` of it.
+
+    ``breaks`` has the smallest break that is caught, by sentence.
+    """
+    rows = ["| sentence | margin in | exercised when | smallest break caught |", "|---|---|---|---|"]
+    rows += [
+        f"| `{e.example}` | {_unit_words(e)} | {e.exercised} | {breaks.get(e.example, 'not measured')} |"
+        for e in entries
+    ]
     sections = []
     for entry in entries:
         lines = [f"### {entry.example}", ""]

@@ -6,6 +6,7 @@ The fallback is there when it is needed, and where there is nothing to give way 
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -17,7 +18,7 @@ from safety_harness.properties.base import Evaluation, Unit, inconclusive, is_so
 from safety_harness.properties.entry import CatalogueEntry, count
 from safety_harness.properties.giving_way import LEAST_WAY_M, Finding, worst_of
 from safety_harness.properties.measured import reads
-from safety_harness.properties.positions import gone_towards, opposite_position, reach_m, spare_m, stopped_m
+from safety_harness.properties.positions import opposite_position, reach_m, spare_m, stopped_m
 from safety_harness.properties.proposals import PROPOSAL
 from safety_harness.properties.unexercised import (
     millimetres,
@@ -25,6 +26,7 @@ from safety_harness.properties.unexercised import (
     spread_beside_threshold,
     unexercised,
 )
+from safety_harness.properties.way_gone import OFF_RAD, PACE, SHORT_M, way_gone
 from safety_harness.trace.known import OF_DECISIONS
 from safety_harness.trace.records import Check, DecisionOutcome, Mode
 from safety_harness.trace.trace import Trace
@@ -49,6 +51,8 @@ ALSO = (
     "decision.chosen_position_in_base_m",
 )
 BEYOND_DOUBT_M = 0.0002  # reach is known to 0.1 mm
+USED_CYCLES = 2  # within which a certain answer is acted on, as an uncertain one in the catalogue's sentence
+Findings = dict[str, list[Finding]]  # by the part that they judge
 
 
 def has_doubt(decision: np.void) -> bool | None:
@@ -76,50 +80,54 @@ def kept_from_possible_hands(trace: Trace, decision: np.void, failed: str) -> bo
     return trace.known.missing([OF_DECISIONS + failed]) != () or bool(decision[failed] & Check.TOWARDS_A_HAND)
 
 
-def went(
-    trace: Trace, number: int, target_in_base_m: NDArray[np.float64], after_ticks: int, where: str
-) -> tuple[list[Finding], bool]:
-    """What the choice and the motion of a decision say of a target; and whether there was time for any.
+def _add(findings: Findings, found: Findings) -> None:
+    for part, more in found.items():
+        findings[part] += more
 
-    ``target_in_base_m`` (3,).
-    """
-    decision, findings = trace.decisions[number], []
-    time_s = float(decision["time_s"])
+
+def went(
+    trace: Trace, number: int, target_in_base_m: NDArray[np.float64], cycles: int, where: str
+) -> tuple[Findings, bool]:
+    """Judge the choice and the motion of a decision by a target (3,); and was there time for any?"""
+    decision = trace.decisions[number]
+    found, tried = way_gone(trace, number, target_in_base_m, cycles, where)
     chosen, off_m = decision["chosen_position_in_base_m"], np.nan
     if is_somewhere(chosen) and is_somewhere(target_in_base_m):
         off_m = float(np.linalg.norm(chosen - target_in_base_m))
-    if not off_m <= SAME_M:
-        findings.append(Finding(SAME_M - off_m, time_s, f"told to go elsewhere than {where}"))
-    done = gone_towards(trace, number, target_in_base_m, after_ticks)
-    if done is None:
-        return findings, bool(findings)
-    findings.append(Finding(done.margin_m, float(trace.time_s[done.worst_tick]), f"on its way to {where}"))
-    return findings, bool(done.due_m >= LEAST_WAY_M) or findings[0].margin_m < 0.0
+    if off_m <= SAME_M:
+        return found, tried
+    said = f"told to go elsewhere than {where}"
+    return {"choice": [Finding(SAME_M - off_m, float(decision["time_s"]), said)], **found}, True
 
 
 def concluded(
     prop: UncertainFallsBack | CertainIsUsed,
     trace: Trace,
-    findings: list[Finding],
+    found: Findings,
     exercised: int,
     none: Callable[[], str],
 ) -> Evaluation:
-    """The word on the worst finding; ``none`` says why there is none."""
-    if not findings:
+    """The word on the worst finding, with one on each part; ``none`` says why there is no finding."""
+    if not any(found.values()):
         return unexercised(prop, none())
-    worst = worst_of(findings)
-    reason = worst.what + (f", worst of {exercised} decisions" if exercised > 1 else "")
     lacked = f"no repulsion had time for {LEAST_WAY_M * 1e3:g} mm of way; a longer duration exercises it"
-    return judged(prop, trace, worst.margin_m, worst.time_s, reason, exercised, lambda: lacked)
+
+    def said(findings: list[Finding]) -> Evaluation:
+        worst = worst_of(findings)
+        reason = worst.what + (f", worst of {exercised} decisions" if exercised > 1 else "")
+        return judged(prop, trace, worst.margin_m, worst.time_s, reason, exercised, lambda: lacked)
+
+    parts = [replace(said(one), sentence=f"{prop.sentence}: {part}") for part, one in found.items() if one]
+    return replace(said([finding for one in found.values() for finding in one]), parts=tuple(parts))
 
 
 @dataclass(frozen=True, kw_only=True)
 class UncertainFallsBack:
     """Where the spread is above the avoider's threshold, the arm goes to the opposite pose, or stops.
 
-    The opposite pose is computed again from the predictions of the tick.  From ``cycles`` control ticks
-    after the decision on, the TCP has to keep up with the point mass of ``progress`` that heads for
-    it; a chosen position more than 1 mm from it is a violation at once.  A stop before the next decision is
+    The opposite pose is computed again from the predictions of the tick.  ``way_gone`` judges apart when the
+    motion begins (within ``cycles`` control ticks), its direction, its pace and its end; a chosen position
+    more than 1 mm from the pose is a violation at once.  A stop before the next decision is
     right where the opposite pose could not be used (``spare_m``), and then has to be one (``stopped_m``);
     where it could have been, its margin is minus what the pose had to spare.
     """
@@ -135,7 +143,7 @@ class UncertainFallsBack:
     @reads(*READS, also=[*ALSO, "decision.hand_position_in_base_m"])
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge each decision whose answer was uncertain."""
-        findings: list[Finding] = []
+        findings: Findings = defaultdict(list)
         exercised = 0
         for number, decision in enumerate(trace.decisions):
             if not has_doubt(decision):
@@ -146,13 +154,15 @@ class UncertainFallsBack:
             if np.any(trace.ticks["mode"][tick : until + 1] == Mode.PROTECTIVE_STOP):
                 if not kept_from_possible_hands(trace, decision, "opposite_failed"):
                     lacked_m = -spare_m(trace, decision, opposite)
-                    findings.append(Finding(lacked_m, time_s, "stopped, what the opposite pose lacked"))
+                    findings["stop"].append(
+                        Finding(lacked_m, time_s, "stopped, what the opposite pose lacked")
+                    )
                 left_m = stopped_m(trace, min(until, len(trace.ticks) - 1))
-                findings.append(Finding(left_m, time_s, "the way of the stop"))
+                findings["stop"].append(Finding(left_m, time_s, "the way of the stop"))
                 exercised += 1
                 continue
             found, tried = went(trace, number, opposite, self.cycles, "the opposite pose")
-            findings += found
+            _add(findings, found)
             exercised += tried
         return concluded(self, trace, findings, exercised, lambda: spread_beside_threshold(trace, above=True))
 
@@ -172,7 +182,7 @@ class CertainIsUsed:
     @reads(*READS, also=[*ALSO, *PROPOSAL, "decision.outcome"])
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge each decision whose answer was certain and usable."""
-        findings: list[Finding] = []
+        findings: Findings = defaultdict(list)
         exercised, kept, most_m = 0, 0, -np.inf
         for number, decision in enumerate(trace.decisions):
             proposed = decision["proposed_position_in_base_m"]
@@ -188,11 +198,11 @@ class CertainIsUsed:
             if decision["outcome"] == DecisionOutcome.STOP:
                 tcp_in_base = trace.ticks["transform_tcp_to_base"][decision["tick"], :3, 3]
                 way_m = float(np.linalg.norm(proposed - tcp_in_base))
-                findings.append(Finding(-way_m, float(decision["time_s"]), "stopped all the same"))
+                findings["stop"].append(Finding(-way_m, float(decision["time_s"]), "stopped all the same"))
                 exercised += 1
                 continue
-            found, tried = went(trace, number, proposed, 0, "the proposed position")
-            findings += found
+            found, tried = went(trace, number, proposed, USED_CYCLES, "the proposed position")
+            _add(findings, found)
             exercised += tried
 
         def none() -> str:
@@ -206,14 +216,21 @@ class CertainIsUsed:
         return concluded(self, trace, findings, exercised, none)
 
 
+WAY = (
+    f"what is left of a cone of {np.degrees(OFF_RAD):g} deg to the pose, from 10 mm of way on; how far the "
+    f"TCP keeps up with a point mass of {PACE.speed:.0%} of a repulsion's speed and "
+    f"{PACE.acceleration:.0%} of its acceleration; what is left of the arrival tolerance and "
+    f"{SHORT_M * 1e3:g} mm at the end"
+)
+
 UNCERTAIN = CatalogueEntry(
     prop=UncertainFallsBack(cycles=2),
     pattern=r"uncertain answers fall back within (\S+) cycles?",
     make=lambda match, _, place: UncertainFallsBack(cycles=count(match[1], place)),
     rationale="the spread is worth something only if it keeps the arm from going where the network guesses",
     source="the paper, section 3.3: the opposite pose where the network is not sure",
-    margin="how far the TCP keeps up with a point mass that heads for the opposite pose; after a stop what "
-    "that pose lacked, or minus what it had to spare",
+    margin=f"the least of: cycles left at the onset, as way; {WAY}; after a stop what the opposite pose "
+    "lacked, or minus what it had to spare",
     parameters="the number of control ticks; the threshold of the avoider, the radius of the settings",
     exercised="a spread above the avoider's threshold, and time for 10 mm of way, or a stop",
     scenario="hesitating-reach",
@@ -224,8 +241,7 @@ CERTAIN = CatalogueEntry(
     prop=CertainIsUsed(),
     rationale="a system that always falls back is not the one whose avoider was tested",
     source="the other direction of the same rule",
-    margin="how far the TCP keeps up with a point mass that heads for the proposed position; after a stop "
-    "minus the way there",
+    margin=f"the least of: cycles left of two at the onset, as way; {WAY}; after a stop minus the way there",
     parameters="the threshold of the avoider; what a position has to spare",
     exercised="a spread within the avoider's threshold, a usable position, and time for 10 mm of way",
     scenario="hesitating-reach",

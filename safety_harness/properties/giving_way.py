@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import sqrt
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +37,16 @@ LEAST_SPEED_MPS, LEAST_ACCELERATION_MPS2 = 0.020, 0.1
 SLACK_M = 0.002  # how far the TCP may stay behind the reference; one control period's way more, but
 NOT_OFF = np.zeros(3)
 SLACK_SHARE = 0.1  # at most this share of the whole way
+
+
+class Shares(NamedTuple):
+    """How much of the repulsion speed and, while speeding up, of its acceleration the reference takes."""
+
+    speed: float
+    acceleration: float
+
+
+MODEST = Shares(SPEED_SHARE, ACCELERATION_SHARE)
 
 
 @dataclass(frozen=True)
@@ -372,16 +383,20 @@ class RepulsionProgress:
 
 
 def progress(
-    trace: Trace, decision: np.void, last: int, before: RepulsionProgress | None
+    trace: Trace,
+    decision: np.void,
+    last: int,
+    before: RepulsionProgress | None,
+    shares: Shares = MODEST,
 ) -> RepulsionProgress:
-    """Of the repulsion from ``decision`` to the tick ``last``.
+    """Of the repulsion from ``decision`` to the tick ``last``, beside a reference that takes ``shares``.
 
     ``before`` is the progress of the repulsion that this one cuts short because of another hand:
     what was due and what was behind are carried over, so that deciding again and again does not
     take the place of moving.
     """
     first = int(decision["tick"])
-    done = _followed(trace, decision, last)
+    done = _followed(trace, decision, last, shares=shares)
     behind_m, due_m = done.behind_m, done.due_m
     if before is not None:
         behind_m, due_m = behind_m + max(before.behind_m, 0.0), due_m + before.due_m
@@ -405,32 +420,39 @@ def _followed(
     last: int,
     off_m: NDArray[np.float64] = NOT_OFF,  # (3,)
     faster_mps: NDArray[np.float64] = NOT_OFF,  # (3,)
+    shares: Shares = MODEST,
 ) -> _Followed:
     """The repulsion from ``decision`` to the tick ``last``; the reference may begin elsewhere, and faster."""
     first = int(decision["tick"])
     settings, avoidance = trace.scenario.settings, trace.scenario.settings.avoidance
     window = trace.ticks[first : last + 1]
-    arm = arm_model(trace.scenario.robot)
-    at_limit = np.abs(window["demanded_joint_velocity_radps"]) >= 0.999 * arm.velocity_limit_radps
-    slowed = (window["limits"] & Limit.JOINT_SPEED != 0) & at_limit.any(axis=1)
     tcp_in_base = np.ascontiguousarray(window["transform_tcp_to_base"][:, :3, 3])
     earlier = trace.ticks["transform_tcp_to_base"][max(first - 1, 0), :3, 3]
     velocity = (tcp_in_base[0] - earlier) / settings.clock.control_period_s + faster_mps
     tcp_in_base[0] += off_m
     period_s = settings.clock.control_period_s
-    excused = slowed | (window["limits"] & Limit.BRAKING != 0)
+    excused = excused_in(trace, first, last)
     behind_m, due_m = _behind(
         tcp_in_base,
         velocity,
         decision["chosen_position_in_base_m"].copy(),
         excused,
-        SPEED_SHARE * max(avoidance.repulsion_speed_mps, LEAST_SPEED_MPS),
+        shares.speed * max(avoidance.repulsion_speed_mps, LEAST_SPEED_MPS),
+        shares.acceleration * max(avoidance.repulsion_acceleration_mps2, LEAST_ACCELERATION_MPS2),
         ACCELERATION_SHARE * max(avoidance.repulsion_acceleration_mps2, LEAST_ACCELERATION_MPS2),
         period_s,
     )
     way_m = float(np.linalg.norm(decision["chosen_position_in_base_m"] - tcp_in_base[0]))
     slack_m = SLACK_M + min(period_s * avoidance.repulsion_speed_mps, SLACK_SHARE * way_m)
     return _Followed(behind_m, due_m, slack_m, bool(excused.any()))
+
+
+def excused_in(trace: Trace, first: int, last: int) -> NDArray[np.bool_]:
+    """(n,) in which ticks from ``first`` to ``last`` the drives brake, or a joint is at its speed limit."""
+    window, arm = trace.ticks[first : last + 1], arm_model(trace.scenario.robot)
+    at_limit = np.abs(window["demanded_joint_velocity_radps"]) >= 0.999 * arm.velocity_limit_radps
+    slowed = (window["limits"] & Limit.JOINT_SPEED != 0) & at_limit.any(axis=1)
+    return np.asarray(slowed | (window["limits"] & Limit.BRAKING != 0))
 
 
 @compiled
@@ -441,12 +463,13 @@ def _behind(
     excused: NDArray[np.bool_],  # (n,)
     speed_mps: float,
     acceleration_mps2: float,
+    braking_mps2: float,
     period_s: float,
 ) -> tuple[NDArray[np.float64], float]:
     """How much farther from the target the TCP is than the reference, each tick, and the latter's way [m].
 
     The reference x at the speed v: v <- v + min(1, a dt/|u - v|) (u - v), x <- x + v dt, with u = min(v_max,
-    (2 a s)^(1/2), s/dt) towards the target, s away; in an excused tick it moves as the TCP does.
+    (2 b s)^(1/2), s/dt) towards the target, s away; in an excused tick it moves as the TCP does.
     """
     n = tcp_in_base_m.shape[0]
     behind = np.zeros(n)
@@ -464,7 +487,7 @@ def _behind(
                 x[i] += step
                 v[i] = step / period_s
             continue
-        speed = min(speed_mps, sqrt(2.0 * acceleration_mps2 * left), left / period_s)
+        speed = min(speed_mps, sqrt(2.0 * braking_mps2 * left), left / period_s)
         total = 0.0
         for i in range(3):
             wanted = speed * (target_in_base_m[i] - x[i]) / left if left > 0.0 else 0.0

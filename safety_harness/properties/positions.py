@@ -18,7 +18,7 @@ from safety_harness.avoidance.gate import OWN_CLEARANCE_M, REACH_MARGIN_M
 from safety_harness.properties.base import Evaluation, Unit, is_somewhere, judged
 from safety_harness.properties.clear_ways import clearances_m
 from safety_harness.properties.entry import CatalogueEntry
-from safety_harness.properties.giving_way import RepulsionProgress, last_tick, progress
+from safety_harness.properties.giving_way import MODEST, RepulsionProgress, Shares, last_tick, progress
 from safety_harness.properties.measured import reads
 from safety_harness.properties.true_motion import arm_of
 from safety_harness.properties.unexercised import no_position, unexercised
@@ -86,7 +86,11 @@ def spare_m(trace: Trace, decision: np.void, position_in_base_m: NDArray[np.floa
 
 
 def gone_towards(
-    trace: Trace, number: int, target_in_base_m: NDArray[np.float64], after_ticks: int
+    trace: Trace,
+    number: int,
+    target_in_base_m: NDArray[np.float64],
+    after_ticks: int,
+    shares: Shares = MODEST,
 ) -> RepulsionProgress | None:
     """How well the repulsion of decision ``number`` keeps up with the reference that heads for a target.
 
@@ -101,7 +105,7 @@ def gone_towards(
     decision["chosen_position_in_base_m"] = target_in_base_m
     if int(decision["tick"][0]) >= last:
         return None
-    return progress(trace, decision[0], last, None)
+    return progress(trace, decision[0], last, None, shares)
 
 
 def stopped_m(trace: Trace, tick: int) -> float:

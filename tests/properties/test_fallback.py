@@ -107,7 +107,7 @@ def test_noting_down_the_opposite_pose_does_not_make_up_for_going_elsewhere() ->
     )
     evaluation = UNCERTAIN.evaluate(said)
     assert evaluation.verdict is Verdict.VIOLATED, evaluation
-    assert evaluation.reason.startswith("on its way")
+    assert "from the opposite pose" in evaluation.reason, evaluation
 
 
 def test_using_an_answer_is_judged_by_the_way_too() -> None:
@@ -119,7 +119,7 @@ def test_using_an_answer_is_judged_by_the_way_too() -> None:
     )
     evaluation = USED.evaluate(said)
     assert evaluation.verdict is Verdict.VIOLATED, evaluation
-    assert evaluation.reason.startswith("on its way")
+    assert "from the proposed position" in evaluation.reason
 
 
 def test_a_stop_is_no_fallback_while_the_opposite_pose_could_be_used() -> None:
@@ -171,19 +171,6 @@ def test_every_decision_that_left_nothing_is_judged_and_the_worst_is_told() -> N
 def test_a_certain_answer_that_cannot_be_used_need_not_be() -> None:
     far = Displaced((0.0, 2.0, 0.0), spread_m=0.01, spread_threshold_m=0.02)
     assert USED.evaluate(run(scenario(VISIT), avoider=far)).verdict is Verdict.INCONCLUSIVE
-
-
-def test_an_arm_that_begins_thirty_cycles_late_keeps_to_thirty_and_not_to_two() -> None:
-    trace, late = doubting(), 30
-    first = int(trace.decisions["tick"][0])
-    ticks = trace.ticks.copy()
-    names = ("joint_position_rad", "transform_tcp_to_base", "joint_velocity_radps", "tcp_speed_mps")
-    for name in (*names, "mode"):
-        ticks[name][first + late :] = trace.ticks[name][first:-late]
-        ticks[name][first : first + late] = trace.ticks[name][first]
-    delayed = replace(trace, ticks=ticks)
-    assert UncertainFallsBack(cycles=2).evaluate(delayed).verdict is Verdict.VIOLATED
-    assert UncertainFallsBack(cycles=late).evaluate(delayed).verdict is Verdict.HOLDS
 
 
 def test_a_fallback_that_heads_for_the_hand_breaks_its_second_part_alone() -> None:
