@@ -20,6 +20,7 @@ import numpy as np
 
 from safety_harness.exceptions import InputError, Place
 from safety_harness.proof.box_kernel import OUTSIDE, PROVEN
+from safety_harness.proof.check import percent
 from safety_harness.proof.claims import ClaimKind, DecisionClaim
 from safety_harness.proof.plan import PlannedProof, ProofPlan, ProofRegion
 from safety_harness.proof.tree import BoxTree
@@ -36,6 +37,12 @@ KINDS = {
     ClaimKind.AWAY: "away",
     ClaimKind.UNSURE: "unsure",
 }
+
+
+def outward(shares: tuple[float, float, float]) -> tuple[str, str, str]:
+    """Return proven (at least), refuted and undecided (at most) in per cent, each rounded outwards."""
+    proven, refuted, undecided = shares
+    return percent(proven, True), percent(refuted, False), percent(undecided, False)
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ import hashlib
 import json
 import sys
 import zlib
+from decimal import ROUND_CEILING, ROUND_FLOOR, Decimal
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +35,12 @@ def need(held: bool | np.bool_, what: str) -> None:
     """Refuse unless it holds."""
     if not held:
         raise ValueError(what)
+
+
+def percent(share: float, at_least: bool) -> str:
+    """Return a bound in per cent, rounded outwards: down if it is a share at least, else up."""
+    way = ROUND_FLOOR if at_least else ROUND_CEILING
+    return f"{Decimal(100.0 * share).quantize(Decimal('0.0001'), way)}%"
 
 
 def network_of(data: bytes) -> tuple[list[Any], float, float]:
@@ -212,7 +219,8 @@ def check_claim(network: Any, claim: dict[str, Any]) -> str:
         need(confirmed(claim, point, point, REFUTED, *network).all(), "a question that does not refute")
     need(claim["verdict"] == verdict, f"it is {verdict}")
     at = f"hand and TCP from {corners[0, 0].tolist()} to {corners[1, 0].tolist()}, {region['apart_m']} apart"
-    return f"{verdict}: {kind} {limit:g} m; {at} (m): {', '.join(f'{n} {s:.4%}' for n, s in shares.items())}"
+    told = ", ".join(f"{name} {percent(share, name == 'proven')}" for name, share in shares.items())
+    return f"{verdict}: {kind} {limit:g} m; {at} (m): {told}"
 
 
 def check(certificate: bytes, model: bytes) -> list[str]:
