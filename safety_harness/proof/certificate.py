@@ -13,6 +13,7 @@ import json
 import zlib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
+from math import ceil, floor
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,6 @@ import numpy as np
 
 from safety_harness.exceptions import InputError, Place
 from safety_harness.proof.box_kernel import OUTSIDE, PROVEN
-from safety_harness.proof.check import percent
 from safety_harness.proof.claims import ClaimKind, DecisionClaim
 from safety_harness.proof.plan import PlannedProof, ProofPlan, ProofRegion
 from safety_harness.proof.tree import BoxTree
@@ -41,8 +41,9 @@ KINDS = {
 
 def outward(shares: tuple[float, float, float]) -> tuple[str, str, str]:
     """Return proven (at least), refuted and undecided (at most) in per cent, each rounded outwards."""
-    proven, refuted, undecided = shares
-    return percent(proven, True), percent(refuted, False), percent(undecided, False)
+    proven, *rest = (1e6 * share for share in shares)
+    refuted, undecided = (f"{ceil(share) / 1e4:.4f}%" for share in rest)
+    return f"{floor(proven) / 1e4:.4f}%", refuted, undecided
 
 
 @dataclass(frozen=True)
