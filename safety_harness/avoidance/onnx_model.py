@@ -39,6 +39,7 @@ from safety_harness.avoidance.model_file import (
     network_use,
     refuse,
 )
+from safety_harness.avoidance.onnx_graph import refuse_chance, refuse_dependence
 from safety_harness.exceptions import ModelError, Place, described, on_one_line
 from safety_harness.scenario.decision_times import LONGEST_S
 from safety_harness.scenario.typed_json import of_format, parsed
@@ -141,13 +142,26 @@ def drawn_masks(use: NetworkUse, seeds: NDArray[np.uint64]) -> NDArray[np.bool_]
 
 
 def open_session(path: Path, data: bytes) -> Any:
-    """The file in onnxruntime: one thread, in order, no file beside it; ModelError if that cannot load it."""
+    """Return the file in onnxruntime: one thread, in order, no file beside it.
+
+    Raise ModelError if the runtime cannot load it, if it draws random numbers, or if its answer depends on
+    the runtime's optimisation.
+    """
+    session = _session(path, data, optimised=True)
+    refuse_chance(path, data)
+    refuse_dependence(path, session, _session(path, data, optimised=False))
+    return session
+
+
+def _session(path: Path, data: bytes, *, optimised: bool) -> Any:
     import onnxruntime  # an extra: who asks for one has looked
 
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     options.execution_mode = onnxruntime.ExecutionMode.ORT_SEQUENTIAL
     options.use_deterministic_compute = True
+    if not optimised:
+        options.graph_optimization_level = onnxruntime.GraphOptimizationLevel.ORT_DISABLE_ALL
     options.log_severity_level = 4  # what is wrong comes as an exception
     options.add_session_config_entry("session.load_model_format", "ONNX")
     # External data are sought in a folder, which this file is not: there are none.

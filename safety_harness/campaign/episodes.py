@@ -265,14 +265,15 @@ def judgement_of(evaluation: Evaluation, trace: Trace, broken: str) -> ClaimJudg
     measured, says nothing of it; one that is broken counts as a violation in upper bounds, whatever it would
     have shown.
     """
+    undecided = evaluation.verdict is not Verdict.HOLDS
     if evaluation.verdict is Verdict.VIOLATED:
         outcome = EpisodeOutcome.VIOLATED
     elif broken and not trace.complete:
         outcome = EpisodeOutcome.FAILED
-    elif evaluation.verdict is Verdict.HOLDS:
-        outcome = EpisodeOutcome.HOLDS
-    elif (evaluation.exercised and not evaluation.unmeasured) or broken:
+    elif broken or (evaluation.exercised and not evaluation.unmeasured and undecided):
         outcome = EpisodeOutcome.INCONCLUSIVE
+    elif not undecided:
+        outcome = EpisodeOutcome.HOLDS
     else:
         outcome = EpisodeOutcome.UNTESTED
     margin, worst_s = evaluation.margin, evaluation.worst_time_s

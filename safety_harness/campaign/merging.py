@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.opening import COUNTS, explained, only_runner, refuse_any_file, unusable
 from safety_harness.campaign.session import plan_of
@@ -13,6 +15,7 @@ from safety_harness.campaign.summary import tally_of
 from safety_harness.exceptions import LedgerError, Place
 from safety_harness.properties.base import Unit
 from safety_harness.statistics.paired import PairedComparison, compare
+from safety_harness.statistics.sample import PERHAPS
 from safety_harness.whole_file import replacing, writing
 
 _NUMBERS = ("seed", "draws", "decisions", "proposed", "opposite", "stopped", "faults", "late", *COUNTS)
@@ -118,6 +121,7 @@ def compare_ledgers(first: Ledger, second: Ledger) -> tuple[PairedComparison, ..
         if not (tally := tally_of(ledger)).complete:
             got = f"{tally.done} of {tally.planned} episodes: resume it, or merge its parts"
             raise unusable(ledger.path, "a complete campaign", got)
+    refuse_other_scenarios(first, second)
     strata = [name for name in first.declared.strata if name in second.declared.strata]
     claims = [claim for claim in first.declared.claims if claim in second.declared.claims]
     if not strata or not claims:
@@ -125,6 +129,28 @@ def compare_ledgers(first: Ledger, second: Ledger) -> tuple[PairedComparison, ..
     pairs = [(stratum, claim) for stratum in strata for claim in claims]
     confidence = 1.0 - (1.0 - first.declared.confidence) / len(pairs)
     return tuple(compare(second.sample(*pair), first.sample(*pair), confidence) for pair in pairs)
+
+
+def without_a_decided_run(ledger: Ledger) -> list[tuple[str, str]]:
+    """Stratum and claim of which every run that was made failed, or could not be judged."""
+    pairs = [(stratum, claim) for stratum in ledger.declared.strata for claim in ledger.declared.claims]
+    samples = {pair: ledger.sample(*pair) for pair in pairs}
+    return [pair for pair, one in samples.items() if np.isin(one.outcomes, PERHAPS).all()]
+
+
+_DRAWN = (
+    "FROM episode a JOIN stratum s ON s.id = a.stratum JOIN first.stratum t ON t.name = s.name "
+    "JOIN first.episode b ON b.stratum = t.id AND b.episode = a.episode"
+)
+
+
+def refuse_other_scenarios(first: Ledger, second: Ledger) -> None:
+    """Raise LedgerError where an episode is another scenario in each: admission drew one of them anew."""
+    with second.attached(first.path, "first"):
+        (pairs, apart), *_ = second.all(f"SELECT count(*), total(a.draws <> b.draws) {_DRAWN}")
+    if apart:
+        got = f"{int(apart)} of {pairs} pairs whose scenarios differ: admission refused other draws"
+        raise unusable(second.path, f"the same scenario in each episode as {first.path}", got)
 
 
 def worse_episodes(first: Ledger, second: Ledger, most: int = 20) -> list[Worse]:

@@ -17,6 +17,7 @@ from safety_harness.certification.evidence import (
     StratumResult,
 )
 from safety_harness.certification.tools import Credibility, SelfTest
+from safety_harness.certification.whose_fault import UNTOLD
 
 _PLAIN = {
     ClaimStatus.REFUTED: "is refuted",
@@ -45,6 +46,8 @@ def findings_of(
         yield OpenFinding(ledger.repeated.line, "strata")
     yield from (OpenFinding(text, "strata") for text in of_stored)
     yield from of_examples(met)
+    if evidence.whose_fault.about.startswith(UNTOLD):
+        yield OpenFinding(evidence.whose_fault.about, "counterexamples")
     yield from of_searches(searches, evidence.plan.search_runs)
     yield from of_worlds(evidence.credibility)
     yield from of_selftest(evidence.selftest)

@@ -123,11 +123,12 @@ def prove(
 
 def _tell(plan: ProofPlan, proofs: list[Proof], out: Path) -> list[str | None]:
     """The table, and the files of questions that were answered wrongly, by claim."""
+    from safety_harness.proof.certificate import outward
     from safety_harness.properties.tally import table
 
     rows = []
     for proof in proofs:
-        cells = (f"{share:.4%}" for share in proof.least_shares)
+        cells = outward(proof.least_shares)
         rows.append((proof.planned.claim.sentence, proof.planned.region.name, proof.verdict, *cells))
     columns = ("claim", "region", "verdict", "proven", "refuted", "undecided")
     result(f"{plan.avoider}: shares of each region, proven at least and undecided at most", "")

@@ -304,7 +304,15 @@ def sees_of(controller: UserController) -> tuple[str, ...]:
 
 
 def reports_of(controller: UserController) -> tuple[str, ...]:
-    """What it reports, in the order of ``REPORTS``; ControllerError for a word that is none of them."""
+    """Return what it reports, in the order of ``REPORTS``.
+
+    Raise ControllerError for a word that is none of them, or for a declared delay, which no run would have.
+    """
+    if getattr(controller, "decision_time_s", None):
+        raise ControllerError(
+            "decision_time_s of a controller is not simulated: every answer counts in its own tick; "
+            "hold the answers back in act itself"
+        )
     said = _words(controller, "reports", getattr(controller, "reports", ()), REPORTS)
     if DOUBT in said and DECISIONS not in said:
         raise ControllerError('reports: "doubt" is of decisions, and "decisions" are not among them')

@@ -13,6 +13,7 @@ import json
 import zlib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
+from math import ceil, floor
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +37,13 @@ KINDS = {
     ClaimKind.AWAY: "away",
     ClaimKind.UNSURE: "unsure",
 }
+
+
+def outward(shares: tuple[float, float, float]) -> tuple[str, str, str]:
+    """Return proven (at least), refuted and undecided (at most) in per cent, each rounded outwards."""
+    proven, *rest = (1e6 * share for share in shares)
+    refuted, undecided = (f"{ceil(share) / 1e4:.4f}%" for share in rest)
+    return f"{floor(proven) / 1e4:.4f}%", refuted, undecided
 
 
 @dataclass(frozen=True)

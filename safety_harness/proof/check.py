@@ -173,10 +173,9 @@ def confirmed(claim: Any, low: Array, high: Array, code: int, steps: Any, u: flo
         least, most = off_optimum(centre, half, step, g, r)
     kept, broken = (limit - most, least - limit) if kind in BELOW else (least - limit, limit - most)
     if kind == "unsure":  # a spread above the threshold will do as well
-        z, g, r = forms["off"]
-        off = np.abs(g).sum(axis=1) + r
-        square = np.stack([np.maximum(np.abs(z) - off, 0.0), np.abs(z) + off]) ** 2
-        least, most = np.sqrt(square.reshape(2, len(z), -1, 3).mean(axis=2)).max(axis=2)
+        off = np.abs((z := forms["off"])[1]).sum(axis=1) + z[2]
+        square = np.stack([np.maximum(np.abs(z[0]) - off, 0.0), np.abs(z[0]) + off]) ** 2
+        least, most = np.sqrt(square.reshape(2, len(z[0]), -1, 3).mean(axis=2)).max(axis=2)
         kept, broken = np.maximum(kept, least - doubt), np.minimum(broken, doubt - most)
     return kept >= MARGIN if code == PROVEN else (broken >= MARGIN) & (nearest >= near) & (farthest <= far)
 
@@ -211,8 +210,9 @@ def check_claim(network: Any, claim: dict[str, Any]) -> str:
         need(((point >= corners[0]) & (point <= corners[1])).all(), "a question out of the region")
         need(confirmed(claim, point, point, REFUTED, *network).all(), "a question that does not refute")
     need(claim["verdict"] == verdict, f"it is {verdict}")
+    out = (f"{n} {(np.ceil, np.floor)[n == 'proven'](1e6 * s) / 1e4:.4f}%" for n, s in shares.items())
     at = f"hand and TCP from {corners[0, 0].tolist()} to {corners[1, 0].tolist()}, {region['apart_m']} apart"
-    return f"{verdict}: {kind} {limit:g} m; {at} (m): {', '.join(f'{n} {s:.4%}' for n, s in shares.items())}"
+    return f"{verdict}: {kind} {limit:g} m; {at} (m): {', '.join(out)}"
 
 
 def check(certificate: bytes, model: bytes) -> list[str]:

@@ -11,7 +11,7 @@ from markupsafe import Markup
 
 from safety_harness.compiled import source_hash
 from safety_harness.distribution import installed_version
-from safety_harness.proof.certificate import Proof, model_hash
+from safety_harness.proof.certificate import Proof, model_hash, outward
 from safety_harness.proof.maps import EDGES, BoxMap, maps_of
 from safety_harness.proof.plan import ProofPlan
 from safety_harness.proof.together import JointBound
@@ -74,7 +74,7 @@ def _section(evidence: ProofEvidence, number: int) -> dict[str, object]:
     proof, bound = evidence.proofs[number], None
     if evidence.bounds:
         bound = evidence.bounds[number]
-    proven, refuted, undecided = (f"{share:.4%}" for share in proof.least_shares)
+    proven, refuted, undecided = outward(proof.least_shares)
     question = proof.question
     return {
         "id": f"claim-{number + 1}",

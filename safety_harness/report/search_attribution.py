@@ -57,8 +57,8 @@ class SearchAttribution:
 
     def explain(self, scenario: Scenario, claim: Claim) -> tuple[str, ...]:
         """Lines for people about one counterexample; what would have helped is run in PyBullet too."""
-        admitted = self._admitter.admit(scenario)
         try:
+            admitted = self._admitter.admit(scenario)
             (one,) = attribute(admitted, (claim,))
         except Exception as error:  # what was found must not be lost for want of an explanation
             return (f"whose fault: cannot be told: {described(error)}",)

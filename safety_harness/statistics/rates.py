@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import inf
 
 import scipy
 
@@ -23,6 +24,8 @@ def most_an_hour(count: int, hours: float, chance: float) -> float:
 
     Garwood (1936): the rate under which as few events or fewer have that chance.
     """
+    if not hours > 0.0:  # nobody looked: any rate may be
+        return inf
     return float(scipy.special.gammainccinv(count + 1, chance)) / hours
 
 

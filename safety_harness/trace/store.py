@@ -218,6 +218,9 @@ class _Reader:
 
     def _trace(self, archive: zipfile.ZipFile) -> Trace:
         """The small parts first: they tell how large the others may be."""
+        first = min((info.header_offset for info in archive.infolist()), default=0)
+        if first:  # what lies before would not be read
+            raise self._error("one trace alone in the file", f"{first} bytes before it")
         for info in archive.infolist():
             if info.filename in self._parts:
                 raise self._error("each part once", "one twice", info.filename)

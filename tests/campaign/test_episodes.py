@@ -225,7 +225,7 @@ def test_only_a_whole_run_that_never_tested_the_claim_says_nothing_of_it(visit: 
         EpisodeOutcome.FAILED,
         EpisodeOutcome.VIOLATED,
     ]
-    assert [outcome(one, spoilt) for one in (never, seen)] == [EpisodeOutcome.INCONCLUSIVE] * 2
+    assert [outcome(one, spoilt) for one in (never, seen, held)] == [EpisodeOutcome.INCONCLUSIVE] * 3
 
 
 def test_a_claim_that_reads_what_was_not_measured_is_untested_on_whatever_occasions(visit: Trace) -> None:

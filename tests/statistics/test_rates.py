@@ -50,3 +50,8 @@ def test_the_truth_is_what_simulated_shifts_meet() -> None:
     met = EVERYDAY.met(shifts, np.random.default_rng(3))
     spread = (EVERYDAY.truth / (shifts * 8.0)) ** 0.5
     assert abs(met - EVERYDAY.truth) < 4.0 * spread
+
+
+def test_no_time_of_observation_bounds_no_rate() -> None:
+    """Nobody looked: whatever the count, any rate may be."""
+    assert most_an_hour(0, 0.0, 0.05) == float("inf")

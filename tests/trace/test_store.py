@@ -207,3 +207,11 @@ def test_a_missing_file_and_a_folder_are_refused(tmp_path: Path) -> None:
     for path in (tmp_path / "none.trace", tmp_path):
         with pytest.raises(TraceError):
             load_trace(path)
+
+
+def test_two_traces_in_one_file_are_refused(stored: tuple[Trace, Path], tmp_path: Path) -> None:
+    """Of two, only the last would be read, and the file would pass for the whole of both."""
+    both = tmp_path / "both.trace"
+    both.write_bytes(stored[1].read_bytes() * 2)
+    with pytest.raises(TraceError, match="one trace alone in the file"):
+        load_trace(both)
