@@ -95,7 +95,8 @@ def installed(python: str, wheel: Path) -> bool:
 
 def main(pythons: list[str]) -> int:
     """Two interpreters at a time."""
-    wheel = max(Path("dist").glob("hand_safety_harness-*.whl"), key=lambda file: file.stat().st_mtime).resolve()
+    wheels = Path("dist").glob("hand_safety_harness-*.whl")
+    wheel = max(wheels, key=lambda file: file.stat().st_mtime).resolve()
     if not pythons or pythons == ["--newest"]:
         found = {version: interpreter(version) for version in VERSIONS}
         for version in (version for version, python in found.items() if python is None):
