@@ -88,7 +88,7 @@ def _add(findings: Findings, found: Findings) -> None:
 def went(
     trace: Trace, number: int, target_in_base_m: NDArray[np.float64], cycles: int, where: str
 ) -> tuple[Findings, bool]:
-    """Judge the choice and the motion of a decision by a target (3,); and was there time for any?"""
+    """Judge the choice and the motion of a decision by ``target_in_base_m`` (3,); was there time for any?"""
     decision = trace.decisions[number]
     found, tried = way_gone(trace, number, target_in_base_m, cycles, where)
     chosen, off_m = decision["chosen_position_in_base_m"], np.nan

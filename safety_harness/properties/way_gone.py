@@ -41,9 +41,9 @@ Vector = NDArray[np.float64]  # (3,)
 def way_gone(
     trace: Trace, number: int, target_in_base_m: Vector, cycles: int, where: str
 ) -> tuple[dict[str, list[Finding]], bool]:
-    """Judge the repulsion of decision ``number`` by the straight way to a target (3,), named ``where``.
+    """Judge the repulsion of decision ``number`` by the straight way to a target, named ``where``.
 
-    Returns the findings by part, and whether there was time for 10 mm of way.
+    Returns the findings by part, and whether there was time for 10 mm of way.  ``target_in_base_m`` (3,).
     """
     period_s = trace.scenario.settings.clock.control_period_s
     allowed = cycles + sum(ceil(one_s / period_s - 1e-9) for one_s in _delays_s(trace))

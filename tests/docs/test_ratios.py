@@ -87,7 +87,7 @@ def test_every_script_is_run_by_bench_all_or_writes_a_page() -> None:
     (listed,) = re.findall(r"^LONG := ((?:.*\\\n)*.*)$", (BENCHMARKS.parent / "Makefile").read_text(), re.M)
     scripts = {file.stem for file in BENCHMARKS.glob("*.py") if "__main__" in file.read_text()}
     asked_by_others = {"results", "overhead_of_others"}
-    writers = {"gallery", "model_cards", "mutants", "sample_reports"}
+    writers = {"gallery", "model_cards", "mutants", "sample_reports", "smallest_breaks"}
     of_hours = {"million"}  # and told where to write
     of_other_software = {"drives", "accessibility"}  # MuJoCo and axe-core, which nothing else here needs
     others = asked_by_others | writers | of_hours | of_other_software
