@@ -203,6 +203,15 @@ def test_what_was_bridged_in_a_recording_is_said_once(told: bool) -> None:
     assert notes(run) == [note]
 
 
+def test_a_page_says_that_a_recorded_hand_is_a_wrist(full_text: str) -> None:
+    run = factory.no_hands_run()
+    hands = read_scenario(SCENARIOS / "recorded-giving.yaml").hands
+    trace = replace(run.trace, scenario=replace(run.trace.scenario, hands=hands))
+    words = "Recorded hands are wrists."
+    assert words in text_for([replace(run, trace=trace)])
+    assert words not in full_text
+
+
 def test_the_scenario_is_there_as_a_file_that_can_be_saved_again(full: Node) -> None:
     written = full.one("run-2").all("pre")[0].children[0]
     assert written == write_scenario(factory.violated_run().trace.scenario)
