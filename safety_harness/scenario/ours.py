@@ -21,18 +21,7 @@ from safety_harness.shipped.contents import PREFIX, located
 
 SUFFIXES = (".yaml", ".yml")
 # What pytest does not enter either, by its own default.
-NOT_ENTERED = (
-    "*.egg",
-    ".*",
-    "_darcs",
-    "build",
-    "CVS",
-    "dist",
-    "node_modules",
-    "venv",
-    "{arch}",
-    "__pycache__",
-)
+NOT_ENTERED = (".*", "*.egg", "build", "CVS", "dist", "node_modules", "venv", "__pycache__")
 _ALONE = {"scenario space", "tcp start", "hand sensor"}  # nobody else's, whatever is beside them
 _TITLED = {"avoider", "hands"}  # nobody else's beside a title
 _TOLD = (FileKind.SCENARIO, FileKind.SPACE, FileKind.SUITE)  # by a title that others have as well

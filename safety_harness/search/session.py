@@ -139,13 +139,13 @@ class SearchSession:
     def not_found(self) -> list[str]:
         """Claims that the space expects to be violated, and no confirmed counterexample violates."""
         missing = self.trials.to_be_found - {one.one.complaint.sentence for one in self.written}
-        goals = zip(self.trials.goals, self.trials.applicable, strict=True)
-        return [goal.sentence for goal, applicable in goals if goal.sentence in missing and applicable]
+        goals = zip(self.trials.goals, self.trials.of_others, strict=True)
+        return [goal.sentence for goal, of_others in goals if goal.sentence in missing and not of_others]
 
     @property
     def differs(self) -> bool:
         """Was anything found that the space does not expect, not found what it does, or nothing known?"""
-        applicable = self.trials.applicable  # of the other claims nothing can be known
+        applicable = ~self.trials.of_others  # of the other claims nothing can be known
         unknown = bool(self.findings.tried) and not applicable.any()
         unknown |= not self.findings.evidence[applicable].all()  # of a claim that no run put to the test
         return unknown or bool(self.not_found) or not all(one.expected for one in self.written)
@@ -440,7 +440,7 @@ def remarks(trials: Trials, findings: Findings) -> list[str]:
     """What a reader would otherwise get wrong."""
     lines = [f"{count} points refused: {reason}" for reason, count in findings.refused.most_common(3)]
     for claim, goal in enumerate(findings.goals):
-        if findings.tried and not trials.applicable[claim]:
+        if trials.of_others[claim]:
             lines.append(f"not applicable to the controller: {goal.sentence}")
         elif findings.always_violated(claim):
             lines.append(f"every run violates {goal.sentence!r}: it is the claim or the space, no corner")

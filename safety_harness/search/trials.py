@@ -143,7 +143,7 @@ class Trials:
             )
         self.properties: tuple[Property, ...] = tuple(property_of(claim, simplest) for claim in self.claims)
         name = "" if self.reference is None else self.reference.name
-        self.applicable = np.zeros(len(self.properties), bool)  # in some run a claim on the system under test
+        self.of_others = np.zeros(len(self.properties), bool)  # claims that the controller does not concern
         self.goals = tuple(Goal.of(prop, name) for prop in self.properties)
         # That the avoider answered leads a search only where nothing else is claimed.
         self.answered = next((claim for claim in expected if claim not in self.claims), None)
@@ -203,7 +203,7 @@ class Trials:
             judged.append(k)
             evaluations = [prop.evaluate(trace) for prop in self.properties]
             margins[k] = [np.nan if one.margin is None else one.margin for one in evaluations]
-            self.applicable |= [one.applicable for one in evaluations]
+            self.of_others |= [not one.applicable for one in evaluations]
             conclusive[k] = [one.verdict is not Verdict.INCONCLUSIVE for one in evaluations]
             if reference is not None:
                 self._hold_against(reference, trace, evaluations, margins[k], conclusive[k])
