@@ -77,7 +77,12 @@ class Proof:
 
     @property
     def verdict(self) -> str:
-        """``refuted`` with a question; ``proven`` where no box is undecided; else ``undecided``."""
+        """``refuted`` with a question; ``proven`` where no box is undecided; else ``undecided``.
+
+        ``no pair``: the region has no question, so that nothing is claimed.
+        """
+        if not self.planned.region.has_pair:
+            return "no pair"
         shares = self.tree.shares()
         if self.question is not None:
             return "refuted"

@@ -1,12 +1,12 @@
 """An independent check of a certificate of ``prove``, by numpy alone; of ONNX files by ONNX's own reference.
 
-Run: python check.py CERTIFICATE MODEL.  It bounds the answers p to hands h and TCPs t in each box that is
-called proven or refuted, and refuses what it cannot confirm.  A network is steps (name, of which, weight,
-bias, size of the bias's terms), or (name, of which) for a ReLU.  Bounds are forms (centre, symbols, slack); a
-ReLU of l < 0 < u is s z + b +- b, s = u / (u - l), b = -s l / 2.  A sum of n terms is off by (n + 17) u of
-their sizes, u above 2^-24 for ONNX files, 2^-53 for others; a claim has to be kept by MARGIN more.  The
-optimum is t + 0.1 d + 0.05 (t - h), d the direction of DESIRED - t or the nearest on the rim of the cone CONE
-about AXIS.  Its derivative is (1 - d d^T) / |v| by v, and a second one at most 2 / (sqrt(3) |v|^2).
+Run: python check.py CERTIFICATE MODEL.  It bounds the answers p to hands h and TCPs t in each box called
+proven or refuted, and refuses the rest.  A network is steps (name, of which, weight, bias, size of the bias's
+terms), or (name, of which) for a ReLU.  Bounds are forms (centre, symbols, slack); a ReLU of l < 0 < u is s z
++ b +- b, s = u / (u - l), b = -s l / 2.  A sum of n terms is off by (n + 17) u of their sizes, u above 2^-24
+for ONNX files, 2^-53 for others; a claim has to be kept by MARGIN more.  The optimum is t + 0.1 d + 0.05 (t -
+h), d the direction of DESIRED - t or the nearest on the rim of the cone CONE about AXIS.  Its derivative is
+(1 - d d^T) / |v| by v, and a second one at most 2 / (sqrt(3) |v|^2).
 """
 
 import base64
@@ -23,7 +23,7 @@ Array = np.ndarray[Any, Any]
 DESIRED, NOMINAL, EYE = np.array([0.7, 0.0, 0.35]), np.array([0.84, -0.35, 0.005]), np.eye(3)
 RADIUS, CONE, PULL, AXIS = 0.1, np.pi / 3.0, 0.05, (DESIRED - NOMINAL) / np.linalg.norm(DESIRED - NOMINAL)
 PROVEN, REFUTED, UNDECIDED, OUTSIDE = NAMES = {6: "proven", 7: "refuted", 8: "undecided", 9: "outside"}
-BELOW, ABOVE = ("at most", "optimum", "unsure"), ("at least", "away")
+BELOW, ABOVE, FORMAT = ("at most", "optimum", "unsure"), ("at least", "away"), "safety-harness certificate 1"
 HAND, TCP, ANSWER = "hand_position_in_base_m", "tcp_position_in_base_m", "position_in_base_m"
 MARGIN, FARTHEST, LARGE, MOST, LARGEST, SINGLE, DOUBLE = 1e-9, 100.0, 1e8, 2**28, 2**22, 6e-8, 2e-15
 SUMS, AFFINE = ("Add", "Sub", "Concat"), ("Gemm", "MatMul", "Mul", "Div", "Identity", "Flatten", "Cast")
@@ -204,7 +204,8 @@ def check_claim(network: Any, claim: dict[str, Any]) -> str:
         sides = (low, np.where(axis, m := (low + high) / 2.0, low)), (np.where(axis, m, high), high)
         low, high = (np.stack(side, axis=1).reshape(-1, 6) for side in sides)
     need(not len(codes) and shares == claim["shares"], f"codes of no box, or the shares are {shares}")
-    verdict = "proven" if shares["refuted"] + shares["undecided"] == 0.0 < shares["proven"] else "undecided"
+    root, whole = (corners[0], corners[1]), shares["refuted"] + shares["undecided"] == 0.0 < shares["proven"]
+    verdict = "no pair" if confirmed(claim, *root, OUTSIDE, *network).all() else NAMES[8 - 2 * whole]
     if (question := claim["question"]) is not None:
         verdict, point = "refuted", np.array([[*question["hand_in_base_m"], *question["tcp_in_base_m"]]])
         need(((point >= corners[0]) & (point <= corners[1])).all(), "a question out of the region")
@@ -217,8 +218,7 @@ def check_claim(network: Any, claim: dict[str, Any]) -> str:
 
 def check(certificate: bytes, model: bytes) -> list[str]:
     """What is confirmed, a line a claim; ValueError, or another exception, if anything is not."""
-    found = json.loads(certificate)
-    need(found["format"] == "safety-harness certificate 1" and found["claims"] != [], "no certificate")
+    need((found := json.loads(certificate))["format"] == FORMAT and found["claims"] != [], "no certificate")
     need(found["model_sha256"] == hashlib.sha256(model).hexdigest(), "it is of another network")
     return [check_claim(network_of(model), claim) for claim in found["claims"]]
 

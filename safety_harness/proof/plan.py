@@ -65,6 +65,15 @@ class ProofRegion:
         return np.array([low]), np.array([high])
 
     @property
+    def has_pair(self) -> bool:
+        """Is any hand ``apart_m`` from any TCP?  Two boxes have all distances between least and largest."""
+        (low,), (high,) = self.corners()
+        least, most = low[:3] - high[3:], high[:3] - low[3:]  # of hand less TCP
+        nearest = np.linalg.norm(np.maximum(np.maximum(least, -most), 0.0))
+        farthest = np.linalg.norm(np.maximum(np.abs(least), np.abs(most)))
+        return bool(nearest <= self.apart_m[1] and farthest >= self.apart_m[0])
+
+    @property
     def counted_share(self) -> float:
         """What part of its volume has pairs ``apart_m`` apart: a sum over ``STEPS``^3 ways, good to 1e-3."""
         ways, chances = [], []

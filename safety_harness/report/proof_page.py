@@ -21,7 +21,7 @@ from safety_harness.report.words import point_words
 
 SHARES = ("none of it", "under 1 %", "1 to 10 %", "10 to 50 %", "half or more")
 SCALE = Scale(EDGES, SHARES, shares=True)
-STATES = {"proven": "holds", "refuted": "violated", "undecided": "inconclusive"}
+STATES = {"proven": "holds", "refuted": "violated", "undecided": "inconclusive", "no pair": "inconclusive"}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -25,6 +25,7 @@ from safety_harness.report.score_tables import (
     details,
     figures,
     interval,
+    is_green,
     mm,
     repeat_words,
     rows_of,
@@ -81,6 +82,7 @@ def _section(one: ScoredAvoider, number: int) -> dict[str, object]:
         "id": f"avoider-{number}",
         "one": one,
         "towards": towards_words(one.card),
+        "green": is_green(one.card),
         "rows": list(rows_of(cards, figures)),
         "details": list(rows_of(cards, details)),
         "regions": [

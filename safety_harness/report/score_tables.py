@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
@@ -57,15 +58,31 @@ def rows_of(
                     yield ScoreRow(name, card.avoider, number > 0, cells(score, jumps))
 
 
-def towards_words(card: Scorecard) -> str:
-    """Where most proposals lead towards the hand, and how many, whatever the yardsticks do."""
+OFTEN_TOWARDS = 0.20  # of a region's proposals: twice the optimum's share of all near hands, and never green
+
+
+def _towards(card: Scorecard) -> tuple[float, str]:
+    """Return the largest share of proposals that lead towards the hand, and its region; NaN without any."""
     known = [
-        (1.0 - one.leads_away.share, one) for one in card.regions if one.asked_in_runs and one.leads_away
+        (1.0 - one.leads_away.share, one.region)
+        for one in card.regions
+        if one.asked_in_runs and one.leads_away
     ]
-    if not known:
+    return max(known, default=(math.nan, ""))
+
+
+def towards_words(card: Scorecard) -> str:
+    """Return where most proposals lead towards the hand, and how many, whatever the yardsticks do."""
+    share, region = _towards(card)
+    if math.isnan(share):
         return "No region with a proposal was asked about."
-    share, worst = max(known, key=lambda each: each[0])
-    return f"Towards the hand, most: {100 * share:.3g} % of its proposals in {worst.region}."
+    words = f"Towards the hand, most: {100 * share:.3g} % of its proposals in {region}"
+    return words + (f", and {100 * OFTEN_TOWARDS:g} % are too many for green." if not is_green(card) else ".")
+
+
+def is_green(card: Scorecard) -> bool:
+    """Return whether proposals lead towards the hand seldom enough, in every region, to be shown in green."""
+    return _towards(card)[0] <= OFTEN_TOWARDS  # NaN is not
 
 
 def figures(score: RegionScore, jumps: Sequence[Jumps]) -> tuple[str, ...]:

@@ -229,3 +229,13 @@ def test_a_place_that_cannot_be_written_is_bad_input(
 ) -> None:
     assert evaluate(["opposite pose"], out=Path("mine.py"), **FEW) == BAD_INPUT  # type: ignore[arg-type]
     assert "can be written" in capsys.readouterr().err
+
+
+def test_an_avoider_that_often_leads_towards_the_hand_is_never_green(tmp_path: Path) -> None:
+    """Where hand and TCP are unseen, mc-dropout does so in half of its proposals, as the yardsticks do."""
+    for region, colour in (("unseen both", "doubt"), ("seen", "fine")):
+        out = tmp_path / region
+        assert evaluate(["mc-dropout"], regions=[region], questions=400, search=0, out=out) == AS_EXPECTED
+        page = (out / "evaluation.html").read_text()
+        assert f'class="banner {colour}" role="note"><strong>mc-dropout: no finding.' in page
+        assert ("are too many for green." in page) == (colour == "doubt")

@@ -271,3 +271,30 @@ def test_nor_one_whose_tree_is_none(
     (tmp_path / "broken.json").write_text(json.dumps(broken))
     with pytest.raises(InputError, match="a tree of codes"):
         taken_up(tmp_path / "broken.json", read_proof_plan(made / "proofs.yaml"))
+
+
+NO_PAIR = """\
+proof: no question at all
+avoider: student
+regions:
+  nowhere:
+    hand: {from: [600 mm, -500 mm, -200 mm], to: [700 mm, -400 mm, -100 mm]}
+    tcp: {from: [650 mm, -140 mm, 260 mm], to: [700 mm, -90 mm, 300 mm]}
+    apart: [10 mm, 100 mm]
+claims:
+  - claim: steps at most 150 mm
+    in: nowhere
+"""
+
+
+def test_a_region_without_a_pair_proves_nothing(tmp_path: Path) -> None:
+    """Its boxes may well be proven; a certificate that calls the claim proven is refused."""
+    plan = read_proof_plan(plan_file(tmp_path, NO_PAIR))
+    proofs = list(carry_on(plan, fresh(plan), Effort(seconds=1e6, halvings=9)))
+    assert [proof.verdict for proof in proofs] == ["no pair"]
+    written = write_certificate(tmp_path / "certificate.json", plan, proofs)
+    (line,) = check.check(json.dumps(written).encode(), MODEL)
+    assert line.startswith("no pair: ")
+    written["claims"][0]["verdict"] = "proven"
+    with pytest.raises(ValueError, match="it is no pair"):
+        check.check(json.dumps(written).encode(), MODEL)

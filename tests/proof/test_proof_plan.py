@@ -10,7 +10,7 @@ from avoidance.random_models import SEEN, random_perceptron
 from safety_harness.avoidance.model_file import save_model
 from safety_harness.exceptions import InputError
 from safety_harness.proof.claims import ClaimKind, DecisionClaim
-from safety_harness.proof.plan import read_proof_plan
+from safety_harness.proof.plan import ProofRegion, read_proof_plan
 from tests.proof.regions import PLAN, plan_file
 
 
@@ -60,3 +60,16 @@ def test_what_is_wrong_is_told_with_its_place(
         read_proof_plan(plan_file(tmp_path, PLAN.replace(was, now, 1)))
     assert place in str(caught.value)
     assert told in str(caught.value)
+
+
+def test_a_region_without_a_pair_is_told_from_one_with_few() -> None:
+    """Distances of two boxes run from the least to the largest without a gap."""
+    boxes: dict[str, tuple[float, float, float]] = {
+        "hand_low_m": (0.6, 0.0, 0.0),
+        "hand_high_m": (0.7, 0.1, 0.1),
+        "tcp_low_m": (0.0, 0.0, 0.0),
+        "tcp_high_m": (0.1, 0.1, 0.1),
+    }
+    apart = {(0.0, 0.49): False, (0.0, 0.51): True, (0.72, 1.0): False, (0.71, 1.0): True, (0.5, 0.7): True}
+    for limits, has in apart.items():
+        assert ProofRegion(name="a box", apart_m=limits, **boxes).has_pair == has
