@@ -435,6 +435,9 @@ def _notes(log: CellLog, paths: list[_Path]) -> Iterator[str]:
             "how hard the joints accelerate is not said, so they may turn at their greatest speed between "
             "samples: joints: {accelerate at most: ...} says closer where they were"
         )
+    bodies = [one for body in log.hands for one in (body.hand, body.elbow) if one is not None]
+    for samples in (log.joints, *bodies):
+        yield from samples.notes
     for path in paths:
         if path.elbow is None:
             how = (

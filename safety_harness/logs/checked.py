@@ -32,7 +32,10 @@ def joints_checked(joints: LogSamples, names: tuple[str, ...]) -> LogSamples:
 def positions_checked(positions: LogSamples, keep: bool) -> LogSamples:
     """Without samples that show nothing, unless they are to ``keep``; LogError for one that is far away."""
     far = np.abs(positions.values) > FARTHEST_M
-    if far.any():
+    which = far.any(axis=1)
+    if np.count_nonzero(which) > 1 and (positions.values[which] == positions.values[which][0]).all():
+        positions.values[which] = np.nan  # one place, again and again: a tracker's word for not seen
+    elif far.any():
         index = int(np.argmax(far.any(axis=1)))
         got = f"{', '.join(f'{value:.6g}' for value in positions.values[index])} m"
         expected = f"a position within {FARTHEST_M:g} m of the base"
@@ -48,7 +51,13 @@ def _told(samples: LogSamples, there: NDArray[np.bool_]) -> LogSamples:
             expected=f"two samples at least of {samples.source.name} with all its numbers",
             got=f"{np.count_nonzero(there)} of {len(there)}",
         )
-    return samples if there.all() else samples.of(there)
+    if there.all():
+        return samples
+    first, last = samples.time_ns[~there][[0, -1]] / NS
+    return samples.of(there).noted(
+        f"{np.count_nonzero(~there)} of {len(there)} samples, from {first:.3f} to {last:.3f} s of its clock, "
+        "show nothing (empty, NaN, zeros or one far place): not measured"
+    )
 
 
 def with_bounds(samples: LogSamples, bound: SampleBound | None = None) -> LogSamples:

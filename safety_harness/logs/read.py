@@ -183,7 +183,10 @@ class _Reading:
             header = header_of(source)
             word = _word(unit, _ANGLES) if unit else None
             at = [required_column(source, header, f"{source.what}{n}", ANGLE_UNITS, word) for n in names]
-            rates = [optional_column(source, header, f"{source.what}{n}", RATE_UNITS, None) for n in names]
+            rates = [
+                optional_column(source, header, f"{source.what}{n}", RATE_UNITS, None, bare=False)
+                for n in names
+            ]
             time = time_column(source, header, _said(said.optional("time")))
             read_table(Table(*time, (*at, *rates)), collector)
         return joints_checked(collector.samples(), names)
@@ -238,7 +241,7 @@ class _Reading:
         def positions(field: Field, said: Fields) -> LogSamples:
             return self._positions(field, said, (None, None), keep=True)
 
-        return read_told(self.given, self.streams, names, clock, self._source, positions, placed)
+        return read_told(self.given, self.streams, names, clock, self._source, positions, placed, self._given)
 
     def _positions(
         self,
@@ -284,6 +287,9 @@ class _Reading:
             collector.width = len(at)
         read_table(Table(*time, tuple(at)), collector)
         found = with_bounds(collector.samples(), bound)
+        found.values[~found.values.any(axis=1)] = (
+            np.nan
+        )  # what trackers write for a body that they do not see
         gone = np.isnan(found.values)
         half = gone.any(axis=1) & ~gone.all(axis=1)
         if keep and half.any():
@@ -299,12 +305,18 @@ class _Reading:
         seat = self.arm.transform_seat
         if frame is None:
             return by_header(base, source, seat, None)
-        if isinstance(frame.node, Mapping) and any(key.text == "tf" for key, _ in frame.node.entries):
+        keys = {key.text for key, _ in frame.node.entries} if isinstance(frame.node, Mapping) else set()
+        if keys & {"tf", "base"}:
             given = frame.fields(("tf", "base"))
-            name = given.optional("base")
+            name, tf = given.optional("base"), given.optional("tf")
             base = base if name is None else name.sentence("the name of the base frame in the bag")
-            return by_header(base, source, seat, self._source(given.required("tf")))
-        return by_given(_given_transform(frame))
+            return by_header(base, source, seat, None if tf is None else self._source(tf))
+        return self._given(source, frame)
+
+    def _given(self, source: LogSource, frame: Field) -> ToBase:
+        """By the frame that is said, which no header may contradict."""
+        base = self.arm.link_names[0] if np.array_equal(self.arm.transform_seat, np.eye(4)) else BASE
+        return by_given(_given_transform(frame), _frame_name(frame, base), base, source)
 
     def _said_of_joints(self) -> Fields:
         return said_of_joints(self.given)
@@ -324,10 +336,18 @@ def _given_transform(frame: Field) -> NDArray[np.float64]:
     if isinstance(frame.node, Scalar):
         frame.one_of({BASE: None})
         return np.eye(4)
-    given = frame.fields(("at", "turned"))
+    given = frame.fields(("at", "turned", "of"))
     turned = given.optional("turned")
     vector = (0.0, 0.0, 0.0) if turned is None else ROTATION.read(turned)
     return transform_from(rotation_from_vector(np.array(vector)), np.array(POINT.read(given.required("at"))))
+
+
+def _frame_name(frame: Field, base: str) -> str | None:
+    """Return the name of the frame that is stated; None for a pose of a frame without a name."""
+    if isinstance(frame.node, Scalar):
+        return base
+    name = frame.fields(("at", "turned", "of")).optional("of")
+    return None if name is None else name.sentence("the name of the frame in headers")
 
 
 def _names(field: Field | None, arm: ArmModel) -> tuple[str, ...]:

@@ -94,7 +94,7 @@ class LogSamples:
 
     ``time_ns`` (n,) on its own clock; ``values`` (n, k) in SI, NaN where there is none; ``at`` (n,) the line,
     row or message that each stands in, which is what ``counts`` says; ``known_to_m`` (n,) within how much
-    each is known, where the log says it of each, NaN where it does not.
+    each is known, where the log says it of each, NaN where it does not.  ``notes`` say what was left out.
     """
 
     source: LogSource
@@ -103,6 +103,11 @@ class LogSamples:
     at: NDArray[np.int64]
     counts: str
     known_to_m: NDArray[np.float64] | None = None
+    notes: tuple[str, ...] = ()
+
+    def noted(self, note: str) -> LogSamples:
+        """Return the same with one more word on what was left out."""
+        return replace(self, notes=(*self.notes, f"{self.source.name}: {note}"))
 
     def place(self, index: int) -> Place:
         """Of one sample, for errors."""
