@@ -19,6 +19,7 @@ from safety_harness.logs.bags import RECEIVED, STAMP, read_joints, read_position
 from safety_harness.logs.checked import (
     joints_checked,
     positions_checked,
+    refuse_contradicting_speeds,
     refuse_jumping_joints,
     refuse_the_same,
     with_bounds,
@@ -195,6 +196,7 @@ class _Reading:
         """What is said of the joints, and by how much a slip would show."""
         facts = facts_of_joints(self._said_of_joints(), self.arm)
         refuse_jumping_joints(joints, facts, self.arm.joint_names)
+        refuse_contradicting_speeds(joints, facts, self.arm.joint_names)
         return facts
 
     def bodies(

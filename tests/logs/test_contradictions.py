@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cells import Streams, cell, recorded, said, words_of, write_csv
+from cells import NAMES, Cell, Floats, Streams, cell, recorded, said, words_of, write_csv
 from log_formats import (
     TURN,
     _transform,
@@ -220,3 +220,53 @@ def test_a_tf_frame_is_found_with_or_without_a_slash(streams: Streams, tmp_path:
     write_bag(tmp_path / "run", joint_messages(streams) + messages, StoragePlugin.MCAP)
     log = with_text(tmp_path, said("run#/joint_states", "run#/tf:h", "run#/tf:e", ""))
     assert verdict_of(log, DISTANCE) is Verdict.HOLDS
+
+
+def with_speeds(log: Path, one: Cell, factor: Floats, order: list[int], off_radps: float = 0.0) -> Path:
+    """The true speeds of the joints times ``factor`` (6,), in another ``order``, and up to so much off."""
+    file, rng = log.with_name("joints.csv"), np.random.default_rng(5)
+    rows = file.read_text().splitlines()
+    times = np.array([int(row.split(",")[0]) for row in rows[1:]])
+    rates = one.rates_radps((times - times[0]) / 1e9)[:, order] * factor
+    rates += rng.uniform(-off_radps, off_radps, rates.shape)
+    told = [",".join(map(repr, row.tolist())) for row in rates]
+    rows = [",".join(pair) for pair in zip(rows, [",".join(f"{n}_radps" for n in NAMES), *told], strict=True)]
+    file.write_text("\n".join(rows) + "\n")
+    log.write_text(log.read_text().replace("joints: {known", "joints: {speeds known to: 1 deg/s, known"))
+    return log
+
+
+SAME, SIX = [0, 1, 2, 3, 4, 5], np.ones(6)
+
+
+@pytest.mark.parametrize(
+    ("factor", "order"),
+    [
+        (np.degrees(SIX), SAME),
+        (-SIX, SAME),
+        (np.array([1.0, 1.0, 1.0, -1.0, 1.0, 1.0]), SAME),
+        (SIX, SAME[::-1]),
+        (0.0 * SIX, SAME),
+        (1.2 * SIX, SAME),
+    ],
+)
+@pytest.mark.parametrize("hardest", [", accelerate at most: 4.0 rad/s2", ""])
+def test_speeds_that_do_not_lead_from_angle_to_angle_are_refused(
+    log: Path, factor: Floats, order: list[int], hardest: str
+) -> None:
+    """Degrees for radians, a sign, another joint's speeds, zeros while it moves: with both numbers."""
+    log.write_text(log.read_text().replace(", accelerate at most: 4.0 rad/s2", hardest))
+    with_speeds(log, cell(np.random.default_rng(2)), factor, order)
+    with pytest.raises(LogError, match="by its speeds") as refused:
+        judged_log(log)
+    assert refused.value.place.file == log.with_name("joints.csv")
+    assert "as its angles do, to within" in refused.value.expected
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_speeds_as_far_off_as_is_said_are_no_contradiction(tmp_path: Path, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    one = cell(rng)
+    write_csv(recorded(one, rng, seconds=2.0), tmp_path)
+    log = with_text(tmp_path, said("joints.csv", "hands.csv#hand", "hands.csv#elbow"))
+    judged_log(with_speeds(log, one, SIX, SAME, off_radps=float(np.radians(1.0))))
