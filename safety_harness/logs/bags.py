@@ -258,10 +258,27 @@ def read_positions(
         _refuse_infinite(place, source, message)
         if not halves and 0 < sum(map(math.isnan, place)) < 3:
             raise error(source, message, "a position, or none of its three numbers", str(place))
+        collector.bodies.update(_bodies(source, message))
         position = to_base(_frame_of(header), message)([value * length for value in place])
         if bound is not None:
             position = [*position, _bound(bound, content, source, message) * length]
         collector.add(_time_ns(message, source, time, header), position, message.number)
+
+
+def _bodies(source: LogSource, message: Message) -> Iterator[str]:
+    """The bodies of a message beside the stream's: all of its list, or all frames below the same parent."""
+    content = message.content
+    if message.kind == TF:
+        parents = {one.child_frame_id.lstrip("/"): one.header.frame_id for one in content.transforms}
+        own = parents.get(source.path.lstrip("/"))
+        yield from (f"{source.topic}:{child}" for child, parent in parents.items() if parent == own)
+    elif message.kind == POSE_ARRAY and not source.path:
+        there = (k for k, pose in enumerate(content.poses) if any(_xyz(pose, source, message)))
+        yield from (f"{source.topic}[{k}]" for k in there)
+    elif "[" in source.path:
+        before, _, after = source.path.partition("[")
+        count = len(_follow(content, source, message, before))
+        yield from (f"{source.topic}:{before}[{k}{after[after.index(']') :]}" for k in range(count))
 
 
 def _bound(bound: SampleBound, content: Any, source: LogSource, message: Message) -> float:

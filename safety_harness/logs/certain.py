@@ -96,7 +96,8 @@ def trace_of(log: CellLog) -> Recorded:
     columns = dict.fromkeys(COLUMNS_OF_A_TRACE, NOT_MEASURED)
     columns[JOINTS[0]] = measurement(of_position, reach.within, reach.known_gaps())
     columns[JOINTS[1]] = measurement(of_rates, rate_reach.within, rate_reach.known_gaps())
-    columns[PRESENT] = Measurement(source=Source.LOG)
+    others = (Gap(first=0, after=count),) if log.unmapped else ()
+    columns[PRESENT] = Measurement(source=Source.LOG, gaps=others)
     columns |= _of_hands(log, paths)
     trace = replace(trace, known=knowing(trace, columns).known)
     trace = with_told(_derived(trace, columns), log, columns)
@@ -440,6 +441,13 @@ def _notes(log: CellLog, paths: list[_Path]) -> Iterator[str]:
     bodies = [one for body in log.hands for one in (body.hand, body.elbow) if one is not None]
     for samples in (log.joints, *bodies):
         yield from samples.notes
+    if log.unmapped:
+        yield (
+            f"neither mapped nor left out: {', '.join(log.unmapped)}, so that any of them may be a hand, and "
+            "a claim on any hand is open: log: {hands: ...} maps it, hands: {left out: [...]} leaves it out"
+        )
+    if log.left_out:
+        yield f"left out, as the file says: {', '.join(log.left_out)}"
     for path in paths:
         if path.elbow is None:
             how = (

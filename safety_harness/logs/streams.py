@@ -147,6 +147,7 @@ class Collector:
     end_ns: int | None = None
     begin: Callable[[int], tuple[int | None, int | None]] | None = None  # the window, by the first time
     least: int = 2
+    bodies: set[str] = field(default_factory=set)  # all that its messages show, as streams name them
     _time: array[int] = field(default_factory=lambda: array("q"))
     _values: array[float] = field(default_factory=lambda: array("d"))
     _at: array[int] = field(default_factory=lambda: array("q"))

@@ -23,7 +23,7 @@ from log_formats import (
 from rosbags.rosbag2 import StoragePlugin
 
 from safety_harness.admission.trial import judge
-from safety_harness.exceptions import LogError
+from safety_harness.exceptions import InputError, LogError
 from safety_harness.logs.judging import recorded as judged_log
 from safety_harness.scenario.model import Verdict
 
@@ -270,3 +270,54 @@ def test_speeds_as_far_off_as_is_said_are_no_contradiction(tmp_path: Path, seed:
     write_csv(recorded(one, rng, seconds=2.0), tmp_path)
     log = with_text(tmp_path, said("joints.csv", "hands.csv#hand", "hands.csv#elbow"))
     judged_log(with_speeds(log, one, SIX, SAME, off_radps=float(np.radians(1.0))))
+
+
+def with_left(log: Path, hands: str = "hands.csv#hand", more: str = "") -> Path:
+    """The hands' table has a second track, 5 cm above the first one."""
+    file = log.with_name("hands.csv")
+    rows = [row.split(",") for row in file.read_text().splitlines()]
+    rows[0] += [f"left_{axis}_m" for axis in "xyz"]
+    for row in rows[1:]:
+        row += [*row[1:3], repr(float(row[3]) + 0.05)]
+    file.write_text("\n".join(map(",".join, rows)) + "\n")
+    text = log.read_text().replace('"hands.csv#hand"', f'"{hands}"')
+    log.write_text(text.replace("  frame: base", f"  frame: base\n{more}"))
+    return log
+
+
+def test_a_track_that_the_file_does_not_name_leaves_claims_on_any_hand_open(log: Path) -> None:
+    assert verdict_of(log, DISTANCE) is Verdict.HOLDS
+    with_left(log)
+    assert verdict_of(log, DISTANCE) is Verdict.INCONCLUSIVE
+    assert verdict_of(log, "joint speeds within limits") is Verdict.HOLDS
+    assert any("neither mapped nor left out: hands.csv#left" in note for note in judged_log(log).notes)
+
+
+def test_a_track_that_the_file_leaves_out_is_told_beside_the_verdict(log: Path) -> None:
+    with_left(log, more="  left out: ['hands.csv#left']")
+    assert verdict_of(log, DISTANCE) is Verdict.HOLDS
+    assert "left out, as the file says: hands.csv#left" in judged_log(log).notes
+    log.write_text(log.read_text().replace("hands.csv#left", "hands.csv#lefft"))
+    with pytest.raises(InputError, match=r"hands\.csv#left"):
+        judged_log(log)
+
+
+def test_nothing_can_be_left_out_where_all_bodies_are_mapped(log: Path) -> None:
+    text = log.read_text().replace("  frame: base", "  frame: base\n  left out: ['hands.csv#left']")
+    log.write_text(text)
+    with pytest.raises(InputError, match="a stream beside the hands"):
+        judged_log(log)
+
+
+def test_a_pose_that_the_file_does_not_name_leaves_claims_on_any_hand_open(
+    streams: Streams, tmp_path: Path
+) -> None:
+    messages = joint_messages(streams) + pose_array(streams)
+    write_bag(tmp_path / "run", messages, StoragePlugin.MCAP)
+    frame = "frame: {tf: 'run#/tf_static'}"
+    both = with_text(tmp_path, said("run#/joint_states", "run#/people[0]", "run#/people[1]", frame))
+    assert verdict_of(both, DISTANCE) is Verdict.HOLDS
+    nearest, text = "always nearest hand to TCP > 1 mm", both.read_text()
+    both.write_text(text.replace('"run#/people[1]"', "none").replace(DISTANCE, nearest))
+    assert verdict_of(both, nearest) is Verdict.INCONCLUSIVE
+    assert any("run#/people[1]" in note for note in judged_log(both).notes)
