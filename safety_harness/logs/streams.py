@@ -104,6 +104,7 @@ class LogSamples:
     counts: str
     known_to_m: NDArray[np.float64] | None = None
     notes: tuple[str, ...] = ()
+    span_ns: tuple[int, int] | None = None  # of the whole stream, beyond the window too
 
     def noted(self, note: str) -> LogSamples:
         """Return the same with one more word on what was left out."""
@@ -193,7 +194,7 @@ class Collector:
             expected = f"{words} at least of {self.source.name}"
             raise LogError(place=self.source.place, expected=expected, got=got, hint=self._elsewhere())
         refuse_disorder(found)
-        return found
+        return found if n == 0 else replace(found, span_ns=(int(self._first_ns), int(self._last_ns)))
 
     def _elsewhere(self) -> str:
         """Where the samples are, if none was in the window."""

@@ -321,3 +321,19 @@ def test_a_pose_that_the_file_does_not_name_leaves_claims_on_any_hand_open(
     both.write_text(text.replace('"run#/people[1]"', "none").replace(DISTANCE, nearest))
     assert verdict_of(both, nearest) is Verdict.INCONCLUSIVE
     assert any("run#/people[1]" in note for note in judged_log(both).notes)
+
+
+@pytest.mark.parametrize(("kept", "part"), [(slice(0, 90), "to: 0.8 s"), (slice(30, None), "from: 0 s")])
+def test_hands_that_go_on_without_joints_leave_claims_on_them_open(
+    streams: Streams, tmp_path: Path, kept: slice, part: str
+) -> None:
+    """Where the arm was then is not known; that part of the hands is left out if the file says so."""
+    joints = replace(streams, joint_ns=streams.joint_ns[kept], joints_rad=streams.joints_rad[kept])
+    write_csv(joints, tmp_path)
+    text = said("joints.csv", "hands.csv#hand", "hands.csv#elbow")
+    log = with_text(tmp_path, text)
+    assert verdict_of(log, DISTANCE) is Verdict.INCONCLUSIVE
+    assert any("joints are left out, and no claim" in note for note in judged_log(log).notes)
+    log.write_text(text.replace("log: {", f"log: {{{part}, "))
+    assert verdict_of(log, DISTANCE) is Verdict.HOLDS
+    assert any(note.endswith("joints are left out") for note in judged_log(log).notes)
