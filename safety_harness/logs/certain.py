@@ -58,6 +58,7 @@ from safety_harness.trace.trace import Provenance, Trace
 
 RECORDED = "recorded"  # the world of such a trace, and its avoider, which nobody knows
 HAND, ELBOW, PRESENT = "hand_position_in_base_m", "elbow_position_in_base_m", "hand_present"
+RECORDERS_APART_S = 0.25  # of two recorders that are started and stopped together
 _LONGEST_STEP_S = 5.0  # between rows of a stored path
 _PASSED_ON = ("robot", "obstacles")
 _HAND_FILTER, _HORIZON = "hand filter", "prediction horizon"
@@ -113,7 +114,7 @@ def _beyond_joints(log: CellLog) -> tuple[list[Gap], list[str]]:
     gaps, notes = [], []
     chosen = dict(dict(log.said.entries("a log"))["log"].entries("streams"))
     first_ns, last_ns = (int(one) for one in log.joints.time_ns[[0, -1]])
-    longest_s = log.joint_facts.longest_gap_s + log.clock_known_to_s
+    longest_s = max(log.joint_facts.longest_gap_s + log.clock_known_to_s, RECORDERS_APART_S)
     for body in log.hands:
         begin_ns, end_ns = (one - log.hands_ahead_ns for one in body.hand.span_ns or (first_ns, last_ns))
         for key, over_ns, tick, words in (
