@@ -60,9 +60,18 @@ class Part:
 
 
 def read_parts(
-    source: LogSource, collector: Collector, parts: Sequence[Part], names: Sequence[str], *, time: str
+    source: LogSource,
+    collector: Collector,
+    parts: Sequence[Part],
+    names: Sequence[str],
+    *,
+    time: str,
+    framed: Callable[[str, Message], object] | None = None,
 ) -> None:
-    """What a program told: the ``parts`` of each message, NaN for one that it does not have."""
+    """What a program told: the ``parts`` of each message, NaN for one that it does not have.
+
+    ``framed`` raises for a message of another frame than is said.
+    """
     for message in messages(source):
         content, values = message.content, []
         for part in parts:
@@ -78,6 +87,8 @@ def read_parts(
             values += [value * part.si for value in _of_part(part, found, names, source, message)]
         _refuse_infinite(values, source, message)
         header = getattr(content, "header", None)
+        if framed is not None:
+            framed(_frame_of(header), message)
         collector.add(_time_ns(message, source, time, header), values, message.number)
 
 
@@ -226,7 +237,7 @@ def read_positions(
             if not source.path:
                 raise error(source, message, "a frame after the topic, such as /tf:right_hand", "none")
             for transform in content.transforms:
-                if transform.child_frame_id == source.path:
+                if transform.child_frame_id.lstrip("/") == source.path.lstrip("/"):
                     where, header = transform.transform.translation, transform.header
                     break
             else:
@@ -242,14 +253,32 @@ def read_positions(
                 raise _unknown(message, source, "a position", ", ".join((*POSITIONS, POSE_ARRAY, TF)))
             where = _follow(content, source, message, path)
         place = [math.nan] * 3 if where is None else _xyz(where, source, message)
+        if not any(place):  # what trackers write for a body that they do not see
+            place = [math.nan] * 3
         _refuse_infinite(place, source, message)
         if not halves and 0 < sum(map(math.isnan, place)) < 3:
             raise error(source, message, "a position, or none of its three numbers", str(place))
-        frame = str(getattr(header, "frame_id", ""))
-        position = to_base(frame, message)([value * length for value in place])
+        collector.bodies.update(_bodies(source, message))
+        position = to_base(_frame_of(header), message)([value * length for value in place])
         if bound is not None:
             position = [*position, _bound(bound, content, source, message) * length]
         collector.add(_time_ns(message, source, time, header), position, message.number)
+
+
+def _bodies(source: LogSource, message: Message) -> Iterator[str]:
+    """The bodies of a message beside the stream's: all of its list, or all frames below the same parent."""
+    content = message.content
+    if message.kind == TF:
+        parents = {one.child_frame_id.lstrip("/"): one.header.frame_id for one in content.transforms}
+        own = parents.get(source.path.lstrip("/"))
+        yield from (f"{source.topic}:{child}" for child, parent in parents.items() if parent == own)
+    elif message.kind == POSE_ARRAY and not source.path:
+        there = (k for k, pose in enumerate(content.poses) if any(_xyz(pose, source, message)))
+        yield from (f"{source.topic}[{k}]" for k in there)
+    elif "[" in source.path:
+        before, _, after = source.path.partition("[")
+        count = len(_follow(content, source, message, before))
+        yield from (f"{source.topic}:{before}[{k}{after[after.index(']') :]}" for k in range(count))
 
 
 def _bound(bound: SampleBound, content: Any, source: LogSource, message: Message) -> float:
@@ -271,6 +300,10 @@ def error(source: LogSource, message: Message, expected: str, got: str, hint: st
 def _unknown(message: Message, source: LogSource, what: str, types: str) -> LogError:
     hint = f"say which field of it, such as {source.topic}:wrist.position"
     return error(source, message, f"{what}, in a message of {types}", message.kind, hint)
+
+
+def _frame_of(header: Any) -> str:
+    return str(getattr(header, "frame_id", ""))
 
 
 def _time_ns(message: Message, source: LogSource, said: str, header: Any) -> int:

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from safety_harness.logs.mode_motion import refuse_retreat_while_servoing
 from safety_harness.logs.model import Body, CellLog
 from safety_harness.logs.reach import (
     ROUNDING_M,
@@ -57,6 +58,7 @@ from safety_harness.trace.trace import Provenance, Trace
 
 RECORDED = "recorded"  # the world of such a trace, and its avoider, which nobody knows
 HAND, ELBOW, PRESENT = "hand_position_in_base_m", "elbow_position_in_base_m", "hand_present"
+RECORDERS_APART_S = 0.25  # of two recorders that are started and stopped together
 _LONGEST_STEP_S = 5.0  # between rows of a stored path
 _PASSED_ON = ("robot", "obstacles")
 _HAND_FILTER, _HORIZON = "hand filter", "prediction horizon"
@@ -95,11 +97,39 @@ def trace_of(log: CellLog) -> Recorded:
     columns = dict.fromkeys(COLUMNS_OF_A_TRACE, NOT_MEASURED)
     columns[JOINTS[0]] = measurement(of_position, reach.within, reach.known_gaps())
     columns[JOINTS[1]] = measurement(of_rates, rate_reach.within, rate_reach.known_gaps())
-    columns[PRESENT] = Measurement(source=Source.LOG)
+    others = [Gap(first=0, after=count)] if log.unmapped else _beyond_joints(log)[0]
+    columns[PRESENT] = Measurement(source=Source.LOG, gaps=tuple(others))
     columns |= _of_hands(log, paths)
     trace = replace(trace, known=knowing(trace, columns).known)
     trace = with_told(_derived(trace, columns), log, columns)
+    refuse_retreat_while_servoing(trace, log)
     return Recorded(trace, recordings, tuple(_notes(log, paths)))
+
+
+def _beyond_joints(log: CellLog) -> tuple[list[Gap], list[str]]:
+    """The end of a trace beyond which hands go on without joints, and words on both ends.
+
+    An end that ``from`` or ``to`` says is meant; there the hands are left out.
+    """
+    gaps, notes = [], []
+    chosen = dict(dict(log.said.entries("a log"))["log"].entries("streams"))
+    first_ns, last_ns = (int(one) for one in log.joints.time_ns[[0, -1]])
+    longest_s = max(log.joint_facts.longest_gap_s + log.clock_known_to_s, RECORDERS_APART_S)
+    for body in log.hands:
+        begin_ns, end_ns = (one - log.hands_ahead_ns for one in body.hand.span_ns or (first_ns, last_ns))
+        for key, over_ns, tick, words in (
+            ("from", first_ns - begin_ns, 0, "before the first joints"),
+            ("to", end_ns - last_ns, log.ticks - 1, "after the last joints"),
+        ):
+            if over_ns / NS <= longest_s:
+                continue
+            note = f"{body.hand.source.name}: {over_ns / NS:.3f} s {words} are left out"
+            if key not in chosen:
+                gaps.append(Gap(first=tick, after=tick + 1))
+                value = "0 s" if key == "from" else format_quantity((last_ns - first_ns) / NS, TIME)
+                note += f", and no claim on hands holds beyond them: log: {{{key}: {value}}} if that is meant"
+            notes.append(note)
+    return sorted(set(gaps), key=lambda gap: gap.first), notes
 
 
 def _with_hands(trace: Trace) -> Trace:
@@ -435,6 +465,17 @@ def _notes(log: CellLog, paths: list[_Path]) -> Iterator[str]:
             "how hard the joints accelerate is not said, so they may turn at their greatest speed between "
             "samples: joints: {accelerate at most: ...} says closer where they were"
         )
+    bodies = [one for body in log.hands for one in (body.hand, body.elbow) if one is not None]
+    for samples in (log.joints, *bodies):
+        yield from samples.notes
+    yield from _beyond_joints(log)[1]
+    if log.unmapped:
+        yield (
+            f"neither mapped nor left out: {', '.join(log.unmapped)}, so that any of them may be a hand, and "
+            "a claim on any hand is open: log: {hands: ...} maps it, hands: {left out: [...]} leaves it out"
+        )
+    if log.left_out:
+        yield f"left out, as the file says: {', '.join(log.left_out)}"
     for path in paths:
         if path.elbow is None:
             how = (

@@ -14,6 +14,7 @@ from safety_harness.logs.sample_bound import SampleBound, refuse_unbounded
 from safety_harness.logs.streams import NS, LogSamples
 
 FARTHEST_M, FARTHEST_RAD = 10.0, 8.0 * np.pi
+HARDEST_TAKEN_RADPS2 = 40.0  # of a joint's acceleration, where none is said
 
 
 def joints_checked(joints: LogSamples, names: tuple[str, ...]) -> LogSamples:
@@ -32,7 +33,10 @@ def joints_checked(joints: LogSamples, names: tuple[str, ...]) -> LogSamples:
 def positions_checked(positions: LogSamples, keep: bool) -> LogSamples:
     """Without samples that show nothing, unless they are to ``keep``; LogError for one that is far away."""
     far = np.abs(positions.values) > FARTHEST_M
-    if far.any():
+    which = far.any(axis=1)
+    if np.count_nonzero(which) > 1 and (positions.values[which] == positions.values[which][0]).all():
+        positions.values[which] = np.nan  # one place, again and again: a tracker's word for not seen
+    elif far.any():
         index = int(np.argmax(far.any(axis=1)))
         got = f"{', '.join(f'{value:.6g}' for value in positions.values[index])} m"
         expected = f"a position within {FARTHEST_M:g} m of the base"
@@ -48,7 +52,13 @@ def _told(samples: LogSamples, there: NDArray[np.bool_]) -> LogSamples:
             expected=f"two samples at least of {samples.source.name} with all its numbers",
             got=f"{np.count_nonzero(there)} of {len(there)}",
         )
-    return samples if there.all() else samples.of(there)
+    if there.all():
+        return samples
+    first, last = samples.time_ns[~there][[0, -1]] / NS
+    return samples.of(there).noted(
+        f"{np.count_nonzero(~there)} of {len(there)} samples, from {first:.3f} to {last:.3f} s of its clock, "
+        "show nothing (empty, NaN, zeros or one far place): not measured"
+    )
 
 
 def with_bounds(samples: LogSamples, bound: SampleBound | None = None) -> LogSamples:
@@ -102,4 +112,41 @@ def refuse_jumping_joints(joints: LogSamples, facts: JointFacts, names: tuple[st
             f"{facts.accelerate_at_most_radps2:.4g} rad/s2 at most, as is said",
             f"{hard[index]:.4g} rad/s2 at least, by three samples known to {facts.known_to_rad:.4g} rad",
             "joints: {accelerate at most: ..., known to: ...}, which has to hold what their stamps are off",
+        )
+
+
+def refuse_contradicting_speeds(joints: LogSamples, facts: JointFacts, names: tuple[str, ...]) -> None:
+    """Raise LogError for the first interval in which a joint's speeds do not lead from angle to angle.
+
+    Between two samples T apart the mean speed is within a T/4 of the mean of both, at the acceleration a.
+    """
+    known, hard = facts.speeds_known_to_radps, facts.accelerate_at_most_radps2
+    angles, speeds = joints.values[:, : len(names)], joints.values[:, len(names) :]
+    if known is None or not np.isfinite(speeds).all():
+        return
+    step_s = np.diff(joints.time_ns)[:, None] / NS
+    told = (speeds[1:] + speeds[:-1]) / 2.0 * step_s
+    taken = 2.0 * np.abs(np.diff(speeds, axis=0) / step_s).max(
+        axis=0
+    )  # twice what is seen, where none is said
+    hardest = np.minimum(taken, HARDEST_TAKEN_RADPS2) if hard is None else hard
+    allowed = step_s * (known + hardest * step_s / 4.0)
+    found: list[tuple[int, int, int]] = []
+    for sign in (1.0, -1.0):  # more, or less, than is allowed since the sample at which that begins
+        more = np.vstack(
+            [np.zeros(len(names)), np.cumsum(sign * (np.diff(angles, axis=0) - told) - allowed, axis=0)]
+        )
+        since = np.minimum.accumulate(more, axis=0)
+        for end, joint in np.argwhere(more - since > 2.0 * facts.known_to_rad)[:1].tolist():
+            found.append((end, joint, int(np.argmax(more[:, joint] == since[end, joint]))))
+    for end, joint, begin in sorted(found)[:1]:
+        by_angles, by_speeds = angles[end, joint] - angles[begin, joint], told[begin:end, joint].sum()
+        off = 2.0 * facts.known_to_rad + allowed[begin:end].sum()
+        times = [f"{(joints.time_ns[at] - joints.time_ns[0]) / NS:.3f}" for at in (begin, end)]
+        raise joints.error(
+            begin,
+            f"{names[joint]} to turn by {np.degrees(by_angles):.4g} deg from {times[0]} to {times[1]} s, "
+            f"as its angles do, to within {np.degrees(off):.2g} deg",
+            f"{np.degrees(by_speeds):.4g} deg by its speeds",
+            "speeds of another unit, sign or joint? or joints: {speeds known to: ...} says what they are off",
         )

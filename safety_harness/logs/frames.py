@@ -61,7 +61,7 @@ def read_tree(source: LogSource, frame: str, base: str) -> Tree:
     messages is not known.
     """
     parents: dict[str, tuple[str, NDArray[np.float64]]] = {}
-    moved: dict[str, tuple[Message, LogSource, float]] = {}
+    moved: dict[str, tuple[Message, LogSource, float, float]] = {}
     for topic in _topics(source):
         for message in messages(topic):
             for one in getattr(message.content, "transforms", ()):
@@ -72,18 +72,20 @@ def read_tree(source: LogSource, frame: str, base: str) -> Tree:
                     continue
                 before, first = parents[child]
                 by_m = float(np.linalg.norm(pose[:3, 3] - first[:3, 3]))
-                by_rad = float(np.linalg.norm(pose[:3, :3] - first[:3, :3]))
+                chord = float(np.linalg.norm(pose[:3, :3] - first[:3, :3]))
+                by_rad = 2.0 * np.arcsin(min(chord / 8.0**0.5, 1.0))  # of two rotations |A - B| is 8^0.5 sin
                 if (before != parent or by_m > STILL_M or by_rad > STILL_RAD) and child not in moved:
-                    moved[child] = message, topic, by_m
+                    moved[child] = message, topic, by_m, by_rad
     tree = Tree(source, parents)
     for name in (frame, base):
         at = name
         while at in parents:
             if at in moved:
-                message, topic, by_m = moved[at]
+                message, topic, by_m, by_rad = moved[at]
+                got = f"one that has moved by {by_m * 1e3:.4g} mm and turned by {np.degrees(by_rad):.4g} deg"
                 expected = f'a frame "{at}" that stands still, between "{frame}" and "{base}"'
                 hint = "log positions in the base frame, or give the transform"
-                raise error(topic, message, expected, f"one that has moved by {by_m * 1e3:.1f} mm", hint)
+                raise error(topic, message, expected, got, hint)
             at = parents[at][0]
     return tree
 
@@ -152,7 +154,28 @@ def by_header(
     return to_base
 
 
-def by_given(transform: NDArray[np.float64]) -> ToBase:
-    """Whatever a header says, by the ``transform`` (4, 4) that was given."""
-    moved = by(transform)
-    return lambda frame, message: moved
+def by_given(transform: NDArray[np.float64], name: str | None, base: str, source: LogSource) -> ToBase:
+    """By the ``transform`` (4, 4) that was given, of the frame ``name``; None: of the one that headers name.
+
+    LogError for a message whose header names another frame, or another one than the message before it.
+    A transform to ``base`` is of another frame.
+    """
+    moved, stated = by(transform), name
+    elsewhere = not np.array_equal(transform, np.eye(4))
+
+    def to_base(frame: str, message: Message) -> Callable[[Sequence[float]], Sequence[float]]:
+        nonlocal stated
+        frame = frame.lstrip("/")
+        if frame and stated is None:
+            if frame == base and elsewhere:
+                raise error(source, message, "another frame than the base, as the file has it", f'"{base}"')
+            stated = frame
+        if frame not in ("", stated):
+            expected = f'the frame "{stated}", ' + ("as the file says" if name else "as messages before it")
+            hint = (
+                "frame: {base: NAME} names the bag's base frame; {tf: run.mcap#/tf} leads there from others"
+            )
+            raise error(source, message, expected, f'the frame "{shown(frame)}" in its header', hint)
+        return moved
+
+    return to_base

@@ -59,7 +59,8 @@ class CellLog:
     on the clock of the joints, from which everything is counted.  ``hands_ahead_ns`` is by how much the clock
     of the hands shows more, known to ``clock_known_to_s``.  ``period_ns`` is from tick to tick of the trace.
     ``said`` is the file, from which the scenario's own keys are still to be read; ``told`` is the
-    controller's own word.
+    controller's own word.  Bodies beside the hands in their streams are ``left_out`` by the file, or
+    ``unmapped``: then another hand may be there.
     """
 
     name: str
@@ -75,6 +76,8 @@ class CellLog:
     period_ns: int
     files: tuple[Path, ...]
     told: Told
+    left_out: tuple[str, ...] = ()
+    unmapped: tuple[str, ...] = ()
 
     @property
     def origin_ns(self) -> int:

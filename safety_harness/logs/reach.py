@@ -7,6 +7,7 @@ the ticks, and within how much of that the true one was, at a tick and up to tho
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,7 @@ from safety_harness.properties.base import runs_of
 from safety_harness.trace.known import Gap
 
 Floats = NDArray[np.float64]
+FloatOrFloats = TypeVar("FloatOrFloats", float, Floats)
 ROUNDING_M = 1e-5  # of stored paths, in micrometres and nanoseconds
 
 
@@ -103,6 +105,19 @@ def over_ticks(
     return Reach(within, tuple((int(a), int(b)) for a, b in zip(*runs_of(lost), strict=True)))
 
 
+def known_beyond_ns(longest_ns: int) -> int:
+    """Return how long before its first sample and after its last one a thing is known."""
+    return longest_ns // 2
+
+
+def beyond_end(away_ns: FloatOrFloats, *, most: float, sample: float, period_ns: int) -> FloatOrFloats:
+    """Return how far a thing may be at ticks ``away_ns`` from its first or last sample.
+
+    The tick beside the end is as far off as the sample can be from it, and so is the one before or after.
+    """
+    return most * (away_ns + period_ns) / 1e9 + sample
+
+
 def from_ends(
     reach: Reach, first_ns: int, last_ns: int, *, most: float, sample: float, longest_ns: int, period_ns: int
 ) -> Reach:
@@ -111,9 +126,8 @@ def from_ends(
     ticks = np.arange(count) * period_ns
     away_ns = np.maximum(first_ns - ticks, ticks - last_ns)
     outside = away_ns > 0
-    beyond = away_ns > longest_ns // 2
-    # the tick beside the end is as far off as the sample can be from it, and so is the one before or after
-    reachable = most * (away_ns + period_ns) / 1e9 + sample
+    beyond = away_ns > known_beyond_ns(longest_ns)
+    reachable = beyond_end(away_ns.astype(np.float64), most=most, sample=sample, period_ns=period_ns)
     near = (away_ns > -period_ns) & ~beyond
     within = np.where(near, np.maximum(within, reachable), within)
     for side in (outside & (ticks < first_ns) & beyond, outside & (ticks > last_ns) & beyond):

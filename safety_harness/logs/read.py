@@ -19,6 +19,7 @@ from safety_harness.logs.bags import RECEIVED, STAMP, read_joints, read_position
 from safety_harness.logs.checked import (
     joints_checked,
     positions_checked,
+    refuse_contradicting_speeds,
     refuse_jumping_joints,
     refuse_the_same,
     with_bounds,
@@ -75,8 +76,8 @@ OF_JOINTS = (
     *("names", "unit", "time", "known to", "speeds known to"),
     *("move at most", "accelerate at most", "longest gap"),
 )
-OF_HANDS = ("forearm", "longest gap", "moves at most", "known to", "frame", "unit", "time")
-NOT_MEASURED, NO_FOREARM, BASE = "not measured", "none", "base"
+OF_HANDS = ("forearm", "left out", "longest gap", "moves at most", "known to", "frame", "unit", "time")
+NOT_MEASURED, NO_FOREARM, BASE, ELBOW = "not measured", "none", "base", "elbow"
 PERIOD_STEP_NS, SHORTEST_PERIOD_NS, LONGEST_PERIOD_NS = 100_000, 1_000_000, 50_000_000
 _LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 _ANGLES = {"rad": 1.0, "deg": np.pi / 180.0}
@@ -129,6 +130,7 @@ def log_of(said: Field, *, name: str, align: bool = False) -> CellLog:
         if align
         else reading.told(ToldClock(hands_ahead_ns=clock_ns, hands_known_to_ns=round(known_to_s * NS)))
     )
+    left_out, unmapped = ((), ()) if hand_facts is None else reading.neither(of_hands, bodies)
     found = CellLog(
         name=name,
         file=said.file,
@@ -143,6 +145,8 @@ def log_of(said: Field, *, name: str, align: bool = False) -> CellLog:
         period_ns=period_ns,
         files=tuple(dict.fromkeys(one for source in reading.sources for one in source.files)),
         told=told,
+        left_out=left_out,
+        unmapped=unmapped,
     )
     if found.ticks < 2:
         raise streams.required("joints").error("two control periods of joints, at least", got="less")
@@ -159,6 +163,8 @@ class _Reading:
 
     def __post_init__(self) -> None:
         self.sources: list[LogSource] = []
+        self.mapped: set[str] = set()
+        self.bodies_seen: set[str] = set()
 
     def joints(self) -> LogSamples:
         """(n, 2 j) positions and velocities."""
@@ -183,7 +189,10 @@ class _Reading:
             header = header_of(source)
             word = _word(unit, _ANGLES) if unit else None
             at = [required_column(source, header, f"{source.what}{n}", ANGLE_UNITS, word) for n in names]
-            rates = [optional_column(source, header, f"{source.what}{n}", RATE_UNITS, None) for n in names]
+            rates = [
+                optional_column(source, header, f"{source.what}{n}", RATE_UNITS, None, bare=False)
+                for n in names
+            ]
             time = time_column(source, header, _said(said.optional("time")))
             read_table(Table(*time, (*at, *rates)), collector)
         return joints_checked(collector.samples(), names)
@@ -192,6 +201,7 @@ class _Reading:
         """What is said of the joints, and by how much a slip would show."""
         facts = facts_of_joints(self._said_of_joints(), self.arm)
         refuse_jumping_joints(joints, facts, self.arm.joint_names)
+        refuse_contradicting_speeds(joints, facts, self.arm.joint_names)
         return facts
 
     def bodies(
@@ -238,7 +248,7 @@ class _Reading:
         def positions(field: Field, said: Fields) -> LogSamples:
             return self._positions(field, said, (None, None), keep=True)
 
-        return read_told(self.given, self.streams, names, clock, self._source, positions, placed)
+        return read_told(self.given, self.streams, names, clock, self._source, positions, placed, self._given)
 
     def _positions(
         self,
@@ -268,6 +278,9 @@ class _Reading:
                 halves=not keep,
                 bound=bound,
             )
+            index = "" if source.index is None else f"[{source.index}]"
+            path = f":{source.path.lstrip('/')}" if source.path else ""
+            self._saw(source, f"{source.topic}{index}{path}", set() if keep else collector.bodies)
             return positions_checked(with_bounds(collector.samples()), keep)
         if frame is None:
             expected = 'the key "frame": base, or {at: ..., turned: ...} of the frame in which positions are'
@@ -275,8 +288,10 @@ class _Reading:
         header = header_of(source)
         track = source.what or _only_track(source, header)
         at = [required_column(source, header, f"{track}_{axis}", LENGTH_UNITS, word) for axis in "xyz"]
+        self._saw(source, track, set() if keep else tracks_of(header, bare=word is not None))
         time = time_column(source, header, _said(said.optional("time")))
         if bound is not None:
+            self._saw(source, f"{track}_{bound.field}", set())
             stem = f"{track}_{bound.field}"
             box = [optional_column(source, header, f"{stem}_{axis}", LENGTH_UNITS, word) for axis in "xyz"]
             sides = [side for side in box if side is not None]
@@ -284,6 +299,7 @@ class _Reading:
             collector.width = len(at)
         read_table(Table(*time, tuple(at)), collector)
         found = with_bounds(collector.samples(), bound)
+        found.values[~found.values.any(axis=1)] = np.nan  # zeros: what trackers write for not seen
         gone = np.isnan(found.values)
         half = gone.any(axis=1) & ~gone.all(axis=1)
         if keep and half.any():
@@ -293,18 +309,44 @@ class _Reading:
         values = found.values @ transform[:3, :3].T + transform[:3, 3]
         return positions_checked(replace(found, values=values), keep)
 
+    def _saw(self, source: LogSource, mapped: str, bodies: set[str]) -> None:
+        """A body of a stream, and all those of its messages or columns, by the names of streams."""
+        links = {f"/tf:{name}" for name in self.arm.link_names}
+        self.mapped.add(f"{source.file.name}#{mapped}")
+        self.bodies_seen |= {f"{source.file.name}#{one}" for one in bodies - links}
+
+    def neither(self, of_hands: Fields, bodies: tuple[Body, ...]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        """Bodies that the file maps not: those that it leaves out, and those of which it says nothing.
+
+        Elbows are left out where the file says that a forearm is not measured.
+        """
+        beside, field = sorted(self.bodies_seen - self.mapped), of_hands.optional("left out")
+        items = () if field is None else field.items("streams that no hand is in, such as hands.csv#marker")
+        if items and not beside:
+            raise items[0].error("a stream beside the hands", hint="all bodies of the messages are mapped")
+        left = {one.one_of({name: name for name in beside}) for one in items}
+        if any(body.forearm and body.elbow is None for body in bodies):
+            left |= {name for name in beside if ELBOW in name.partition("#")[2].lower()}
+        return tuple(sorted(left)), tuple(name for name in beside if name not in left)
+
     def _to_base(self, source: LogSource, frame: Field | None) -> ToBase:
         """How positions of a bag come to the base frame."""
         base = self.arm.link_names[0]
         seat = self.arm.transform_seat
         if frame is None:
             return by_header(base, source, seat, None)
-        if isinstance(frame.node, Mapping) and any(key.text == "tf" for key, _ in frame.node.entries):
+        keys = {key.text for key, _ in frame.node.entries} if isinstance(frame.node, Mapping) else set()
+        if keys & {"tf", "base"}:
             given = frame.fields(("tf", "base"))
-            name = given.optional("base")
+            name, tf = given.optional("base"), given.optional("tf")
             base = base if name is None else name.sentence("the name of the base frame in the bag")
-            return by_header(base, source, seat, self._source(given.required("tf")))
-        return by_given(_given_transform(frame))
+            return by_header(base, source, seat, None if tf is None else self._source(tf))
+        return self._given(source, frame)
+
+    def _given(self, source: LogSource, frame: Field) -> ToBase:
+        """By the frame that is said, which no header may contradict."""
+        base = self.arm.link_names[0] if np.array_equal(self.arm.transform_seat, np.eye(4)) else BASE
+        return by_given(_given_transform(frame), _frame_name(frame, base), base, source)
 
     def _said_of_joints(self) -> Fields:
         return said_of_joints(self.given)
@@ -324,10 +366,18 @@ def _given_transform(frame: Field) -> NDArray[np.float64]:
     if isinstance(frame.node, Scalar):
         frame.one_of({BASE: None})
         return np.eye(4)
-    given = frame.fields(("at", "turned"))
+    given = frame.fields(("at", "turned", "of"))
     turned = given.optional("turned")
     vector = (0.0, 0.0, 0.0) if turned is None else ROTATION.read(turned)
     return transform_from(rotation_from_vector(np.array(vector)), np.array(POINT.read(given.required("at"))))
+
+
+def _frame_name(frame: Field, base: str) -> str | None:
+    """Return the name of the frame that is stated; None for a pose of a frame without a name."""
+    if isinstance(frame.node, Scalar):
+        return base
+    name = frame.fields(("at", "turned", "of")).optional("of")
+    return None if name is None else name.sentence("the name of the frame in headers")
 
 
 def _names(field: Field | None, arm: ArmModel) -> tuple[str, ...]:
@@ -389,10 +439,16 @@ def _period_ns(streams: Fields, joints: LogSamples) -> int:
     return min(max(rounded, SHORTEST_PERIOD_NS), LONGEST_PERIOD_NS)
 
 
+def tracks_of(header: tuple[str, ...], *, bare: bool) -> set[str]:
+    """The names of all tracks of a table: x, y and z in a unit of length, or in none if ``bare``."""
+    ends = (*(f"_{unit}" for unit in LENGTH_UNITS), *[""] * bare)
+    found = {(name[: -len(f"_x{end}")], end) for name in header for end in ends if name.endswith(f"_x{end}")}
+    return {stem for stem, end in found if {f"{stem}_y{end}", f"{stem}_z{end}"} <= set(header)}
+
+
 def _only_track(source: LogSource, header: tuple[str, ...]) -> str:
-    """The one track of a table: a name with an x and a unit."""
-    ends = tuple(f"_x_{unit}" for unit in LENGTH_UNITS) + ("_x",)
-    tracks = [name[: -len(end)] for name in header for end in ends if name.endswith(end)]
+    """The one track of a table."""
+    tracks = sorted(tracks_of(header, bare=True))
     if len(tracks) != 1:
         got = ", ".join(tracks) or f"the columns {', '.join(header)}"
         expected = f"which track, such as {source.file.name}#right_hand"

@@ -94,7 +94,7 @@ class LogSamples:
 
     ``time_ns`` (n,) on its own clock; ``values`` (n, k) in SI, NaN where there is none; ``at`` (n,) the line,
     row or message that each stands in, which is what ``counts`` says; ``known_to_m`` (n,) within how much
-    each is known, where the log says it of each, NaN where it does not.
+    each is known, where the log says it of each, NaN where it does not.  ``notes`` say what was left out.
     """
 
     source: LogSource
@@ -103,6 +103,12 @@ class LogSamples:
     at: NDArray[np.int64]
     counts: str
     known_to_m: NDArray[np.float64] | None = None
+    notes: tuple[str, ...] = ()
+    span_ns: tuple[int, int] | None = None  # of the whole stream, beyond the window too
+
+    def noted(self, note: str) -> LogSamples:
+        """Return the same with one more word on what was left out."""
+        return replace(self, notes=(*self.notes, f"{self.source.name}: {note}"))
 
     def place(self, index: int) -> Place:
         """Of one sample, for errors."""
@@ -142,6 +148,7 @@ class Collector:
     end_ns: int | None = None
     begin: Callable[[int], tuple[int | None, int | None]] | None = None  # the window, by the first time
     least: int = 2
+    bodies: set[str] = field(default_factory=set)  # all that its messages show, as streams name them
     _time: array[int] = field(default_factory=lambda: array("q"))
     _values: array[float] = field(default_factory=lambda: array("d"))
     _at: array[int] = field(default_factory=lambda: array("q"))
@@ -187,7 +194,7 @@ class Collector:
             expected = f"{words} at least of {self.source.name}"
             raise LogError(place=self.source.place, expected=expected, got=got, hint=self._elsewhere())
         refuse_disorder(found)
-        return found
+        return found if n == 0 else replace(found, span_ns=(int(self._first_ns), int(self._last_ns)))
 
     def _elsewhere(self) -> str:
         """Where the samples are, if none was in the window."""

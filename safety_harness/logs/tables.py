@@ -12,6 +12,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from decimal import Decimal, InvalidOperation
+from os import SEEK_END
 from pathlib import Path
 from typing import Any
 
@@ -90,15 +91,24 @@ def time_column(source: LogSource, names: Sequence[str], said: str | None) -> tu
 
 
 def optional_column(
-    source: LogSource, names: Sequence[str], stem: str, units: dict[str, float], unit: str | None
+    source: LogSource,
+    names: Sequence[str],
+    stem: str,
+    units: dict[str, float],
+    unit: str | None,
+    *,
+    bare: bool = True,
 ) -> TableColumn | None:
-    """The column that begins with ``stem``: with a unit at its end, or none and the ``unit`` that is said."""
+    """The column that begins with ``stem``: with a unit at its end, or none and the ``unit`` that is said.
+
+    Unless it may be ``bare``, a column without a unit at its end is another quantity's.
+    """
     found = [TableColumn(name, si) for one, si in units.items() if (name := f"{stem}_{one}") in names]
     if stem in names and unit is not None:
         found.append(TableColumn(stem, units[unit]))
     if len(found) > 1:
         raise _error(source, f"one column of {stem}", " and ".join(one.name for one in found), line=1)
-    if not found and stem in names:
+    if not found and bare and stem in names:
         ends = " or ".join(f"{stem}_{one}" for one in units)
         raise _error(source, f'a unit: {ends} as the name of the column, or the key "unit"', stem, line=1)
     return found[0] if found else None
@@ -122,8 +132,12 @@ def read_table(table: Table, collector: Collector) -> None:
     if source.file.suffix == ".parquet":
         _read_parquet(table, collector)
         return
+    with source.file.open("rb") as data:
+        data.seek(-1, SEEK_END)
+        cut_off = data.read() not in (b"\n", b"\r")
     with _rows(source.file) as rows:
-        _, header = next(rows)
+        line, header = next(rows)
+        row = header
         names = [cell.strip() for cell in header]
         time_at = names.index(table.time)
         cells_at = [None if one is None else (names.index(one.name), one) for one in table.columns]
@@ -138,6 +152,10 @@ def read_table(table: Table, collector: Collector) -> None:
                 math.nan if one is None else _cell(row[one[0]], one[1], source, line) for one in cells_at
             ]
             collector.add(time_ns, values, line)
+    if cut_off:
+        expected, got = "a line end after the last line", f"the end of the file after {row[-1]!r}"
+        hint = "it may be cut off within a number; if it is whole, end it with a line end, in a copy"
+        raise _error(source, expected, got, hint, line=line)
 
 
 def _read_parquet(table: Table, collector: Collector) -> None:

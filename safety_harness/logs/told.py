@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from safety_harness.exceptions import LogError
 from safety_harness.logs.bags import RECEIVED, STAMP, Part, read_parts
+from safety_harness.logs.frames import ToBase
 from safety_harness.logs.streams import LATEST_S, NS, Collector, LogSamples, LogSource
 from safety_harness.logs.tables import (
     ANGLE_UNITS,
@@ -121,6 +122,7 @@ def read_told(
     source_of: Callable[[Field], LogSource],
     positions: Positions,
     placed: Places,
+    to_base: Callable[[LogSource, Field], ToBase],
 ) -> Told:
     """Every stream below ``log`` that is one of ``STREAMS``; LogError with its place for what is wrong."""
     found: dict[str, object] = {}
@@ -140,7 +142,7 @@ def read_told(
             found["tracks"] = one.tracks(positions)
             found["ahead"] = said.required("ahead by")
         else:
-            found[name], found["fields"] = one.decisions(placed)
+            found[name], found["fields"] = one.decisions(placed, to_base)
     return Told(**found)  # type: ignore[arg-type]
 
 
@@ -203,7 +205,9 @@ class _Reading:
             found.append(self.told(positions(one, self.said)))
         return tuple(found)
 
-    def decisions(self, placed: Places) -> tuple[ToldStream, tuple[str, ...]]:
+    def decisions(
+        self, placed: Places, to_base: Callable[[LogSource, Field], ToBase]
+    ) -> tuple[ToldStream, tuple[str, ...]]:
         """A decision a sample: the numbers of each field that is mapped, in the order of ``FIELDS``."""
         said = self.said.required("fields").fields(tuple(FIELDS))
         words = self.said.optional("words")
@@ -231,7 +235,9 @@ class _Reading:
                 )
                 for name, width in zip(names, widths, strict=True)
             ]
-            samples = self.read_bag(source, parts, least=0)
+            somewhere = any(name in POSITIONS for name in names)
+            framed = to_base(source, self.said.required("frame")) if somewhere else None
+            samples = self.read_bag(source, parts, least=0, framed=framed)
         else:
             header, columns = header_of(source), []
             for name in names:
@@ -309,13 +315,18 @@ class _Reading:
         return collector.samples()
 
     def read_bag(
-        self, source: LogSource, parts: list[Part], names: tuple[str, ...] = (), least: int = 1
+        self,
+        source: LogSource,
+        parts: list[Part],
+        names: tuple[str, ...] = (),
+        least: int = 1,
+        framed: ToBase | None = None,
     ) -> LogSamples:
         """From the messages of a topic."""
         said = self.said.optional("time")
         time = STAMP if said is None else said.one_of({one: one for one in (STAMP, RECEIVED)})
         collector = Collector(source, sum(part.width for part in parts), "message", least=least)
-        read_parts(source, collector, parts, names, time=time)
+        read_parts(source, collector, parts, names, time=time, framed=framed)
         return collector.samples()
 
     def told(self, samples: LogSamples) -> ToldStream:

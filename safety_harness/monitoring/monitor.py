@@ -223,7 +223,7 @@ class Monitor:
         at_ns = time_ns - self.cell.hands_ahead_ns - self._origin_ns
         for name, hand in sample.hands.items() if self._hands else ():
             tracks = self._hands[name]
-            if hand is None:
+            if hand is None or not any(hand.hand_position_in_base_m):  # zeros: trackers' word for not seen
                 for track in tracks:
                     if track is not None and track.takes(at_ns):
                         track.lost = True
@@ -239,7 +239,12 @@ class Monitor:
                 ("elbow", tracks.elbow, hand.elbow_position_in_base_m),
             ):
                 used.append(False)
-                if track is None or place is None or (body == "elbow" and track is tracks.hand):
+                if (
+                    track is None
+                    or place is None
+                    or not any(place)
+                    or (body == "elbow" and track is tracks.hand)
+                ):
                     continue
                 position_m = np.array(place)
                 try:
@@ -248,9 +253,9 @@ class Monitor:
                     problems.append((f"hands.{name}.{body}_position_in_base_m", str(error)))
                     track.lost = True
                     continue
-                before_ns = track.samples[-1][0] if track.samples else at_ns
+                since_ns = track.samples[-1][0] if track.samples else at_ns - track.reaches_ns
                 track.add(at_ns, position_m)
-                self._stale = max(min(self._stale, before_ns // self.cell.period_ns), 0)
+                self._stale = max(min(self._stale, since_ns // self.cell.period_ns), 0)
                 used[-1] = True
             if self.journal is not None and any(used):
                 elbow = hand.elbow_position_in_base_m

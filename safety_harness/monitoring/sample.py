@@ -10,6 +10,7 @@ Any part but ``time_s`` may be missing: it was not measured then.  A hand that i
 
 from __future__ import annotations
 
+import json
 from collections.abc import Collection
 
 import msgspec
@@ -52,6 +53,7 @@ def read_sample(line: bytes, number: int, *, joints: int, hands: Collection[str]
         raise line_error(number, "line", f"at most {MOST_CHARACTERS:,} characters", f"{len(line):,} or more")
     try:
         sample = _DECODER.decode(line)
+        json.loads(line, object_pairs_hook=lambda pairs: _refuse_twice(number, [name for name, _ in pairs]))
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
         got = line[:60].decode(errors="replace").strip()
         raise line_error(number, "line", "a JSON object with time_s", f"{got!r} ({error})") from error
@@ -79,6 +81,14 @@ def read_sample(line: bytes, number: int, *, joints: int, hands: Collection[str]
             for place in (hand.hand_position_in_base_m, hand.elbow_position_in_base_m or ()):
                 _refuse_beyond(number, f"hands.{name}", place, FARTHEST_M, f"places within {FARTHEST_M:g} m")
     return sample
+
+
+def _refuse_twice(number: int, names: list[str]) -> None:
+    for at, name in enumerate(names):
+        if name in names[:at]:
+            raise line_error(
+                number, name, "each name once", "it twice, and which of them counts is not known"
+            )
 
 
 def _refuse_beyond(number: int, name: str, values: tuple[float, ...], most: float, expected: str) -> None:

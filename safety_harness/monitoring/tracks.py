@@ -13,7 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.logs.model import HandFacts, JointFacts
-from safety_harness.logs.reach import ROUNDING_M, body_off_m, joint_off_rad, rate_off
+from safety_harness.logs.reach import (
+    ROUNDING_M,
+    beyond_end,
+    body_off_m,
+    joint_off_rad,
+    known_beyond_ns,
+    rate_off,
+)
 from safety_harness.logs.streams import NS, SHORTEST_STEP_NS
 
 Values = NDArray[np.float64]
@@ -152,6 +159,7 @@ class BodyTrack:
     def __init__(self, facts: HandFacts, clock_known_to_s: float, period_ns: int) -> None:
         self._facts, self._clock_s, self._period_ns = facts, clock_known_to_s, period_ns
         self._longest_ns = round(facts.longest_gap_s * NS)
+        self.reaches_ns = known_beyond_ns(self._longest_ns)
         self._sample_m = facts.known_to_m + facts.moves_at_most_mps * clock_known_to_s + ROUNDING_M
         self._within = WithinByTick(self._longest_ns, period_ns)
         self.samples: deque[tuple[int, Values]] = deque()
@@ -191,11 +199,12 @@ class BodyTrack:
         time_ns, last_ns = tick * self._period_ns, self.samples[-1][0]
         within = self._within.at(tick)
         away_ns = max(self._first_ns - time_ns, time_ns - last_ns)
-        if within is None or away_ns > self._longest_ns // 2 or (self.lost and time_ns > last_ns):
+        if within is None or away_ns > self.reaches_ns or (self.lost and time_ns > last_ns):
             return None
         if away_ns > -self._period_ns:
             most = self._facts.moves_at_most_mps
-            within = max(within, most * (away_ns + self._period_ns) / NS + self._sample_m)
+            own_m = beyond_end(away_ns, most=most, sample=self._sample_m, period_ns=self._period_ns)
+            within = max(within, own_m)
         return self.between(time_ns), within
 
     def between(self, time_ns: int) -> Values:

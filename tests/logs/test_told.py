@@ -191,6 +191,20 @@ def test_where_no_stop_was_told_a_hand_too_near_is_not_excused_by_one(run: Trace
     assert verdicts(log_file(stops, tmp_path, *CLOSELY, slower))[sentence] is Verdict.INCONCLUSIVE
 
 
+def test_a_mode_that_is_always_servoing_contradicts_a_retreat(run: Trace, tmp_path: Path) -> None:
+    """Its report would say that the arm has converged by itself."""
+    streams = logged(run)
+    assert streams.words is not None
+    claim = (FORESEEN, "converged to the desired pose")
+    assert verdicts(log_file(streams, tmp_path, *CLOSELY, claim))
+    told = ["RUN"] * len(streams.words.mode)
+    streams = replace(streams, words=replace(streams.words, mode=told))
+    with pytest.raises(LogError, match="as the mode is servoing all the while") as refused:
+        judged(log_file(streams, tmp_path, *CLOSELY, claim))
+    assert refused.value.place.file == tmp_path / "words.csv"
+    assert "by the joints, away from a hand" in refused.value.got
+
+
 def test_its_trace_is_stored_with_what_was_told(
     synthetic: tuple[Streams, Words, Words], tmp_path: Path
 ) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -39,9 +40,12 @@ CLAIMS = [
 
 
 def watched_and_judged(
-    seed: int, folder: Path, seconds: float
+    seed: int, folder: Path, seconds: float, *, ends: bool = False
 ) -> tuple[list[VerdictLine], list[Evaluation], Trace, Cell]:
-    """A cell's stream through the monitor, and the monitor's log through ``judge``."""
+    """A cell's stream through the monitor, and the monitor's log through ``judge``.
+
+    With ``ends`` the hands begin and end up to 90 ms after or before the joints, and the stream is cut off.
+    """
     rng = np.random.default_rng(seed)
     one = cell(rng)
     begin = float(rng.uniform(0.2, 0.6))
@@ -51,7 +55,13 @@ def watched_and_judged(
     own = Monitor(cell=read_cell(folder / "CELL.yaml", CLAIMS), wait_s=float(rng.choice([0.0, 0.05])))
     out = folder / "log"
     own.journal = Journal(cell=own.cell, claims=CLAIMS, folder=out, most_bytes=10**9, keep=2)
-    for line in lines(streams, latency_s=float(rng.uniform(0.0, 0.08))):
+    if ends:
+        hand_s = (streams.hand_ns - streams.joint_ns[0]) / 1e9 - 0.137
+        there = (hand_s > rng.uniform(-0.03, 0.09)) & (hand_s < seconds + rng.uniform(-0.09, 0.03))
+        kept = {name: getattr(streams, name)[there] for name in ("hand_ns", "hand_m", "elbow_m")}
+        streams = replace(streams, **kept)
+    come = lines(streams, latency_s=float(rng.uniform(0.0, 0.08)))
+    for line in come[: int(rng.integers(100, len(come) + 1)) if ends else None]:
         list(own.take(line))
     list(own.end())
     own.journal.close()
@@ -62,10 +72,10 @@ def watched_and_judged(
     return own.verdicts(), offline, trace, one
 
 
-def disagreements(seed: int, seconds: float = 0.9) -> tuple[list[str], int, int]:
+def disagreements(seed: int, seconds: float = 0.9, *, ends: bool = False) -> tuple[list[str], int, int]:
     """What contradicts ``judge`` or the truth; how many claims ``judge`` and the monitor decide."""
     with TemporaryDirectory() as folder:
-        online, offline, trace, one = watched_and_judged(seed, Path(folder), seconds)
+        online, offline, trace, one = watched_and_judged(seed, Path(folder), seconds, ends=ends)
     found = []
     for now, judged in zip(online, offline, strict=True):
         same = now.verdict is judged.verdict
@@ -95,9 +105,19 @@ def test_what_judge_decides_the_monitor_says_too(seed: int) -> None:
     assert watched >= judged > 0
 
 
+@settings(max_examples=8, deadline=None, derandomize=True)
+@given(st.integers(0, 2**32 - 1))
+def test_monitor_and_judge_agree_where_a_stream_begins_and_wherever_it_is_cut_off(seed: int) -> None:
+    """The joints may begin before the hands: both know a hand from half of its longest gap before it."""
+    found, judged, watched = disagreements(seed, ends=True)
+    assert not found
+    assert watched >= judged
+
+
 @pytest.mark.long
 def test_what_judge_decides_the_monitor_says_too_in_many_cells() -> None:
     all_found = [disagreements(seed, 1.6) for seed in range(400)]
+    all_found += [disagreements(seed, ends=True) for seed in range(400)]
     assert not [text for found, _, _ in all_found for text in found]
     judged, watched = (sum(one[side] for one in all_found) for side in (1, 2))
     assert watched >= judged > 0.6 * len(CLAIMS) * len(all_found)

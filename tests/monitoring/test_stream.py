@@ -252,3 +252,27 @@ def test_what_is_remembered_does_not_grow_with_the_run() -> None:
     before = sizes()
     take(own, *seen(range(150, 400)))
     assert sizes() == before
+
+
+@pytest.mark.parametrize("pair", [(PLACE, None), (None, PLACE), (PLACE, PLACE)])
+def test_a_line_in_which_a_name_occurs_twice_is_refused_and_counted(pair: tuple[object, object]) -> None:
+    """JSON has no word on which of them counts, and the last one may be the one that is far away."""
+    own = monitor(NEAR)
+    take(own, *seen(range(20)))
+    one, other = map(json.dumps, pair)
+    twice = f'{{"time_s": 100.16, "hands": {{"hand": {one}, "hand": {other}}}}}'
+    with pytest.raises(StreamError, match="each name once"):
+        take(own, twice.encode())
+    with pytest.raises(StreamError, match="each name once"):
+        take(own, b'{"time_s": 100.16, "time_s": 100.168}')
+    assert own.counts.refused == 2
+
+
+@pytest.mark.parametrize("body", ["hand", "elbow"])
+def test_zeros_are_a_word_for_not_seen(body: str) -> None:
+    own = monitor(NEAR)
+    take(own, *seen(range(20)))
+    nowhere = PLACE | {f"{body}_position_in_base_m": [0.0, 0.0, 0.0]}
+    take(own, *(line(tick, hands={"hand": nowhere}) for tick in range(20, 50)))
+    assert own.claims[0].latest is Verdict.INCONCLUSIVE
+    assert own.counts.refused == 0
