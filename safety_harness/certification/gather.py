@@ -160,7 +160,9 @@ def put_together(
         notes=notes,
         learned=guard.of("the account of the learned part", lambda: learned_of(plan, ledger, stored), None),
     )
-    untried = guard.of("the list of what no run tried", lambda: tuple(untried_in(plan, stored)), ())
+    untried: tuple[str, ...] = guard.of(
+        "the list of what no run tried", lambda: tuple(untried_in(plan, stored)), ()
+    )
     findings = tuple(findings_of(evidence, ledger, met, searches, [*damaged, *untried, *guard.open]))
     return GatheredEvidence(evidence=replace(evidence, findings=findings), examples=examples)
 

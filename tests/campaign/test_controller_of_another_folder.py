@@ -17,7 +17,7 @@ from safety_harness import Stop
 
 
 class Stand:
-    name = "stand"
+    name, sees = "stand", ()
 
     def reset(self, **begins):
         pass
