@@ -294,13 +294,17 @@ def trace_bytes(trace: Trace) -> bytes:
 
 
 def trace_of(plan: Plan, stratum: int, data: bytes) -> Trace:
-    """A stored trace, simulated; TraceError.  Its scenario names files where the plan's space is now."""
+    """A stored trace, simulated; TraceError.  Its scenario names files where the plan's space is now.
+
+    A stored reference may have lost its folder (``portable``): what the plan tests is named as the plan does.
+    """
     with tempfile.TemporaryDirectory(prefix="safety-harness-") as folder:
         file = Path(folder) / "stored.trace"
         file.write_bytes(data)
         trace = load_trace(file)
     refuse_not_simulated(trace)
-    return replace(trace, scenario=replace(trace.scenario, file=plan.strata[stratum].space.file))
+    space = plan.strata[stratum].space
+    return replace(trace, scenario=plan.with_avoider(replace(trace.scenario, file=space.file)))
 
 
 def _where(error: Exception) -> str:

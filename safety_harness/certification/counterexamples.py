@@ -22,7 +22,7 @@ from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import Plan
 from safety_harness.certification.evidence import CounterexampleEvidence, SearchSummary
 from safety_harness.certification.stored import judged_run
-from safety_harness.exceptions import InputError, Place, ScenarioError
+from safety_harness.exceptions import InputError, Place, ScenarioError, described
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.search_attribution import SearchAttribution
 from safety_harness.report.words import count_words, margin_words
@@ -82,8 +82,9 @@ def declared_counterexamples(plan: Plan, ledger: Ledger) -> Iterator[Example | s
                 continue
             try:
                 run = judged_run(trace_of(plan, kind.stratum, data))
-            except InputError as error:
-                yield f"{stratum}, run {kind.episode}: its stored trace cannot be read: {error.got}"
+            except Exception as error:  # a claim that cannot be judged again, say
+                why = error.got if isinstance(error, InputError) else described(error)
+                yield f"{stratum}, run {kind.episode}: its stored trace cannot be read: {why}"
                 continue
             name = f"claim-{number + 1}-stratum-{kind.stratum + 1}-run-{kind.episode}.trace"
             yield _example(
@@ -115,7 +116,7 @@ def _kinds(ledger: Ledger, claim: int) -> list[_Kind]:
 def _circumstances(run: JudgedRun) -> tuple[str, ...]:
     try:
         lines = circumstances(run.trace)
-    except InputError:
+    except Exception:
         return ("where it lies relative to the training data is not known: its network is not there",)
     more = len(lines) - MOST_LINES
     return tuple(lines[:MOST_LINES]) + ((f"and {more} more decisions",) if more > 0 else ())

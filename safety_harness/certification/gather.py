@@ -6,9 +6,10 @@ import os
 import platform
 import shlex
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import TypeVar
 
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import Plan
@@ -54,9 +55,12 @@ from safety_harness.certification.system import system_of
 from safety_harness.certification.tools import NO_TRIALS, Credibility, HarnessTrials
 from safety_harness.certification.verdicts import gravest
 from safety_harness.certification.whose_fault import whose_fault
+from safety_harness.exceptions import described
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.page_parts import in_words
 from safety_harness.trace.provenance import provenance
+
+T = TypeVar("T")
 
 Explains = Callable[[Plan, Sequence[Example | str]], Iterable[Example | str]]
 NO_SELFTEST = (
@@ -122,6 +126,7 @@ def put_together(
     stored, damaged = random_traces(plan, ledger)
     claims, strata = claims_of(plan, ledger, stored), strata_of(plan, ledger)
     searches = searches_of(plan, folder)
+    guard = _Guard()
     declared = explain(plan, tuple(declared_counterexamples(plan, ledger)))
     met = [*declared, *searched_counterexamples(plan, searches, folder)]
     examples = numbered(met)
@@ -137,8 +142,8 @@ def put_together(
         system=system_of(plan, ledger.opened),
         assumptions=ASSUMPTIONS,
         exclusions=EXCLUSIONS,
-        separation=tuple(separation_of(plan, stored)),
-        calibration=tuple(calibration_of(plan, stored)),
+        separation=guard.of("the separation of the runs", lambda: tuple(separation_of(plan, stored)), ()),
+        calibration=guard.of("the calibration of the runs", lambda: tuple(calibration_of(plan, stored)), ()),
         coverage=coverage_of(ledger),
         counterexamples=tuple(one.shown for one in examples),
         whose_fault=blame(plan, ledger),
@@ -153,10 +158,28 @@ def put_together(
         proven=proven,
         hazards=hazards_of(plan, ledger),
         notes=notes,
-        learned=learned_of(plan, ledger, stored),
+        learned=guard.of("the account of the learned part", lambda: learned_of(plan, ledger, stored), None),
     )
-    findings = tuple(findings_of(evidence, ledger, met, searches, [*damaged, *untried_in(plan, stored)]))
+    untried: tuple[str, ...] = guard.of(
+        "the list of what no run tried", lambda: tuple(untried_in(plan, stored)), ()
+    )
+    findings = tuple(findings_of(evidence, ledger, met, searches, [*damaged, *untried, *guard.open]))
     return GatheredEvidence(evidence=replace(evidence, findings=findings), examples=examples)
+
+
+@dataclass(frozen=True, eq=False)
+class _Guard:
+    """Around what is made after the runs: what fails is ``open``, and no reason to lose the report."""
+
+    open: list[str] = field(default_factory=list)
+
+    def of(self, what: str, make: Callable[[], T], otherwise: T) -> T:
+        """What ``make`` gives; ``otherwise`` if it fails, which is noted down."""
+        try:
+            return make()
+        except Exception as error:  # also of a user's program, whatever it raises
+            self.open.append(f"{what} cannot be made: {described(error)}")
+            return otherwise
 
 
 def _files(stored: Sequence[Stored]) -> tuple[tuple[str, str], ...]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 from markupsafe import Markup
@@ -25,6 +26,7 @@ from safety_harness.certification.result_tables import confidence_alone
 from safety_harness.certification.stored import cells_of
 from safety_harness.certification.tables import TABLES
 from safety_harness.certification.verdicts import confidence_words, percent
+from safety_harness.exceptions import described
 from safety_harness.report.attribution_picture import draw_attributions
 from safety_harness.report.coverage_map import coverage_map
 from safety_harness.report.evidence import JudgedRun
@@ -160,11 +162,17 @@ def _counterexample(
     """With its pictures; without a stored trace there are none."""
     if run is None or len(run.trace.ticks) == 0:
         return {"one": one, "run": None, "moment": ""}
-    run = run.under(one.sentence)
+    try:
+        return {"one": one} | _pictures(one, run.under(one.sentence), replays)
+    except Exception as error:  # no reason to lose the page
+        words = f"open: its pictures cannot be made: {described(error)}"
+        return {"one": replace(one, lines=(*one.lines, words)), "run": None, "moment": ""}
+
+
+def _pictures(one: CounterexampleEvidence, run: JudgedRun, replays: Replays) -> dict[str, object]:
     prefix = f"counterexample-{one.number}-"
     moment = shown_moment(run)
     return {
-        "one": one,
         "run": run,
         "views": path_views(run, prefix=prefix),
         "timeline": Markup(timeline(run, prefix=f"{prefix}time-")),

@@ -6,6 +6,7 @@ run.  What it does not report is not reported in the trace either.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from functools import lru_cache
 from typing import Any
@@ -96,6 +97,7 @@ class DrivenController:
         records = driven_records(settings, arm, view, hand_slots)
         self._decision = decision_dtype(joints)
         self._decisions: list[NDArray[np.void]] = []
+        self.answers_took_s: list[float] = []  # on the wall's clock; none of those of many lanes together
         self.answers = LaneAnswers(1, joints, self.reports)
         self.period_s = settings.clock.control_period_s
         self.layout = SeenLayout(hand_slots, joints, self.sees)
@@ -206,7 +208,9 @@ class DrivenController:
         if self._image is not None and IMAGE in self.sees:
             seen.__dict__["image"] = self._image()
         try:
+            begun_s = time.perf_counter()
             action = self.user.act(seen)
+            self.answers_took_s.append(time.perf_counter() - begun_s)
             self.answers.take(0, action)
             self._note(action)
         except ControllerError as error:

@@ -10,6 +10,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from safety_harness.properties.answered import NOT_MODELLED, fallback_words, unanswered
 from safety_harness.report.words import (
@@ -252,9 +253,31 @@ def cost_words(cost: DecisionCost | DecisionTimes, declared_s: float) -> str:
 
 
 def computing_time_lines(traces: Iterable[Trace]) -> list[str]:
-    """A line on each avoider that decided, and one more where it took longer than that."""
-    made = (trace for trace in traces if len(trace.decisions) and decided(trace, "decision_time_s"))
-    return lines_of(map(ComputingTime.of, made))
+    """A line on each avoider that decided and on each controller, one more where an avoider took longer."""
+    every = list(traces)
+    made = (trace for trace in every if len(trace.decisions) and decided(trace, "decision_time_s"))
+    return [*lines_of(map(ComputingTime.of, made)), *controller_lines(every)]
+
+
+def controller_lines(traces: Iterable[Trace]) -> list[str]:
+    """A line on each user's controller that was timed: a period in the median makes it too slow."""
+    times_s: dict[tuple[str, float], list[NDArray[np.float64]]] = {}
+    for trace in traces:
+        if len(trace.answer_s):
+            key = trace.system.tested.name, trace.scenario.settings.clock.control_period_s
+            times_s.setdefault(key, []).append(trace.answer_s)
+    lines = []
+    for (name, period_s), found in times_s.items():
+        median_s = float(np.median(np.concatenate(found)))
+        line = f"{name}: computing time not modelled"
+        if median_s > period_s:
+            line = (
+                f"{name}: the controller took {milliseconds_words(median_s)} in the median, "
+                f"{median_s / period_s:.2g} times the period of {milliseconds_words(period_s)}: "
+                "it was tested as if it answered at once"
+            )
+        lines.append(line)
+    return lines
 
 
 def lines_of(runs: Iterable[ComputingTime]) -> list[str]:

@@ -111,6 +111,7 @@ def trace_of(
         system=_system(scenario, controller),
         interventions=_interventions(scenario, controller)[: len(ticks)].copy(),
         overshoot_radps=getattr(world, "overshoot_radps", not_recorded())[: len(ticks)].copy(),
+        answer_s=np.array(getattr(controller, "answers_took_s", ())),
     )
     return knowing(trace, controller.known) if isinstance(controller, DrivenController) else trace
 

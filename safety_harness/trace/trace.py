@@ -61,7 +61,8 @@ class Trace:
     ``system`` is what was tested.  ``interventions`` (n,) INTERVENTION are those of the shield, one a tick;
     empty where the scenario has none.  ``overshoot_radps`` (n, joints) is by how much the joints' speeds left
     those of the two ticks in the sub-steps of an engine, from each tick to the next; (0, joints) where nobody
-    recorded it.
+    recorded it.  ``answer_s`` (k,) is the wall-clock time of each answer of a user's controller: it is not
+    stored, nobody compares it, and only reports read it; empty where nobody timed them one by one.
     """
 
     scenario: Scenario
@@ -75,6 +76,7 @@ class Trace:
     interventions: NDArray[np.void] = field(default_factory=no_interventions)
     certified: CertifiedDecisions | None = None
     overshoot_radps: NDArray[np.float64] = field(default_factory=not_recorded)
+    answer_s: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
         self.ticks.setflags(write=False)

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
+from safety_harness.certification import gather, page
 from safety_harness.certification import whose_fault as module
 from safety_harness.report.search_attribution import SearchAttribution
+from tests.certification.made_up_evidence import evidence
 
 
 def test_what_cannot_be_attributed_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -36,3 +39,25 @@ def test_a_scenario_that_cannot_be_admitted_again_is_no_traceback(monkeypatch: p
     monkeypatch.setattr(attribution._admitter, "admit", refused, raising=False)
     (line,) = attribution.explain(None, None)  # type: ignore[arg-type]
     assert line.startswith("whose fault: cannot be told")
+
+
+def test_a_picture_that_cannot_be_made_is_open_on_the_page(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The counterexample stays, without pictures, and says why."""
+
+    def broken(*_: object, **__: object) -> Any:
+        raise ValueError("no such mesh")
+
+    monkeypatch.setattr(page, "_pictures", broken)
+    run = SimpleNamespace(trace=SimpleNamespace(ticks=[0]), under=lambda _: run)
+    one = evidence().counterexamples[0]
+    view = page._counterexample(one, run, page.Replays())  # type: ignore[arg-type]
+    assert view["run"] is None
+    assert "no such mesh" in view["one"].lines[-1]  # type: ignore[attr-defined]
+
+
+def test_what_fails_after_the_runs_is_an_open_finding() -> None:
+    """Any exception counts: a user's program may raise anything."""
+    guard = gather._Guard()
+    assert guard.of("one", lambda: 1, 0) == 1
+    assert guard.of("the table", lambda: 1 // 0, 0) == 0
+    assert guard.open == ["the table cannot be made: ZeroDivisionError: integer division or modulo by zero"]
