@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from functools import lru_cache
 
 from safety_harness.exceptions import InadmissibleError, near_miss
@@ -11,6 +12,8 @@ from safety_harness.formulas.parse import ALL_CLAIMS, looks_like_formula, parse_
 from safety_harness.properties.base import SI_UNITS, Property
 from safety_harness.properties.catalogue import CATALOGUE
 from safety_harness.properties.entry import CatalogueEntry
+from safety_harness.properties.protective_separation import ProtectiveSeparation
+from safety_harness.properties.separation import WALKING_MPS
 from safety_harness.scenario.model import BY_AT_MOST, Claim, Scenario
 
 
@@ -31,7 +34,9 @@ def _property_of(claim: Claim, scenario: Scenario) -> Property:
     meant = _entry_of(claim.sentence)
     if meant is not None:
         entry, match = meant
-        return entry.property_of(match, scenario, claim.place)
+        found = entry.property_of(match, scenario, claim.place)
+        of_walking = claim.edition < 2 and isinstance(found, ProtectiveSeparation)
+        return replace(found, default_mps=WALKING_MPS) if of_walking else found
     if looks_like_formula(claim.sentence):
         formula = FormulaClaim(parse_formula(claim.sentence, claim.place))
         formula.check(scenario, claim.place)
