@@ -14,7 +14,7 @@ from safety_harness.properties.catalogue import CATALOGUE
 from safety_harness.properties.entry import CatalogueEntry
 from safety_harness.properties.protective_separation import ProtectiveSeparation
 from safety_harness.properties.separation import WALKING_MPS
-from safety_harness.scenario.model import BY_AT_MOST, Claim, Scenario
+from safety_harness.scenario.model import BY_AT_MOST, EDITION, Claim, Scenario
 
 
 def property_of(claim: Claim, scenario: Scenario) -> Property:
@@ -35,8 +35,9 @@ def _property_of(claim: Claim, scenario: Scenario) -> Property:
     if meant is not None:
         entry, match = meant
         found = entry.property_of(match, scenario, claim.place)
-        of_walking = claim.edition < 2 and isinstance(found, ProtectiveSeparation)
-        return replace(found, default_mps=WALKING_MPS) if of_walking else found
+        if claim.edition < EDITION and isinstance(found, ProtectiveSeparation):
+            return replace(found, default_mps=WALKING_MPS)
+        return found
     if looks_like_formula(claim.sentence):
         formula = FormulaClaim(parse_formula(claim.sentence, claim.place))
         formula.check(scenario, claim.place)

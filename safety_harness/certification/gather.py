@@ -136,7 +136,7 @@ def put_together(
         claims=claims,
         system=system_of(plan, ledger.opened),
         assumptions=ASSUMPTIONS,
-        exclusions=EXCLUSIONS,
+        exclusions=(*EXCLUSIONS, *ledger.wrists),
         separation=tuple(separation_of(plan, stored)),
         calibration=tuple(calibration_of(plan, stored)),
         coverage=coverage_of(ledger),
