@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from functools import lru_cache
 
 from safety_harness.exceptions import InadmissibleError, near_miss
@@ -11,7 +12,9 @@ from safety_harness.formulas.parse import ALL_CLAIMS, looks_like_formula, parse_
 from safety_harness.properties.base import SI_UNITS, Property
 from safety_harness.properties.catalogue import CATALOGUE
 from safety_harness.properties.entry import CatalogueEntry
-from safety_harness.scenario.model import BY_AT_MOST, Claim, Scenario
+from safety_harness.properties.protective_separation import ProtectiveSeparation
+from safety_harness.properties.separation import WALKING_MPS
+from safety_harness.scenario.model import BY_AT_MOST, EDITION, Claim, Scenario
 
 
 def property_of(claim: Claim, scenario: Scenario) -> Property:
@@ -31,7 +34,10 @@ def _property_of(claim: Claim, scenario: Scenario) -> Property:
     meant = _entry_of(claim.sentence)
     if meant is not None:
         entry, match = meant
-        return entry.property_of(match, scenario, claim.place)
+        found = entry.property_of(match, scenario, claim.place)
+        if claim.edition < EDITION and isinstance(found, ProtectiveSeparation):
+            return replace(found, default_mps=WALKING_MPS)
+        return found
     if looks_like_formula(claim.sentence):
         formula = FormulaClaim(parse_formula(claim.sentence, claim.place))
         formula.check(scenario, claim.place)

@@ -20,6 +20,7 @@ from safety_harness.exceptions import InputError, LedgerError, Place, ScenarioEr
 from safety_harness.robot.robots import arm_model
 from safety_harness.scenario.compose import Library
 from safety_harness.scenario.files import read_bytes, resolved
+from safety_harness.scenario.model import EDITION
 from safety_harness.scenario.nodes import Mapping, Node, Scalar
 from safety_harness.scenario.references import file_and_name
 from safety_harness.scenario.robots import AnyRobot, OwnRobot
@@ -31,6 +32,7 @@ from safety_harness.trace.system import SystemUnderTest
 from safety_harness.whole_file import writing
 
 SYSTEM = "the system under test"
+CLAIMS = "the meaning of the claims"
 
 
 @dataclass(frozen=True)
@@ -77,6 +79,7 @@ def identity_of(
     avoider: str | None,
     world: str,
     systems: Iterable[tuple[str, SystemUnderTest]] = (),
+    edition: int = EDITION,
 ) -> Identity:
     """Of a plan's files, the shipped networks that they name, this package, its libraries.
 
@@ -89,11 +92,19 @@ def identity_of(
         parts[f"the network {name}"] = hashlib.sha256(shipped_model(name).read_bytes()).hexdigest()
     made_by = provenance(world, _libraries(spaces, world))
     parts["the source of this package"] = made_by.source_hash
+    if edition > 1:  # before, it was not told
+        parts[CLAIMS] = f"edition {edition}"
     parts["Python"] = made_by.python
     parts["the platform"] = made_by.platform
     parts |= {f"the library {name}": version for name, version in made_by.libraries}
     parts |= {f"{SYSTEM} in {name}": one.as_json for name, one in systems}
     return Identity(tuple(parts.items()))
+
+
+def edition_of(identity: Identity) -> int:
+    """Return the edition of the catalogue in which a ledger's claims are read; 1 where none is told."""
+    told = dict(identity.parts).get(CLAIMS, "edition 1").removeprefix("edition ")
+    return int(told) if told in map(str, range(1, EDITION)) else EDITION
 
 
 def _libraries(spaces: Sequence[ScenarioSpace], world: str) -> tuple[str, ...]:

@@ -70,6 +70,11 @@ class Declared:
     targets: tuple[float | None, ...]
 
 
+WRISTS = (
+    "recorded hands are wrists: straight fingers reach 120 to 150 mm beyond the sphere, and no distance here "
+    "counts them"
+)
+
 # How it was asked again: elsewhere, by driving again (an avoider: with the 8), in one call too.
 APART, BY_RUNS, TOGETHER, OF_AVOIDER = 1, 2, 4, 8
 
@@ -174,6 +179,11 @@ class Ledger:
         return tuple(
             PlanFile(name, data) for name, data in self.all("SELECT name, data FROM file ORDER BY place")
         )
+
+    @property
+    def wrists(self) -> tuple[str, ...]:
+        """What a reader has to know of recorded hands; nothing where no file of the plan is a recording."""
+        return (WRISTS,) if any(file.name.endswith(".csv") for file in self.files) else ()
 
     @cached_property
     def counts(self) -> tuple[str, ...]:

@@ -27,6 +27,7 @@ from safety_harness.scenario.fields import Field, Fields
 from safety_harness.scenario.files import as_path
 from safety_harness.scenario.kinds import FileKind, kind_of, refuse_other_kind
 from safety_harness.scenario.model import (
+    EDITION,
     LARGEST_SEED,
     NO_AVOIDER,
     VISUAL_SERVO,
@@ -133,11 +134,11 @@ class Plan:
         return scenario if reference is None else with_avoider(scenario, reference, self.avoider_place)
 
 
-def read_plan(path: str | Path) -> Plan:
+def read_plan(path: str | Path, edition: int = EDITION) -> Plan:
     """The plan in a file, with its spaces; InputError with its place when it cannot be used as it stands.
 
-    ``shipped:NAME`` is one of ours, also where a plan names a space.  No avoider is made: a user's own would
-    be executed.
+    ``shipped:NAME`` is one of ours, also where a plan names a space.  ``edition`` is that of the claims'
+    meaning.  No avoider is made: a user's own would be executed.
     """
     path = as_path(path, "read_plan(path)")
     refuse_other_kind(path, FileKind.PLAN)
@@ -159,7 +160,7 @@ def read_plan(path: str | Path) -> Plan:
             with_avoider(stratum.space.simplest, _from(path.parent, reference), place)
     confidence = _read(given, "confidence", lambda f: f.quantity(FRACTION, least=0.5, most=0.999999), 0.95)
     risks = read_hazards(given, confidence)
-    claims = _claims(given.required("claims"), strata, risks)
+    claims = _claims(given.required("claims"), strata, risks, edition)
     keep = _read(given, "keep", lambda field: field.fields(KEPT.names), None)
     search = _read(given, "search", lambda field: field.fields(SEARCH.names), None)
     stop = given.optional("stop early")
@@ -187,7 +188,12 @@ def read_plan(path: str | Path) -> Plan:
         file=path,
         files=files,
         identity=identity_of(
-            files, [s.space for s in strata], reference, world.label, _systems(strata, path, reference)
+            files,
+            [s.space for s in strata],
+            reference,
+            world.label,
+            _systems(strata, path, reference),
+            edition,
         ),
         avoider_place=place,
         proof=_read(given, "proof", lambda f: path.parent / f.sentence("certificate.json of prove"), None),
@@ -264,14 +270,16 @@ def _strata(at: Field, folder: Path, library: Library) -> tuple[Stratum, ...]:
     return tuple(strata)
 
 
-def _claims(at: Field, strata: tuple[Stratum, ...], risks: PlannedHazards) -> tuple[PlannedClaim, ...]:
+def _claims(
+    at: Field, strata: tuple[Stratum, ...], risks: PlannedHazards, edition: int
+) -> tuple[PlannedClaim, ...]:
     claims: list[PlannedClaim] = []
     meant: set[str] = set()
     for item in at.items("a list of claims", least=1, most=MOST_CLAIMS):
         given = item.fields(CLAIM.names)
         sentence = given.required("claim")
         text = sentence.sentence("a claim of the catalogue, or a formula")
-        claim = Claim(sentence=text, expected=Verdict.HOLDS, place=sentence.place)
+        claim = Claim(sentence=text, expected=Verdict.HOLDS, edition=edition, place=sentence.place)
         properties = [property_of(claim, stratum.space.simplest) for stratum in strata]
         if properties[0].sentence in meant:
             raise sentence.error("each claim once", got=f"{properties[0].sentence!r} a second time")

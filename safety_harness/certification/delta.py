@@ -14,10 +14,10 @@ import re
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-from safety_harness.campaign.identity import SYSTEM, Identity
+from safety_harness.campaign.identity import SYSTEM, Identity, edition_of
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.merging import compare_ledgers
 from safety_harness.campaign.session import LEDGER
@@ -35,6 +35,9 @@ from safety_harness.certification.folder import JSON, read_manifest
 from safety_harness.certification.verdicts import at_least, at_most, percent
 from safety_harness.certification.verify_files import check_files
 from safety_harness.exceptions import InputError, LedgerError, Place, StatisticsError
+from safety_harness.properties.protective_separation import ProtectiveSeparation
+from safety_harness.properties.separation import WALKING_MPS
+from safety_harness.scenario.model import EDITION
 from safety_harness.scenario.typed_json import plain
 
 FORMAT = "safety-harness delta 1"
@@ -164,6 +167,10 @@ def delta_between(
 
     ``identities`` are what the runs of each hang on.
     """
+    if len(set(map(edition_of, identities))) > 1:
+        before, after = (
+            _named(one, edition_of(of)) for one, of in zip((before, after), identities, strict=True)
+        )
     bounds = tuple(_bounds(before, after, paired))
     unasked = dict(_unasked(before, after))
     opened, closed, reworded = _findings(before, after, unasked)
@@ -188,6 +195,16 @@ def delta_between(
         reworded=reworded,
         carried=tuple(_carried(before, after, *identities)),
     )
+
+
+def _named(evidence: Evidence, edition: int) -> Evidence:
+    """Return a report with its claims in the words of today: edition 1 takes hands to come at WALKING_MPS."""
+    if edition >= EDITION:
+        return evidence
+    kept = ProtectiveSeparation().sentence
+    now = ProtectiveSeparation(hand_speed_mps=WALKING_MPS).sentence
+    claims = (replace(one, sentence=now) if one.sentence == kept else one for one in evidence.claims)
+    return replace(evidence, claims=tuple(claims))
 
 
 def _claims_by(evidence: Evidence) -> dict[str, ClaimEvidence]:

@@ -141,7 +141,7 @@ def put_together(
         claims=claims,
         system=system_of(plan, ledger.opened),
         assumptions=ASSUMPTIONS,
-        exclusions=EXCLUSIONS,
+        exclusions=(*EXCLUSIONS, *ledger.wrists),
         separation=guard.of("the separation of the runs", lambda: tuple(separation_of(plan, stored)), ()),
         calibration=guard.of("the calibration of the runs", lambda: tuple(calibration_of(plan, stored)), ()),
         coverage=coverage_of(ledger),

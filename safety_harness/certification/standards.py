@@ -149,7 +149,7 @@ TRACED = {  # by the example in the entry of the catalogue
     "hand distance never below 50 mm": DISTANCE,
     "no moving part touches a hand": SEPARATION,
     "protective separation kept": SEPARATION,
-    "protective separation kept at 2 m/s": SEPARATION,
+    "protective separation kept at 1.6 m/s": SEPARATION,
     "protective separation kept from hands at their own speeds": SEPARATION,
     "repulsive poses reachable": SPACE,
     "proposed repulsive poses reachable": SPACE,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -86,8 +86,11 @@ def judged_run(trace: Trace) -> JudgedRun:
 
 
 def separation_of(plan: Plan, stored: Sequence[Stored]) -> Iterator[SeparationCase]:
-    """In each stratum the random run whose pair has least to spare, for a person who walks."""
-    prop = ProtectiveSeparation()
+    """In each stratum the random run whose pair has least to spare, for a hand that reaches."""
+    prop = property_of(
+        replace(plan.claims[0].claim, sentence=ProtectiveSeparation().sentence), plan.strata[0].space.simplest
+    )
+    assert isinstance(prop, ProtectiveSeparation)
     for place, stratum in enumerate(plan.strata):
         worst = [
             (case.margin_m, one.episode, case, one.trace)

@@ -13,7 +13,7 @@ from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 
-from safety_harness.campaign.identity import unpacked
+from safety_harness.campaign.identity import edition_of, unpacked
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import Plan, read_plan
 from safety_harness.campaign.session import LEDGER
@@ -122,7 +122,11 @@ def verify(
             ledger = stack.enter_context(Ledger.open(folder / LEDGER, alone=True))
             rows = check_rows(ledger)
             unpacking = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="safety-harness-")))
-            plan = read_plan(unpacked(ledger.files, unpacking)) if rows.stands else None
+            plan = (
+                read_plan(unpacked(ledger.files, unpacking), edition_of(ledger.declared.identity))
+                if rows.stands
+                else None
+            )
         except OutputError:
             raise
         except InputError as error:

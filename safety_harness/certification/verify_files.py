@@ -9,6 +9,7 @@ from pathlib import Path
 
 from safety_harness.admission.spaces import MAX_REJECTION_RATIO
 from safety_harness.campaign.episodes import random_episodes, root_seed
+from safety_harness.campaign.identity import edition_of
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.opening import COUNTS
 from safety_harness.campaign.plan import Plan
@@ -27,6 +28,8 @@ from safety_harness.certification.folder import (
     sha256_of,
 )
 from safety_harness.exceptions import InputError, Place
+from safety_harness.properties.separation import WALKING_MPS
+from safety_harness.scenario.model import EDITION
 from safety_harness.statistics.sample import EpisodeOutcome
 
 MOST_NAMED = 10
@@ -101,6 +104,13 @@ def check_plan(folder: Path, known: Plan, ledger: Ledger) -> Examination:
     faults += [f"{what}: the ledger says otherwise than its plan" for what in _other(known, ledger)]
     faults += _wrongly_stopped(known, ledger)
     notes = tuple(f"since it was made: {change}" for change in changes if change not in own)
+    if (edition := edition_of(ledger.declared.identity)) < EDITION:
+        words = (
+            f"its claims are read in edition {edition}: hands come at {WALKING_MPS:g} m/s where none is named"
+        )
+        notes += (words,)
+        if not any(change.startswith("the source of this package") for change in changes):
+            faults.append(f"{words}, but this version of the source writes edition {EDITION}")
     return Examination("plan", f"the plan as it was declared, {len(files)} files", few(faults), notes)
 
 

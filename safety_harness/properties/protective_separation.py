@@ -22,7 +22,7 @@ from safety_harness.properties.base import (
 from safety_harness.properties.entry import CatalogueEntry, quantity
 from safety_harness.properties.measured import reads
 from safety_harness.properties.separation import (
-    WALKING_MPS,
+    REACHING_MPS,
     Separation,
     farthest_steps,
     least_separation,
@@ -102,7 +102,7 @@ def _fastest_mps(trace: Trace) -> float:
 class ProtectiveSeparation:
     """min over time, hands and links of d - S_p while the arm moves (any joint above 1 mrad/s).
 
-    ``hand_speed_mps`` is the v_h of every human, towards the arm; None for WALKING_MPS.  With
+    ``hand_speed_mps`` is the v_h of every human, towards the arm; None for ``default_mps``.  With
     ``own_speeds`` it is that of each hand's and forearm's own nearest point at that tick.  The robot's
     v_r is that of the link's nearest point towards the human, never below zero.  Both are those of
     the nearest pair of each link, not only of the nearest link: a slow link may be nearer than a fast
@@ -115,6 +115,7 @@ class ProtectiveSeparation:
     """
 
     hand_speed_mps: float | None = None
+    default_mps: float = REACHING_MPS
     own_speeds: bool = False
     unit: Unit = Unit.LENGTH
 
@@ -130,7 +131,7 @@ class ProtectiveSeparation:
     @property
     def assumed_mps(self) -> float:
         """The v_h that is taken where the hands' own speeds are not."""
-        return WALKING_MPS if self.hand_speed_mps is None else self.hand_speed_mps
+        return self.default_mps if self.hand_speed_mps is None else self.hand_speed_mps
 
     @reads(*JOINTS, "tcp_speed_mps", *OF_HANDS, bounded=["limits"], of_each_hand=True, ends=_ends)
     def evaluate(self, trace: Trace) -> Evaluation:
@@ -291,17 +292,17 @@ PROTECTIVE_SEPARATION = CatalogueEntry(
     "either comes: this is the distance at which stopping still helps",
     source="S_p = S_h + S_r + S_s + C + Z_d + Z_r, as NIST's overview has it (PMC5117641)",
     margin=_MARGIN,
-    parameters=f"v_h = 1.6 m/s; {_TIMES}",
+    parameters=f"v_h = {REACHING_MPS:g} m/s; {_TIMES}",
     exercised="a hand comes as near to the moving arm as S_p can be for an arm at its speed limit",
     inconclusive="the arm did not move while a hand was there",
     broken_by="an avoider that heads for the hand, behind a gate that passes everything",
 )
 PROTECTIVE_SEPARATION_AT = replace(
     PROTECTIVE_SEPARATION,
-    prop=ProtectiveSeparation(hand_speed_mps=2.0),
+    prop=ProtectiveSeparation(hand_speed_mps=1.6),
     pattern=r"protective separation kept at (.+)",
     make=lambda match, _, place: ProtectiveSeparation(hand_speed_mps=quantity(match[1], SPEED, place)),
-    parameters=f"v_h as written, in place of 1.6 m/s; {_TIMES}",
+    parameters=f"v_h as written, in place of {REACHING_MPS:g} m/s; {_TIMES}",
 )
 PROTECTIVE_SEPARATION_OWN = replace(
     PROTECTIVE_SEPARATION,

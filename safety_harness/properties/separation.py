@@ -27,7 +27,8 @@ from safety_harness.robot.capsules import Arm
 from safety_harness.robot.distance import place_capsules
 from safety_harness.robot.kinematics import fastest_end, forward_kinematics, link_twists, point_velocity
 
-WALKING_MPS = 1.6  # ISO 13855 and ISO/TS 15066, for a person whose speed is not measured
+REACHING_MPS = 2.0  # ISO 13855, for a hand that reaches from close by
+WALKING_MPS = 1.6  # ISO 13855 and ISO/TS 15066, for a person who walks; what edition 1 of the claims assumed
 ASSUMED = (
     ("S_h", "the human goes on at this speed until the robot stands, v_h (T_r + T_s)"),
     ("S_r", "the robot goes on at its speed towards the human for the reaction time, v_r T_r"),

@@ -58,7 +58,11 @@ def write_page(
         declared=declared,
         tally=tally,
         answer=_answer(tally, verdicts),
-        remarks=[one for one in (ledger.dependent, fallback_of(ledger).words, ledger.repeated.words) if one],
+        remarks=[
+            one
+            for one in (ledger.dependent, fallback_of(ledger).words, ledger.repeated.words, *ledger.wrists)
+            if one
+        ],
         rows=rows,
         css=CSS,
         verdicts=verdicts,

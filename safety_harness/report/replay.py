@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from safety_harness.controller.records import overhead_transform_sensor_to_base
 from safety_harness.perception.camera import transform_camera_to_tcp
 from safety_harness.properties.protective_separation import times_left_s
-from safety_harness.properties.separation import WALKING_MPS, lengths
+from safety_harness.properties.separation import REACHING_MPS, lengths
 from safety_harness.report.arm_meshes import arm_meshes
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.packing import as_attribute, packed
@@ -184,13 +184,13 @@ def start_s(run: JudgedRun) -> float:
 
 
 def _separation_m(trace: Trace) -> NDArray[np.float64]:
-    """(n,) how far a walking human has to be away by the trace's reaction and stop times; NaN if not known.
+    """(n,) how far a reaching human has to be away by the trace's reaction and stop times; NaN if not known.
 
     The arm is taken to come nearer at the TCP's speed; claims take that of each link.
     """
     speed_mps = trace.ticks["tcp_speed_mps"]
     ticks = zip(speed_mps.tolist(), *(one.tolist() for one in times_left_s(trace)), strict=True)
-    needed = [sum(lengths(WALKING_MPS, speed, wait_s, stop_s, 0.0, 0.0)) for speed, wait_s, stop_s in ticks]
+    needed = [sum(lengths(REACHING_MPS, speed, wait_s, stop_s, 0.0, 0.0)) for speed, wait_s, stop_s in ticks]
     return np.where(measured(trace, "tcp_speed_mps"), needed, np.nan)
 
 

@@ -358,16 +358,22 @@ HAND = Below(tables=(MOVING_HAND, JOINED_HAND, RECORDED_HAND))
 HANDS = Several(of=HAND, words="list of at most eight", most=MAX_HANDS)
 
 
+EDITION = 2  # of what the catalogue's sentences mean: 1 took people to come at 1.6 m/s where none is named
+
+
 @dataclass(frozen=True, kw_only=True)
 class Claim:
     """A sentence of the catalogue and the verdict that the author expects of it.
 
     ``most`` bounds an expected violation: a margin of at least minus this (SI, and the unit's name).
+    ``edition`` is that of the catalogue in whose meaning the sentence is read: an earlier trace's or
+    ledger's own.
     """
 
     sentence: str
     expected: Verdict
     most: tuple[float, str] | None = None
+    edition: int = EDITION
     place: Place = field(default_factory=Place, compare=False)
 
     def given(self, margin: float | None) -> Verdict:

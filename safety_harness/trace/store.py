@@ -26,7 +26,7 @@ from safety_harness.exceptions import InputError, Place, TraceError, refuse_othe
 from safety_harness.scenario.faults import AvoiderLate, AvoiderSilent, Fault
 from safety_harness.scenario.files import as_path, refuse_no_file, told
 from safety_harness.scenario.kinds import FileKind, refuse_other_kind
-from safety_harness.scenario.model import MAX_HANDS, RecordedHand, Scenario
+from safety_harness.scenario.model import EDITION, MAX_HANDS, RecordedHand, Scenario
 from safety_harness.scenario.read import parse_scenario
 from safety_harness.scenario.recording import MAX_BYTES
 from safety_harness.scenario.references import file_and_name, portable
@@ -84,6 +84,7 @@ class _Run:
     ended: Line
     provenance: Provenance
     system: SystemUnderTest | None = None  # None in a trace of an earlier version
+    claims: int = 1  # the edition of the catalogue in whose meaning they are read
 
 
 def save_trace(trace: Trace, path: str | Path, recordings: Mapping[str, bytes] | None = None) -> None:
@@ -124,6 +125,7 @@ def save_trace(trace: Trace, path: str | Path, recordings: Mapping[str, bytes] |
         "ended": trace.ended,
         "provenance": asdict(trace.provenance),
         "system": trace.system.as_dict,
+        "claims": min((claim.edition for claim in trace.scenario.claims), default=EDITION),
     }
     parts["run.json"] = json.dumps(run, indent=1, sort_keys=True).encode()
     if not (trace.known.simulated and trace.known.whole):
@@ -366,7 +368,8 @@ class _Reader:
         file = Path(run.scenario_file or f"{name}.yaml")
         try:
             text = self._parts["scenario.yaml"].decode()
-            return parse_scenario(text, file, carried, name=name, claims_required=False)
+            found = parse_scenario(text, file, carried, name=name, claims_required=False)
+            return replace(found, claims=tuple(replace(one, edition=run.claims) for one in found.claims))
         except UnicodeDecodeError as error:
             raise self._error("a scenario in the trace", f"none that can be read ({error!r})") from error
         except InputError as error:

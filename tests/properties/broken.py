@@ -190,7 +190,7 @@ BROKEN: dict[str, Callable[[], Trace]] = {
     "hand distance never below 50 mm": seeks_the_hand,
     "no moving part touches a hand": seeks_the_hand,
     "protective separation kept": seeks_the_hand,
-    "protective separation kept at 2 m/s": seeks_the_hand,
+    "protective separation kept at 1.6 m/s": seeks_the_hand,
     "protective separation kept from hands at their own speeds": seeks_the_hand,
     "repulsive poses reachable": proposes_far_away,
     "proposed repulsive poses reachable": proposes_far_away,

@@ -13,6 +13,7 @@ from safety_harness.admission.admit import admit
 from safety_harness.admission.trial import run_kinematic
 from safety_harness.campaign.episodes import EpisodeRunner, trace_bytes
 from safety_harness.campaign.ledger import Ledger
+from safety_harness.campaign.plan import read_plan
 from safety_harness.campaign.rows import ClaimJudgement, Row
 from safety_harness.campaign.summary import state_of
 from safety_harness.report import campaign_page
@@ -116,3 +117,18 @@ def test_margins_of_different_units_are_not_put_in_one_order(ledger: Ledger, tmp
     listed = [(claim, margin) for _, _, claim, margin, *_ in ledger.all(campaign_page._WORST)]
     assert listed[:3] == [(0, -0.025), (1, -1e-6), (0, -0.024)]
     assert len(listed) == 26
+
+
+@pytest.mark.parametrize(("space", "told"), [("recorded-variations", True), ("reaching-hands", False)])
+def test_a_campaign_of_recorded_hands_says_that_they_are_wrists(
+    space: str, told: bool, tmp_path: Path
+) -> None:
+    file = tmp_path / "plan.yaml"
+    file.write_text(
+        "plan: hands\nworld: kinematic\nstrata:\n"
+        f"  - {{stratum: all, space: 'shipped:{space}', runs: 2}}\n"
+        "claims:\n  - claim: joint speeds within limits\n"
+    )
+    with Ledger.create(tmp_path / "ledger.sqlite", read_plan(file)) as made:
+        assert ("recorded hands are wrists" in words_of(page_of(made, tmp_path))) is told
+        assert bool(made.wrists) is told  # what the evidence excludes

@@ -15,7 +15,7 @@ from examples import scenario
 
 from safety_harness import admit, judge, read_scenario, run_trial
 from safety_harness.exceptions import TraceError
-from safety_harness.scenario.model import Claim, RecordedHand, Verdict
+from safety_harness.scenario.model import EDITION, Claim, RecordedHand, Verdict
 from safety_harness.trace.compare import first_difference
 from safety_harness.trace.store import load_trace, save_trace
 from safety_harness.trace.trace import Trace
@@ -215,3 +215,21 @@ def test_two_traces_in_one_file_are_refused(stored: tuple[Trace, Path], tmp_path
     both.write_bytes(stored[1].read_bytes() * 2)
     with pytest.raises(TraceError, match="one trace alone in the file"):
         load_trace(both)
+
+
+def test_a_trace_that_tells_no_edition_is_judged_by_the_first(
+    stored: tuple[Trace, Path], tmp_path: Path
+) -> None:
+    """A trace made when hands were taken to walk keeps that reading, also when it is stored again."""
+    with zipfile.ZipFile(stored[1]) as archive:
+        run, header = (json.loads(archive.read(name)) for name in ("run.json", "trace.json"))
+    assert run.pop("claims") == EDITION
+    text = json.dumps(run).encode()
+    header["sha256"]["run.json"] = hashlib.sha256(text).hexdigest()
+    file = rewritten(
+        stored[1], tmp_path / "then.trace", run_json=text, trace_json=json.dumps(header).encode()
+    )
+    then = load_trace(file)
+    assert {claim.edition for claim in then.scenario.claims} == {1}
+    save_trace(then, file)
+    assert {claim.edition for claim in load_trace(file).scenario.claims} == {1}
