@@ -26,7 +26,13 @@ from typing import Any
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import Plan
 from safety_harness.campaign.session import LEDGER
-from safety_harness.certification.counterexamples import FINDINGS, SEARCH, Example, told_whose_fault, with_fault
+from safety_harness.certification.counterexamples import (
+    FINDINGS,
+    SEARCH,
+    Example,
+    told_whose_fault,
+    with_fault,
+)
 from safety_harness.certification.credibility import credibility_of
 from safety_harness.certification.evidence import Evidence, EvidenceProvenance, as_text
 from safety_harness.certification.folder import JSON, JUNIT, MADE, PAGE, PDF, PLAN, argument_texts, junit_xml
@@ -56,6 +62,7 @@ _VERDICT = re.compile(rb'<(span class="verdict [^"<>]*"|div class="banner [^"<>]
 _VERDICTS = re.compile(rb'<table class="[^"<>]*\bverdicts"[^<>]*>')
 _NUMBERS = re.compile(rb'<(td)[^<>]*class="number"[^<>]*>')
 _CLOSING = re.compile(rb"</(?:strong|td)>|(?<!</svg>)</span>")
+_HIDING = re.compile(rb"<!--|<template\b", re.IGNORECASE)  # no version's page has any
 _LONGEST_BADGE = 2_000  # bytes, with its icon
 _MARKUP = re.compile(rb"<[^<>]*>")
 _TAG = re.compile(rb"<\w[^<>]*>")
@@ -136,7 +143,11 @@ def verdicts_in(page: bytes) -> list[bytes]:
     table = _VERDICTS.search(page)
     begin = len(page) if table is None else table.end()
     end = page.find(b"</table>", begin)
-    return [*badges, *(text for _, text in _texts(page[begin : end if end >= 0 else len(page)], _NUMBERS))]
+    return [
+        *badges,
+        *_HIDING.findall(page),
+        *(text for _, text in _texts(page[begin : end if end >= 0 else len(page)], _NUMBERS)),
+    ]
 
 
 def _texts(page: bytes, openings: re.Pattern[bytes]) -> Iterator[tuple[bytes, bytes]]:
@@ -203,7 +214,7 @@ WORDS = {
     *("system", "separation", "calibration", "credibility", "findings", "margin", "selftest_absent"),
     *("whose_fault", "steps", "approaches"),
 }
-OF_RUNS = frozenset({"credibility", "whose_fault", "lines"})  # of runs made again, where bits may be others
+OF_RUNS = frozenset({"reruns", "absent", "whose_fault", "lines"})  # of runs made again
 CLOSE = 1e-9  # relative: another scipy's last digits
 
 

@@ -200,7 +200,8 @@ class Compared:
             where = self.where(row.stratum, row.episode)
             yield f"{where}: the same run as {episode}, and the ledger tells them apart"
         elif row.run != then and (self.same or (self.answers and not then)):
-            yield f"{self.where(row.stratum, row.episode)}: the ledger has {then or 'no number'} for {row.run}"
+            where, number = self.where(row.stratum, row.episode), then or "no number"
+            yield f"{where}: the ledger has {number} for {row.run}"
 
     def _faults(self, row: Row, before: Mapping[int, ClaimJudgement]) -> Iterator[str]:
         """Claims of which the outcome is another now."""

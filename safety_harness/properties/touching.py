@@ -63,7 +63,7 @@ class NoMovingPartTouches:
     """min over hands, and over the ticks in which a part of the arm moves, of the distance to that part.
 
     A part moves in a tick if any joint between it and the base turns by at least STANDSTILL_RADPS times the
-    period: the base never does.  Distances are surface to surface, and bounded from below between ticks, as those of
+    period: the base never does.  Distances are surface to surface, and bounded between ticks, as those of
     ``HandDistance``; zero is a touch, and the margin is below zero inside.
 
     Exercised when a hand comes within ``near_m`` of the arm, moving or not, in a run in which the arm moves.

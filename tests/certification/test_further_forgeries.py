@@ -23,6 +23,7 @@ from safety_harness.campaign.session import LEDGER, plan_of
 from safety_harness.certification.folder import MANIFEST, stored_files, write_manifest
 from safety_harness.certification.lodged import declaration_of
 from safety_harness.certification.verify import verify
+from safety_harness.certification.verify_report import differences
 from safety_harness.exceptions import InputError
 from safety_harness.trace.trace import Trace
 from tests.certification.forging import (
@@ -175,7 +176,7 @@ ROWS: dict[str, tuple[Touch, str]] = {
     ),
     "every cell of the coverage": (in_ledger("UPDATE episode SET cell = 6"), "cell or mishap come out"),
     "an infinite margin": (judgement("margin = 9e999"), "a margin of +inf"),
-    "a margin of minus infinity": (judgement("margin = -9e999"), "a margin of \u2212inf"),
+    "a margin of minus infinity": (judgement("margin = -9e999"), "then, +105.3"),
     "no margin": (judgement("margin = NULL"), "then, +105.3"),
     "a margin as large as a number can be": (judgement("margin = 1e308"), "then, +105.3"),
     "fewer occasions than none": (judgement("exercised = -3"), "occasions or worst moment"),
@@ -188,7 +189,8 @@ ROWS: dict[str, tuple[Touch, str]] = {
     "another reason of the gate": (episode("overruled_table = 1 - overruled_table"), "cell or mishap"),
     "a violation that was no run": (
         in_ledger(
-            f"UPDATE judgement SET outcome = 4, margin = NULL {RUN}", f"UPDATE episode SET failure = 'x' {RUN}"
+            f"UPDATE judgement SET outcome = 4, margin = NULL {RUN}",
+            f"UPDATE episode SET failure = 'x' {RUN}",
         ),
         "failed then, violated now",
     ),
@@ -201,14 +203,6 @@ ROWS: dict[str, tuple[Touch, str]] = {
             "DELETE FROM judgement WHERE stratum = 1 AND episode > 3",
         ),
         "stopped after 4 runs",
-    ),
-    "an episode twice": (
-        in_ledger(
-            "PRAGMA writable_schema = ON",
-            "UPDATE sqlite_master SET sql = replace(sql, 'margin REAL', 'margin TEXT') WHERE name = 'judgement'",
-            f"UPDATE judgement SET margin = 'inf' {RUN}",
-        ),
-        "judgements with values of another kind",
     ),
     "a trigger": (
         in_ledger("CREATE TRIGGER t AFTER UPDATE ON episode BEGIN DELETE FROM judgement; END"),
@@ -237,8 +231,6 @@ FILES: dict[str, tuple[Touch, str]] = {
     "a pipe in the folder": (piped, "certificate is a link or a device"),
     "a log beside the ledger": (put(f"{LEDGER}-wal"), "changes of the ledger that are not in it"),
     "a plan in capitals": (put("plan/PLAN.yaml", b"plan: x"), "is no file of the ledger's plan"),
-    "more runs than the search had": (searched(tried=1_000_000), "tried"),
-    "fewer runs than none": (searched(tried=-7), "tried"),
     "a field of the evidence that none has": (
         text_of("evidence.json", lambda text: text.replace("{", '{\n "approved": "by a test house",', 1)),
         "approved",
@@ -298,6 +290,100 @@ def test_files_are_those_of_a_report(report: Path, touch: Touch, words: str) -> 
 
 @pytest.mark.parametrize("touch", TRICKS.values(), ids=TRICKS.keys())
 def test_a_browsers_tricks_are_other_letters(report: Path, touch: Touch) -> None:
-    """By the version that made it a page is compared to the letter, hidden or not."""
+    """A page is compared to the letter, hidden or not."""
+    page = (report / PAGE).read_bytes()
     touch(report)
+    assert differences((report / PAGE).read_bytes(), page)
+
+
+@pytest.mark.parametrize("trick", ["a comment around it", "hidden by a style"])
+def test_a_trick_is_a_fault_by_the_version_that_made_the_page(report: Path, trick: str) -> None:
+    TRICKS[trick](report)
     assert met(report, PAGES, runs=0)
+
+
+OTHERS: dict[str, tuple[Touch, str]] = {
+    "compiled files": (made_by(files=(("engine.so", "0" * 64),)), "1 stored traces are not those"),
+    "a platform": (made_by(platform="a robot cell"), "1 stored traces are not those"),
+    "libraries": (made_by(libraries=(("numpy", "99.0"),)), "1 stored traces are not those"),
+    "a hidden file": (put(".certificate.html"), ".certificate.html: a hidden file"),
+    "a page among the findings": (put(f"{SEARCHED}/well.html"), "well.html: a file that no report has"),
+    "a page in capitals": (put("Evidence.html"), "Evidence.html: a file that no report has"),
+    "a journal of the ledger": (put(f"{LEDGER}-journal"), "ledger.sqlite-journal: a file that no report has"),
+    "whose fault, by another library": (
+        both(said(counterexamples__0__lines__1="whose fault: the hand"), NUMPY),
+        "counterexamples[0].lines[1]: whose fault: the hand",
+    ),
+    "the agreement, by another source": (
+        both(said(credibility__agreement__verdicts=1), SOURCE),
+        "the agreement of the worlds is as the report says",
+    ),
+    "findings, by another source": (both(said(findings=[]), SOURCE), "findings: 0 of them in the report"),
+    "exclusions, by another source": (both(said(exclusions=["none"]), SOURCE), "exclusions"),
+    "a separation, by another source": (both(said(separation__0__distance_m=2.0), SOURCE), "separation[0]"),
+    "emptied findings": (searched(counterexamples=[], distinct=[]), "what it found, or did not"),
+    "what the avoider answered again": (
+        in_ledger("UPDATE repeated SET questions = 100000, asked = 100000"),
+        "what asking the avoider again came to",
+    ),
+    "an approval beside the ledger's facts": (
+        in_ledger("INSERT INTO about VALUES ('approved', 'by a test house')"),
+        "no lodged seal was given",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("touch", "words"), OTHERS.values(), ids=OTHERS.keys())
+def test_what_cannot_be_decided_is_open_by_name(report: Path, touch: Touch, words: str) -> None:
+    touch(report)
+    assert met(report, words, kind="unchecked")
+
+
+@pytest.mark.parametrize("trick", ["a comment around it", "tags in capitals"])
+def test_a_trick_is_shown_whatever_made_the_page(report: Path, trick: str) -> None:
+    """Where the report names another source: a fault where a verdict is another, else open."""
+    both(TRICKS[trick], SOURCE)(report)
+    found = list(verify(report, runs=0, seed=1))
+    said_of_it = "\n".join(one for check in found for one in (*check.faults, *check.unchecked))
+    assert BADGES in said_of_it or "was made by other software, and says otherwise" in said_of_it
+
+
+@pytest.mark.parametrize("tried", [1_000_000, -7])
+def test_a_search_of_impossible_runs_is_an_open_finding(report: Path, tried: int) -> None:
+    searched(tried=tried)(report)
+    assert "cannot be read: tried: expected 0 to 1 runs" in (report / PAGE).read_text()
+
+
+def test_another_agreement_by_the_same_source_is_a_fault(report: Path) -> None:
+    """Whichever library the report names: the agreement came with the source."""
+    both(said(credibility__agreement__verdicts=1), NUMPY)(report)
+    assert met(report, "credibility.agreement", runs=0)
+
+
+def test_violating_runs_that_are_left_out_are_missing_runs(report: Path) -> None:
+    """No verdict can be had by it: the page says how many are missing."""
+    in_ledger(
+        "DELETE FROM episode WHERE stratum = 0 AND episode > 2",
+        "DELETE FROM judgement WHERE stratum = 0 AND episode > 2",
+    )(report)
+    assert write(report).standing.value == "runs missing"
+
+
+def test_a_manifest_says_nothing_else(report: Path) -> None:
+    text_of(MANIFEST, lambda text: text.replace("{", '{"approved": "by a test house",', 1))(report)
+    with pytest.raises(InputError, match="format and sha256"):
+        next(verify(report, seed=1))
+
+
+def test_a_declaration_that_was_never_lodged_is_open(report: Path) -> None:
+    """Anybody can compute it after the runs; the hash that was lodged is another thing than a seal."""
+    with Ledger.open(report / LEDGER) as ledger, plan_of(ledger) as plan:
+        sha256 = declaration_of(plan, ledger.declared.identity).sha256
+    said(record__declaration_sha256=sha256)(report)
+    found = {check.name: check for check in verify(report, runs=0, seed=1, seal=sha256)}
+    assert "the seal of this report is" in found["lodged"].faults[0]
+    assert "nothing proves that plan, seed and targets came first" in found["lodged"].unchecked[0]
+
+
+def test_the_forgeries_are_at_least_thirty() -> None:
+    assert len(ROWS) + len(FILES) + len(OTHERS) + len(TRICKS) >= 60

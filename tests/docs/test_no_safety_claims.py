@@ -67,7 +67,7 @@ def test_no_text_calls_a_robot_safe_compliant_or_certified(folder: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "text", ["The arm is safe.", "a compliant robot", "# certified to ISO 10218", "it is not slow: it is safe"]
+    "text", ["The arm is safe.", "a compliant robot", "# certified to ISO 10218", "not slow: it is safe"]
 )
 def test_such_a_text_would_be_found(text: str) -> None:
     assert len(claimed(text)) == 1
