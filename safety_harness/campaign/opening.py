@@ -145,7 +145,7 @@ def explained(path: Path) -> Iterator[None]:
     except sqlite3.Error as error:
         text, code = str(error), getattr(error, "sqlite_errorcode", 0) & 0xFF
         if code in (sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR):
-            raise OutputError.of(path, OSError(f"{text}; what was committed before is safe")) from error
+            raise OutputError.of(path, OSError(f"{text}; what was committed before is kept")) from error
         if code in (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED):
             raise unusable(path, "a ledger that nobody else keeps locked", text) from error
         raise unusable(path, "a ledger, whole and readable", text) from error

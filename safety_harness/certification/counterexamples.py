@@ -165,6 +165,9 @@ class Searched:
 def read_findings(path: Path) -> Found:
     """InputError, naming the field, for what fuzz did not write."""
     found = typed(read_json(path, "the findings of a search"), Found, path, others=True)
+    if not 0 <= found.tried <= found.budget:
+        place, got = Place(file=path, field="tried"), str(found.tried)
+        raise InputError(place=place, expected=f"0 to {found.budget} runs", got=got)
     for k, name in enumerate(found.counterexamples):
         if Path(name).name != name or "\0" in name:
             place = Place(file=path, field=f"counterexamples[{k}]")

@@ -101,6 +101,8 @@ def read_manifest(folder: Path) -> dict[str, str]:
     refuse_other_kind(folder, FileKind.REPORT, error=InputError)
     refuse_no_file(file, "the folder of a report that certify wrote", InputError)
     found = of_format(read_json(file, FORMAT, most=LARGEST_MANIFEST_BYTES), FORMAT, file)
+    if other := sorted(found.keys() - {"format", "sha256"}):
+        raise InputError(place=place, expected="the fields format and sha256", got=repr(other[0])[:120])
     hashes = typed(found.get("sha256"), dict[str, str], file, where="sha256")
     root = resolved(folder)
     for name in hashes:

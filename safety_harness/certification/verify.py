@@ -42,7 +42,8 @@ from safety_harness.exceptions import InputError, OutputError, Place
 NO_SEAL = (
     "no lodged seal was given (--seal): a careful forger who makes all hashes anew may have altered rows, of "
     "which only stored traces and runs made again tell, and what nothing but the report says: its times, "
-    "machine and command, what the search did, tables that were handed in"
+    "machine and command, what the search did, what asking the avoider "
+    "again came to, tables that were handed in"
 )
 NOT_DECLARED = (
     "no lodged declaration was given (--declared): nothing proves that plan, seed and targets came first"

@@ -82,11 +82,17 @@ def check_files(folder: Path, hashes: dict[str, str]) -> Examination:
             faults.append(f"{name} cannot be read: {error.strerror}")
     there = set(names_in(folder))
     faults += [f"{name} is not in the manifest" for name in sorted(there - hashes.keys() - set(REQUIRED))]
+    paths = sorted(folder.rglob("*"))
+    linked = [one for one in paths if one.is_symlink() or not (one.is_file() or one.is_dir())]
+    faults += [f"{one.relative_to(folder)} is a link or a device, and no file" for one in linked]
+    unseen = [one.relative_to(folder) for one in paths if one.name.startswith(".") and one.is_file()]
     log = folder / LOG
     if log.exists() and (not log.is_file() or log.stat().st_size > 0):
         faults.append(f"{LOG}: changes of the ledger that are not in it")
     mark = sha256_of(folder / MANIFEST)[:16]  # by which two people know that they have the same report
-    return Examination("files", f"{len(hashes)} files and their hashes, {MANIFEST} {mark}", few(faults))
+    text = f"{len(hashes)} files and their hashes, {MANIFEST} {mark}"
+    hidden = [f"{name}: a hidden file, which nothing here has looked into" for name in unseen]
+    return Examination("files", text, few(faults), unchecked=few(hidden))
 
 
 def check_plan(folder: Path, known: Plan, ledger: Ledger) -> Examination:

@@ -26,7 +26,13 @@ from typing import Any
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import Plan
 from safety_harness.campaign.session import LEDGER
-from safety_harness.certification.counterexamples import SEARCH, Example, told_whose_fault, with_fault
+from safety_harness.certification.counterexamples import (
+    FINDINGS,
+    SEARCH,
+    Example,
+    told_whose_fault,
+    with_fault,
+)
 from safety_harness.certification.credibility import credibility_of
 from safety_harness.certification.evidence import Evidence, EvidenceProvenance, as_text
 from safety_harness.certification.folder import JSON, JUNIT, MADE, PAGE, PDF, PLAN, argument_texts, junit_xml
@@ -56,6 +62,7 @@ _VERDICT = re.compile(rb'<(span class="verdict [^"<>]*"|div class="banner [^"<>]
 _VERDICTS = re.compile(rb'<table class="[^"<>]*\bverdicts"[^<>]*>')
 _NUMBERS = re.compile(rb'<(td)[^<>]*class="number"[^<>]*>')
 _CLOSING = re.compile(rb"</(?:strong|td)>|(?<!</svg>)</span>")
+_HIDING = re.compile(rb"<!--|<template\b", re.IGNORECASE)  # no version's page has any
 _LONGEST_BADGE = 2_000  # bytes, with its icon
 _MARKUP = re.compile(rb"<[^<>]*>")
 _TAG = re.compile(rb"<\w[^<>]*>")
@@ -136,7 +143,11 @@ def verdicts_in(page: bytes) -> list[bytes]:
     table = _VERDICTS.search(page)
     begin = len(page) if table is None else table.end()
     end = page.find(b"</table>", begin)
-    return [*badges, *(text for _, text in _texts(page[begin : end if end >= 0 else len(page)], _NUMBERS))]
+    return [
+        *badges,
+        *_HIDING.findall(page),
+        *(text for _, text in _texts(page[begin : end if end >= 0 else len(page)], _NUMBERS)),
+    ]
 
 
 def _texts(page: bytes, openings: re.Pattern[bytes]) -> Iterator[tuple[bytes, bytes]]:
@@ -203,7 +214,7 @@ WORDS = {
     *("system", "separation", "calibration", "credibility", "findings", "margin", "selftest_absent"),
     *("whose_fault", "steps", "approaches"),
 }
-OF_RUNS = frozenset({"credibility", "whose_fault", "lines"})  # of runs made again, where bits may be others
+OF_RUNS = frozenset({"reruns", "absent", "whose_fault", "lines"})  # of runs made again
 CLOSE = 1e-9  # relative: another scipy's last digits
 
 
@@ -217,7 +228,7 @@ def check_numbers(report: ReportFolder, *, again: bool) -> tuple[Examination, Ga
 
     def believe(stored: Sequence[Stored], trials: HarnessTrials) -> Credibility:
         now = credibility_of(stored, trials, reruns=None if again else then.reruns)
-        return now if same else replace(now, agreement=then.agreement)
+        return now if report.same_words else replace(now, agreement=then.agreement)
 
     oracles_with = then.oracles_measured_with if then.oracles else ""
     # if anything was declared, it is this very plan with the ledger's software
@@ -241,12 +252,12 @@ def check_numbers(report: ReportFolder, *, again: bool) -> tuple[Examination, Ga
     if recorded.learned is None and not report.same_words:  # earlier versions had no such part
         now = replace(now, learned=None)
     faults: list[str] = []
-    notes: list[str] = []
+    others: list[str] = []
     for place, was, new in _differences(plain(recorded), plain(now), ""):
         names = set(re.split(r"[.\[\]\d]+", place))
         lenient = frozenset() if same else OF_RUNS if report.same_words else WORDS
         words = lenient & names or ("largest" in names and _near(was, new))
-        (notes if words else faults).append(f"{place}: {_short(was)} in the report, {_short(new)} comes out")
+        (others if words else faults).append(f"{place}: {_short(was)} in the report, {_short(new)} comes out")
     faults += _files(report)
     faults += _told(recorded.provenance)
     text = (
@@ -257,6 +268,8 @@ def check_numbers(report: ReportFolder, *, again: bool) -> tuple[Examination, Ga
         if again
         else ["the runs by which the simulator is doubted, or a fault is attributed, were not made again"]
     )
+    if not report.same_words:
+        unchecked.append("the agreement of the worlds is as the report says: another version measured it")
     if recorded.plan.search_runs:
         unchecked.append("the search was not made again: what it found, or did not, is what its files say")
     if recorded.selftest or then.oracles or then.cells:
@@ -264,7 +277,8 @@ def check_numbers(report: ReportFolder, *, again: bool) -> tuple[Examination, Ga
             "the trial of the harness, the table of oracles and recorded cells are as their files said"
         )
     unchecked += [f"{name}: a file that no report has" for name in _foreign(gathered.evidence, report.hashes)]
-    return Examination("numbers", text, few(faults), few(notes), few(unchecked)), gathered
+    unchecked += few([f"{one}: other software, or it was altered" for one in others])
+    return Examination("numbers", text, few(faults), unchecked=tuple(unchecked)), gathered
 
 
 def _told_before(recorded: Evidence, plan: Plan, met: Sequence[Example | str]) -> Iterator[Example | str]:
@@ -386,7 +400,9 @@ def _foreign(evidence: Evidence, hashes: dict[str, str]) -> Iterator[str]:
     """Files that nothing here has looked into."""
     shown = {one.trace_file for one in evidence.counterexamples}
     for name in hashes:
-        if name not in (*MADE, LEDGER, *PROOF, *shown) and Path(name).parts[0] not in (PLAN, SEARCH):
+        inside = Path(name).parts[0] == PLAN
+        inside |= Path(name).parts[0] == SEARCH and name.endswith((".yaml", ".trace", f"/{FINDINGS}"))
+        if name not in (*MADE, LEDGER, *PROOF, *shown) and not inside:
             yield name
 
 

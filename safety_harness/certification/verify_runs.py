@@ -160,11 +160,13 @@ class Compared:
         """Compare a stored trace, bit by bit, with that of the run that was made again."""
         if row.trace is None:  # the run fails here, of which its row tells
             return
-        difference = first_difference(stored, trace_of(self.plan, row.stratum, row.trace))
-        if difference is not None:
-            self.other_traces += 1
-            if self.same:
-                self.faults.append(f"{self.where(row.stratum, row.episode)}: its stored trace: {difference}")
+        again = trace_of(self.plan, row.stratum, row.trace)
+        difference: object = first_difference(stored, again)
+        if (stored.system, stored.ended) != (again.system, again.ended):
+            difference = difference or "another system under test, or another end"
+        self.other_traces += difference is not None or stored.provenance != again.provenance
+        if difference is not None and self.same:
+            self.faults.append(f"{self.where(row.stratum, row.episode)}: its stored trace: {difference}")
 
     def where(self, stratum: int, episode: int) -> str:
         """Words for a run."""
@@ -197,8 +199,9 @@ class Compared:
         if row.run and then != other:
             where = self.where(row.stratum, row.episode)
             yield f"{where}: the same run as {episode}, and the ledger tells them apart"
-        elif row.run and not then and self.answers:
-            yield f"{self.where(row.stratum, row.episode)}: the ledger has no number for it"
+        elif row.run != then and (self.same or (self.answers and not then)):
+            where, number = self.where(row.stratum, row.episode), then or "no number"
+            yield f"{where}: the ledger has {number} for {row.run}"
 
     def _faults(self, row: Row, before: Mapping[int, ClaimJudgement]) -> Iterator[str]:
         """Claims of which the outcome is another now."""
@@ -245,6 +248,8 @@ def check_traces(plan: Plan, ledger: Ledger, *, same: bool) -> Examination:
     declared = dict(ledger.declared.identity.parts)
     source, python = declared.get("the source of this package"), declared.get("Python")
     others = 0
+    if ledger.opened and not any(file.name.endswith(".py") for file in plan.files):
+        faults.append("the ledger names files that a module opened, and its plan has no module")
     for stratum, episode, _ in ledger.traces():
         where = compared.where(stratum, episode)
         ((draws,),) = ledger.all(

@@ -315,7 +315,7 @@ def allowed_share(
     period_s: float,
     time_s: float,
 ) -> tuple[float, int]:
-    """The share s of the command that is safe, and the capsule that says so; -1 for want of a frame.
+    """The share s of the command that is let through, and the capsule that says so; -1 for want of a frame.
 
     ``flight_m`` is of ``in_flight``.
     """

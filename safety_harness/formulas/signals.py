@@ -140,7 +140,7 @@ def truth(true: NDArray[np.bool_] | np.bool_) -> Sampled:
 def hand_distance(trace: Trace) -> Sampled:
     """Of any hand or forearm from any link, surface to surface, with the bounds of the catalogue's claim.
 
-    Between two ticks it is not below the certified bound of ``HandDistance``, and not above what
+    Between two ticks it is not below the guaranteed bound of ``HandDistance``, and not above what
     both ends and the ways of arm and hand allow.  Occasions: a hand comes near to
     the arm's surface.
     """
@@ -469,7 +469,7 @@ def _bounds(
     forearm_radius_m: float,
     tolerance_m: float,
 ) -> NDArray[np.float64]:
-    """(n-1,) certified lower bound of the distance from each instant to the next."""
+    """(n-1,) guaranteed lower bound of the distance from each instant to the next."""
     bounds = np.empty(max(joints_rad.shape[0] - 1, 0))
     room = np.empty((MAX_BISECTIONS + 1, arm.capsules.shape[0], 2, 3))
     for k in range(bounds.shape[0]):

@@ -73,7 +73,7 @@ def distance_moved_m(trace: Trace) -> tuple[NDArray[np.float64], NDArray[np.floa
 class HandDistance:
     """min over time of d(t) - ``minimum_m``, d from any hand or forearm to any link, surface to surface.
 
-    Between two ticks the margin is a certified lower bound of the distance: hands turn where their
+    Between two ticks the margin is a guaranteed lower bound of the distance: hands turn where their
     moves or samples turn, and joints move linearly, from which it is at most 0.1 mm below; it is
     lower by what joints may leave the straight line while their speeds change (``joint_bend_m``),
     and hands while theirs do (``hand_bend_m``).  It is violated if the upper end of the least distance is
@@ -398,7 +398,7 @@ HAND_DISTANCE = CatalogueEntry(
     rationale="contact with a moving robot is the hazard itself",
     source="the protective separation distance as a constant",
     margin="least distance, surface to surface, of any hand or forearm from any link, less the limit; a "
-    "certified bound between ticks",
+    "guaranteed bound between ticks",
     parameters="the limit; the hands' sizes of the settings",
     exercised="a hand comes within 400 mm of the arm's surface, or within twice a limit above 200 mm",
     inconclusive="a hand that is not where its scenario moves it",

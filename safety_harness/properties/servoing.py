@@ -400,7 +400,7 @@ NEVER_STARVED = CatalogueEntry(
     prop=NeverStarved(longest_s=10.0),
     pattern=r"task never starved longer than (.+)",
     make=lambda match, _, place: NeverStarved(longest_s=quantity(match[1], TIME, place)),
-    rationale="an arm that stays away for good is safe and of no use, and people will switch its safety off",
+    rationale="an arm that stays away for good is of no use, and people will switch its safety off",
     source="the paper, section 5: servoing is taken up again and converges after giving way",
     margin="the limit less the longest time lost, above eq. 15's threshold, without servoing towards the "
     "desired pose, since the TCP was last nearer to it than before",

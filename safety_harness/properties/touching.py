@@ -63,7 +63,7 @@ class NoMovingPartTouches:
     """min over hands, and over the ticks in which a part of the arm moves, of the distance to that part.
 
     A part moves in a tick if any joint between it and the base turns by at least STANDSTILL_RADPS times the
-    period: the base never does.  Distances are surface to surface, and certified between ticks, as those of
+    period: the base never does.  Distances are surface to surface, and bounded between ticks, as those of
     ``HandDistance``; zero is a touch, and the margin is below zero inside.
 
     Exercised when a hand comes within ``near_m`` of the arm, moving or not, in a run in which the arm moves.
@@ -212,7 +212,7 @@ NO_MOVING_PART_TOUCHES = CatalogueEntry(
     rationale="a person may always touch an arm, even run into it; what hurts is an arm that moves",
     source="speed and separation monitoring: the arm stops before a person is there",
     margin="least distance, surface to surface, of any hand or forearm from any part of the arm, over the "
-    "ticks in which that part moves; a certified bound between ticks",
+    "ticks in which that part moves; a guaranteed bound between ticks",
     parameters="the hands' sizes of the settings; a part stands whose joints turn by less than 1 mrad/s",
     exercised="a hand comes within 400 mm of the arm's surface, and the arm moves in that run",
     inconclusive="a hand that is not where its scenario moves it; an arm that did not move beside a hand",

@@ -1,4 +1,4 @@
-"""How near a hand and the arm come to each other between two instants: certified from below, met from above.
+"""How near a hand and the arm come to each other between two instants: guaranteed from below, met from above.
 
 Hand, arm and distance are those of ``distance``.
 """
@@ -36,7 +36,7 @@ def closest_approach_between(
     tolerance_m: float,
     not_below_m: float,
 ) -> tuple[float, float, float, float]:
-    """Certified lower bound [m] of ``hand_distance`` while joints and hand move linearly.
+    """Guaranteed lower bound [m] of ``hand_distance`` while joints and hand move linearly.
 
     Joints go from ``q0`` to ``q1`` [rad] and the hand's two points from state 0 to state 1 [m, base frame],
     in the same parameter t from 0 to 1.  Returns (bound, t of the least distance that was sampled, that

@@ -77,7 +77,7 @@ def _wound(system: ChangedSystem, turns: float) -> ChangedSystem:
     return system.starting_at(joints)
 
 
-@of_motion("stop that does not stop", "the arm goes on when nothing is safe")
+@of_motion("stop that does not stop", "the arm goes on when no position is left to go to")
 @seeded(obeying, (1.0, 0.5, 0.2), "% of the speed", 100.0)
 def _rolls_on(share: float, admitted: Admitted) -> Change:
     """A protective stop is not carried out: the drives go on as before, at a share of the speed."""

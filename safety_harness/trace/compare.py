@@ -61,7 +61,12 @@ def _compare_rows(name: str, first: Trace, second: Trace) -> TraceDifference | N
     if len(one) != len(other):
         lengths = f"{len(one)} ticks", f"{len(other)} ticks"
         return TraceDifference("trace", 0, 0.0, (name,), *lengths)
-    at = np.nonzero(one != other)[0] if len(one) else ()  # without a shield, of whichever joints
+    if not len(one):
+        return None
+    names = one.dtype.names and [field for field in one.dtype.names if field in (other.dtype.names or ())]
+    pairs = [(one[field], other[field]) for field in names] if names else [(one, other)]  # as old traces have
+    unlike = [(_bits(a) != _bits(b)).reshape(len(one), -1).any(axis=1) for a, b in pairs]
+    at = np.flatnonzero(np.any(unlike, axis=0))
     if len(at) == 0:
         return None
     k = int(at[0])

@@ -294,7 +294,7 @@ def test_words_that_other_software_writes_otherwise_are_no_fault(
     monkeypatch.setattr(ReportFolder, "same_words", False)
     found: dict[str, Examination] = {check.name: check for check in verify(report, runs=0, seed=1)}
     assert found["numbers"].stands
-    assert any("claims[0].rationale" in note for note in found["numbers"].notes)
+    assert any("claims[0].rationale" in one for one in found["numbers"].unchecked)
     assert found["pages"].stands
     edited(report, claims=tuple(replace(claim, target=0.6) for claim in claims))
     assert "claims[0].target" in faults(report)
