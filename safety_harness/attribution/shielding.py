@@ -28,7 +28,7 @@ class ShieldAttribution:
     @property
     def words(self) -> str:
         """Who was decisive."""
-        found = (self.shielded, self.plain, self.alone or self.shielded)
+        found = (self.shielded, self.plain, self.shielded if self.alone is None else self.alone)
         untold = [one for one in found if Outcome.of(one) is Outcome.UNTOLD]
         if untold:
             return f"who was decisive is not known: {untold[0].reason}"

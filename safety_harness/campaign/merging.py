@@ -114,13 +114,7 @@ def compare_ledgers(first: Ledger, second: Ledger) -> tuple[PairedComparison, ..
     The bounds hold together (Bonferroni).  LedgerError for campaigns that share no claim, stratum or space,
     or while episodes are missing, StatisticsError for others than the same.
     """
-    if first.draws_sha256 != second.draws_sha256:  # common random numbers are common only in the same spaces
-        expected = f"a campaign over the same spaces as {first.path}"
-        raise unusable(second.path, expected, "spaces with another text")
-    for ledger in (first, second):
-        if not (tally := tally_of(ledger)).complete:
-            got = f"{tally.done} of {tally.planned} episodes: resume it, or merge its parts"
-            raise unusable(ledger.path, "a complete campaign", got)
+    refuse_incomparable(first, second)
     refuse_other_scenarios(first, second)
     strata = [name for name in first.declared.strata if name in second.declared.strata]
     claims = [claim for claim in first.declared.claims if claim in second.declared.claims]
@@ -129,6 +123,17 @@ def compare_ledgers(first: Ledger, second: Ledger) -> tuple[PairedComparison, ..
     pairs = [(stratum, claim) for stratum in strata for claim in claims]
     confidence = 1.0 - (1.0 - first.declared.confidence) / len(pairs)
     return tuple(compare(second.sample(*pair), first.sample(*pair), confidence) for pair in pairs)
+
+
+def refuse_incomparable(first: Ledger, second: Ledger) -> None:
+    """Raise LedgerError for campaigns over other spaces, and while episodes are missing."""
+    if first.draws_sha256 != second.draws_sha256:  # common random numbers are common only in the same spaces
+        expected = f"a campaign over the same spaces as {first.path}"
+        raise unusable(second.path, expected, "spaces with another text")
+    for ledger in (first, second):
+        if not (tally := tally_of(ledger)).complete:
+            got = f"{tally.done} of {tally.planned} episodes: resume it, or merge its parts"
+            raise unusable(ledger.path, "a complete campaign", got)
 
 
 def without_a_decided_run(ledger: Ledger) -> list[tuple[str, str]]:

@@ -346,7 +346,12 @@ def compare(
     from safety_harness.admission.avoiders import one_of
     from safety_harness.campaign.against import against_lines, plan_against
     from safety_harness.campaign.ledger import Ledger
-    from safety_harness.campaign.merging import compare_ledgers, without_a_decided_run, worse_episodes
+    from safety_harness.campaign.merging import (
+        compare_ledgers,
+        refuse_incomparable,
+        without_a_decided_run,
+        worse_episodes,
+    )
     from safety_harness.campaign.overruled import compare_overruling
     from safety_harness.campaign.session import LEDGER
     from safety_harness.campaign.summary import fallback_of
@@ -368,6 +373,7 @@ def compare(
         for ledger in (before, after):
             if words := fallback_of(ledger).words:
                 result(f"{ledger.path}: {words}")
+        refuse_incomparable(before, after)
         undecided = [
             f"not comparable: {ledger.path} has no run of which it is known whether it violates {claim}, "
             f"in {stratum}"

@@ -233,7 +233,10 @@ def in_flight(
 
 @inlined
 def middle_of(capsules: CapsuleRecords, k: int, transforms: NDArray[np.float64], middle: Array3) -> float:
-    """Half the length of a capsule's axis; fills its ``middle`` in the base frame."""
+    """Return half the length of a capsule's axis; ``middle`` (3,) is filled, in the base frame.
+
+    ``transforms`` (frames, 4, 4) are from each frame to base.
+    """
     start, end, squared = capsules[k].start_in_link, capsules[k].end_in_link, 0.0
     at = transforms[capsules[k].link_index]
     for i in range(3):

@@ -85,7 +85,7 @@ class ClearWays:
             return unexercised(self, no_position(trace))
         parts = tuple(self._part(trace, ways, obstacle) for obstacle in range(len(OBSTACLES)))
         unknown = next((part for part in parts if part.margin is None), None)
-        worst = unknown or min(parts, key=lambda part: part.margin or 0.0)
+        worst = min(parts, key=lambda part: part.margin or 0.0) if unknown is None else unknown
         return replace(worst, sentence=self.sentence, parts=parts)
 
     def _part(self, trace: Trace, ways: list[Way], obstacle: int) -> Evaluation:

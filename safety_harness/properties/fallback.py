@@ -46,6 +46,7 @@ ALSO = (
     "predicted_hand_in_base_m",
     "decision.tick",
     "decision.time_s",
+    "decision.trigger",
     "decision.proposed_spread_m",
     "decision.spread_threshold_m",
     "decision.chosen_position_in_base_m",

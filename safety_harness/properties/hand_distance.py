@@ -37,6 +37,7 @@ from safety_harness.simulation.worlds import WORLDS
 from safety_harness.trace.trace import Trace, once_a_trace
 
 RESOLUTION_M = 1e-4
+FASTEST_RADPS = 1e4  # no joint turns so fast: such a speed says nothing
 SATURATED_RADPS = 1e-3  # a mean speed this far from that of the tick's end is of motors that may saturate
 ROUNDING_RADPS = 1e-6  # by which a mean speed may be beyond what is recorded: a nanometre or two
 TURNED_RAD = 8.0 * np.pi  # four times the limits: an arm that has come apart, in an engine or in a file
@@ -299,6 +300,8 @@ def _joint_bends(
                 angle = np.inf
             elif exact and inside and below + above > 0.0:
                 angle = max(below, 0.0) * max(above, 0.0) / (below + above) * period_s
+            if not below + above < FASTEST_RADPS:  # or a speed is no number
+                angle = np.inf
             if angle > 0.0:
                 found[k] += angle * arm.reach_m[joint]
     return found

@@ -126,14 +126,14 @@ def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> LogFile | 
 
     A file with a title of ours that somebody names is taken, so that its mistakes are told.
     """
-    from safety_harness.scenario.ours import SUFFIXES, is_ours, is_titled
-
     patterns = parent.config.getini("safety_scenarios")
+    if patterns is None and file_path.suffix.lower() not in (".yaml", ".yml"):
+        return None  # before anything is imported: most files are of other projects
+    from safety_harness.scenario.ours import is_ours, is_titled
+
     if patterns is not None:
         name = os.path.relpath(file_path, parent.config.rootpath)
         ours = any(fnmatch(name, pattern) for pattern in patterns)
-    elif file_path.suffix.lower() not in SUFFIXES:
-        return None
     else:
         ours = is_log(file_path) or is_ours(file_path)
         if not ours and is_titled(file_path):

@@ -36,6 +36,7 @@ Margins = Callable[[Floats], Floats]
 """Points (n, d) of the unit cube -> margins (n,), negative where the claim is violated; never NaN."""
 
 LARGEST_SHAPE = 0.7  # of the weights' tail
+_MOST_OF_SUM = 0.5
 _BELOW_ONE = math.nextafter(1.0, 0.0)
 _MOST_LEVELS = 60
 
@@ -91,6 +92,8 @@ class RareEstimate:
         """Return why the replications' estimate is not to be believed; empty if nothing speaks against it."""
         if self.reached < len(self.replicates):
             return f"{self.reached} of {len(self.replicates)} replications found a violation"
+        if max(self.replicates) >= _MOST_OF_SUM * sum(self.replicates):
+            return "one replication makes up half of the sum: they disagree too much"
         if self.still_found:
             return "more regions of violations turn up with every restart: try more --pilot draws"
         if self.pareto_shape == math.inf:

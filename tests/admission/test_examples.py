@@ -96,7 +96,7 @@ def test_a_file_that_is_no_model_is_refused(tmp_path: Path) -> None:
 
 
 def test_the_page_shows_what_the_example_holds() -> None:
-    code, seeing, _ = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
+    code, seeing, *_ = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
     assert code in (EXAMPLES / "upwards.py").read_text()
     made: dict[str, object] = {}
     exec(seeing, made)

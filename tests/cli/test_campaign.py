@@ -288,7 +288,8 @@ def test_campaigns_over_other_spaces_are_not_compared(
     plan = plan_in(tmp_path, SMALL, TEXT.replace("to 2 m/s", "to 1 m/s"))
     Ledger.create(tmp_path / "ledger.sqlite", plan).close()
     assert compare(folder / "ledger.sqlite", tmp_path / "ledger.sqlite") == BAD_INPUT
-    assert "the same spaces" in capsys.readouterr().err
+    err = capsys.readouterr().err
+    assert "the same spaces" in err, err
 
 
 def test_parts_of_a_plan_become_one_ledger(folder: Path, tmp_path: Path) -> None:

@@ -66,6 +66,7 @@ def test_bad_files_are_one_clear_error(
             ticks=visit.ticks[:0],
             decisions=visit.decisions[:0],
             decision_latency_s=visit.decision_latency_s[:0],
+            overshoot_radps=visit.overshoot_radps[:0],
             ended="interrupted",
         ),
         empty,
@@ -82,7 +83,7 @@ def test_bad_files_are_one_clear_error(
         out, err = capsys.readouterr()
         assert out == ""
         assert err.count("error: ") == 1
-        assert told in err
+        assert told in err, err
         assert not page.exists()
     assert view(stored, out=tmp_path / "page.pdf", opens=False) == BAD_INPUT
     assert "a file.html" in capsys.readouterr().err

@@ -110,7 +110,7 @@ def test_a_splitting_without_particles_steps_replications_or_survivors_is_refuse
     assert caught.value.place.field == "splitting"
 
 
-def test_where_one_replication_is_half_of_the_sum_nothing_is_said_of_the_upper_end() -> None:
+def test_where_one_replication_is_half_of_the_sum_there_is_no_estimate() -> None:
     """A region of two parts of which few replications find the larger one."""
 
     def margins(points: np.ndarray) -> np.ndarray:
@@ -124,7 +124,7 @@ def test_where_one_replication_is_half_of_the_sum_nothing_is_said_of_the_upper_e
     dominated = [max(one.replicates) >= 0.5 * sum(one.replicates) for one in founds]
     assert any(dominated)
     for one, alone in zip(founds, dominated, strict=True):
-        assert (one.high == 1.0) or not alone
+        assert one.no_estimate or not alone
 
 
 def test_a_bootstrap_is_of_the_sample_s_seed() -> None:
