@@ -22,7 +22,9 @@ RANDOM = frozenset(
     | {"BiasDropout", "BitmaskBiasDropout", "BitmaskDropout", "Sampling"}  # the runtime's own
 )
 TRAINING_SAID_SINCE = {"Dropout": 12, "BatchNormalization": 14}  # before, no attribute or input says it
-MASKS_HINT = "export the network in evaluation mode; safety-harness docs avoiders shows two ways to keep Monte Carlo dropout"
+MASKS_HINT = (
+    "export the network in evaluation mode; safety-harness docs avoiders shows how to keep its passes"
+)
 SEED_HINT = "random numbers must come from the input 'seed'"
 QUESTIONS, RELATIVE, ABSOLUTE = 4, 1e-4, 1e-6  # sums in another order, in float32, differ by far less
 
