@@ -100,7 +100,7 @@ def test_whose_fault_the_violations_of_a_search_are_is_told_with_its_stratum(tmp
     ("changes", "words"),
     [
         ({"interrupted": True}, "was interrupted"),
-        ({"budget": 5}, "another search's than the plan's"),
+        ({"budget": 5, "tried": 5}, "another search's than the plan's"),
         ({"seed": 5}, "another search's than the plan's"),
         ({"tried": "many"}, "cannot be read: tried"),
     ],
@@ -143,7 +143,7 @@ def searching(answers: list[Callable[[], Made]], asked: list[Path]) -> Callable[
     def search_space(*_: object, out: Path, budget: int, **__: object) -> Made:
         asked.append(out)
         made = answers[len(asked) - 1]()
-        put(out.parents[1], out.name, budget=budget, interrupted=made.interrupted)
+        put(out.parents[1], out.name, budget=budget, tried=budget, interrupted=made.interrupted)
         return made
 
     return search_space

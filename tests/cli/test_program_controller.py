@@ -89,7 +89,7 @@ def test_through_pytest_beside_the_class(folder: Path) -> None:
     done = subprocess.run(
         [sys.executable, "-m", "pytest", *words, *files], capture_output=True, text=True, check=False
     )
-    assert "1 failed, 14 passed" in done.stdout, done.stdout + done.stderr
+    assert "1 failed, 5 passed, 9 skipped" in done.stdout, done.stdout + done.stderr
     assert re.search(r"FAILED wrong.yaml::.*hand distance never below 600 mm", done.stdout)
 
 

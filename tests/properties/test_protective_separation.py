@@ -81,7 +81,7 @@ def test_the_speeds_are_the_rates_at_which_the_distance_shrinks(prop: Protective
     hand_mps = max(0.0, (at(0.0, -step_s) - at(0.0, step_s)) / (2.0 * step_s))
     assert found.robot_speed_mps == pytest.approx(robot_mps, abs=1e-6)
     assert found.robot_speed_mps > 0.01
-    assert found.hand_speed_mps == pytest.approx(hand_mps if prop.own_speeds else 1.6, abs=1e-6)
+    assert found.hand_speed_mps == pytest.approx(hand_mps if prop.own_speeds else 2.0, abs=1e-6)
 
 
 def test_a_receding_arm_is_as_good_as_a_standing_one(visit: Trace) -> None:
@@ -89,7 +89,7 @@ def test_a_receding_arm_is_as_good_as_a_standing_one(visit: Trace) -> None:
     assert found is not None
     assert visit.ticks["mode"][found.tick] == Mode.REPULSING
     assert found.robot_speed_mps == 0.0
-    assert found.required_m < 1.6 * 0.475 + 0.01
+    assert found.required_m < 2.0 * 0.475 + 0.01
     assert visit.ticks["hand_distance_m"][:, 0].min() <= found.distance_m
 
 
@@ -99,7 +99,7 @@ def test_a_faster_hand_needs_more(visit: Trace) -> None:
     ]
     assert all(margin is not None for margin in margins)
     assert margins == sorted(margins, key=lambda margin: -(margin or 0.0))
-    assert margins[2] == CONSTANT.evaluate(visit).margin
+    assert margins[3] == CONSTANT.evaluate(visit).margin
 
 
 def test_the_plain_system_breaks_it_at_walking_speed_and_says_each_term(visit: Trace) -> None:
