@@ -33,7 +33,7 @@ ELBOWS = (
     "[700 mm, -3000 mm, 450 mm]",
     "[700 mm, 3000 mm, 450 mm]",
     "[0 mm, 0 mm, 500 mm]",
-    "[450 mm, 90 mm, 300 mm]",
+    "",  # where the hand goes: there its forearm turns at once, and the distance between ticks is not known
 )
 SEAT = ", seated at: {position: [0 mm, 0 mm, 150 mm], yaw: 180 deg}"
 ARMS = ("shipped:ur10e", "shipped:ur10e", "shipped:iiwa14", "UR10")
@@ -104,7 +104,7 @@ def episode(x: np.ndarray, number: int) -> tuple[str, Restless]:
             else (f"[{mm(300, 1300)}, {mm(-1900, -700)}, {mm(150, 1100)}]")
         )
         to = f"[{mm(0, 900)}, {mm(-700, 700)}, {mm(150, 900)}]"
-        elbow = pick(*ELBOWS)
+        elbow = pick(*ELBOWS) or to
         speed = _between(0.8, 2.0, pick(1.0, 1.0, next(v)))
         move = pick(
             f"move to: {to}\n        speed: {speed:.4f} m/s",
@@ -168,6 +168,9 @@ def attack(episodes: int, seed: int) -> tuple[Counter[str], float]:
         found["held"] += 1
         found["touched at rest"] += bool(trace.ticks["hand_distance_m"].min() < 0.0)
         found["seven joints"] += trace.ticks["joint_position_rad"].shape[1] == 7
+        if said.verdict is Verdict.INCONCLUSIVE and said.exercised:
+            found["undecided"] += 1
+            continue
         if said.margin is None:
             continue
         assert said.verdict is not Verdict.VIOLATED, f"{said.reason}\n{text}{vars(controller)}"
@@ -180,6 +183,7 @@ def _stands(episodes: int, seed: int) -> None:
     found, least_m = attack(episodes, seed)
     print(f"least margin {1e3 * least_m:+.2f} mm", dict(found))
     assert found["held"] > 0.4 * episodes
+    assert found["undecided"] < 0.05 * episodes
     assert found["touched at rest"] > 0.1 * episodes  # or the hands came too late for anything
     assert found["seven joints"] > 0.05 * episodes
     assert least_m >= 0.0
