@@ -265,15 +265,16 @@ def judgement_of(evaluation: Evaluation, trace: Trace, broken: str) -> ClaimJudg
     measured, says nothing of it; one that is broken counts as a violation in upper bounds, whatever it would
     have shown.
     """
-    undecided = evaluation.verdict is not Verdict.HOLDS
     if evaluation.verdict is Verdict.VIOLATED:
         outcome = EpisodeOutcome.VIOLATED
     elif broken and not trace.complete:
         outcome = EpisodeOutcome.FAILED
-    elif broken or (evaluation.exercised and not evaluation.unmeasured and undecided):
+    elif broken:
         outcome = EpisodeOutcome.INCONCLUSIVE
-    elif not undecided:
+    elif evaluation.verdict is Verdict.HOLDS:
         outcome = EpisodeOutcome.HOLDS
+    elif evaluation.exercised and not evaluation.unmeasured:
+        outcome = EpisodeOutcome.INCONCLUSIVE
     else:
         outcome = EpisodeOutcome.UNTESTED
     margin, worst_s = evaluation.margin, evaluation.worst_time_s

@@ -116,8 +116,10 @@ def _kinds(ledger: Ledger, claim: int) -> list[_Kind]:
 def _circumstances(run: JudgedRun) -> tuple[str, ...]:
     try:
         lines = circumstances(run.trace)
-    except Exception:
+    except InputError:
         return ("where it lies relative to the training data is not known: its network is not there",)
+    except Exception as error:  # no reason to lose the report
+        return (f"where it lies relative to the training data is not known: {described(error)}",)
     more = len(lines) - MOST_LINES
     return tuple(lines[:MOST_LINES]) + ((f"and {more} more decisions",) if more > 0 else ())
 

@@ -22,6 +22,7 @@ from hashlib import sha256
 from itertools import zip_longest
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import Plan
@@ -76,8 +77,10 @@ def check_pages(report: ReportFolder, gathered: GatheredEvidence) -> Examination
     folder, recorded = report.folder, report.recorded
     faults, notes = list(_traces(folder, gathered)), []
     unchecked: list[str] = []
-    if bytes_of(folder / JUNIT) != written(junit_xml(recorded)):
-        (faults if report.same_words else unchecked).append(f"{JUNIT} does not say what {JSON} says")
+    junit, own = bytes_of(folder / JUNIT), written(junit_xml(recorded))
+    if junit != own:  # which claims pass follows from the evidence by rule, whichever version wrote it
+        same = not report.same_words and passed_in(junit) == passed_in(own)
+        (unchecked if same else faults).append(f"{JUNIT} does not say what {JSON} says")
     for name, text in argument_texts(recorded).items():
         file = folder / name
         absent = not file.is_file() and not report.same_words  # earlier versions wrote none
@@ -132,6 +135,15 @@ def _parted(page: bytes) -> tuple[bytes, list[float]]:
         parts.append(_TAG.sub(lambda tag: _WHERE.sub(where, tag[0]), page[found.start() : end]))
         done = end
     return b"".join([*parts, page[done:]]), places
+
+
+def passed_in(junit: bytes) -> list[tuple[str, str]] | None:
+    """Return stratum and claim of each case of a JUnit file that passes; None for what is no XML."""
+    try:
+        cases = ElementTree.fromstring(junit).iter("testcase")
+        return sorted((one.get("classname", ""), one.get("name", "")) for one in cases if len(one) == 0)
+    except ElementTree.ParseError:
+        return None
 
 
 def verdicts_in(page: bytes) -> list[bytes]:

@@ -180,14 +180,16 @@ def _shielded_lines(plan: Plan, ledger: Path) -> list[str]:
     from safety_harness.certification.stored import random_traces
     from safety_harness.report.shielding import shield_lines
 
+    shielded = {k: one.name for k, one in enumerate(plan.strata) if one.space.simplest.shield is not None}
+    if not shielded:
+        return []  # stored traces are not read for nothing
     with Ledger.open(ledger, alone=True) as opened:
         stored, _ = random_traces(plan, opened)
     lines = []
-    for k, stratum in enumerate(plan.strata):
-        if stratum.space.simplest.shield is not None:
-            traces = [one.trace for one in stored if one.stratum == k]
-            words = shield_lines(traces) or ["how much it slowed is not known"]
-            lines.append(f"shield in {stratum.name}, {len(traces)} stored runs: {words[0]}")
+    for k, name in shielded.items():
+        traces = [one.trace for one in stored if one.stratum == k]
+        words = shield_lines(traces) or ["how much it slowed is not known"]
+        lines.append(f"shield in {name}, {len(traces)} stored runs: {words[0]}")
     return lines
 
 

@@ -18,7 +18,7 @@ from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import Plan
 from safety_harness.certification.folder import LARGEST_TRACE_BYTES, MANIFEST, read_manifest
 from safety_harness.certification.verify_files import Examination, check_files
-from safety_harness.certification.verify_report import differences, verdicts_in
+from safety_harness.certification.verify_report import differences, passed_in, verdicts_in
 from safety_harness.certification.verify_runs import Drawing, check_runs
 from safety_harness.exceptions import InputError
 from tests.campaign.plans import PLAN, ledger_in, plan_in
@@ -124,6 +124,14 @@ def test_verdicts_of_a_page_follow_from_the_evidence_whichever_version_made_it()
         ROWS % b"30.6 %",
     ):
         assert verdicts_in(forged) != verdicts_in(page)
+
+
+def test_which_claims_pass_in_junit_follows_from_the_evidence_whichever_version_wrote_it() -> None:
+    case = '<testcase classname="near" name="a claim">{}</testcase>'
+    failing, passing = (f"<testsuites>{case.format(one)}</testsuites>".encode() for one in ("<failure/>", ""))
+    assert passed_in(failing) == []
+    assert passed_in(passing) == [("near", "a claim")]
+    assert passed_in(b"<testsuites>") is None
 
 
 @pytest.mark.parametrize(
