@@ -239,3 +239,4 @@ def test_an_avoider_that_often_leads_towards_the_hand_is_never_green(tmp_path: P
         page = (out / "evaluation.html").read_text()
         assert f'class="banner {colour}" role="note"><strong>mc-dropout: no finding.' in page
         assert ("are too many for green." in page) == (colour == "doubt")
+        assert ("<h1>No finding beyond the yardsticks on mc-dropout" in page) == (colour == "doubt")
