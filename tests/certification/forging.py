@@ -5,17 +5,17 @@ from __future__ import annotations
 import json
 import re
 import sqlite3
-from collections.abc import Callable
-from contextlib import closing
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from safety_harness.campaign.episodes import trace_of
+from safety_harness.campaign.episodes import EpisodeRunner, trace_of
 from safety_harness.campaign.ledger import Ledger
-from safety_harness.campaign.plan import read_plan
+from safety_harness.campaign.plan import Plan, read_plan
 from safety_harness.campaign.session import LEDGER, carry_on, plan_of, processes
 from safety_harness.certification.evidence import Evidence, as_text
 from safety_harness.certification.folder import junit_xml, stored_files, write_folder, write_manifest
@@ -23,7 +23,7 @@ from safety_harness.certification.gather import gather
 from safety_harness.scenario.typed_json import typed
 from safety_harness.scenario.write import write_scenario
 from tests.campaign.hazards import HAZARDS
-from tests.campaign.plans import PLAN, plan_in
+from tests.campaign.plans import PLAN, ledger_in, plan_in
 
 FEW = PLAN.replace("runs: 30", "runs: 10").replace("runs: 20", "runs: 6")
 FEWER = FEW.replace("random traces: 2", "random traces: 1").replace("violations: 3", "violations: 1")
@@ -42,6 +42,17 @@ def write(report: Path) -> Evidence:
         evidence = write_folder(report, gathered, ledger)
     write_manifest(report, evidence.files)
     return evidence
+
+
+@contextmanager
+def every_episode(folder: Path, text: str) -> Iterator[tuple[Plan, Path]]:
+    """Yield a plan and its ledger with a row for each episode; whoever asks alters both."""
+    plan = plan_in(folder, text)
+    bench = EpisodeRunner(plan)
+    with ledger_in(folder, plan) as ledger:
+        for stratum, one in enumerate(plan.strata):
+            ledger.record(bench.run(stratum, range(one.runs)))
+        yield plan, ledger.path
 
 
 def report_in(folder: Path) -> Path:

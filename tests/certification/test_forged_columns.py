@@ -12,8 +12,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from forging import every_episode
 
-from safety_harness.campaign.episodes import EpisodeRunner, trace_bytes, trace_of
+from safety_harness.campaign.episodes import trace_bytes, trace_of
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import Plan
 from safety_harness.certification.folder import LARGEST_TRACE_BYTES, MANIFEST, read_manifest
@@ -21,19 +22,15 @@ from safety_harness.certification.verify_files import Examination, check_files
 from safety_harness.certification.verify_report import differences, passed_in, verdicts_in
 from safety_harness.certification.verify_runs import Drawing, check_runs
 from safety_harness.exceptions import InputError
-from tests.campaign.plans import PLAN, ledger_in, plan_in
+from tests.campaign.plans import PLAN
 
 SMALL = PLAN.replace("runs: 30", "runs: 6").replace("runs: 20", "runs: 4")
 
 
 @pytest.fixture
 def ran(tmp_path: Path) -> Iterator[tuple[Plan, Path]]:
-    plan = plan_in(tmp_path, SMALL)
-    bench = EpisodeRunner(plan)
-    with ledger_in(tmp_path, plan) as ledger:
-        for stratum, one in enumerate(plan.strata):
-            ledger.record(bench.run(stratum, range(one.runs)))
-        yield plan, ledger.path
+    with every_episode(tmp_path, SMALL) as found:
+        yield found
 
 
 def again(plan: Plan, path: Path, *, same: bool = True, runs: int | None = 10) -> Examination:

@@ -10,27 +10,24 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from forging import every_episode
 from partly_measured import partly_measured
 
-from safety_harness.campaign.episodes import EpisodeRunner, trace_bytes, trace_of
+from safety_harness.campaign.episodes import trace_bytes, trace_of
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import Plan
 from safety_harness.certification.verify_runs import check_traces
 from safety_harness.exceptions import TraceError
 from safety_harness.trace.trace import Trace
-from tests.campaign.plans import PLAN, ledger_in, plan_in
+from tests.campaign.plans import PLAN
 
 SMALL = PLAN.replace("runs: 30", "runs: 3").replace("runs: 20", "runs: 2")
 
 
 @pytest.fixture
 def ran(tmp_path: Path) -> Iterator[tuple[Plan, Path]]:
-    plan = plan_in(tmp_path, SMALL)
-    bench = EpisodeRunner(plan)
-    with ledger_in(tmp_path, plan) as ledger:
-        for stratum, one in enumerate(plan.strata):
-            ledger.record(bench.run(stratum, range(one.runs)))
-        yield plan, ledger.path
+    with every_episode(tmp_path, SMALL) as found:
+        yield found
 
 
 def checked(plan: Plan, path: Path) -> tuple[str, ...]:
