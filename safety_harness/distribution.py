@@ -6,7 +6,6 @@ is somebody else's.  It has a folder ``safety_harness`` too, and pip overwrites 
 
 from __future__ import annotations
 
-import tomllib
 from functools import lru_cache
 from importlib import metadata
 from pathlib import Path
@@ -24,6 +23,8 @@ def installed_version() -> str:
     except metadata.PackageNotFoundError:
         if not PYPROJECT.is_file():
             raise
+        import tomllib  # which an installation does not need
+
         return str(tomllib.loads(PYPROJECT.read_text(encoding="utf-8"))["project"]["version"])
 
 
