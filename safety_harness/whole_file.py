@@ -1,13 +1,20 @@
-"""Files that are there whole or not at all."""
+"""Files that are there whole or not at all, and the hash of one."""
 
 from __future__ import annotations
 
+import hashlib
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from safety_harness.exceptions import OutputError
+
+
+def sha256_of(file: Path) -> str:
+    """Return the SHA-256 of a file's bytes, read piece by piece; OSError where it cannot be read."""
+    with file.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 @contextmanager

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import re
 import shutil
@@ -32,7 +31,7 @@ from safety_harness.exceptions import InputError, OutputError, Place
 from safety_harness.scenario.files import refuse_no_file, resolved
 from safety_harness.scenario.kinds import FileKind, refuse_other_kind
 from safety_harness.scenario.typed_json import of_format, read_json, typed
-from safety_harness.whole_file import write_whole
+from safety_harness.whole_file import sha256_of, write_whole
 
 PAGE, JSON, JUNIT, PDF = "evidence.html", "evidence.json", "junit.xml", "evidence.pdf"
 MANIFEST, PLAN = "manifest.json", "plan"
@@ -110,12 +109,6 @@ def read_manifest(folder: Path) -> dict[str, str]:
         if not plain or root not in resolved(folder / name).parents:
             raise InputError(place=place, expected="files below the report's folder", got=repr(name)[:120])
     return hashes
-
-
-def sha256_of(file: Path) -> str:
-    """Of the file's bytes, read piece by piece."""
-    with file.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def stored_files(folder: Path) -> Iterator[StoredFile]:

@@ -27,11 +27,11 @@ from safety_harness.campaign.plan import Plan
 from safety_harness.campaign.session import LEDGER
 from safety_harness.campaign.summary import root_of
 from safety_harness.certification.evidence import read_evidence
-from safety_harness.certification.folder import JSON, MANIFEST, sha256_of
+from safety_harness.certification.folder import JSON, MANIFEST
 from safety_harness.exceptions import InputError, OutputError, Place
 from safety_harness.scenario.typed_json import of_format, read_json, typed
 from safety_harness.shipped.contents import is_installed, located, shipped_name
-from safety_harness.whole_file import write_whole
+from safety_harness.whole_file import sha256_of, write_whole
 
 
 class Lodged(ABC):

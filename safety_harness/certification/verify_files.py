@@ -25,12 +25,12 @@ from safety_harness.certification.folder import (
     PAGE,
     PLAN,
     names_in,
-    sha256_of,
 )
 from safety_harness.exceptions import InputError, Place
 from safety_harness.properties.separation import WALKING_MPS
 from safety_harness.scenario.model import EDITION
 from safety_harness.statistics.sample import EpisodeOutcome
+from safety_harness.whole_file import sha256_of
 
 MOST_NAMED = 10
 

@@ -14,6 +14,8 @@ from contextlib import suppress
 from importlib.util import source_from_cache
 from pathlib import Path
 
+from safety_harness.whole_file import sha256_of as whole_hash
+
 DECLARED = "HARNESS_FILES"
 _JOURNAL = "SAFETY_HARNESS_JOURNAL"  # the descriptor at which a process notes them
 _MARKS = (".git", "pyproject.toml", "setup.py", "setup.cfg")
@@ -64,8 +66,8 @@ def declare(file: Path) -> None:
 
 def sha256_of(path: str | Path) -> str:
     """The hash of a file's bytes; empty where there is no file that can be read."""
-    with suppress(OSError), open(path, "rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+    with suppress(OSError):
+        return whole_hash(Path(path))
     return ""
 
 

@@ -55,6 +55,7 @@ from safety_harness.trace.provenance import provenance
 from safety_harness.trace.records import decision_dtype, tick_dtype
 from safety_harness.trace.system import Component, SystemUnderTest, system_of
 from safety_harness.trace.trace import Provenance, Trace
+from safety_harness.whole_file import sha256_of
 
 RECORDED = "recorded"  # the world of such a trace, and its avoider, which nobody knows
 HAND, ELBOW, PRESENT = "hand_position_in_base_m", "elbow_position_in_base_m", "hand_present"
@@ -443,11 +444,7 @@ def _system(scenario: Scenario) -> SystemUnderTest:
 def _provenance(log: CellLog) -> Provenance:
     """That of our software, and the files of the log by their hashes."""
     found = provenance(RECORDED, RECORDED)
-    hashes = []
-    for file in log.files:
-        with file.open("rb") as stream:
-            hashes.append((str(told(file)), hashlib.file_digest(stream, "sha256").hexdigest()))
-    return replace(found, files=(*found.files, *hashes))
+    return replace(found, files=(*found.files, *((str(told(file)), sha256_of(file)) for file in log.files)))
 
 
 def _notes(log: CellLog, paths: list[_Path]) -> Iterator[str]:

@@ -20,7 +20,7 @@ import pytest
 
 from safety_harness.compiling import CompilationLine, watchers
 from safety_harness.exceptions import InputError, Place, SafetyHarnessError, explanation
-from safety_harness.scenario.kinds import is_log
+from safety_harness.scenario.kinds import SUFFIXES, is_log
 from safety_harness.testing.session import (
     FAILURES,
     PROFILES,
@@ -127,7 +127,7 @@ def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> LogFile | 
     A file with a title of ours that somebody names is taken, so that its mistakes are told.
     """
     patterns = parent.config.getini("safety_scenarios")
-    if patterns is None and file_path.suffix.lower() not in (".yaml", ".yml"):
+    if patterns is None and file_path.suffix.lower() not in SUFFIXES:
         return None  # before anything is imported: most files are of other projects
     from safety_harness.scenario.ours import is_ours, is_titled
 

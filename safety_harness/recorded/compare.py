@@ -6,7 +6,6 @@ out.  The simulated is straight between its own ticks.
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -37,6 +36,7 @@ from safety_harness.scenario.typed_json import of_format, plain, read_json, type
 from safety_harness.simulation.worlds import WORLDS, WorldEntry
 from safety_harness.trace.provenance import provenance
 from safety_harness.trace.trace import Trace
+from safety_harness.whole_file import sha256_of
 
 FORMAT = "safety-harness recorded cell 1"
 FILE = "compare-worlds.json"
@@ -147,7 +147,7 @@ def compare_worlds(made: FromLog) -> CellComparison:
     worlds = tuple(_beside(made, world, recorded) for world in WORLDS)
     origin = provenance("recorded", tuple(one for world in WORLDS for one in world.libraries))
     read = [*made.log.files, *(file for file in (made.log.file, made.cell.file) if file is not None)]
-    hashes = [(str(told(file)), _sha256(file)) for file in read if file.is_file()]
+    hashes = [(str(told(file)), sha256_of(file)) for file in read if file.is_file()]
     hashes += [(one.name, one.hand.motion.sha256) for one in made.hands]
     return CellComparison(
         log=str(told(made.log.file)) if made.log.file else made.log.name,
@@ -168,11 +168,6 @@ def compare_worlds(made: FromLog) -> CellComparison:
         libraries=origin.libraries,
         files=tuple(hashes),
     )
-
-
-def _sha256(file: Path) -> str:
-    with file.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def _beside(made: FromLog, world: WorldEntry, recorded: tuple[Evaluation, ...]) -> WorldBeside:

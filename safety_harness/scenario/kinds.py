@@ -14,6 +14,7 @@ from pathlib import Path
 from safety_harness.exceptions import InputError, Place, ScenarioError
 from safety_harness.scenario.files import TITLES, TOP_KEY
 
+SUFFIXES = (".yaml", ".yml")
 HEAD_BYTES = 1_000_000  # of a file, which is as much as a scenario has
 TAIL_BYTES = 100_000
 MOST_ENTRIES = 100  # of a folder

@@ -14,12 +14,11 @@ from pathlib import Path
 
 from safety_harness.exceptions import Place, ScenarioError
 from safety_harness.scenario.files import TITLES, resolved, told
-from safety_harness.scenario.kinds import HEAD_BYTES, FileKind, kind_of
+from safety_harness.scenario.kinds import HEAD_BYTES, SUFFIXES, FileKind, kind_of
 from safety_harness.scenario.nodes import Mapping as MappingNode
 from safety_harness.scenario.nodes import Node, Scalar, Sequence, parse_tree
 from safety_harness.shipped.contents import PREFIX, located
 
-SUFFIXES = (".yaml", ".yml")
 # What pytest does not enter either, by its own default.
 NOT_ENTERED = (".*", "*.egg", "build", "CVS", "dist", "node_modules", "venv", "__pycache__")
 _ALONE = {"scenario space", "tcp start", "hand sensor"}  # nobody else's, whatever is beside them

@@ -6,7 +6,6 @@ neither, the recorded values stand for themselves, each as probable as another.
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,6 +30,7 @@ from safety_harness.scenario.write import text_of
 from safety_harness.seeds import Branch, generator
 from safety_harness.settings import Settings
 from safety_harness.statistics.fitting import CONFIDENCE, Fit, fit
+from safety_harness.whole_file import sha256_of
 
 LEAST_APPROACHES = 5
 HARD = 0.5  # of the speed over the window: from there on an acceleration comes out too small, by a tenth
@@ -198,8 +198,7 @@ def _recordings(logs: Sequence[CellLog]) -> tuple[tuple[str, str], ...]:
     for log in logs:
         known = {digest: file for file, digest in found.items()}
         for file in log.files:
-            with file.open("rb") as stream:
-                digest = hashlib.file_digest(stream, "sha256").hexdigest()
+            digest = sha256_of(file)
             if digest in known:
                 raise LogError(
                     place=Place(file=log.file),

@@ -125,14 +125,14 @@ class Simulate:
                 _asked_for[trace] = scenario
         except (InputError, FlakyAvoiderError) as error:
             raise error.with_traceback(None) from None
-        test = session().test
+        test, run = session().test, run_key(trace)
         if test is None or test.counts:
-            session().simulated.add(run_key(trace))
+            session().simulated.add(run)
         if test is None or not test.counts:
             return trace
         if len(trace.decisions):
-            test.overruled[run_key(trace)] = Overruling.of([trace])
-        test.tried[digest_of(trace.scenario)] = TriedParts.of(trace)
+            test.overruled[run] = Overruling.of([trace])
+        test.tried[run] = TriedParts.of(trace)
         if test.fallback is None and by_default(trace) is not None:
             test.fallback = trace
         return trace

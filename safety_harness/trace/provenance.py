@@ -24,7 +24,7 @@ from safety_harness.compiled import PACKAGE, cache_root, source_hash
 from safety_harness.distribution import installed_version
 from safety_harness.exceptions import InstallationError, Place
 from safety_harness.trace.trace import Provenance
-from safety_harness.whole_file import write_whole
+from safety_harness.whole_file import sha256_of, write_whole
 
 # Each with the compiled module that does its work.
 LIBRARIES = {
@@ -152,8 +152,7 @@ def _sha256(path: Path) -> str:
     except OSError:
         digest = ""
     if not re.fullmatch("[0-9a-f]{64}", digest):
-        with path.open("rb") as file:
-            digest = hashlib.file_digest(file, "sha256").hexdigest()
+        digest = sha256_of(path)
         with suppress(OSError):
             write_whole(noted, digest)
     return digest
