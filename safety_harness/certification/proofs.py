@@ -110,7 +110,7 @@ def evidence_of(certified: CertifiedNetwork, file: Path) -> tuple[CertifiedProof
             region=proof.planned.region.name,
             verdict=proof.verdict,
             confirmed=line,
-            maps=() if proof.verdict == "proven" else tuple(maps_of(proof)),
+            maps=() if not proof.is_open else tuple(maps_of(proof)),
             gates=(),
         )
         for proof, line in zip(proofs, lines, strict=True)

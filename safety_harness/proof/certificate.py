@@ -46,6 +46,9 @@ def outward(shares: tuple[float, float, float]) -> tuple[str, str, str]:
     return f"{floor(proven) / 1e4:.4f}%", refuted, undecided
 
 
+NO_PAIR = "no pair"
+
+
 @dataclass(frozen=True)
 class WrongQuestion:
     """A question in the base frame [m] that the network answers against the claim."""
@@ -76,13 +79,18 @@ class Proof:
         return max(0.0, 1.0 - refuted - undecided), refuted, undecided
 
     @property
+    def is_open(self) -> bool:
+        """Is there a question of the region that is refuted or undecided?"""
+        return self.verdict not in ("proven", NO_PAIR)
+
+    @property
     def verdict(self) -> str:
         """``refuted`` with a question; ``proven`` where no box is undecided; else ``undecided``.
 
         ``no pair``: the region has no question, so that nothing is claimed.
         """
         if not self.planned.region.has_pair:
-            return "no pair"
+            return NO_PAIR
         shares = self.tree.shares()
         if self.question is not None:
             return "refuted"

@@ -11,7 +11,7 @@ from markupsafe import Markup
 
 from safety_harness.compiled import source_hash
 from safety_harness.distribution import installed_version
-from safety_harness.proof.certificate import Proof, model_hash, outward
+from safety_harness.proof.certificate import NO_PAIR, Proof, model_hash, outward
 from safety_harness.proof.maps import EDGES, BoxMap, maps_of
 from safety_harness.proof.plan import ProofPlan
 from safety_harness.proof.together import JointBound
@@ -21,7 +21,7 @@ from safety_harness.report.words import point_words
 
 SHARES = ("none of it", "under 1 %", "1 to 10 %", "10 to 50 %", "half or more")
 SCALE = Scale(EDGES, SHARES, shares=True)
-STATES = {"proven": "holds", "refuted": "violated", "undecided": "inconclusive", "no pair": "inconclusive"}
+STATES = {"proven": "holds", "refuted": "violated", "undecided": "inconclusive", NO_PAIR: "inconclusive"}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -81,11 +81,12 @@ def _section(evidence: ProofEvidence, number: int) -> dict[str, object]:
         "claim": proof.planned.claim.sentence,
         "region": proof.planned.region.name,
         "verdict": proof.verdict,
+        "nothing": proof.verdict == NO_PAIR,
         "state": STATES[proof.verdict],
         "cells": (proven, refuted, undecided, f"{sum(map(len, proof.tree.levels)):,}"),
         "bound": bound,
         "hand": "" if question is None else point_words(np.array(question.hand_in_base_m)),
         "tcp": "" if question is None else point_words(np.array(question.tcp_in_base_m)),
         "file": evidence.files[number],
-        "maps": () if proof.verdict == "proven" else tuple(drawn_maps(tuple(maps_of(proof)), f"m{number}-")),
+        "maps": () if not proof.is_open else tuple(drawn_maps(tuple(maps_of(proof)), f"m{number}-")),
     }

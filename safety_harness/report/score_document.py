@@ -13,7 +13,7 @@ import numpy as np
 from safety_harness.avoidance.asking import Question
 from safety_harness.compiled import source_hash
 from safety_harness.distribution import installed_version
-from safety_harness.report.score_tables import is_green, towards_words
+from safety_harness.report.score_tables import is_green, most_towards
 from safety_harness.report.words import count_words
 from safety_harness.scoring.questions import Answers, Questions
 from safety_harness.scoring.results import Scored, ScoredAvoider, ShownQuestion
@@ -53,9 +53,13 @@ def sentence(scored: Scored) -> str:
     of = f"{asked:,} questions"
     if not scored.avoiders:
         return "Nothing was scored."
-    often = [towards_words(one.card) for one in scored.avoiders if not is_green(one.card)]
+    often = [one.card for one in scored.avoiders if not is_green(one.card)]
     if not scored.findings and often:
-        return f"No finding beyond the yardsticks on {names} in {of}, and no green. {often[0]}"
+        share, region = max(map(most_towards, often))
+        towards = (
+            f"{100 * share:.3g} % of proposals lead towards the hand in {region}" if region else "none asked"
+        )
+        return f"No finding beyond the yardsticks on {names} in {of}, but {towards}."
     if not scored.findings:
         return f"No finding on {names} in {of}: no figure is beyond its limit, which is no proof of safety."
     return f"{count_words(scored.findings, 'finding', 'findings')} on {names} in {of}."

@@ -61,7 +61,7 @@ def rows_of(
 OFTEN_TOWARDS = 0.20  # of a region's proposals: twice the optimum's share of all near hands, and never green
 
 
-def _towards(card: Scorecard) -> tuple[float, str]:
+def most_towards(card: Scorecard) -> tuple[float, str]:
     """Return the largest share of proposals that lead towards the hand, and its region; NaN without any."""
     known = [
         (1.0 - one.leads_away.share, one.region)
@@ -73,7 +73,7 @@ def _towards(card: Scorecard) -> tuple[float, str]:
 
 def towards_words(card: Scorecard) -> str:
     """Return where most proposals lead towards the hand, and how many, whatever the yardsticks do."""
-    share, region = _towards(card)
+    share, region = most_towards(card)
     if math.isnan(share):
         return "No region with a proposal was asked about."
     words = f"Towards the hand, most: {100 * share:.3g} % of its proposals in {region}"
@@ -82,7 +82,7 @@ def towards_words(card: Scorecard) -> str:
 
 def is_green(card: Scorecard) -> bool:
     """Return whether proposals lead towards the hand seldom enough, in every region, to be shown in green."""
-    return _towards(card)[0] <= OFTEN_TOWARDS  # NaN is not
+    return most_towards(card)[0] <= OFTEN_TOWARDS  # NaN is not
 
 
 def figures(score: RegionScore, jumps: Sequence[Jumps]) -> tuple[str, ...]:
