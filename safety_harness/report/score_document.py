@@ -55,10 +55,10 @@ def sentence(scored: Scored) -> str:
         return "Nothing was scored."
     often = [one.card for one in scored.avoiders if not is_green(one.card)]
     if not scored.findings and often:
-        share, region = max(map(most_towards, often))
-        towards = (
-            f"{100 * share:.3g} % of proposals lead towards the hand in {region}" if region else "none asked"
-        )
+        share, region = max(map(most_towards, often), key=lambda one: (one[1] != "", one[0]))
+        towards = f"{100 * share:.3g} % of proposals lead towards the hand in {region}"
+        if not region:
+            towards = "no region with a proposal was asked about"
         return f"No finding beyond the yardsticks on {names} in {of}, but {towards}."
     if not scored.findings:
         return f"No finding on {names} in {of}: no figure is beyond its limit, which is no proof of safety."
