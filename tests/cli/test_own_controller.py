@@ -260,6 +260,7 @@ def test_what_it_reports_of_itself_is_judged(folder: Path) -> None:
     assert again.exit_code == 0, again.output
 
 
+@pytest.mark.judges_runs_itself
 def test_pytest_simulates_with_an_object(trace: Path, folder: Path, simulate: Simulate) -> None:
     found: dict[str, Any] = {}
     exec(MINE, found)  # the file's own text
