@@ -97,9 +97,9 @@ class InputError(SafetyHarnessError):
         return cls(place=Place(field=option), expected=expected, got=got, hint=hint)
 
     @classmethod
-    def of_file(cls, file: Path, expected: str, got: str) -> Self:
+    def of_file(cls, file: Path, expected: str, got: str, hint: str = "") -> Self:
         """The error of a file as a whole."""
-        return cls(place=Place(file=file), expected=expected, got=got)
+        return cls(place=Place(file=file), expected=expected, got=got, hint=hint)
 
     def __reduce__(self) -> tuple[partial[InputError], tuple[()]]:
         """On its way between processes: exceptions with keywords are not pickled by themselves."""

@@ -81,6 +81,7 @@ def show(
     degrees.append(np.degrees(arm.velocity_limit_radps))
     rows = zip(arm.joint_names, *(map("{:.1f}".format, column) for column in degrees), strict=True)
     joints = [(*row, f"{effort:g}") for row, effort in zip(rows, arm.effort_limit, strict=True)]
+    joints = [tuple(cell.replace("nan", "unknown") for cell in row) for row in joints]
     result(
         f"arm         {arm.name}: {len(joints)} joints, {arm.link_names[0]} to {arm.tcp_link}",
         f"reach       at most {1e3 * arm.farthest_reach_m:.0f} mm from the second joint",
@@ -94,6 +95,7 @@ def show(
         ),
         "",
     )
+    _show_what_it_lacks(arm)
     names = [[shape.uri or shape.kind for shape in (*one.collision, *one.visual)] for one in arm.links]
     cells = [
         (one.link, ", ".join(dict.fromkeys(of)) or "none") for one, of in zip(arm.links, names, strict=True)
@@ -111,6 +113,9 @@ def show(
         effort_limit_nm=arm.effort_limit,
         shapes=dict(zip(arm.link_names, names, strict=True)),
         left_out=arm.left_out,
+        soft_limits_rad=arm.soft_limits_rad,
+        lacks=[{"what": lack.what, "for": lack.uses, "supply": lack.supply} for lack in arm.lacks],
+        notes=arm.notes,
         page=html,
     )
     if html is not None and robot is not None:
@@ -215,6 +220,21 @@ def enclose(
     )
     say(f"at most {1e3 * most_m:.1f} mm over the mesh, {1e3 * mean_m:.1f} mm on average")
     return AS_EXPECTED
+
+
+def _show_what_it_lacks(arm: ArmModel) -> None:
+    """Print what the URDF does not state, with its use and its key; soft limits; and what is left out."""
+    import numpy as np
+
+    from safety_harness.properties.tally import table
+
+    rows = [(lack.what, ", ".join(lack.uses), lack.supply) for lack in arm.lacks]
+    if rows:
+        result(*table(("it lacks", "needed by", "supplied by"), rows, columns_of(sys.stdout), named_by=1), "")
+    for name, (lower, upper) in zip(arm.joint_names, np.degrees(arm.soft_limits_rad), strict=True):
+        if not np.isnan(lower):
+            result(f"soft limits of {name}: {lower:.1f} to {upper:.1f} deg; `soft limits: yes` takes them")
+    result(*arm.notes)
 
 
 def _robot(file: Path) -> AnyRobot | None:

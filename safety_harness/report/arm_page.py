@@ -67,7 +67,7 @@ def _section(robot: AnyRobot, number: int) -> dict[str, Any]:
         },
         "meshes": bool(meshes),
         "joints": [
-            (plain(name, longest=IN_TABLE), *(f"{x:.0f}" for x in row))
+            (plain(name, longest=IN_TABLE), *("unknown" if np.isnan(x) else f"{x:.0f}" for x in row))
             for name, *row in zip(arm.joint_names, lower, upper, speeds, efforts, strict=True)
         ],
         "capsules": [

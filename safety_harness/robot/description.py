@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.exceptions import ArmModelError
+from safety_harness.robot.joint_data import Lack, Use, joint_data
 from safety_harness.robot.urdf import ArmFileError, Urdf, read_bytes
 
 DATA = Path(__file__).with_name("data")
@@ -101,6 +102,10 @@ class ArmModel:
     effort_limit: NDArray[np.float64]
     links: tuple[LinkShapes, ...]  # of the base, then of the n moving links
     left_out: tuple[str, ...]
+    soft_limits_rad: NDArray[np.float64]
+    in_degrees: bool
+    without_inertia: tuple[str, ...]
+    notes: tuple[str, ...]
     text: bytes  # of the URDF
     packages: Mapping[str, Path]
     transform_seat: NDArray[np.float64] = field(default_factory=lambda: np.eye(4))
@@ -123,6 +128,35 @@ class ArmModel:
         """The same arm elsewhere: ``transform`` (4, 4) leads from its base link to the base frame."""
         origins = np.concatenate(((transform @ self.joint_origins[0])[None], self.joint_origins[1:]))
         return replace(self, joint_origins=origins, transform_seat=transform @ self.transform_seat)
+
+    @property
+    def lacks(self) -> tuple[Lack, ...]:
+        """What the URDF does not state, with who needs it."""
+        missing = [
+            (self._joints(self.velocity_limit_radps), "speed", (Use.RUN,), "joint speed limits"),
+            (self._joints(self.effort_limit), "effort", (Use.TORQUES, Use.PYBULLET), "joint torque limits"),
+        ]
+        lacks = [
+            Lack(f"the {what} of {names}", uses, f"the arm's key `{key}`")
+            for names, what, uses, key in missing
+            if names
+        ]
+        if self.in_degrees:
+            supply = "the arm's key `angles: rad`; else write them in rad (180 deg is 3.14159)"
+            lacks.append(Lack("the unit of the limits, which look like degrees", (Use.RUN,), supply))
+        if self.without_inertia:
+            what = f"a mass and inertia that a body can have, of {', '.join(self.without_inertia)}"
+            lacks.append(Lack(what, (Use.TORQUES, Use.PYBULLET), "<inertial> in the URDF"))
+        return tuple(lacks)
+
+    def _joints(self, numbers: NDArray[np.float64]) -> str:
+        return ", ".join(np.array(self.joint_names)[np.isnan(numbers)])
+
+    def require(self, use: Use) -> None:
+        """Raise ``ArmFileError`` if the arm lacks something that ``use`` needs."""
+        for lack in self.lacks:
+            if use in lack.uses:
+                raise ArmFileError.of_file(self.file, f"{lack.what}, for {use}", "none", lack.supply)
 
     @property
     def farthest_reach_m(self) -> float:
@@ -155,9 +189,9 @@ def resolved_urdf(arm: ArmModel, *, visuals: bool) -> str:
         if urdf.carrier(name, arm.link_names)[0] is None:
             urdf.root.remove(link)
             continue
-        for visual in link.findall("visual"):
-            if not visuals:
-                link.remove(visual)
+        for part in (*link.findall("visual"), *link.findall("collision")):
+            if is_empty(urdf, part) or (part.tag == "visual" and not visuals):
+                link.remove(part)
         for mesh in link.iter("mesh"):
             mesh.set("filename", str(urdf.mesh_file(mesh, arm.packages)))
     return ElementTree.tostring(urdf.root, encoding="unicode")
@@ -197,14 +231,13 @@ def read_arm(
             moving.append(joint)
             origins.append(reduce(np.matmul, since))
             since = []
-    rows = [_axis_and_limits(urdf, joint) for joint in moving]
+    data = [joint_data(urdf, joint) for joint in moving]
     if not FEWEST <= len(moving) <= MOST:
         expected = f"{FEWEST} to {MOST} turning joints from {base!r} to {tcp!r}"
         raise urdf.error(urdf.links[tcp], expected, str(len(moving)))
-    axes = np.array([axis for axis, _ in rows])
-    lower, upper, velocity, effort = np.array([limits for _, limits in rows]).T.copy()
+    axes = np.array([one.axis for one in data])
     names = (base, *(urdf.child(joint, "child").get("link", "") for joint in moving))
-    links, left_out = _shapes(urdf, names, packages or {}, meshes)
+    shapes = _Shapes(urdf, names, packages or {}, meshes)
     return ArmModel(
         name=urdf.root.get("name") or file.stem,
         file=file,
@@ -214,69 +247,68 @@ def read_arm(
         joint_origins=np.array(origins),
         joint_axes=axes / np.linalg.norm(axes, axis=1, keepdims=True),
         flange=reduce(np.matmul, since) if since else np.eye(4),
-        position_lower_rad=lower,
-        position_upper_rad=upper,
-        velocity_limit_radps=velocity,
-        effort_limit=effort,
-        links=links,
-        left_out=left_out,
+        position_lower_rad=np.array([one.lower_rad for one in data]),
+        position_upper_rad=np.array([one.upper_rad for one in data]),
+        velocity_limit_radps=np.array([one.speed_radps for one in data]),
+        effort_limit=np.array([one.effort_nm for one in data]),
+        soft_limits_rad=np.array([one.soft_rad for one in data]),
+        in_degrees=any(one.degrees for one in data),
+        links=shapes.links(),
+        left_out=tuple(shapes.left_out),
+        without_inertia=tuple(shapes.without_inertia),
+        notes=(*(one.note for one in data if one.note), *shapes.notes),
         text=text,
         packages=packages or {},
     )
 
 
-def _axis_and_limits(urdf: Urdf, joint: ElementTree.Element) -> tuple[NDArray[np.float64], list[float]]:
-    """Axis (3,) of a turning joint; lower, upper position, speed and effort."""
-    kind = joint.get("type")
-    if kind not in ("revolute", "continuous"):
-        raise urdf.error(joint, "revolute, continuous or fixed joints in the arm", f"{kind!r}")
-    if (mimic := joint.find("mimic")) is not None:
-        raise urdf.error(
-            mimic, "a joint that moves by itself", f"{joint.get('name')!r}, which mimics another"
-        )
-    axis = urdf.numbers(urdf.child(joint, "axis"), "xyz", 3)
-    if not np.linalg.norm(axis) > 1e-6:
-        raise urdf.error(urdf.child(joint, "axis"), "an axis that has a direction", f"{axis.tolist()}")
-    limit = urdf.child(joint, "limit")
-    lower, upper = -np.inf, np.inf
-    if kind == "revolute":
-        lower, upper = urdf.number(limit, "lower"), urdf.number(limit, "upper")
-    if not lower < upper:
-        raise urdf.error(limit, "a lower limit below the upper one", f"{lower:g} and {upper:g}")
-    limits = [lower, upper, urdf.number(limit, "velocity"), urdf.number(limit, "effort")]
-    if not min(limits[2:]) > 0.0:
-        raise urdf.error(limit, "a velocity and an effort above 0", f"{limits[2]:g} and {limits[3]:g}")
-    return axis, limits
+class _Shapes:
+    """The shapes of the links ``names`` and of what is fixed to them, and what is left out of the others."""
 
+    def __init__(
+        self, urdf: Urdf, names: tuple[str, ...], packages: Mapping[str, Path], meshes: bool
+    ) -> None:
+        self._names, self._found = names, dict[tuple[str, str], list[Shape]]()
+        self.left_out, self.without_inertia, self.notes = list[str](), list[str](), list[str]()
+        for name, link in urdf.links.items():
+            carrier, way = urdf.carrier(name, names)
+            if carrier is None:
+                shown = link.find("visual") is not None or link.find("collision") is not None
+                self.left_out += [name] if shown else []
+                continue
+            try:
+                inertial(urdf, link)
+            except ArmFileError:  # said by those who need it; the base stands still
+                self.without_inertia += [name] if carrier != names[0] else []
+            for kind in ("collision", "visual"):
+                for part in link.findall(kind):
+                    if is_empty(urdf, part):
+                        self.notes.append(f"an empty <{kind}> of {name} is left out: its size is 0")
+                        continue
+                    frame = reduce(np.matmul, [*way, urdf.origin(part)])
+                    shape = _shape(urdf, part, frame, packages, meshes)
+                    self._found.setdefault((carrier, kind), []).append(shape)
 
-def _shapes(
-    urdf: Urdf, names: tuple[str, ...], packages: Mapping[str, Path], meshes: bool
-) -> tuple[tuple[LinkShapes, ...], tuple[str, ...]]:
-    """The shapes of the links ``names`` and of what is fixed to them; the other links with shapes."""
-    found: dict[tuple[str, str], list[Shape]] = {}
-    left_out = []
-    for name, link in urdf.links.items():
-        carrier, way = urdf.carrier(name, names)
-        if carrier is None:
-            left_out += (
-                [name] if link.find("visual") is not None or link.find("collision") is not None else []
+    def links(self) -> tuple[LinkShapes, ...]:
+        """The base and the moving links, each with its shapes."""
+        return tuple(
+            LinkShapes(
+                link=name,
+                index=index,
+                collision=tuple(self._found.get((name, "collision"), ())),
+                visual=tuple(self._found.get((name, "visual"), ())),
             )
-            continue
-        inertial(urdf, link)
-        for kind in ("collision", "visual"):
-            for part in link.findall(kind):
-                frame = reduce(np.matmul, [*way, urdf.origin(part)])
-                found.setdefault((carrier, kind), []).append(_shape(urdf, part, frame, packages, meshes))
-    links = (
-        LinkShapes(
-            link=name,
-            index=index,
-            collision=tuple(found.get((name, "collision"), ())),
-            visual=tuple(found.get((name, "visual"), ())),
+            for index, name in enumerate(self._names)
         )
-        for index, name in enumerate(names)
-    )
-    return tuple(links), tuple(left_out)
+
+
+def is_empty(urdf: Urdf, part: ElementTree.Element) -> bool:
+    """Is the shape of a <collision> or <visual> nothing at all, a box of size "0 0 0" say?"""
+    for element in urdf.child(part, "geometry"):
+        if (keys := SIZES.get(element.tag)) and all(element.get(key) for key in keys.split()):
+            sizes = [urdf.numbers(element, key, 3 if key in ("scale", "size") else 1) for key in keys.split()]
+            return not np.concatenate(sizes).any()
+    return False
 
 
 def _shape(

@@ -80,7 +80,8 @@ def _faces(shape: Shape) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
             import_module("collada")  # with which trimesh reads it
         try:
             mesh = trimesh.load_mesh(shape.file)
-            vertices, faces = np.asarray(mesh.vertices) * shape.size, np.asarray(mesh.faces)
+            vertices = np.asarray(mesh.vertices) * (shape.size * _metres_a_unit(mesh))
+            faces = np.asarray(mesh.faces)
         except Exception as error:  # whatever its readers of a dozen formats raise
             raise _of_mesh(shape, "a mesh that can be read", f"{type(error).__name__}: {error}") from error
         if vertices.ndim != 2 or len(faces) == 0 or not np.isfinite(vertices).all():
@@ -99,6 +100,12 @@ def _faces(shape: Shape) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         nearest = np.abs((mesh.triangles_center * mesh.face_normals).sum(axis=1)).min()
         mesh.apply_scale(shape.size[0] / nearest)
     return np.asarray(mesh.vertices), np.asarray(mesh.faces)
+
+
+def _metres_a_unit(mesh: Any) -> float:
+    """The unit [m] that a COLLADA file states.  Its up axis is not applied, as ROS's tools do not."""
+    number, _, rest = str(mesh.metadata.get("units", "")).partition(" ")
+    return float(number) if rest == "* meters" else 1.0
 
 
 def _trimesh() -> Any:

@@ -19,8 +19,9 @@ from safety_harness.robot.description import ArmModel, load_arm, read_arm, urdf_
 from safety_harness.robot.drive import DriveModel
 from safety_harness.robot.dynamics import link_masses
 from safety_harness.robot.inverse import InverseKinematics
+from safety_harness.robot.joint_data import Use
 from safety_harness.robot.urdf import ArmFileError
-from safety_harness.scenario.robots import AnyRobot, OwnRobot, Piece, Robot, Seat, Tool
+from safety_harness.scenario.robots import AnyRobot, OwnRobot, Piece, Robot, Seat, Tool, YesNo
 
 Made = TypeVar("Made")
 
@@ -46,11 +47,7 @@ def arm_model(robot: AnyRobot) -> ArmModel:
     if isinstance(robot, Robot):
         return load_arm(robot.arm_name)
     arm = _own(robot, meshes=False)
-    if (limits := robot.joint_speed_limits_radps) is not None:
-        if len(limits) != len(arm.joint_names):
-            expected = f"joint speed limits of its {len(arm.joint_names)} joints"
-            raise ArmFileError.of_file(robot.files[0], expected, str(len(limits)))
-        arm = replace(arm, velocity_limit_radps=np.array(limits))
+    arm.require(Use.RUN)
     if robot.tool is not None:
         arm = replace(arm, flange=arm.flange @ transform_tool(robot.tool))
     return arm if robot.seat is None else arm.seated(transform_seat(robot.seat))
@@ -86,6 +83,7 @@ def drive_model(robot: AnyRobot) -> DriveModel | None:
     if drives.torque_limit is None:
         return model
     arm, carried = _own(robot, meshes=False), drives.payload
+    arm.require(Use.TORQUES)
     masses = link_masses(arm)
     if carried is not None:
         at_m = arm.flange[:3, :3] @ np.array(carried.centre_m) + arm.flange[:3, 3]
@@ -147,10 +145,41 @@ def _sha256_of(file: Path) -> str:
 
 
 def _own(robot: OwnRobot, *, meshes: bool) -> ArmModel:
-    return read_arm(
+    """The arm of the URDF, with the limits that the arm's file states in place of the URDF's."""
+    arm = read_arm(
         robot.files[0],
         base=robot.base,
         tcp=robot.tcp,
         text=robot.urdf_text,
         meshes=meshes,
+    )
+    speeds, torques = robot.joint_speed_limits_radps, robot.joint_torque_limits_nm
+    if speeds is not None:
+        arm = replace(arm, velocity_limit_radps=_of_each(arm, "joint speed limits", speeds))
+    if torques is not None:
+        arm = replace(arm, effort_limit=_of_each(arm, "joint torque limits", torques))
+    if robot.angles is not None:
+        arm = replace(arm, in_degrees=False)
+    return _softly_limited(arm) if robot.soft_limits is YesNo.YES else arm
+
+
+def _of_each(arm: ArmModel, key: str, numbers: tuple[float, ...]) -> NDArray[np.float64]:
+    """One number (n,) a joint; ``ArmFileError``, naming the ``key``, for another count."""
+    if len(numbers) != len(arm.joint_names):
+        expected = f"{key} of its {len(arm.joint_names)} joints"
+        raise ArmFileError.of_file(arm.file, expected, str(len(numbers)))
+    return np.array(numbers)
+
+
+def _softly_limited(arm: ArmModel) -> ArmModel:
+    """The same arm, whose joints end where its <safety_controller> says."""
+    lower, upper = arm.soft_limits_rad.T
+    if np.isnan(lower).all():
+        raise ArmFileError.of_file(
+            arm.file, "a <safety_controller> with soft limits", "none", "drop `soft limits`"
+        )
+    return replace(
+        arm,
+        position_lower_rad=np.fmax(arm.position_lower_rad, lower),
+        position_upper_rad=np.fmin(arm.position_upper_rad, upper),
     )

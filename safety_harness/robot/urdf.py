@@ -29,6 +29,12 @@ class ArmFileError(InputError, ArmModelError):
     """A file that describes an arm (URDF, mesh or capsules) cannot be used: it says file, line and field."""
 
 
+def expand_by_xacro(file: Path) -> str:
+    """The command that makes a URDF of a file which is written for xacro."""
+    name = file.name.removesuffix(".xacro").removesuffix(".urdf")
+    return f"xacro expands it: xacro {file.name} > {name}-expanded.urdf"
+
+
 def read_bytes(file: Path) -> bytes:
     """What a file holds; ``ArmFileError`` if it cannot be read or is larger than any of ours."""
     try:
@@ -106,21 +112,23 @@ class Urdf:
         return text
 
     def numbers(
-        self, element: Element, key: str, count: int, default: str | None = None
+        self, element: Element, key: str, count: int, default: str | None = None, largest: float = LARGEST
     ) -> NDArray[np.float64]:
-        """An attribute of ``count`` finite numbers (count,)."""
+        """An attribute of ``count`` numbers (count,), none beyond ``largest``."""
         text = element.get(key, default)
         try:
             numbers = [float(word) for word in (text or "").split()]
         except ValueError:
             numbers = []
-        if len(numbers) != count or not all(abs(number) <= LARGEST for number in numbers) or "_" in str(text):
-            raise self.error(element, f"{_WORDS[count]} for {key!r}", "none" if text is None else repr(text))
+        if len(numbers) != count or not all(abs(number) <= largest for number in numbers) or "_" in str(text):
+            hint = expand_by_xacro(self.file) if "$" in (text or "") else ""
+            got = "none" if text is None else repr(text)
+            raise self.error(element, f"{_WORDS[count]} for {key!r}", got, hint)
         return np.array(numbers)
 
-    def number(self, element: Element, key: str) -> float:
+    def number(self, element: Element, key: str, default: str | None = None) -> float:
         """An attribute that is one finite number."""
-        return float(self.numbers(element, key, 1)[0])
+        return float(self.numbers(element, key, 1, default)[0])
 
     def origin(self, element: Element) -> NDArray[np.float64]:
         """The (4, 4) transform of an <origin>: fixed-axis roll, pitch, yaw, so R = Rz Ry Rx."""
@@ -216,12 +224,14 @@ def _parse(file: Path, text: bytes) -> tuple[Element, dict[Element, int]]:
     builder, lines = ElementTree.TreeBuilder(), dict[Element, int]()
     parser, open_tags = expat.ParserCreate(), list[str]()
 
-    def refused(expected: str, got: str) -> ArmFileError:
-        return ArmFileError(place=Place(file, parser.CurrentLineNumber), expected=expected, got=got)
+    def refused(expected: str, got: str, hint: str = "") -> ArmFileError:
+        return ArmFileError(
+            place=Place(file, parser.CurrentLineNumber), expected=expected, got=got, hint=hint
+        )
 
     def start(tag: str, attributes: dict[str, str]) -> None:
         if tag.startswith("xacro:"):
-            raise refused("a URDF that xacro has expanded", f"<{tag}>")
+            raise refused("a URDF that xacro has expanded", f"<{tag}>", expand_by_xacro(file))
         open_tags.append(tag)
         if len(open_tags) > DEEPEST:
             raise refused(f"at most {DEEPEST} elements within each other", f"<{tag}> in {DEEPEST}")

@@ -26,6 +26,7 @@ from safety_harness.scenario.codec import (
     QuantityValue,
     Several,
     Text,
+    Word,
     declared,
     key,
     table_of,
@@ -34,7 +35,7 @@ from safety_harness.scenario.fields import Field, Fields
 from safety_harness.scenario.files import read_bytes
 from safety_harness.scenario.nodes import Scalar, parse_tree
 from safety_harness.scenario.references import seen_from
-from safety_harness.scenario.units import ANGULAR_SPEED, FRACTION, LENGTH, MASS, TIME, TIME_PER_SPEED
+from safety_harness.scenario.units import ANGULAR_SPEED, FRACTION, LENGTH, MASS, TIME, TIME_PER_SPEED, TORQUE
 from safety_harness.scenario.urdf_packages import urdf_of_package
 from safety_harness.settings import Braking, Vector3
 from safety_harness.shipped.contents import is_shipped, located
@@ -64,6 +65,19 @@ class Robot(Enum):
     def label(self) -> str:
         """What people call it."""
         return self.value
+
+
+class YesNo(Enum):
+    """A choice of the user's."""
+
+    YES = "yes"
+    NO = "no"
+
+
+class Angles(Enum):
+    """The unit of a URDF's position limits, which its format prescribes."""
+
+    RAD = "rad"
 
 
 @declared
@@ -276,6 +290,35 @@ class OwnRobot:
         ),
         "where the URDF's are not the maker's",
         "[85 deg/s, 85 deg/s, 100 deg/s, 75 deg/s, 130 deg/s, 135 deg/s, 135 deg/s]",
+        default=None,
+    )
+    joint_torque_limits_nm: tuple[float, ...] | None = key(
+        "joint torque limits",
+        Several(
+            of=QuantityValue(TORQUE, least=0.01, most=1e5),
+            words="list of torques",
+            expected="a list of torques, one a joint, from the base",
+            least=3,
+            most=8,
+        ),
+        "where the URDF's efforts are 0 or missing, for drives with a torque limit and for PyBullet",
+        "[87 N m, 87 N m, 87 N m, 87 N m, 12 N m, 12 N m, 12 N m]",
+        default=None,
+    )
+    soft_limits: YesNo | None = key(
+        "soft limits",
+        Word(YesNo),
+        "`yes` takes the limits of the URDF's <safety_controller> as the joints' ends",
+        "yes",
+        "no",
+        default=None,
+    )
+    angles: Angles | None = key(
+        "angles",
+        Word(Angles),
+        "accepts position limits of 90, 180, 270 or 360 beside speeds above 30 as radians",
+        "rad",
+        "such limits are refused: they look like degrees",
         default=None,
     )
     urdf_sha256: str | None = key(

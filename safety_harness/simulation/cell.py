@@ -26,6 +26,7 @@ from safety_harness.perception.hand_boxes import rendered_principal_point_px
 from safety_harness.perception.moments import MOMENT_COUNT
 from safety_harness.perception.raster import mask_moments
 from safety_harness.robot.description import ArmModel, resolved_urdf
+from safety_harness.robot.joint_data import Use
 from safety_harness.settings import Settings, Vector3
 from safety_harness.simulation.cameras import object_polygon_in_base
 from safety_harness.simulation.engine import pybullet
@@ -58,7 +59,11 @@ def urdf_file(arm: ArmModel, visuals: bool) -> Path:
 
 
 def load_robot(client: int, arm: ArmModel, *, visuals: bool) -> tuple[int, tuple[int, ...]]:
-    """PyBullet's numbers for an arm where it is seated, and for its joints."""
+    """PyBullet's numbers for an arm where it is seated, and for its joints.
+
+    ``ArmFileError`` if the arm lacks an effort or an inertia.
+    """
+    arm.require(Use.PYBULLET)
     tilt = vector_from_rotation(arm.transform_seat[:3, :3])
     robot = pybullet.loadURDF(
         str(urdf_file(arm, visuals)),

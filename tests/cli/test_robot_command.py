@@ -67,7 +67,7 @@ def test_mistakes_end_with_2_and_no_traceback(
 ) -> None:
     urdf.write_text(urdf.read_text().replace('velocity="2"', 'velocity="-2"', 1))
     assert show(urdf) == BAD_INPUT
-    assert f"{urdf}:6: <limit>\n  expected a velocity and an effort above 0" in capsys.readouterr().err
+    assert f"{urdf}:6: <limit>\n  expected velocity 0, which is unknown, or above" in capsys.readouterr().err
     assert fit(urdf, tmp_path / "arm.json") == BAD_INPUT
     assert not (tmp_path / "arm.json").exists()
     assert show(urdf, package=["small"]) == BAD_INPUT

@@ -233,6 +233,19 @@ def test_an_arm_without_shapes_is_refused(tmp_path: Path) -> None:
         fit_arm(arm)
 
 
+@pytest.mark.parametrize("up_axis", ["Z_UP", "Y_UP"])
+def test_the_unit_of_a_collada_mesh_is_applied_and_its_up_axis_is_not(up_axis: str, tmp_path: Path) -> None:
+    file = tmp_path / "box.dae"
+    trimesh.creation.box(extents=(100.0, 200.0, 300.0)).export(str(file))
+    asset = f'<asset><unit meter="0.001" name="millimeter"/><up_axis>{up_axis}</up_axis>'
+    file.write_text(
+        file.read_text().replace("<asset>", asset).replace("<up_axis>Y_UP</up_axis></asset>", "</asset>")
+    )
+    shape = Shape(kind="mesh", size=np.ones(3), transform_shape_to_link=np.eye(4), uri="box.dae", file=file)
+    surface = link_surface(LinkShapes(link="a", index=1, collision=(shape,), visual=()), PIECE_M)
+    np.testing.assert_allclose(np.ptp(surface.vertices, axis=0), [0.1, 0.2, 0.3], atol=1e-9)
+
+
 def test_without_trimesh_the_extra_is_named(small: ArmModel, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "trimesh", None)
     with pytest.raises(

@@ -210,8 +210,8 @@ def assert_can_be(arm: ArmModel) -> None:
         np.testing.assert_allclose(frame[:3, :3] @ frame[:3, :3].T, np.eye(3), atol=1e-9)
         assert np.isfinite(frame).all()
     assert (arm.position_lower_rad < arm.position_upper_rad).all()
-    assert (np.minimum(arm.velocity_limit_radps, arm.effort_limit) > 0.0).all()
-    assert np.isfinite([arm.velocity_limit_radps, arm.effort_limit]).all()
+    assert not (np.minimum(arm.velocity_limit_radps, arm.effort_limit) <= 0.0).any()  # unknown ones are NaN
+    assert not np.isinf([arm.velocity_limit_radps, arm.effort_limit]).any()
     for link in arm.links:
         assert all(np.isfinite(shape.transform_shape_to_link).all() for shape in link.collision + link.visual)
 

@@ -90,7 +90,7 @@ def test_a_mesh_by_file_and_a_package_in_a_folder_above(tmp_path: Path) -> None:
 
 
 AXIS, LIMIT = '<axis xyz="0 1 0"/>', '<limit lower="-1.5" upper="2" velocity="1" effort="20"/>'
-INERTIA, MESH = 'ixx="0.02"', 'filename="package://small/wedge.stl"'
+MESH = 'filename="package://small/wedge.stl"'
 LOOP = '<joint name="back" type="fixed"><parent link="hand"/><child link="world"/></joint>'
 TWICE = '<joint name="twice" type="fixed"><parent link="foot"/><child link="lower"/></joint>'
 
@@ -112,24 +112,16 @@ TWICE = '<joint name="twice" type="fixed"><parent link="foot"/><child link="lowe
         (MESH, "", 'scale="0.2 -0.1 0.1"', "attribute 'filename'"),
         (MESH + ' scale="0.2 -0.1 0.1"', MESH + ' scale="1 0 1"', 'scale="1 0 1"', "leaves something"),
         (MESH + ' scale="0.2 -0.1 0.1"', MESH + ' scale="1"', 'scale="1"', "three numbers for 'scale'"),
-        ('<sphere radius="0.07"/>', '<sphere radius="0"/>', 'radius="0"', "a size above 0"),
         ('<sphere radius="0.07"/>', '<capsule radius="1"/>', "<capsule", "one shape, a mesh, box"),
         ('<sphere radius="0.07"/>', "", 'name="bracket"', "one shape, a mesh, box"),
         (LIMIT, "", 'name="second"', "one <limit> in it; got 0"),
-        (LIMIT, LIMIT.replace('lower="-1.5"', ""), 'effort="20"', "a number for 'lower'; got none"),
         (LIMIT, LIMIT.replace("-1.5", "2.5"), 'effort="20"', "below the upper one; got 2.5 and 2"),
         (LIMIT, LIMIT.replace("-1.5", "nan"), 'effort="20"', "a number for 'lower'; got 'nan'"),
-        (LIMIT, LIMIT.replace('velocity="1"', 'velocity="0"'), 'effort="20"', "above 0; got 0 and 20"),
-        (LIMIT, LIMIT.replace('effort="20"', 'effort="-5"'), 'effort="-5"', "above 0; got 1 and -5"),
+        (LIMIT, LIMIT.replace('effort="20"', 'effort="-5"'), 'effort="-5"', "unknown, or above; got -5"),
         (LIMIT, LIMIT.replace('effort="20"', 'effort="1e400"'), "1e400", "a number for 'effort'"),
         (AXIS, '<axis xyz="0 0 0"/>', 'xyz="0 0 0"/>', "a direction"),
         (AXIS, '<axis xyz="0 nan 0"/>', "0 nan 0", "three numbers for 'xyz'"),
-        (AXIS, "", 'name="second"', "one <axis> in it; got 0"),
         ('xyz="0.1 0 0" rpy', 'xyz="0.1 0" rpy', 'xyz="0.1 0"', "three numbers for 'xyz'"),
-        ('<mass value="2"/>', '<mass value="-2"/>', 'value="-2"', "a mass of 0 kg or more"),
-        (INERTIA, 'ixx="-0.02"', 'ixx="-0.02"', "none far above"),
-        (INERTIA, 'ixx="0.2"', 'ixx="0.2"', "none far above"),
-        (INERTIA, "", 'ixy="0"', "a number for 'ixx'; got none"),
         ('<child link="lower"/>', '<child link="lowr"/>', 'link="lowr"', r"'lowr' \(there is lower"),
         ('<child link="lower"/>', "", 'name="second"', "one <child> in it"),
         ("</robot>", "", "", "a URDF, which is XML"),
@@ -266,7 +258,7 @@ def test_a_mutated_urdf_is_an_arm_that_can_be_or_a_clear_error(seed: int, name: 
         assert np.isfinite(arm.flange).all()
         np.testing.assert_allclose(np.linalg.norm(arm.joint_axes, axis=1), 1.0)
         assert (arm.position_lower_rad < arm.position_upper_rad).all()
-        assert (np.minimum(arm.velocity_limit_radps, arm.effort_limit) > 0.0).all()
+        assert not (np.minimum(arm.velocity_limit_radps, arm.effort_limit) <= 0.0).any()
         assert all(shape.file is None or shape.file.is_file() for link in arm.links for shape in link.visual)
     assert all(place.file == file and place.line for place in refused)
     assert MUTATIONS // 4 * 0.1 < len(refused) < MUTATIONS // 4
