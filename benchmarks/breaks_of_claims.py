@@ -75,7 +75,6 @@ def positions() -> Iterator[Break]:
         lambda t: own.out_of_reach(t, "chosen_position_in_base_m"),
         0.2,
         1.0,
-        known=0.1,
     )
     yield Break(
         "proposed repulsive poses reachable",
@@ -85,7 +84,6 @@ def positions() -> Iterator[Break]:
         lambda t: own.out_of_reach(t, "proposed_position_in_base_m"),
         0.2,
         1.0,
-        known=0.1,
     )
     yield Break(
         "proposals lead away to within 10 mm",
