@@ -316,7 +316,7 @@ def reactions() -> Iterator[Break]:
     )
     yield Break(
         "the avoider answered",
-        "questions without an answer",
+        "a question without an answer",
         "question",
         lambda m: run.tried(scenario(VISIT), NowAndThen(silent=int(m))),
         lambda t: float(np.count_nonzero(np.isnan(t.decisions["proposed_position_in_base_m"]).any(axis=1))),
@@ -450,7 +450,7 @@ def tasks() -> Iterator[Break]:
     )
     yield Break(
         "trace finite and monotone",
-        "ticks with a value that is no number",
+        "a tick with a value that is no number",
         "tick",
         lambda m: run_kinematic(admit(scenario(duration_s=0.1)), controller=Numberless(int(m))),
         lambda t: float(np.count_nonzero(t.ticks["object_visible"] & np.isnan(t.ticks["sse"]))),
