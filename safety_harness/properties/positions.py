@@ -22,7 +22,7 @@ from safety_harness.properties.giving_way import MODEST, RepulsionProgress, Shar
 from safety_harness.properties.measured import reads
 from safety_harness.properties.true_motion import arm_of
 from safety_harness.properties.unexercised import no_position, unexercised
-from safety_harness.robot.inverse import straight_way
+from safety_harness.robot.inverse import REACH_RESOLUTION_M, straight_way
 from safety_harness.robot.obstacles import box_records, distances_m
 from safety_harness.robot.robots import arm_model, inverse_kinematics
 from safety_harness.trace.known import OF_DECISIONS
@@ -205,14 +205,23 @@ def _reaches_m(_: Trace) -> dict[tuple[int, bytes], float]:
 
 
 def _beyond_m(trace: Trace, joints_rad: NDArray[np.float64], way: NDArray[np.float64]) -> float:
-    """How far beyond (or, negative, short of) its end ``way`` (3,) can be gone from ``joints_rad`` (6,)."""
+    """How far beyond (or, negative, short of) its end ``way`` (3,) can be gone from ``joints_rad`` (6,).
+
+    At most 0.1 mm too little, but never below zero for a way that can be gone to its end.
+    """
     length_m = float(np.linalg.norm(way))
     if length_m == 0.0:
         return 0.0
     least = trace.scenario.settings.motion.min_singular_value
     kinematics = inverse_kinematics(trace.scenario.robot)
-    far_m = length_m + BEYOND_M
-    return kinematics.reach_along(joints_rad, way / length_m, far_m, min_singular_value=least) - length_m
+
+    def beyond_m(far_m: float) -> float:
+        gone_m = kinematics.reach_along(joints_rad, way / length_m, far_m, min_singular_value=least)
+        return gone_m - length_m
+
+    found_m = beyond_m(length_m + BEYOND_M)
+    # It stops within the resolution of a boundary, perhaps before the end: then the end itself is tried.
+    return max(found_m, beyond_m(length_m)) if -REACH_RESOLUTION_M <= found_m < 0.0 else found_m
 
 
 REPULSIVE_POSES = CatalogueEntry(

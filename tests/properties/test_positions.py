@@ -5,11 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import own_oracles as own
 import pytest
 from broken import TOO_FAR
 from examples import VISIT, ConstantSpeed, run, scenario
 
-from safety_harness.properties.positions import gone_towards, opposite_position, spare_m, stopped_m
+from safety_harness.properties.positions import gone_towards, opposite_position, reach_m, spare_m, stopped_m
 from safety_harness.trace.records import Mode
 from safety_harness.trace.trace import Trace
 
@@ -47,6 +48,20 @@ def test_a_position_away_from_the_hand_has_something_to_spare_and_others_lack_it
     below = away + [0.0, 0.0, -0.65]
     assert spare(below) < 0.0
     assert spare_m(visit, decision, np.full(3, np.nan)) < 0.0
+
+
+@pytest.mark.parametrize("direction", [(0.36, 0.86, 0.35), (0.9, 0.06, -0.44)])
+def test_a_way_that_can_be_gone_to_its_end_is_never_said_to_be_too_long(
+    visit: Trace, direction: tuple[float, float, float]
+) -> None:
+    """Newton's method follows the way to the singularity; a search by halves stops up to 0.1 mm before."""
+    decision, unit = visit.decisions[0], np.array(direction) / np.linalg.norm(direction)
+    joints_rad = visit.ticks["joint_position_rad"][decision["tick"]]
+    reach = own.way_gone(visit, joints_rad, unit)[0]
+    assert 0.3 < reach < 1.0
+    for short_m in (1e-6, 1e-5, 2e-5, 4e-5):
+        assert reach_m(visit, decision, tcp(visit) + (reach - short_m) * unit) >= 0.0
+        assert reach_m(visit, decision, tcp(visit) + (reach + short_m) * unit) < 0.0
 
 
 def test_a_repulsion_keeps_up_on_its_own_way_and_not_on_another(visit: Trace) -> None:
