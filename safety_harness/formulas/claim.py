@@ -310,7 +310,7 @@ class _Asked:
         told = self.told(Verdict.INCONCLUSIVE, between, exercised)
         least, most = (self.unit.margin_text(end) for end in ends)
         if uncertain and np.isfinite(ends).all():
-            why = f"between {least} to {most}, as {', '.join(uncertain)} may be that far off: {told.reason}"
+            why = f"between {least} and {most}, as {', '.join(uncertain)} may be that far off: {told.reason}"
             return replace(inconclusive(self, why, exercised=exercised), unmeasured=uncertain)
         if not self.lacking and (holds or np.isfinite(ends).all()):
             why = "it holds at the ticks, perhaps not between them" if holds else "it is not known so closely"

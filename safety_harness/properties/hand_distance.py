@@ -37,7 +37,7 @@ from safety_harness.settings import Hand
 from safety_harness.simulation.worlds import WORLDS
 from safety_harness.trace.trace import Trace, once_a_trace
 
-NOWHERE_M = np.empty((2, 0))
+NONE_M = np.empty((2, 0))
 FASTEST_RADPS = 1e4  # no joint turns so fast: such a speed says nothing
 SATURATED_RADPS = 1e-3  # a mean speed this far from that of the tick's end is of motors that may saturate
 ROUNDING_RADPS = 1e-6  # by which a mean speed may be beyond what is recorded: a nanometre or two
@@ -215,8 +215,12 @@ def closest_between(
     slack_m: NDArray[np.float64],  # (n - 1,)
     size: Hand,
     paths: HandPaths,
+    each_m: NDArray[np.float64] = NONE_M,
 ) -> tuple[tuple[float, float], float]:
-    """Both ends of the least distance [m] over ``instants`` of one hand, and where the lower is, in ticks."""
+    """Both ends of the least distance [m] over ``instants`` of one hand, and where the lower is, in ticks.
+
+    ``each_m`` (2, n - 1), if it is wanted, is filled with both ends from each instant to the next.
+    """
     low_m, index, fraction, high_m = _closest_in_trace(
         arm,
         joints_rad,
@@ -227,7 +231,7 @@ def closest_between(
         size.radius_m,
         size.forearm_radius_m,
         paths.resolution_m,
-        NOWHERE_M,
+        each_m,
     )
     later = at[min(index + 1, len(at) - 1)]
     return (low_m, high_m), float(at[index] + fraction * (later - at[index]))
@@ -237,18 +241,7 @@ def ends_between(trace: Trace, paths: HandPaths, hand: int) -> NDArray[np.float6
     """(2, n-1) both ends of one hand's least distance [m] from each tick to the next; NaN where not known."""
     at, joints_rad, hand_m, elbow_m, distance_m, slack_m = instants(trace, paths, hand)
     size, ends_m = trace.scenario.settings.hand, np.empty((2, len(slack_m)))
-    _closest_in_trace(
-        arm_of(trace),
-        joints_rad,
-        hand_m,
-        elbow_m,
-        distance_m,
-        slack_m,
-        size.radius_m,
-        size.forearm_radius_m,
-        paths.resolution_m,
-        ends_m,
-    )
+    closest_between(arm_of(trace), at, joints_rad, hand_m, elbow_m, distance_m, slack_m, size, paths, ends_m)
     least_m = np.full((2, max(len(trace.ticks) - 1, 0)), np.inf)
     tick = np.minimum(at[:-1].astype(int), max(least_m.shape[1] - 1, 0))
     for least, ends in zip(least_m, ends_m, strict=True):

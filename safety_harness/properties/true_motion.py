@@ -251,9 +251,9 @@ def hand_bend_m(trace: Trace, paths: HandPaths, hand: int) -> NDArray[np.float64
     is its acceleration a, its tremor's included.  The elbow is a forearm's length L from the hand
     towards a fixed point; at the speed v, at least r away from that point, b is at most
     a (1 + L/r) + L (4/3)^(1/2) (v/r)^2.  However it turns, no point of a forearm is farther than L from the
-    hand, so that no distance is off by more than L beside the difference of both radii.  Where corners
-    divide a tick, dt is the time from one to the next.  A recorded hand, and its recorded elbow, go straight
-    from corner to corner.
+    hand's centre, so that a distance is off by at most L and the forearm's radius less the hand's beside what
+    the hand's bend makes.  Where corners divide a tick, dt is the time from one to the next.  A hand of a
+    recording, and its elbow, go straight from corner to corner.
     """
     scenario = trace.scenario
     trajectory, period_s = scenario.hands[hand], scenario.settings.clock.control_period_s
@@ -276,7 +276,7 @@ def hand_bend_m(trace: Trace, paths: HandPaths, hand: int) -> NDArray[np.float64
         fastest,
         hardest,
         size.forearm_length_m,
-        size.forearm_length_m + abs(size.radius_m - size.forearm_radius_m),
+        max(size.forearm_length_m + size.forearm_radius_m - size.radius_m, 0.0),
         period_s,
     )
 
