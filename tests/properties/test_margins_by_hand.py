@@ -201,7 +201,7 @@ def test_how_far_an_elbow_may_leave_its_chord_is_the_documented_bound() -> None:
         away = np.linalg.norm(
             trace.ticks["hand_position_in_base_m"][:, 0] - np.array(moved.elbow_towards_in_base_m), axis=1
         )
-        r = np.minimum(away[:-1], away[1:]) - v * period_s
+        r = np.minimum(away[:-1], away[1:]) - v * period_s / 2.0  # half-way at the nearest
         b = a * (1.0 + length / r) + length * sqrt(4.0 / 3.0) * (v / r) ** 2
         bend = hand_bend_m(trace, paths, 0)
         assert bend[moving] == pytest.approx((b * period_s**2 / 8.0)[moving], rel=1e-12)
