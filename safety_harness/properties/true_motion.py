@@ -266,7 +266,9 @@ def hand_bend_m(trace: Trace, paths: HandPaths, hand: int) -> NDArray[np.float64
         fastest, hardest = leader.motion.max_speed_mps, 0.0
     else:
         fastest, hardest = leader.max_speed_mps, leader.max_acceleration_mps2
-        hardest += leader.tremor.max_acceleration_mps2 if leader.tremor else 0.0
+        if leader.tremor:
+            fastest += leader.tremor.max_speed_mps
+            hardest += leader.tremor.max_acceleration_mps2
     towards, size = np.array(trajectory.elbow_towards_in_base_m), scenario.settings.hand
     return _hand_bends(
         paths.positions_in_base_m[:, hand, 0],

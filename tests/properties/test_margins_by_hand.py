@@ -198,6 +198,7 @@ def test_how_far_an_elbow_may_leave_its_chord_is_the_documented_bound() -> None:
         period_s = DEFAULTS.clock.control_period_s
         length, a, v = DEFAULTS.hand.forearm_length_m, moved.max_acceleration_mps2, moved.max_speed_mps
         a += moved.tremor.max_acceleration_mps2 if moved.tremor else 0.0
+        v += moved.tremor.max_speed_mps if moved.tremor else 0.0
         away = np.linalg.norm(
             trace.ticks["hand_position_in_base_m"][:, 0] - np.array(moved.elbow_towards_in_base_m), axis=1
         )
