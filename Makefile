@@ -55,7 +55,7 @@ verifai := verifai==2.2.0
 lock := uv==0.13.9
 
 # The long tables, hours; bench-loop, say, is one of them. A change of ratios: results.py --against REVISION.
-LONG := agreement altered_rows arms big_pages broken_programs busy campaign convergence convergence_in_pybullet crashes dataset decision \
+LONG := agreement altered_rows arms big_pages both_ends broken_programs busy campaign convergence convergence_in_pybullet crashes dataset decision \
 	environments evaluate_faults flat_bugs formulas found_in_spaces from_logs hands interval_coverage isolation kinematic \
 	kinematics_of_arms logs loop monitor overhead pages parts proof proof_decisions proof_questions public_urdfs rare_in_kinematic rates scenario_files search_power seam shield \
 	shipped_controllers soak spaces start_up student_in_spaces training \

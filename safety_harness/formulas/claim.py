@@ -27,6 +27,7 @@ from safety_harness.formulas.formula import (
 from safety_harness.formulas.measured import as_known, blanked, gaps_of
 from safety_harness.formulas.semantics import (
     LEAST,
+    OF_A_TICK,
     Atoms,
     Case,
     MarginBounds,
@@ -38,7 +39,7 @@ from safety_harness.formulas.semantics import (
     truth_bounds,
     witness,
 )
-from safety_harness.formulas.signal import Measure, Sampled, Signal
+from safety_harness.formulas.signal import Interpolation, Measure, Sampled, Signal
 from safety_harness.formulas.signals import MODES
 from safety_harness.properties.base import (
     NEAR_M,
@@ -178,6 +179,27 @@ class _Asked:
         low, high = (_whole_run(np.where(unknown, np.nan, side), self.trace) for side in (one.low, one.high))
         return comparison_bounds(atom, low, high)
 
+    def reached(self, atom: Comparison | Truth) -> MarginBounds:
+        """When the signal with a ``surely`` is least, from each tick to the next."""
+        one = self.sampled[atom.signal]
+        if one.surely is None or isinstance(atom, Truth):
+            return self.between(atom)
+        low, high = (_whole_run(side, self.trace) for side in (one.low, one.surely))
+        return comparison_bounds(atom, low, high)
+
+    def surely(self, at_ticks: Margins) -> float:
+        """What the part's margin is certainly not above, by the ticks and by moments between them.
+
+        A part that asks the same of every moment is violated by any.  The last one is of one tick alone.
+        """
+        part, most = self.part, float(at_ticks.bounds.high[0])
+        always = isinstance(part, Globally) or (isinstance(part, Always) and part.span is None)
+        plain = all(isinstance(node, OF_A_TICK) for one in part.parts for node in one.nodes())
+        known = all(signal.between is not Interpolation.TICKS_ONLY for signal in self.sampled)
+        if self.lacking or not (always and plain and known):
+            return most
+        return min(most, float(margins(part, self.reached, self.period_s).bounds.high[0]))
+
     def cases(self, atoms: Atoms) -> list[Case]:
         """The modes that may have been, where it was either of several and more than one is asked of."""
         gaps = self.trace.known.of("mode").gaps
@@ -281,19 +303,18 @@ class _Asked:
         lacked = unit.margin_text(-float(low[tick])).removeprefix("+")
         return f": it lacked at least {lacked}, at {self.trace.time_s[tick]:.3f} s"
 
-    def undecided(self, at_ticks: Margins, between: Margins, exercised: int) -> Evaluation:
+    def undecided(self, at_ticks: Margins, between: Margins, surely: float, exercised: int) -> Evaluation:
         """Inconclusive: something is unknown or uncertain, or the bounds between the ticks are too wide."""
         holds, uncertain = at_ticks.bounds.low[0] >= 0.0, self.trace.known.uncertain(self.lacking)
-        ends = [float(side[0]) for side in (between.bounds.low, at_ticks.bounds.high)]
+        ends = [float(between.bounds.low[0]), surely]
+        told = self.told(Verdict.INCONCLUSIVE, between, exercised)
+        least, most = (self.unit.margin_text(end) for end in ends)
         if uncertain and np.isfinite(ends).all():
-            reason = self.told(Verdict.INCONCLUSIVE, between, exercised).reason
-            least, most = (self.unit.margin_text(end) for end in ends)
-            why = f"between {least} to {most}, as {', '.join(uncertain)} may be that far off: {reason}"
+            why = f"between {least} and {most}, as {', '.join(uncertain)} may be that far off: {told.reason}"
             return replace(inconclusive(self, why, exercised=exercised), unmeasured=uncertain)
-        if holds and not self.lacking:
-            told = self.told(Verdict.INCONCLUSIVE, between, exercised)
-            why = f"it holds at the ticks, perhaps not between them (half the period tells): {told.reason}"
-            return replace(told, reason=why)
+        if not self.lacking and (holds or np.isfinite(ends).all()):
+            why = "it holds at the ticks, perhaps not between them" if holds else "it is not known so closely"
+            return replace(told, reason=f"{why}: between {least} and {most} ({told.reason})")
         return self.unknown(witness(between if holds else at_ticks, 0, self.period_s, low=True), exercised)
 
     def unknown(self, found: Witness, exercised: int) -> Evaluation:
@@ -348,15 +369,21 @@ def near_of(part: Formula, signal: Signal) -> float:
     return occasion_m(max((one.limit.value for one in said), default=0.0))
 
 
-def judge_part(part: Formula, trace: Trace) -> Evaluation:
-    """The verdict on one part; ``trace`` is not empty and does not contradict itself."""
+def judge_part(part: Formula, trace: Trace, *, finely: bool = False) -> Evaluation:
+    """The verdict on one part; ``trace`` is not empty and does not contradict itself.
+
+    ``finely``: with the closer bounds of signals that have such, which are asked for where they may decide.
+    """
     whole = trace.known.whole
     missing = () if whole else trace.known.missing(_columns_of(part))
     if missing:
         return not_measured(_Asked(part, trace, {}), missing, known=trace.known)
     seen = trace if whole else blanked(trace)
     with np.errstate(invalid="ignore", over="ignore"):  # of values that no run has, which is found below
-        sampled = {signal: signal.sample(seen) for signal in signals_of(part)}
+        sampled = {
+            signal: (signal.finer if finely and signal.finer else signal.sample)(seen)
+            for signal in signals_of(part)
+        }
     asked = _Asked(part, trace, sampled)
     for signal, one in sampled.items():
         gaps = () if whole else gaps_of(trace, signal.reads)
@@ -372,7 +399,9 @@ def judge_part(part: Formula, trace: Trace) -> Evaluation:
     at_ticks, between = (
         margins(part, atoms, asked.period_s, asked.cases(atoms)) for atoms in (asked.at_ticks, asked.between)
     )
-    low, surely = between.bounds.low[0], at_ticks.bounds.high[0]
+    low, surely = between.bounds.low[0], asked.surely(at_ticks)
+    if low < 0.0 <= surely and not finely and any(signal.finer for signal in sampled):
+        return judge_part(part, trace, finely=True)
     exercised, untried = asked.exercised(at_ticks)
     if surely < 0.0:
         exercised = max(exercised, 1)
@@ -380,7 +409,7 @@ def judge_part(part: Formula, trace: Trace) -> Evaluation:
             return asked.told(Verdict.VIOLATED, between, exercised)
         return asked.told(Verdict.VIOLATED, at_ticks, exercised, low=False)
     if low < 0.0:
-        return asked.undecided(at_ticks, between, exercised)
+        return asked.undecided(at_ticks, between, surely, exercised)
     if exercised == 0 and (asked.lacking or np.isinf(low)):  # nothing was asked at all
         return asked.unexercised(at_ticks, untried)
     told = asked.told(Verdict.HOLDS, between, exercised)

@@ -40,6 +40,7 @@ class Sampled:
     """A signal along a trace of n ticks, in SI; a truth is 1.0 or 0.0; NaN is unknown, inf a value.
 
     ``value`` (n,) at each tick; ``low`` and ``high`` (n,) bound it from that tick to the next one.
+    ``surely`` (n,): between that tick and the next it is at most that at least once (None: nobody asked).
     ``absent`` says why there is no such signal in this run at all, else it is empty.  ``tried`` (n,) are
     bounds of a number, above 0 where the run puts a claim on it to the test (None: every tick does), and
     ``untried`` says what it is that did not happen.  Of a distance both are of somebody who ``comes`` near to
@@ -60,6 +61,7 @@ class Sampled:
     value_low: Values | None = None
     value_high: Values | None = None
     lost: NDArray[np.bool_] | None = None
+    surely: Values | None = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -68,8 +70,8 @@ class Signal:
 
     ``sample`` takes it from a trace, of which it ``reads`` these columns and no others.  ``off`` says by how
     much it may be off as they are uncertain (SI), at the ticks, and below and above its bounds between them;
-    without it nothing is said of a trace in which any is.  Two signals are the same only if they are one
-    object.
+    without it nothing is said of a trace in which any is.  ``finer`` takes it with closer bounds, for more
+    work.  Two signals are the same only if they are one object.
     """
 
     words: str
@@ -79,6 +81,7 @@ class Signal:
     sample: Callable[[Trace], Sampled]
     reads: tuple[str, ...]
     off: Callable[[Trace], tuple[float, float, float]] | None = None
+    finer: Callable[[Trace], Sampled] | None = None
 
     @property
     def limits(self) -> tuple[float, float]:

@@ -11,7 +11,6 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.compiled import compiled
 from safety_harness.formulas.measured import (
     HANDS,
     TCP,
@@ -41,13 +40,19 @@ from safety_harness.formulas.signal import (
     turned_rad,
 )
 from safety_harness.properties.base import NEAR_M
-from safety_harness.properties.hand_distance import RESOLUTION_M, followed_hands, instants, joint_bend_m
+from safety_harness.properties.hand_distance import ends_between, followed_hands, joint_bend_m
 from safety_harness.properties.hand_prediction import prediction_errors_m
+from safety_harness.properties.limits import known_to_radps
 from safety_harness.properties.servoing import pose_errors
-from safety_harness.properties.true_motion import TOLERANCE, HandPaths, arm_of, hand_bend_m, true_motion
+from safety_harness.properties.true_motion import (
+    TOLERANCE,
+    HandPaths,
+    arm_of,
+    finer_paths,
+    hand_bend_m,
+    true_motion,
+)
 from safety_harness.properties.unexercised import no_decision, no_hand, no_predicted_hand
-from safety_harness.robot.capsules import Arm
-from safety_harness.robot.closest_approach import MAX_BISECTIONS, closest_approach_between
 from safety_harness.scenario.units import ANGLE, ANGULAR_SPEED, LENGTH, NUMBER, SPEED, TIME, Dimension
 from safety_harness.trace.known import PRESENCE
 from safety_harness.trace.records import DecisionOutcome, Mode
@@ -135,27 +140,36 @@ def truth(true: NDArray[np.bool_] | np.bool_) -> Sampled:
         PRESENCE,
     ],
     off=of_hand_distance,
+    finer=lambda trace: _hand_distance(trace, finely=True),
 )
 @lru_cache(maxsize=4)
 def hand_distance(trace: Trace) -> Sampled:
     """Of any hand or forearm from any link, surface to surface, with the bounds of the catalogue's claim.
 
-    Between two ticks it is not below the guaranteed bound of ``HandDistance``, and not above what
-    both ends and the ways of arm and hand allow.  Occasions: a hand comes near to
+    Between two ticks its least value lies between both ends of ``HandDistance``, and it is not above what
+    both ticks and the ways of arm and hand allow.  Occasions: a hand comes near to
     the arm's surface.
     """
+    return _hand_distance(trace)
+
+
+def _hand_distance(trace: Trace, *, finely: bool = False) -> Sampled:
+    """As ``hand_distance`` has it; ``finely``: with the hands followed in parts of a tick."""
     paths, why = followed_hands(trace)
     if paths is None:
         return replace(absent(trace, why), lost=np.full(len(trace.ticks), bool(trace.scenario.hands)))
+    paths = finer_paths(trace) if finely else paths
     hands = len(trace.scenario.hands)
     value, present = trace.ticks["hand_distance_m"][:, :hands], trace.ticks["hand_present"][:, :hands]
     value = np.where(present & np.isinf(value), np.nan, value)  # else the other hand would hide it
-    low, high = value.copy(), value.copy()
+    low, high, surely = value.copy(), value.copy(), value.copy()
     for hand in range(value.shape[1]):
         way_m, slack_m = _ways(trace, paths, hand)
-        low[:-1, hand] = np.minimum(low[:-1, hand], _certified(trace, paths, hand))
+        for side, least_m in zip((low, surely), ends_between(trace, paths, hand), strict=True):
+            side[:-1, hand] = np.minimum(side[:-1, hand], least_m)
         high[:-1, hand] = tent(value[:, hand], way_m, slack_m)[1]
-    return _nearest(hand_distance, trace, value, low, high, "the arm's surface")
+    found = _nearest(hand_distance, trace, value, low, high, "the arm's surface")
+    return replace(found, surely=surely.min(axis=1))
 
 
 @measure(
@@ -243,10 +257,13 @@ def angle_to_desired_pose(trace: Trace) -> Sampled:
     off=of_speed("joint_velocity_radps", "joint_position_rad"),
 )
 def joint_speed(trace: Trace) -> Sampled:
-    """Of the fastest joint, likewise."""
+    """Of the fastest joint, likewise; it may be lower by what motors miss (``known_to_radps``)."""
     at_tick = np.abs(trace.ticks["joint_velocity_radps"])
     mean = np.abs(np.diff(trace.ticks["joint_position_rad"], axis=0)) / np.diff(trace.time_s)[:, None]
-    return speeds(at_tick, mean, of="the arm")
+    found, off_radps = speeds(at_tick, mean, of="the arm"), known_to_radps(trace)
+    return replace(
+        found, low=found.low - off_radps, value_low=found.value - off_radps, value_high=found.value
+    )
 
 
 @measure(
@@ -438,56 +455,6 @@ def _ways(trace: Trace, paths: HandPaths, hand: int) -> tuple[NDArray[np.float64
     hand_m, elbow_m = _path_m(trace, paths, hand)
     way_m = turned @ arm_of(trace).reach_m + np.maximum(hand_m, elbow_m)
     return way_m, joint_bend_m(trace) + hand_bend_m(trace, paths, hand)
-
-
-def _certified(trace: Trace, paths: HandPaths, hand: int) -> NDArray[np.float64]:
-    """(n-1,) lower bound of one hand's distance within each tick; NaN where it is not known."""
-    settings = trace.scenario.settings
-    at, joints_rad, hand_m, elbow_m, _, slack_m = instants(trace, paths, hand)
-    bounds = _bounds(
-        arm_of(trace),
-        joints_rad,
-        hand_m,
-        elbow_m,
-        settings.hand.radius_m,
-        settings.hand.forearm_radius_m,
-        RESOLUTION_M,
-    )
-    least = np.full(max(len(trace.ticks) - 1, 0), np.inf)
-    tick = np.minimum(at[:-1].astype(int), max(len(least) - 1, 0))
-    np.minimum.at(least, tick, bounds - slack_m)
-    return least
-
-
-@compiled
-def _bounds(
-    arm: Arm,
-    joints_rad: NDArray[np.float64],  # (n, joints)
-    hands_m: NDArray[np.float64],  # (n, 3)
-    elbows_m: NDArray[np.float64],  # (n, 3)
-    hand_radius_m: float,
-    forearm_radius_m: float,
-    tolerance_m: float,
-) -> NDArray[np.float64]:
-    """(n-1,) guaranteed lower bound of the distance from each instant to the next."""
-    bounds = np.empty(max(joints_rad.shape[0] - 1, 0))
-    room = np.empty((MAX_BISECTIONS + 1, arm.capsules.shape[0], 2, 3))
-    for k in range(bounds.shape[0]):
-        bounds[k], _, _, _ = closest_approach_between(
-            arm,
-            room,
-            joints_rad[k],
-            joints_rad[k + 1],
-            hands_m[k],
-            hands_m[k + 1],
-            elbows_m[k],
-            elbows_m[k + 1],
-            hand_radius_m,
-            forearm_radius_m,
-            tolerance_m,
-            np.inf,
-        )
-    return bounds
 
 
 def markdown_of_signals(signals: Sequence[Signal] = SIGNALS) -> str:

@@ -27,7 +27,7 @@ from safety_harness.formulas.signals import (
 )
 from safety_harness.monitoring.cell import WatchedCell
 from safety_harness.monitoring.tracks import BodyTrack
-from safety_harness.properties.hand_distance import RESOLUTION_M
+from safety_harness.properties.true_motion import RESOLUTION_M
 from safety_harness.robot.capsules import Arm, arm_with
 from safety_harness.robot.closest_approach import MAX_BISECTIONS, closest_approach_between
 from safety_harness.robot.distance import hand_distance as distance_between

@@ -295,6 +295,7 @@ def judged(
     *,
     revocable: bool = False,
     most: float | None = None,
+    unsure: str = "it holds at the ticks, perhaps not between them",
 ) -> Evaluation:
     """The verdict that a finite margin gives, with the two ways in which it is no evidence.
 
@@ -303,12 +304,12 @@ def judged(
     comes from nothing that can have happened and is no evidence at all.  ``lacked`` says, in place of
     ``reason``, what it would have taken to exercise it.  A violation is ``revocable`` where later ticks could
     undo it: of a run that was cut short it is none.  Where ``margin`` is a lower end, ``most`` is the
-    upper one, and only a violation by both is one.
+    upper one, and only a violation by both is one; ``unsure`` says why they differ.
     """
     if most is not None and margin < 0.0:
         if most >= 0.0:
             ends = f"between {prop.unit.margin_text(margin)} and {prop.unit.margin_text(most)}"
-            why = f"it holds at the ticks, perhaps not between them: {ends} ({reason})"
+            why = f"{unsure}: {ends} ({reason})"
             if not isfinite(margin):
                 why = f"{MAY_SATURATE}; at the ticks {prop.unit.margin_text(most)} ({reason})"
             told = inconclusive(prop, why, exercised=exercised)

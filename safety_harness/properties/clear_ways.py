@@ -17,9 +17,9 @@ from safety_harness.geometry.segments import segment_segment_distance
 from safety_harness.properties.base import Evaluation, Unit, inconclusive, is_somewhere, judged
 from safety_harness.properties.entry import CatalogueEntry
 from safety_harness.properties.giving_way import last_tick
-from safety_harness.properties.hand_distance import RESOLUTION_M, joint_bend_m
+from safety_harness.properties.hand_distance import joint_bend_m
 from safety_harness.properties.measured import reads
-from safety_harness.properties.true_motion import PARTS, arm_of, capsules_of
+from safety_harness.properties.true_motion import PARTS, RESOLUTION_M, arm_of, capsules_of
 from safety_harness.properties.unexercised import no_position, unexercised
 from safety_harness.robot.capsules import Arm
 from safety_harness.robot.distance import place_capsules

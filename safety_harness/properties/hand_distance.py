@@ -15,6 +15,7 @@ from safety_harness.properties.base import Evaluation, Unit, inconclusive, judge
 from safety_harness.properties.entry import CatalogueEntry, quantity
 from safety_harness.properties.measured import reads
 from safety_harness.properties.true_motion import (
+    RESOLUTION_M,
     HandPaths,
     apart_moved_m,
     arm_of,
@@ -36,7 +37,7 @@ from safety_harness.settings import Hand
 from safety_harness.simulation.worlds import WORLDS
 from safety_harness.trace.trace import Trace, once_a_trace
 
-RESOLUTION_M = 1e-4
+NONE_M = np.empty((2, 0))
 FASTEST_RADPS = 1e4  # no joint turns so fast: such a speed says nothing
 SATURATED_RADPS = 1e-3  # a mean speed this far from that of the tick's end is of motors that may saturate
 ROUNDING_RADPS = 1e-6  # by which a mean speed may be beyond what is recorded: a nanometre or two
@@ -197,7 +198,7 @@ def closest_approach(trace: Trace, paths: HandPaths, off_m: NDArray[np.float64] 
             after = np.minimum(before[:-1] + 1, len(off_m) - 1)
             slack_m = slack_m + np.maximum(off_m[before[:-1]], off_m[after])
         ends_m, instant = closest_between(
-            arm_of(trace), at, joints_rad, hand_m, elbow_m, distance_m, slack_m, settings.hand
+            arm_of(trace), at, joints_rad, hand_m, elbow_m, distance_m, slack_m, settings.hand, paths
         )
         time_s = instant * settings.clock.control_period_s
         best = best.or_nearer(Nearest(ends_m[0], time_s, hand, ends_m[1]))
@@ -213,14 +214,39 @@ def closest_between(
     distance_m: NDArray[np.float64],  # (n,)
     slack_m: NDArray[np.float64],  # (n - 1,)
     size: Hand,
+    paths: HandPaths,
+    each_m: NDArray[np.float64] = NONE_M,
 ) -> tuple[tuple[float, float], float]:
-    """Both ends of the least distance [m] over ``instants`` of one hand, and where the lower is, in ticks."""
-    radii_m = size.radius_m, size.forearm_radius_m
+    """Both ends of the least distance [m] over ``instants`` of one hand, and where the lower is, in ticks.
+
+    ``each_m`` (2, n - 1), if it is wanted, is filled with both ends from each instant to the next.
+    """
     low_m, index, fraction, high_m = _closest_in_trace(
-        arm, joints_rad, hand_m, elbow_m, distance_m, slack_m, *radii_m, RESOLUTION_M
+        arm,
+        joints_rad,
+        hand_m,
+        elbow_m,
+        distance_m,
+        slack_m,
+        size.radius_m,
+        size.forearm_radius_m,
+        paths.resolution_m,
+        each_m,
     )
     later = at[min(index + 1, len(at) - 1)]
     return (low_m, high_m), float(at[index] + fraction * (later - at[index]))
+
+
+def ends_between(trace: Trace, paths: HandPaths, hand: int) -> NDArray[np.float64]:
+    """(2, n-1) both ends of one hand's least distance [m] from each tick to the next; NaN where not known."""
+    at, joints_rad, hand_m, elbow_m, distance_m, slack_m = instants(trace, paths, hand)
+    size, ends_m = trace.scenario.settings.hand, np.empty((2, len(slack_m)))
+    closest_between(arm_of(trace), at, joints_rad, hand_m, elbow_m, distance_m, slack_m, size, paths, ends_m)
+    least_m = np.full((2, max(len(trace.ticks) - 1, 0)), np.inf)
+    tick = np.minimum(at[:-1].astype(int), max(least_m.shape[1] - 1, 0))
+    for least, ends in zip(least_m, ends_m, strict=True):
+        np.minimum.at(least, tick, ends)
+    return least_m
 
 
 def instants(trace: Trace, paths: HandPaths, hand: int) -> tuple[NDArray[np.float64], ...]:
@@ -318,12 +344,13 @@ def _closest_in_trace(
     hand_radius_m: float,
     forearm_radius_m: float,
     tolerance_m: float,
+    each_m: NDArray[np.float64],  # (2, n - 1) written: both ends between two instants; or (2, 0)
 ) -> tuple[float, int, float, float]:
     """Least distance over a trace: (distance, tick before it, fraction of the way to the next, upper end).
 
-    From where the distance is known, stretches are passed over in which nothing can come as near as the
-    best so far: a joint moves no point farther than by its angle times its chain of links, and distances
-    change by no more than points move.
+    Where ``each_m`` is wanted, every stretch is looked at.  Else, from where the distance is known, stretches
+    are passed over in which nothing can come as near as the best so far: a joint moves no point farther than
+    by its angle times its chain of links, and distances change by no more than points move.
     """
     best = np.inf
     index, fraction = 0, 0.0
@@ -343,7 +370,7 @@ def _closest_in_trace(
                 arm.capsules, ends, hands_m[k], elbows_m[k], hand_radius_m, forearm_radius_m
             )
         first, known = k, False
-        while k < distance_m.shape[0] - 1:
+        while each_m.shape[1] == 0 and k < distance_m.shape[0] - 1:
             left_m -= displacement_m(arm.reach_m, joints_rad, hands_m, elbows_m, k)
             if not left_m - slack_m[k] > high + tolerance_m:  # a NaN must come out, not be passed over
                 break
@@ -362,10 +389,12 @@ def _closest_in_trace(
             hand_radius_m,
             forearm_radius_m,
             tolerance_m,
-            high + slack_m[k],
+            np.inf if each_m.shape[1] else high + slack_m[k],
         )
         bound, known = bound - slack_m[k], True
-        high = min(high, left_m, sampled + slack_m[k] if 0.0 < where < 1.0 else sampled)
+        high = min(high, sampled + slack_m[k])  # between two ticks, at a corner too, joints may be elsewhere
+        if each_m.shape[1]:
+            each_m[0, k], each_m[1, k] = bound, sampled + slack_m[k]
         if not bound >= best:
             best, index, fraction = bound, k, where
         k += 1

@@ -13,7 +13,6 @@ from safety_harness.controller.stack import STANDSTILL_RADPS
 from safety_harness.properties.base import NEAR_M, Evaluation, Unit, inconclusive, judged, times_begun
 from safety_harness.properties.entry import CatalogueEntry
 from safety_harness.properties.hand_distance import (
-    RESOLUTION_M,
     Nearest,
     closest_approach,
     closest_between,
@@ -25,7 +24,14 @@ from safety_harness.properties.hand_distance import (
 )
 from safety_harness.properties.measured import reads
 from safety_harness.properties.shield_theorem import with_assumptions
-from safety_harness.properties.true_motion import HandPaths, arm_of, capsules_of, hand_paths, true_motion
+from safety_harness.properties.true_motion import (
+    RESOLUTION_M,
+    HandPaths,
+    arm_of,
+    capsules_of,
+    hand_paths,
+    true_motion,
+)
 from safety_harness.properties.unexercised import OFF_THE_GOAL, nearest_of, unexercised
 from safety_harness.robot.capsules import Arm
 from safety_harness.trace.trace import Trace, once_a_trace
@@ -149,6 +155,7 @@ def closest_moving(trace: Trace, paths: HandPaths) -> Nearest:
                 known,
                 slack_m[begin:end],
                 hand_size,
+                paths,
             )
             time_s = instant * trace.scenario.settings.clock.control_period_s
             best = best.or_nearer(Nearest(ends_m[0], time_s, hand, ends_m[1]))

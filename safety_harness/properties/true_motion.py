@@ -34,6 +34,7 @@ from safety_harness.trace.known import PRESENCE
 from safety_harness.trace.records import as_compiled, as_numbers, columns
 from safety_harness.trace.trace import Trace, once_a_trace
 
+RESOLUTION_M = 1e-4
 SAME_M = 1e-6  # a hand this far from where the scenario moves it is another hand
 JOINTS = ("joint_position_rad", "joint_velocity_radps")
 BODIES = ("hand_position_in_base_m", "elbow_position_in_base_m")
@@ -146,7 +147,8 @@ class HandPaths:
     False where a hand rests from one tick to the next.  ``corner_hand`` and ``corner_at`` (m,):
     whose corner, and when, in ticks (3.25: a quarter of the way from tick 3 to 4), rising for each
     hand; ``corners_in_base_m`` (m, 2, 3): hand and elbow there.  ``parts`` (n-1, hands): into how many parts
-    corners divide the way of a hand that its own moves lead.
+    corners divide the way of a hand that its own moves lead.  ``resolution_m`` is how closely a least
+    distance between two instants is to be found.
     """
 
     positions_in_base_m: NDArray[np.float64]
@@ -155,6 +157,7 @@ class HandPaths:
     corner_at: NDArray[np.float64]
     corners_in_base_m: NDArray[np.float64]
     parts: NDArray[np.int64]
+    resolution_m: float
 
 
 @once_a_trace
@@ -190,7 +193,8 @@ def _paths(trace: Trace, most_parts: int) -> HandPaths:
         corners,
         parts,
     )
-    return HandPaths(positions, moving, whose[:found], at[:found], corners[:found], parts)
+    resolution_m = RESOLUTION_M if most_parts == 1 else 0.5 * RESOLUTION_M
+    return HandPaths(positions, moving, whose[:found], at[:found], corners[:found], parts, resolution_m)
 
 
 def first_stray(trace: Trace, paths: HandPaths) -> int | None:
@@ -246,8 +250,10 @@ def hand_bend_m(trace: Trace, paths: HandPaths, hand: int) -> NDArray[np.float64
     A way whose second derivative is at most b leaves its chord by at most b dt^2/8.  For a hand that
     is its acceleration a, its tremor's included.  The elbow is a forearm's length L from the hand
     towards a fixed point; at the speed v, at least r away from that point, b is at most
-    a (1 + L/r) + L (4/3)^(1/2) (v/r)^2.  Where corners divide a tick, dt is the time from one to the next.
-    A recorded hand, and its recorded elbow, go straight from corner to corner.
+    a (1 + L/r) + L (4/3)^(1/2) (v/r)^2.  However it turns, no point of a forearm is farther than L from the
+    hand's centre, so that a distance is off by at most L and the forearm's radius less the hand's beside what
+    the hand's bend makes.  Where corners divide a tick, dt is the time from one to the next.  A hand of a
+    recording, and its elbow, go straight from corner to corner.
     """
     scenario = trace.scenario
     trajectory, period_s = scenario.hands[hand], scenario.settings.clock.control_period_s
@@ -260,8 +266,10 @@ def hand_bend_m(trace: Trace, paths: HandPaths, hand: int) -> NDArray[np.float64
         fastest, hardest = leader.motion.max_speed_mps, 0.0
     else:
         fastest, hardest = leader.max_speed_mps, leader.max_acceleration_mps2
-        hardest += leader.tremor.max_acceleration_mps2 if leader.tremor else 0.0
-    towards = np.array(trajectory.elbow_towards_in_base_m)
+        if leader.tremor:
+            fastest += leader.tremor.max_speed_mps
+            hardest += leader.tremor.max_acceleration_mps2
+    towards, size = np.array(trajectory.elbow_towards_in_base_m), scenario.settings.hand
     return _hand_bends(
         paths.positions_in_base_m[:, hand, 0],
         towards,
@@ -269,7 +277,8 @@ def hand_bend_m(trace: Trace, paths: HandPaths, hand: int) -> NDArray[np.float64
         paths.parts[:, hand],
         fastest,
         hardest,
-        scenario.settings.hand.forearm_length_m,
+        size.forearm_length_m,
+        max(size.forearm_length_m + size.forearm_radius_m - size.radius_m, 0.0),
         period_s,
     )
 
@@ -283,11 +292,12 @@ def _hand_bends(
     fastest_mps: float,
     hardest_mps2: float,
     length_m: float,
+    turned_m: float,
     period_s: float,
 ) -> NDArray[np.float64]:
     """(n-1,) b dt^2/8 [m] with b = a (1 + L/r) + L (4/3)^(1/2) (v/r)^2, as ``hand_bend_m`` has it.
 
-    dt is the period divided by the parts.
+    dt is the period divided by the parts; ``turned_m`` is what an elbow that turns anywhere adds to a hand's.
     """
     bends, after = np.zeros(moving.shape[0]), np.nan
     for k in range(hand_m.shape[0]):
@@ -297,12 +307,11 @@ def _hand_bends(
         before, after = after, sqrt(total)
         if k == 0 or not moving[k - 1]:
             continue
-        nearest = max(min(before, after) - fastest_mps * period_s, 1e-9)
+        nearest = max(min(before, after) - 0.5 * fastest_mps * period_s, 1e-9)
         elbow = hardest_mps2 * (1.0 + length_m / nearest)
         elbow += length_m * sqrt(4.0 / 3.0) * (fastest_mps / nearest) ** 2
-        # an elbow is never farther from where it was than the hand's way and twice the forearm
         part_s = period_s / parts[k - 1]
-        bends[k - 1] = min(elbow * part_s**2 / 8.0, fastest_mps * part_s + 2.0 * length_m)
+        bends[k - 1] = min(elbow * part_s**2 / 8.0, hardest_mps2 * part_s**2 / 8.0 + turned_m)
     return bends
 
 

@@ -91,15 +91,17 @@ def test_a_formula_of_the_speed_says_what_the_catalogue_says(visit: Trace, limit
 
 
 def test_what_holds_at_the_ticks_alone_is_not_known_to_hold(visit: Trace) -> None:
-    """Between the nearest tick and the bound after it lies a limit that neither breaks nor keeps."""
-    sampled = hand_distance.sample(visit)
-    limit_m = 0.5 * (sampled.low.min() + sampled.value.min())
-    assert sampled.low.min() < limit_m < sampled.value.min()
+    """Between both ends of the least distance lies a limit that neither breaks nor keeps."""
+    assert hand_distance.finer is not None
+    sampled = hand_distance.finer(visit)
+    assert sampled.surely is not None
+    limit_m = 0.5 * (sampled.low.min() + sampled.surely.min())
+    assert sampled.low.min() < limit_m < sampled.surely.min() <= sampled.value.min()
     evaluation = FormulaClaim(always(hand_distance() > m(limit_m))).evaluate(visit)
     assert evaluation.verdict is INCONCLUSIVE
     assert evaluation.margin is not None
     assert -RESOLUTION_M < evaluation.margin < 0.0
-    assert "perhaps not between them" in evaluation.reason
+    assert "perhaps not between them: between -0.0" in evaluation.reason
 
 
 @pytest.mark.parametrize(

@@ -108,6 +108,24 @@ def test_a_hand_that_leaves_the_point_of_its_elbow_is_not_called_a_touch() -> No
         assert " and +" in found.reason
 
 
+def test_a_hand_that_leaves_the_point_of_its_elbow_farther_off_touches_nothing() -> None:
+    """Its forearm ends 285 mm beyond the hand's sphere at most, wherever the elbow turns."""
+    at = (1.43, 0.0, 0.4)
+    leaves = MovingHand(
+        name="right hand",
+        starts_at_in_base_m=at,
+        elbow_towards_in_base_m=at,
+        moves=(MoveTo(position_in_base_m=(1.9, 0.0, 0.4), speed_mps=1.0),),
+    )
+    trace = run(scenario(leaves, duration_s=0.6), controller=ConstantSpeed((0.05,) * 6))
+    recorded_m = trace.ticks["hand_distance_m"][:, 0].min()
+    assert 0.3 < recorded_m < 0.31
+    found = NoMovingPartTouches(near_m=2.0).evaluate(trace)
+    assert found.verdict is Verdict.HOLDS
+    assert 0.005 < found.margin < recorded_m
+    assert said(trace, recorded_m + 1e-4) is Verdict.VIOLATED
+
+
 def test_a_violation_at_a_tick_is_certain_beside_a_wide_bound() -> None:
     prop = HandDistance(minimum_m=0.05, near_m=1.0)
     trace = with_period(0.008, hand())

@@ -58,7 +58,11 @@ def test_a_jump_of_a_joint_between_two_ticks_counts_with_its_mean_speed(visit: T
 
 
 def test_a_joint_at_its_speed_limit_holds_and_one_a_billionth_over_is_violated(visit: Trace) -> None:
-    """Positions are rounded, so that their differences are over the limit at some ticks."""
+    """Positions are rounded, so that their differences are over the limit at some ticks.
+
+    In a world whose motors do what they are told; an engine's miss more than that.
+    """
+    exact = replace(visit.provenance, world="kinematic")
     start_rad = visit.ticks["joint_position_rad"][0, 2]
     for share, verdict in ((1.0, Verdict.HOLDS), (1.0 + 1e-9, Verdict.VIOLATED)):
 
@@ -69,7 +73,9 @@ def test_a_joint_at_its_speed_limit_holds_and_one_a_billionth_over_is_violated(v
         trace = still(visit, 40, turn)
         mean_radps = np.diff(trace.ticks["joint_position_rad"][:, 2]) / np.diff(trace.time_s)
         assert mean_radps.max() > LIMIT_RADPS[2]
-        assert JOINTS.evaluate(trace).verdict is verdict
+        in_engine = Verdict.INCONCLUSIVE if verdict is Verdict.VIOLATED else verdict
+        assert JOINTS.evaluate(trace).verdict is in_engine
+        assert JOINTS.evaluate(replace(trace, provenance=exact)).verdict is verdict
 
 
 def test_the_speed_at_the_last_tick_counts_though_nothing_follows(visit: Trace) -> None:

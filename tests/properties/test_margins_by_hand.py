@@ -198,10 +198,11 @@ def test_how_far_an_elbow_may_leave_its_chord_is_the_documented_bound() -> None:
         period_s = DEFAULTS.clock.control_period_s
         length, a, v = DEFAULTS.hand.forearm_length_m, moved.max_acceleration_mps2, moved.max_speed_mps
         a += moved.tremor.max_acceleration_mps2 if moved.tremor else 0.0
+        v += moved.tremor.max_speed_mps if moved.tremor else 0.0
         away = np.linalg.norm(
             trace.ticks["hand_position_in_base_m"][:, 0] - np.array(moved.elbow_towards_in_base_m), axis=1
         )
-        r = np.minimum(away[:-1], away[1:]) - v * period_s
+        r = np.minimum(away[:-1], away[1:]) - v * period_s / 2.0  # half-way at the nearest
         b = a * (1.0 + length / r) + length * sqrt(4.0 / 3.0) * (v / r) ** 2
         bend = hand_bend_m(trace, paths, 0)
         assert bend[moving] == pytest.approx((b * period_s**2 / 8.0)[moving], rel=1e-12)
