@@ -184,6 +184,7 @@ class StratumResult:
     """One part of the operational domain, and what came of running it.
 
     ``decisions`` are (what, how many) over all runs; ``refused_draws`` those that admission refused.
+    ``shield`` says in how many runs which assumption of its theorem did not hold; empty without a shield.
     """
 
     name: str
@@ -197,6 +198,7 @@ class StratumResult:
     decisions: tuple[tuple[str, int], ...]
     random_traces: int
     violation_traces: int
+    shield: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)

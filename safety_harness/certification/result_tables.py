@@ -212,7 +212,12 @@ def strata(evidence: Evidence) -> CellTable:
             "Stored traces": lambda one: words(
                 f"{one.random_traces} at random, {one.violation_traces} of violations"
             ),
-        },
+        }
+        | (
+            {"Shield": lambda one: words(one.shield or "none")}
+            if any(one.shield for one in evidence.strata)
+            else {}
+        ),
     )
 
 
