@@ -200,7 +200,9 @@ def strata(evidence: Evidence) -> CellTable:
         "out of reach, ...) are drawn again and counted.",
         evidence.strata,
         {
-            "Stratum": lambda one: words(one.name, note=one.about),
+            "Stratum": lambda one: words(
+                one.name, note=one.about + f"; shield: {one.shield}" * bool(one.shield)
+            ),
             "Space": lambda one: words(one.space, note=f"sha256 {one.space_sha256[:12]}\u2026"),
             "Runs made": lambda one: count(one.made),
             "Planned": lambda one: count(one.planned),
@@ -212,12 +214,7 @@ def strata(evidence: Evidence) -> CellTable:
             "Stored traces": lambda one: words(
                 f"{one.random_traces} at random, {one.violation_traces} of violations"
             ),
-        }
-        | (
-            {"Shield": lambda one: words(one.shield or "none")}
-            if any(one.shield for one in evidence.strata)
-            else {}
-        ),
+        },
     )
 
 

@@ -20,7 +20,6 @@ from safety_harness.scenario.shield import Shield
 from safety_harness.trace.trace import Trace, once_a_trace
 
 Floats = NDArray[np.float64]
-NOT_RECORDED = "the trace does not say what the shield saw and sent"
 RELATIVE, TURNED_RAD = 1e-6, 1e-4  # rounding; and 0.1 mm at 1 m
 NOT_KNOWN = 10  # in place of an assumption's number
 # Of a run's ``theorem_bits``; bit n says that assumption n did not hold.
@@ -37,14 +36,14 @@ class BrokenAssumption(NamedTuple):
 
 @once_a_trace
 def broken_assumptions(trace: Trace) -> list[BrokenAssumption]:
-    """What did not hold of each, at first, in the order of their numbers; NOT_RECORDED alone in old traces.
+    """What did not hold of each, at first, in the order of their numbers; NOT_KNOWN alone in old traces.
 
     Of a run with a shield.
     """
     shield = trace.scenario.shield
     assert shield is not None
     if "sent_radps" not in (trace.interventions.dtype.names or ()):
-        return [BrokenAssumption(NOT_KNOWN, 0, NOT_RECORDED)]
+        return [BrokenAssumption(NOT_KNOWN, 0, "the trace does not say what the shield saw and sent")]
     found = [*_of_hands(trace, shield), *_of_drives(trace, shield)]
     wrong = first_untruth(trace)
     if wrong is not None:
