@@ -99,11 +99,11 @@ class FallbackTally:
         return fallback_words(self.unanswered, self.decisions)
 
 
-def shield_words(ledger: Ledger, stratum: int) -> str:
-    """How the theorem of the shield stands after a stratum's runs; empty where nothing is noted of one."""
-    return counts_words(
-        ledger.all("SELECT theorem, count(*) FROM episode WHERE stratum = ? GROUP BY theorem", stratum)
-    )
+def shields_in(ledger: Ledger) -> tuple[str, ...]:
+    """How the theorem of the shield stands after the runs of each stratum of which one is noted."""
+    every = "SELECT theorem, count(*) FROM episode WHERE stratum = ? GROUP BY theorem"
+    found = ((name, counts_words(ledger.all(every, k))) for k, name in enumerate(ledger.declared.strata))
+    return tuple(f"shield in {name}: {words}" for name, words in found if words)
 
 
 def fallback_of(ledger: Ledger, stratum: int | None = None) -> FallbackTally:

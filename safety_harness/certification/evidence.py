@@ -28,6 +28,7 @@ from safety_harness.trace.system import NOT_NOTED, SystemUnderTest
 FORMAT = "safety-harness evidence 1"
 LATER = (
     "proven",
+    "shields",
     "hazards",
     "notes",
     "learned",
@@ -184,7 +185,6 @@ class StratumResult:
     """One part of the operational domain, and what came of running it.
 
     ``decisions`` are (what, how many) over all runs; ``refused_draws`` those that admission refused.
-    ``shield`` says in how many runs which assumption of its theorem did not hold; empty without a shield.
     """
 
     name: str
@@ -198,7 +198,6 @@ class StratumResult:
     decisions: tuple[tuple[str, int], ...]
     random_traces: int
     violation_traces: int
-    shield: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -486,6 +485,7 @@ class Evidence:
     hazards: tuple[HazardEvidence, ...] = ()  # where the plan names any
     notes: tuple[ArgumentNote, ...] = ()  # where its author wrote any
     learned: LearnedPart | None = None  # where an avoider is a network
+    shields: tuple[str, ...] = ()  # how their theorem stands, where a stratum has one
 
     @property
     def fallback(self) -> str:

@@ -197,12 +197,11 @@ def strata(evidence: Evidence) -> CellTable:
     """The operational domain, part by part."""
     return table_of(
         "Each run draws from its space with a seed of its own; draws that cannot be tried (a start "
-        "out of reach, ...) are drawn again and counted.",
+        "out of reach, ...) are drawn again and counted."
+        + "".join(f" {one[0].upper()}{one[1:]}." for one in evidence.shields),
         evidence.strata,
         {
-            "Stratum": lambda one: words(
-                one.name, note=one.about + f"; shield: {one.shield}" * bool(one.shield)
-            ),
+            "Stratum": lambda one: words(one.name, note=one.about),
             "Space": lambda one: words(one.space, note=f"sha256 {one.space_sha256[:12]}\u2026"),
             "Runs made": lambda one: count(one.made),
             "Planned": lambda one: count(one.planned),

@@ -17,7 +17,7 @@ from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.overruled import overruled_episodes, overruling_in
 from safety_harness.campaign.pilot import aim_of
 from safety_harness.campaign.plan import Plan, PlannedClaim
-from safety_harness.campaign.summary import fallback_of, shield_words
+from safety_harness.campaign.summary import fallback_of
 from safety_harness.certification.evidence import (
     UNANSWERED,
     Bound,
@@ -206,7 +206,6 @@ def _stratum(plan: Plan, ledger: Ledger, place: int, hashes: dict[str, str]) -> 
         decisions=tuple((what, int(many)) for what, many in zip(_DECISIONS, counts, strict=True) if many),
         random_traces=len(random),
         violation_traces=sum(stored.values()),
-        shield=shield_words(ledger, place),
     )
 
 

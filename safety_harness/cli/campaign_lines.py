@@ -16,7 +16,7 @@ from safety_harness.campaign.summary import (
     ClaimCounts,
     LedgerState,
     fallback_of,
-    shield_words,
+    shields_in,
 )
 from safety_harness.certification.verdicts import confidence_words, percent
 from safety_harness.properties.base import SI_UNITS, Unit
@@ -44,8 +44,7 @@ def ledger_lines(ledger: Ledger, state: LedgerState) -> Iterator[str]:
     yield f"{ledger.path}: {declared.title}"
     yield _summary(declared, tally)
     yield from (*_failure_lines(ledger), *_fallback_lines(ledger), *_overruled_lines(ledger))
-    shields = ((name, shield_words(ledger, k)) for k, name in enumerate(declared.strata))
-    yield from (f"  shield in {name}: {words}" for name, words in shields if words)
+    yield from (f"  {line}" for line in shields_in(ledger))
     yield f"  {ledger.repeated.line}"
     yield from worst_lines(declared.claims, declared.units, tally)
     if tally.complete:
@@ -70,12 +69,13 @@ def ledger_data(ledger: Ledger, state: LedgerState) -> dict[str, object]:
         "strata": [
             {"stratum": name}
             | {key: getattr(one, key) for key in ("planned", "done", "failed", "stopped_after")}
-            | {"claims": _claims_data(declared, one.claims), "shield": shield_words(ledger, k) or None}
-            for k, (name, one) in enumerate(strata)
+            | {"claims": _claims_data(declared, one.claims)}
+            for name, one in strata
         ],
         "claims": _claims_data(declared, [*map(tally.of_claim, range(len(declared.claims)))]),
         "fallback": fallback_of(ledger),
         "overruling": overruling_in(ledger).named,
+        "shields": shields_in(ledger),
         "repeatability": ledger.repeated,
         "dependent": ledger.dependent or None,
         "bounds": state.bounds or None,

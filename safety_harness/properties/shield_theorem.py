@@ -51,9 +51,8 @@ def broken_assumptions(trace: Trace) -> list[BrokenAssumption]:
     return found
 
 
-def _broken(trace: Trace, number: int, tick: int, why: str) -> BrokenAssumption:
-    text = f"assumption {number} did not hold at {trace.time_s[tick]:.3f} s: {why}"
-    return BrokenAssumption(number, tick, text)
+def _broken(trace: Trace, n: int, tick: int, why: str) -> BrokenAssumption:
+    return BrokenAssumption(n, tick, f"assumption {n} did not hold at {trace.time_s[tick]:.3f} s: {why}")
 
 
 def counts_words(runs: Iterable[tuple[int, int]]) -> str:

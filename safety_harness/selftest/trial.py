@@ -186,9 +186,7 @@ class FaultTrials:
         if key not in self._sound:
             run = system.run(world)
             if theorem_bits(run) & REFUTED:
-                raise RuntimeError(
-                    f"a run of the sound system, {run.scenario.name}, refutes the theorem of the shield"
-                )
+                raise RuntimeError(f"the sound run {run.scenario.name} refutes the theorem of its shield")
             self._sound[key] = words_on(system.admitted, run)
         faulty = fault.seed_into(system, magnitude)
         try:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 
@@ -11,7 +13,9 @@ from safety_harness.campaign.episodes import EpisodeRunner, trace_of
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import Plan
 from safety_harness.campaign.rows import Row
-from safety_harness.campaign.summary import shield_words, state_of
+from safety_harness.campaign.summary import shields_in, state_of
+from safety_harness.certification.evidence import Evidence
+from safety_harness.certification.result_tables import strata
 from safety_harness.certification.results import strata_of
 from safety_harness.certification.verify_runs import Compared
 from safety_harness.cli.campaign_lines import ledger_data, ledger_lines
@@ -67,10 +71,11 @@ def test_each_broken_assumption_is_counted_in_status_report_and_ledger(tmp_path:
     words += f", assumption 1 did not hold in {fast}"
     with ledger:
         state = state_of(ledger)
-        assert f"  shield in behind a shield: {words}" in list(ledger_lines(ledger, state))
-        data = ledger_data(ledger, state)
-        assert [one["shield"] for one in data["strata"]] == [words, None]  # type: ignore[attr-defined]
-        assert [one.shield for one in strata_of(plan, ledger)] == [words, ""]
+        line = f"shield in behind a shield: {words}"
+        assert f"  {line}" in list(ledger_lines(ledger, state))
+        assert ledger_data(ledger, state)["shields"] == shields_in(ledger) == (line,)
+        found = SimpleNamespace(strata=strata_of(plan, ledger), shields=shields_in(ledger))
+        assert f" S{line[1:]}." in str(strata(cast("Evidence", found)))
         query = "SELECT count(*) FROM episodes WHERE theorem & 2"
         assert list(ledger.all(query)) == [(fast,)]
 
@@ -83,7 +88,7 @@ def test_a_count_that_was_altered_is_found_by_running_again(tmp_path: Path) -> N
         sound.add(slow)
         assert sound.faults == []
         ledger.connection.execute("UPDATE episode SET theorem = 0 WHERE theorem = 3")
-        assert shield_words(ledger, 0).endswith(f"of {sum(r.theorem == SHIELDED for r in rows)} runs")
+        assert shields_in(ledger)[0].endswith(f"of {sum(r.theorem == SHIELDED for r in rows)} runs")
         altered = Compared(plan, ledger, same=True)
         altered.add(next(row for row in rows if row.theorem == SHIELDED | 1 << 1))
         assert len(altered.faults) == 1

@@ -184,7 +184,7 @@ def attack(episodes: int, seed: int) -> tuple[Counter[str], float]:
         said, broken = NO_MOVING_PART_TOUCHES.prop.evaluate(trace), broken_assumptions(trace)
         if broken:
             found["broken"] += 1
-            found[f"broken: {broken[0][:12]}"] += 1
+            found[f"broken: assumption {broken[0].number}"] += 1
             continue
         found["held"] += 1
         found["touched at rest"] += bool(trace.ticks["hand_distance_m"].min() < 0.0)

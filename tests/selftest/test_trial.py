@@ -129,7 +129,7 @@ def test_a_sound_run_that_refutes_the_theorem_of_the_shield_fails() -> None:
     fault = made_up(name="nothing", seed_into=nothing)
     kept = admit(parse_scenario(REACH + ONLY_THE_ARM), controller=Swings())
     assert FaultTrials((kept,)).alarms(fault, 1.0, 0) == ()
-    with pytest.raises(RuntimeError, match="a run of the sound system, unnamed, refutes the theorem"):
+    with pytest.raises(RuntimeError, match="the sound run unnamed refutes the theorem of its shield"):
         FaultTrials((forgetful(),)).alarms(fault, 1.0, 0)
 
 
