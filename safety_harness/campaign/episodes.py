@@ -31,6 +31,7 @@ from safety_harness.isolation.opened import noted
 from safety_harness.properties.answered import fault_of, unanswered
 from safety_harness.properties.base import Evaluation
 from safety_harness.properties.finite import bad_decisions, bad_ticks
+from safety_harness.properties.touching import theorem_bits
 from safety_harness.scenario.model import Scenario, Verdict
 from safety_harness.search.coverage import cell_of
 from safety_harness.seeds import Branch, generator
@@ -195,6 +196,7 @@ class EpisodeRunner:
             **_decided(run),
             overruling=Overruling.of([run]),
             run=number_of(run),
+            theorem=theorem_bits(run),
             cell="" if cell is None else str(cell),
             mishap=fault_of(run),
             failure=broken,

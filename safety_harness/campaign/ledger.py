@@ -207,7 +207,7 @@ class Ledger:
             for row in rows:
                 self.take_opened(row.opened)
                 counts = (row.decisions, row.proposed, row.opposite, row.stopped, row.faults, row.late)
-                noted = (*row.overruling.counts, row.run)
+                noted = (*row.overruling.counts, row.run, row.theorem)
                 own = (row.stratum, row.episode, row.seed, row.draws, *counts, *noted)
                 if row.cell:
                     execute("INSERT OR IGNORE INTO cell (words) VALUES (?)", (row.cell,))

@@ -182,7 +182,7 @@ def refuse_any_file(path: Path) -> None:
         raise unusable(path, "no file there yet", "one")
 
 
-COUNTS = (*OVERRULED_BY, "run")  # of an episode, 0 where an older program did not note it
+COUNTS = (*OVERRULED_BY, "run", "theorem")  # of an episode, 0 where an older program did not note it
 APPLICATION_ID = 0x53_48_4C_47  # "SHLG", in the header of the file
 VERSION = 2  # of its tables: 2 has what the gate overruled
 

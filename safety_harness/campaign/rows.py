@@ -26,7 +26,8 @@ class Row:
     """One episode, run or failed to run.  ``judgements`` are in the order of the plan's claims.
 
     ``seed`` is the root of its draws, ``draws`` how many of them it took until admission let one through.
-    ``run`` is the number by which the run is told from others, 0 where there is none.
+    ``run`` is the number by which the run is told from others, 0 where there is none.  ``theorem`` are its
+    ``theorem_bits``: 0 without a shield, which has bit 0; bit n says that assumption n did not hold.
     ``cell`` is where it falls in the coverage of the domain.  ``mishap`` says what the avoider did instead of
     answering, ``failure`` why there is no run at all.  ``seconds`` and ``worker`` are of this machine:
     everything else is the same wherever it runs.
@@ -45,6 +46,7 @@ class Row:
     late: int = 0
     overruling: Overruling = field(default_factory=Overruling)
     run: int = 0
+    theorem: int = 0
     cell: str = ""
     mishap: str = ""
     failure: str = ""

@@ -21,6 +21,7 @@ from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.opening import unusable
 from safety_harness.campaign.rows import Row
 from safety_harness.properties.answered import fallback_words
+from safety_harness.properties.shield_theorem import counts_words
 from safety_harness.statistics.binomial import ProbabilityBounds, Sides, bounds_of
 from safety_harness.statistics.sample import JUDGED, EpisodeOutcome
 
@@ -96,6 +97,13 @@ class FallbackTally:
     def words(self) -> str:
         """For headlines; empty if it always answered."""
         return fallback_words(self.unanswered, self.decisions)
+
+
+def shields_in(ledger: Ledger) -> tuple[str, ...]:
+    """How the theorem of the shield stands after the runs of each stratum of which one is noted."""
+    every = "SELECT theorem, count(*) FROM episode WHERE stratum = ? GROUP BY theorem"
+    found = ((name, counts_words(ledger.all(every, k))) for k, name in enumerate(ledger.declared.strata))
+    return tuple(f"shield in {name}: {words}" for name, words in found if words)
 
 
 def fallback_of(ledger: Ledger, stratum: int | None = None) -> FallbackTally:

@@ -28,6 +28,7 @@ from safety_harness.trace.system import NOT_NOTED, SystemUnderTest
 FORMAT = "safety-harness evidence 1"
 LATER = (
     "proven",
+    "shields",
     "hazards",
     "notes",
     "learned",
@@ -484,6 +485,7 @@ class Evidence:
     hazards: tuple[HazardEvidence, ...] = ()  # where the plan names any
     notes: tuple[ArgumentNote, ...] = ()  # where its author wrote any
     learned: LearnedPart | None = None  # where an avoider is a network
+    shields: tuple[str, ...] = ()  # how their theorem stands, where a stratum has one
 
     @property
     def fallback(self) -> str:

@@ -13,7 +13,7 @@ from typing import TypeVar
 
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import Plan
-from safety_harness.campaign.summary import root_of
+from safety_harness.campaign.summary import root_of, shields_in
 from safety_harness.certification.argument_files import read_notes
 from safety_harness.certification.counterexamples import (
     MOST,
@@ -138,6 +138,7 @@ def put_together(
         standing=gravest(claim.standing for claim in claims),
         strata=strata,
         overruling=overruling_of(ledger),
+        shields=shields_in(ledger),
         claims=claims,
         system=system_of(plan, ledger.opened),
         assumptions=ASSUMPTIONS,

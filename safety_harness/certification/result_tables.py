@@ -197,7 +197,8 @@ def strata(evidence: Evidence) -> CellTable:
     """The operational domain, part by part."""
     return table_of(
         "Each run draws from its space with a seed of its own; draws that cannot be tried (a start "
-        "out of reach, ...) are drawn again and counted.",
+        "out of reach, ...) are drawn again and counted."
+        + "".join(f" {one[0].upper()}{one[1:]}." for one in evidence.shields),
         evidence.strata,
         {
             "Stratum": lambda one: words(one.name, note=one.about),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import groupby
 
@@ -34,7 +34,7 @@ from safety_harness.trace.trace import Trace
 
 MOST_AGAIN = 1000  # unless more are asked for: some minutes in PyBullet
 MOST_TOGETHER = 32
-COUNTS = ("seed", "draws", "decisions", "proposed", "opposite", "stopped", "faults", "late")
+COUNTS = ("seed", "draws", "decisions", "proposed", "opposite", "stopped", "faults", "late", "theorem")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -137,6 +137,8 @@ class Compared:
         if faults:
             return
         counts = next(self.ledger.all(_COUNTS, row.stratum, row.episode))
+        if "theorem" not in self.ledger.counts:  # of an older program
+            row = replace(row, theorem=0)
         now = (*(getattr(row, name) for name in COUNTS), *row.overruling.counts)
         where, silent = self.where(row.stratum, row.episode), COUNTS.index("faults")
         if self.answers and counts[silent] != now[silent]:

@@ -16,6 +16,7 @@ from safety_harness.campaign.summary import (
     ClaimCounts,
     LedgerState,
     fallback_of,
+    shields_in,
 )
 from safety_harness.certification.verdicts import confidence_words, percent
 from safety_harness.properties.base import SI_UNITS, Unit
@@ -43,6 +44,7 @@ def ledger_lines(ledger: Ledger, state: LedgerState) -> Iterator[str]:
     yield f"{ledger.path}: {declared.title}"
     yield _summary(declared, tally)
     yield from (*_failure_lines(ledger), *_fallback_lines(ledger), *_overruled_lines(ledger))
+    yield from (f"  {line}" for line in shields_in(ledger))
     yield f"  {ledger.repeated.line}"
     yield from worst_lines(declared.claims, declared.units, tally)
     if tally.complete:
@@ -73,6 +75,7 @@ def ledger_data(ledger: Ledger, state: LedgerState) -> dict[str, object]:
         "claims": _claims_data(declared, [*map(tally.of_claim, range(len(declared.claims)))]),
         "fallback": fallback_of(ledger),
         "overruling": overruling_in(ledger).named,
+        "shields": shields_in(ledger),
         "repeatability": ledger.repeated,
         "dependent": ledger.dependent or None,
         "bounds": state.bounds or None,

@@ -6,56 +6,75 @@ are told (8) do not do what they are told (7).  A trace does not tell whether a 
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Iterable
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.controller.stack import STANDSTILL_RADPS
-from safety_harness.properties.base import Evaluation
 from safety_harness.properties.true_motion import SAME_M, first_untruth
 from safety_harness.robot.drive import delay_ticks
 from safety_harness.robot.robots import arm_model
-from safety_harness.scenario.model import Verdict
 from safety_harness.scenario.shield import Shield
 from safety_harness.trace.trace import Trace, once_a_trace
 
 Floats = NDArray[np.float64]
-BROKEN = "assumption {} did not hold at {:.3f} s: {}"
-NOT_RECORDED = "the trace does not say what the shield saw and sent"
 RELATIVE, TURNED_RAD = 1e-6, 1e-4  # rounding; and 0.1 mm at 1 m
+NOT_KNOWN = 10  # in place of an assumption's number
+# Of a run's ``theorem_bits``; bit n says that assumption n did not hold.
+SHIELDED, BROKEN, REFUTED = 1, 0b11111111110, 1 << 11
 
 
-def with_assumptions(trace: Trace, said: Evaluation) -> Evaluation:
-    """The word on touches in a run, with what it says of the theorem of the shield, if there is one."""
-    if trace.scenario.shield is None or len(trace.ticks) == 0:
-        return said
-    broken = broken_assumptions(trace)
-    if broken:
-        return replace(said, reason=f"{said.reason}; {broken[0]}")
-    if said.verdict is not Verdict.VIOLATED:
-        return said
-    return replace(said, reason=f"{said.reason}; no assumption of the shield that a trace tells was broken")
+class BrokenAssumption(NamedTuple):
+    """The first tick at which an assumption of the theorem did not hold; ``number`` may be NOT_KNOWN."""
+
+    number: int
+    tick: int
+    text: str
 
 
 @once_a_trace
-def broken_assumptions(trace: Trace) -> list[str]:
-    """What did not hold of each, at first, in the order of their numbers; NOT_RECORDED alone in old traces.
+def broken_assumptions(trace: Trace) -> list[BrokenAssumption]:
+    """What did not hold of each, at first, in the order of their numbers; NOT_KNOWN alone in old traces.
 
     Of a run with a shield.
     """
     shield = trace.scenario.shield
     assert shield is not None
     if "sent_radps" not in (trace.interventions.dtype.names or ()):
-        return [NOT_RECORDED]
+        return [BrokenAssumption(NOT_KNOWN, 0, "the trace does not say what the shield saw and sent")]
     found = [*_of_hands(trace, shield), *_of_drives(trace, shield)]
     wrong = first_untruth(trace)
     if wrong is not None:
-        found.append(f"assumption 9 did not hold: {wrong}")
+        found.append(_broken(trace, 9, wrong.index, str(wrong)))
     return found
 
 
-def _of_hands(trace: Trace, shield: Shield) -> list[str]:
+def _broken(trace: Trace, n: int, tick: int, why: str) -> BrokenAssumption:
+    return BrokenAssumption(n, tick, f"assumption {n} did not hold at {trace.time_s[tick]:.3f} s: {why}")
+
+
+def counts_words(runs: Iterable[tuple[int, int]]) -> str:
+    """How the theorem stands after runs, in a line; empty where none has a shield.
+
+    ``runs`` are pairs of ``theorem_bits`` and how many runs have them.
+    """
+    there = list(runs)
+
+    def with_any(mask: int) -> int:
+        return sum(count for bits, count in there if bits & mask)
+
+    shielded = with_any(SHIELDED)
+    if not shielded:
+        return ""
+    said = {1 << n: f", assumption {n} did not hold in" for n in range(1, NOT_KNOWN)}
+    said |= {1 << NOT_KNOWN: ", not known of", REFUTED: "; THE THEOREM IS REFUTED in"}
+    words = f"the assumptions that a trace tells held in {shielded - with_any(BROKEN):,} of {shielded:,} runs"
+    return words + "".join(f"{what} {with_any(bit):,}" for bit, what in said.items() if with_any(bit))
+
+
+def _of_hands(trace: Trace, shield: Shield) -> list[BrokenAssumption]:
     """Assumptions 1 to 5."""
     ticks, done, hands = trace.ticks, trace.interventions, trace.scenario.hands
     period_s, size = trace.scenario.settings.clock.control_period_s, trace.scenario.settings.hand
@@ -95,11 +114,11 @@ def _of_hands(trace: Trace, shield: Shield) -> list[str]:
             k, hand = (int(i) for i in np.argwhere(wrong)[0])
             worst = float(was[k, hand])
             text = words.format(hand=hands[hand].name, was=worst, mm=worst * 1e3)
-            found.append(BROKEN.format(number, trace.time_s[k], text))
+            found.append(_broken(trace, number, k, text))
     return found
 
 
-def _of_drives(trace: Trace, shield: Shield) -> list[str]:
+def _of_drives(trace: Trace, shield: Shield) -> list[BrokenAssumption]:
     """Assumption 7: the joints' velocity is a mean of what was sent in the last reaction time, or less.
 
     And no command turns a joint farther than it says.
@@ -139,9 +158,9 @@ def _mean(sent: Floats, turned: Floats) -> float:
     return float(np.abs(weights[:-1] @ sent - turned).max())
 
 
-def _not_sent(trace: Trace, k: int, turned: Floats, held: int) -> str:
+def _not_sent(trace: Trace, k: int, turned: Floats, held: int) -> BrokenAssumption:
     period_s, worst = trace.scenario.settings.clock.control_period_s, int(np.abs(turned).argmax())
     name = arm_model(trace.scenario.robot).joint_names[worst]
     within = f"within {held * period_s * 1e3:.0f} ms" if held else "at once"
     text = f"{name} turned at {turned[worst] / period_s:.4g} rad/s, which is not what was sent, {within}"
-    return BROKEN.format(7, trace.time_s[k], text)
+    return _broken(trace, 7, k, text)

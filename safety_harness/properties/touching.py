@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -23,7 +23,7 @@ from safety_harness.properties.hand_distance import (
     known_to,
 )
 from safety_harness.properties.measured import reads
-from safety_harness.properties.shield_theorem import with_assumptions
+from safety_harness.properties.shield_theorem import NOT_KNOWN, REFUTED, SHIELDED, broken_assumptions
 from safety_harness.properties.true_motion import (
     RESOLUTION_M,
     HandPaths,
@@ -34,6 +34,7 @@ from safety_harness.properties.true_motion import (
 )
 from safety_harness.properties.unexercised import OFF_THE_GOAL, nearest_of, unexercised
 from safety_harness.robot.capsules import Arm
+from safety_harness.scenario.model import Verdict
 from safety_harness.trace.trace import Trace, once_a_trace
 
 
@@ -95,7 +96,7 @@ class NoMovingPartTouches:
         paths, why = followed_hands(trace)
         if paths is None:
             return inconclusive(self, why)
-        found = known_to(0.0, closest_moving, trace, paths)
+        found = _nearest_moving(trace)
         distance_m = found.low_m if found.low_m > -np.inf else found.high_m
         if found == Nearest():
             return unexercised(self, f"the arm did not move while a hand was there: {OFF_THE_GOAL}")
@@ -110,8 +111,49 @@ class NoMovingPartTouches:
             return nearest_of(trace, nearest_m, self.near_m, "hand", "the arm's surface")
 
         reason = f"{name}: {inside} a part that moves"
-        judgement = judged(self, trace, found.low_m, found.time_s, reason, times, lacked, most=found.high_m)
-        return with_assumptions(trace, judgement)
+        said = judged(self, trace, found.low_m, found.time_s, reason, times, lacked, most=found.high_m)
+        standing = theorem_words(trace, said)
+        return replace(said, reason=f"{said.reason}; {standing}") if standing else said
+
+
+def theorem_words(trace: Trace, said: Evaluation) -> str:
+    """What a run says of its shield's theorem beside the verdict on touches; empty for nothing.
+
+    A touch is a touch: whether the theorem applies changes no verdict.
+    """
+    if trace.scenario.shield is None or len(trace.ticks) == 0:
+        return ""
+    broken = broken_assumptions(trace)
+    if refutes_theorem(trace, said):
+        return "REFUTES THE SHIELD'S THEOREM: until then no assumption that a trace tells was broken"
+    if broken and broken[0].number == NOT_KNOWN:
+        return f"whether the shield's theorem applies is not known: {broken[0].text}"
+    return f"the shield's theorem does not apply: {'; '.join(one.text for one in broken)}" if broken else ""
+
+
+def refutes_theorem(trace: Trace, said: Evaluation) -> bool:
+    """Whether a moving part was touched before any assumption of the shield's theorem was seen broken."""
+    if trace.scenario.shield is None or said.verdict is not Verdict.VIOLATED:
+        return False
+    broken = broken_assumptions(trace)
+    if not broken:
+        return True
+    held = slice(min(one.tick for one in broken) + 1)
+    begun = replace(trace, ticks=trace.ticks[held], overshoot_radps=trace.overshoot_radps[held])
+    return known_to(0.0, closest_moving, begun, hand_paths(begun)).high_m < 0.0
+
+
+def theorem_bits(trace: Trace) -> int:
+    """How a run with a shield stands to its theorem, for ``counts_words``; 0 without a shield."""
+    if trace.scenario.shield is None or len(trace.ticks) == 0:
+        return 0
+    refuted = refutes_theorem(trace, NO_MOVING_PART_TOUCHES.prop.evaluate(trace))
+    return SHIELDED | refuted * REFUTED | sum(1 << one.number for one in broken_assumptions(trace))
+
+
+@once_a_trace
+def _nearest_moving(trace: Trace) -> Nearest:
+    return known_to(0.0, closest_moving, trace, hand_paths(trace))
 
 
 @once_a_trace

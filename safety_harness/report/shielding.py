@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from safety_harness.geometry.segments import point_segment_distance
-from safety_harness.properties.shield_theorem import broken_assumptions
+from safety_harness.properties.shield_theorem import broken_assumptions, counts_words
+from safety_harness.properties.touching import theorem_bits
 from safety_harness.properties.true_motion import capsules_of
 from safety_harness.robot.distance import place_capsules
 from safety_harness.robot.kinematics import links_in_base
@@ -78,7 +79,7 @@ def shield_data(trace: Trace) -> dict[str, Any] | None:
         "by_part": dict(by_part.most_common()),
         "least_scale": float(trace.interventions["scale"].min()),
         "slowings": [asdict(one) for one in slowings(trace)],
-        "broken_assumptions": broken_assumptions(trace),
+        "broken_assumptions": [one.text for one in broken_assumptions(trace)],
     }
 
 
@@ -91,6 +92,8 @@ def shield_lines(traces: Iterable[Trace]) -> list[str]:
     ticks, slowed = sum(len(one.interventions) for one in shielded), by_part.total()
     parts = ", ".join(f"{part} {count}" for part, count in by_part.most_common())
     line = f"slowed {slowed} of {ticks} ticks ({slowed / ticks:.1%})".replace("%", " %")
-    broken = [(trace.scenario.name, found[0]) for trace in shielded if (found := broken_assumptions(trace))]
-    held = f"assumptions 1 to 5, 7 and 9 held in {len(shielded) - len(broken)} of {len(shielded)} runs"
-    return [line + (f": {parts}" if parts else ""), held, *(f"{name}: {why}" for name, why in broken[:10])]
+    stands = counts_words(Counter(map(theorem_bits, shielded)).items())
+    broken = [
+        f"{one.scenario.name}: {found[0].text}" for one in shielded if (found := broken_assumptions(one))
+    ]
+    return [line + (f": {parts}" if parts else ""), stands, *broken[:10]]

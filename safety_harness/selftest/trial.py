@@ -12,6 +12,8 @@ from safety_harness.avoidance.flaky import refuse_flaky
 from safety_harness.exceptions import FlakyAvoiderError, described
 from safety_harness.properties.base import Evaluation, Unit
 from safety_harness.properties.hand_distance import HAND_DISTANCE
+from safety_harness.properties.shield_theorem import REFUTED
+from safety_harness.properties.touching import theorem_bits
 from safety_harness.scenario.model import Verdict
 from safety_harness.selftest.fault import SeededFault
 from safety_harness.selftest.geometry import Kept, hand_distance_kept
@@ -182,7 +184,10 @@ class FaultTrials:
         system = fault.circumstance.bring_about(ChangedSystem(self.episodes[number]))
         key = (number, fault.circumstance.name, world.name)
         if key not in self._sound:
-            self._sound[key] = words_on(system.admitted, system.run(world))
+            run = system.run(world)
+            if theorem_bits(run) & REFUTED:
+                raise RuntimeError(f"the sound run {run.scenario.name} refutes the theorem of its shield")
+            self._sound[key] = words_on(system.admitted, run)
         faulty = fault.seed_into(system, magnitude)
         try:
             trace = faulty.run(world)

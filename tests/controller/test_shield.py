@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import lru_cache
 from math import inf, sqrt
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -28,9 +29,16 @@ from safety_harness.controller.records import (
 )
 from safety_harness.controller.shield import Guard, allowed_share, guard_of, keep_apart
 from safety_harness.properties.base import Evaluation
-from safety_harness.properties.shield_theorem import broken_assumptions
-from safety_harness.properties.touching import NO_MOVING_PART_TOUCHES
-from safety_harness.report.shielding import slowings
+from safety_harness.properties.shield_theorem import (
+    NOT_KNOWN,
+    REFUTED,
+    SHIELDED,
+    broken_assumptions,
+    counts_words,
+)
+from safety_harness.properties.touching import NO_MOVING_PART_TOUCHES, theorem_bits
+from safety_harness.properties.true_motion import refuse_contradictions
+from safety_harness.report.shielding import shield_data, shield_lines, slowings
 from safety_harness.robot.capsules import load_capsules
 from safety_harness.robot.distance import place_capsules
 from safety_harness.robot.kinematics import fastest_end, link_twists
@@ -243,7 +251,10 @@ def test_each_assumption_is_needed(assumption: str) -> None:
         trace = run_kinematic(admitted)
     said = NO_MOVING_PART_TOUCHES.prop.evaluate(trace)
     assert said.verdict is Verdict.VIOLATED
-    assert f"assumption {ASSUMPTIONS[assumption]} did not hold at " in said.reason
+    standing = said.reason.partition("; the shield's theorem does not apply: ")[2]
+    assert f"assumption {ASSUMPTIONS[assumption]} did not hold at " in standing
+    assert theorem_bits(trace) & (1 << ASSUMPTIONS[assumption])
+    assert not theorem_bits(trace) & REFUTED
 
 
 ASSUMPTIONS = {
@@ -266,10 +277,82 @@ class Forgets(Admitted):
         return guard
 
 
-def test_capsules_have_to_enclose_the_links() -> None:
-    forgetful = Forgets(**vars(admit(parse_scenario(REACH + ONLY_THE_ARM), controller=Swings())))
-    said = NO_MOVING_PART_TOUCHES.prop.evaluate(run_kinematic(forgetful))
+def forgetful(reach: str = REACH) -> Admitted:
+    return Forgets(**vars(admit(parse_scenario(reach + ONLY_THE_ARM), controller=Swings())))
+
+
+def test_a_touch_while_all_that_a_trace_tells_held_refutes_the_theorem() -> None:
+    """No trace tells that capsules do not enclose the links."""
+    trace = run_kinematic(forgetful())
+    said = NO_MOVING_PART_TOUCHES.prop.evaluate(trace)
     assert said.verdict is Verdict.VIOLATED
+    assert "; REFUTES THE SHIELD'S THEOREM: " in said.reason
+    assert theorem_bits(trace) == SHIELDED | REFUTED
+    words = "the assumptions that a trace tells held in 1 of 1 runs; THE THEOREM IS REFUTED in 1"
+    assert shield_lines([trace])[1:] == [words]
+
+
+FLIES = """      - move to: [1400 mm, -1200 mm, 300 mm]
+        speed: 3 m/s
+"""
+
+
+def test_what_is_broken_after_a_touch_does_not_excuse_it() -> None:
+    """The hand moves at 3 m/s once it has touched the arm; then before it does."""
+    quick = REACH.replace("    moves:\n", "    speed at most: 3 m/s\n    moves:\n")
+    later = run_kinematic(forgetful(quick.replace("      - withdraw: 1.6 m/s\n", FLIES)))
+    assert [one.number for one in broken_assumptions(later)] == [1]
+    assert theorem_bits(later) == SHIELDED | REFUTED | 1 << 1
+    there_and_back = FLIES.replace("1400 mm, -1200", "2000 mm, -2000") + FLIES
+    earlier = run_kinematic(forgetful(quick.replace("      - reach", f"{there_and_back}      - reach")))
+    said = NO_MOVING_PART_TOUCHES.prop.evaluate(earlier)
+    assert said.verdict is Verdict.VIOLATED
+    assert "the shield's theorem does not apply: assumption 1 did not hold at " in said.reason
+    assert theorem_bits(earlier) == SHIELDED | 1 << 1
+
+
+def test_a_trace_without_a_shield_says_nothing_of_a_theorem() -> None:
+    trace, said = swinging()
+    assert theorem_bits(trace) == 0
+    assert "theorem" not in said.reason
+
+
+def test_runs_are_counted_by_broken_assumption() -> None:
+    runs = [(0, 5), (SHIELDED, 90), (SHIELDED | 1 << 1 | 1 << 5, 7), (SHIELDED | 1 << 5 | REFUTED, 2)]
+    words = "the assumptions that a trace tells held in 90 of 99 runs"
+    words += ", assumption 1 did not hold in 7, assumption 5 did not hold in 9; THE THEOREM IS REFUTED in 2"
+    assert counts_words(runs) == words
+    assert counts_words([(0, 5)]) == ""
+    assert counts_words([(SHIELDED | 1 << NOT_KNOWN, 3)]).endswith("held in 0 of 3 runs, not known of 3")
+
+
+EARLIER = Path(__file__).parents[1] / "trace/earlier"
+
+
+@pytest.mark.parametrize(
+    ("file", "verdict", "margin_m"),
+    [
+        ("shield-touched.trace", Verdict.VIOLATED, -0.025592697198193584),
+        ("shield-kept.trace", Verdict.HOLDS, 0.015362109491393945),
+    ],
+)
+def test_traces_of_shields_that_knew_of_no_command_on_its_way_are_judged(
+    file: str, verdict: Verdict, margin_m: float
+) -> None:
+    """They do not say what the shield saw and sent; the verdicts are those of their own version.
+
+    So are the margins, but that what is between ticks is bounded more closely now.
+    """
+    trace = load_trace(EARLIER / file)
+    refuse_contradictions(trace)
+    said = NO_MOVING_PART_TOUCHES.prop.evaluate(trace)
+    assert said.verdict is verdict
+    assert said.margin == pytest.approx(margin_m, abs=3e-4)
+    assert "whether the shield's theorem applies is not known: the trace does not say" in said.reason
+    assert theorem_bits(trace) == SHIELDED | 1 << NOT_KNOWN
+    data = shield_data(trace)
+    assert data is not None
+    assert data["slowed"] > 0
 
 
 def test_a_forearm_that_reaches_farther_than_assumed_is_touched() -> None:

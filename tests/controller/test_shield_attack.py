@@ -5,6 +5,7 @@ It draws arms, drives, shields, sensors and hands, and goes on from the runs tha
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from typing import Any
 
@@ -35,9 +36,32 @@ ELBOWS = (
     "[0 mm, 0 mm, 500 mm]",
     "",  # where the hand goes: there its forearm turns at once, and the distance between ticks is not known
 )
-SEAT = ", seated at: {position: [0 mm, 0 mm, 150 mm], yaw: 180 deg}"
+SEATS = (
+    ", seated at: {position: [0 mm, 0 mm, 150 mm], yaw: 180 deg}",
+    ", seated at: {position: [0 mm, 0 mm, 150 mm], tilt: [20 deg, -15 deg, 0 deg]}",
+)
+BODIES = ((60.0, "10 mm"), (60.0, "10 mm"), (200.0, "150 mm"), (345.0, "300 mm"))  # forearms' lengths
+OBSTACLE = "obstacles:\n  - {box: [100 mm, 100 mm, 200 mm], at: [-600 mm, %s, 200 mm]}\n"
 ARMS = ("shipped:ur10e", "shipped:ur10e", "shipped:iiwa14", "UR10")
-SIZE, ELITE = 44, 20
+SIZE, ELITE, MINDS = 46, 20, 50
+THERE = {  # what the attack has to contain, and what it is in a scenario's text
+    "a dead time": "dead time: [1-9]",
+    "drives that lag": "lag: [1-9]",
+    "a torque limit": "torque limit",
+    "a small body": "body within: 60.0 mm",
+    "half a forearm": "body within: 200.0 mm",
+    "a forearm": "body within: 345.0 mm",
+    "a forearm first": r"elbow towards: \[0 mm, 0 mm, 500 mm\]",
+    "two hands": "left hand",
+    "a tool": "tool: ",
+    "seven joints": "iiwa14",
+    "a base on a mounting": "seated at",
+    "a tilted base": "tilt: ",
+    "an obstacle": "obstacles:",
+    "known accelerations": "hand acceleration",
+    "late frames": "latency",
+    "hands that are shown elsewhere": "is off",
+}
 
 
 class Restless:
@@ -76,16 +100,16 @@ def episode(x: np.ndarray, number: int) -> tuple[str, Restless]:
     def mm(low: float, high: float) -> str:
         return f"{_between(low, high, next(v)):.3f} mm"
 
-    arm, tool, seat = pick(*ARMS), pick("", "", TOOL), pick("", "", SEAT)
-    dead_ms, lag_ms = pick(0.0, 50.0, 100.0, 100.0 * next(v)), pick(0.0, 0.0, 0.0, 10.0)
+    arm, tool, seat = pick(*ARMS), pick("", "", TOOL), pick("", "", "", *SEATS)
+    dead_ms, lag_ms = pick(0.0, 50.0, 100.0, 100.0 * next(v)), pick(0.0, 0.0, 0.0, 20.0 * next(v))
     torque = pick("", "", "", ", torque limit: 100 %")
     slack_ms, a = pick(0.0, 0.0, 30.0), _between(1.0, 10.0, next(v))
-    z_mm, body = _between(0.0, 30.0, next(v)), pick(60.0, 60.0, 345.0)
+    z_mm, (body, forearm) = _between(0.0, 30.0, next(v)), pick(*BODIES)
     if arm == "UR10":
         robot, needs_ms = "robot: UR10", 0.0
     else:
         place = (tool + seat) if arm == "shipped:ur10e" else seat
-        drives = f"dead time: {dead_ms:.4f} ms, lag: {lag_ms} ms{torque}"
+        drives = f"dead time: {dead_ms:.4f} ms, lag: {lag_ms:.4f} ms{torque}"
         robot = f"robot: {{arm: '{arm}', drives: {{{drives}}}{place}}}"
         needs_ms = np.ceil(dead_ms / 8.0 - 1e-6) * 8.0 + 7.0 * lag_ms + 8.0 * bool(lag_ms or torque)
         slack_ms += pick(0.0, 20.0)
@@ -117,13 +141,10 @@ def episode(x: np.ndarray, number: int) -> tuple[str, Restless]:
       - wait: {20.0 + 600.0 * next(v):.1f} ms
       - {move}
 """
-    obstacle = pick(
-        "", "", "obstacles:\n  - {box: [100 mm, 100 mm, 200 mm], at: [-600 mm, 600 mm, 200 mm]}\n"
-    )
+    obstacle = pick("", "", OBSTACLE % mm(-600, 600))
     faults = f"faults:\n  - hand sensor: is off\n    offset: [{shows}]\n" if pick(0, 1) and z_mm > 5.0 else ""
     shield = f"body within: {body} mm, position uncertainty: {z_mm:.4f} mm, deceleration: {a:.4f} m/s2"
     shield += accelerates
-    forearm = "300 mm" if body > 100.0 else "10 mm"
     posture = {"shipped:ur10e": UR_CELL, "shipped:iiwa14": IIWA_CELL, "UR10": ""}[arm]
     text = f"""scenario: a hand meets an arm that changes its mind
 duration: 1.8 s
@@ -140,7 +161,7 @@ settings:
 """
     joints = 2.0 * x[-10:-3] - 1.0
     keeps = (1, 1, 4, 1000)[min(int(x[-3] * 4), 3)]
-    return text, Restless(number, joints, float(x[-2]), keeps)
+    return text, Restless(int(MINDS * x[-1]), joints, float(x[-2]), keeps)
 
 
 def attack(episodes: int, seed: int) -> tuple[Counter[str], float]:
@@ -163,11 +184,12 @@ def attack(episodes: int, seed: int) -> tuple[Counter[str], float]:
         said, broken = NO_MOVING_PART_TOUCHES.prop.evaluate(trace), broken_assumptions(trace)
         if broken:
             found["broken"] += 1
-            found[f"broken: {broken[0][:12]}"] += 1
+            found[f"broken: assumption {broken[0].number}"] += 1
             continue
         found["held"] += 1
         found["touched at rest"] += bool(trace.ticks["hand_distance_m"].min() < 0.0)
-        found["seven joints"] += trace.ticks["joint_position_rad"].shape[1] == 7
+        found.update(name for name, words in THERE.items() if re.search(words, text))
+        found["a change of mind on every tick"] += controller.keeps == 1
         if said.verdict is Verdict.INCONCLUSIVE and said.margin is not None:
             found["undecided"] += 1
             continue
@@ -185,7 +207,7 @@ def _stands(episodes: int, seed: int) -> None:
     assert found["held"] > 0.4 * episodes
     assert found["undecided"] < 0.1 * episodes
     assert found["touched at rest"] > 0.1 * episodes  # or the hands came too late for anything
-    assert found["seven joints"] > 0.05 * episodes
+    assert min(found[name] for name in (*THERE, "a change of mind on every tick")) > 0.04 * episodes
     assert least_m >= 0.0
 
 

@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
+from typer.testing import CliRunner
 
 from safety_harness.admission.admit import check
+from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT
+from safety_harness.cli.main import app
+from safety_harness.cli.validate import validate
 from safety_harness.exceptions import InadmissibleError, ScenarioError
 from safety_harness.gym.episodes import Episodes
 from safety_harness.scenario.read import parse_scenario
@@ -12,6 +18,7 @@ from safety_harness.scenario.shield import Shield
 from safety_harness.scenario.write import write_scenario
 from safety_harness.simulation.worlds import KINEMATIC
 
+ROOT = Path(__file__).parents[2]
 TEXT = """
 scenario: nobody is there
 duration: 1 s
@@ -83,3 +90,53 @@ def test_drives_later_than_its_reaction_time_are_refused(drives: str, too_short:
     with pytest.raises(InadmissibleError, match=r"expected a reaction time of at least"):
         check(parse_scenario(text + f"shield: {{reaction time: {too_short}}}\n"))
     check(parse_scenario(text + f"shield: {{reaction time: {enough}}}\n"))
+
+
+LATE = ("lag: 2 ms", "lag: 20 ms", "torque limit: 100 %", "dead time: 8 ms")
+PLAN = """\
+plan: behind a shield
+world: kinematic
+seed: 1
+strata:
+  - stratum: shielded
+    space: space.yaml
+    runs: 2
+claims:
+  - claim: joint speeds within limits
+"""
+
+
+def files_in(folder: Path, drives: str, shield: str) -> dict[str, Path]:
+    """The drives in a file that extends the one with the shield: as a scenario, a space, a plan of it."""
+    robot = f"robot: {{arm: 'shipped:ur10e', drives: {{{drives}}}}}\n"
+    start = TEXT.replace("offset: [0 mm,", "offset: [from 0 mm to 5 mm,").replace(
+        "scenario:", "scenario space:"
+    )
+    texts = {
+        "shield": f"{TEXT}{POSTURE}{shield}",
+        "extends": f"extends: shield.yaml\n{robot}",
+        "matrix": f"extends: shield.yaml\nmatrix:\n  robot: {{late: {{{robot.strip()}}}}}\n",
+        "space": f"{start}{POSTURE}{shield}{robot}",
+        "plan": PLAN,
+    }
+    for name, text in texts.items():
+        (folder / f"{name}.yaml").write_text(text)
+    return {name: folder / f"{name}.yaml" for name in texts if name != "shield"}
+
+
+@pytest.mark.parametrize("drives", LATE)
+def test_validate_and_run_refuse_such_drives_wherever_they_come_from(
+    drives: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for form, file in files_in(tmp_path, drives, "shield: speed and separation\n").items():
+        assert validate([file]) == BAD_INPUT, form
+        assert "expected a reaction time of at least" in capsys.readouterr().err, form
+    done = CliRunner().invoke(app, ["run", str(tmp_path / "extends.yaml"), "--out", str(tmp_path / "out")])
+    assert done.exit_code == BAD_INPUT
+    assert "expected a reaction time of at least" in done.output
+    for form, file in files_in(tmp_path, drives, "shield: {reaction time: 150 ms}\n").items():
+        assert validate([file]) == AS_EXPECTED, form
+
+
+def test_what_is_shipped_with_a_shield_is_not_refused() -> None:
+    assert validate([*(ROOT / "plans/shielded").glob("*.yaml"), *(ROOT / "plans").glob("shield*.yaml")]) == 0

@@ -8,16 +8,19 @@ from functools import partial
 import pytest
 from small import shipped, trials
 
+from safety_harness.admission.admit import admit
 from safety_harness.avoidance.avoider import Avoider
 from safety_harness.certification.tools import FaultState
 from safety_harness.properties.base import Evaluation, Unit
 from safety_harness.scenario.model import Verdict
+from safety_harness.scenario.read import parse_scenario
 from safety_harness.selftest import trial
 from safety_harness.selftest.fault import FaultyPart, SeededFault, SeverityLevels
 from safety_harness.selftest.outcome import outcome_of
 from safety_harness.selftest.session import sound_remarks, try_out
 from safety_harness.selftest.system import ChangedSystem
-from safety_harness.selftest.trial import RUN_FAILED, alarms_between
+from safety_harness.selftest.trial import RUN_FAILED, FaultTrials, alarms_between
+from tests.controller.test_shield import ONLY_THE_ARM, REACH, Swings, forgetful
 
 HOLDS = Evaluation(
     sentence="a claim",
@@ -119,6 +122,15 @@ def test_a_mistake_of_our_own_judging_is_no_catch(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(trial, "property_of", breaks)
     with pytest.raises(ZeroDivisionError, match="our own"):
         bench.alarms(fault, 2.0, 0)
+
+
+def test_a_sound_run_that_refutes_the_theorem_of_the_shield_fails() -> None:
+    """No assumption that a trace tells was broken, and the arm touched a hand."""
+    fault = made_up(name="nothing", seed_into=nothing)
+    kept = admit(parse_scenario(REACH + ONLY_THE_ARM), controller=Swings())
+    assert FaultTrials((kept,)).alarms(fault, 1.0, 0) == ()
+    with pytest.raises(RuntimeError, match="the sound run unnamed refutes the theorem of its shield"):
+        FaultTrials((forgetful(),)).alarms(fault, 1.0, 0)
 
 
 def test_a_fault_of_the_spread_does_not_apply_without_one() -> None:
