@@ -19,7 +19,7 @@ from safety_harness.certification.counterexamples import Searched, searches_of
 from safety_harness.certification.evidence import Evidence
 from safety_harness.certification.folder import PAGE, PDF, browser, write_folder, write_manifest, write_pdf
 from safety_harness.certification.gather import gather
-from safety_harness.certification.guard import Guard
+from safety_harness.certification.guard import ReportGuard
 from safety_harness.certification.lodged import declared_sha256
 from safety_harness.certification.proofs import CertifiedNetwork, read_certified, without_proof
 from safety_harness.certification.results import refuse_hopeless
@@ -93,7 +93,7 @@ class Certification:
         with one_more_ctrl_c(output.say, remark) as interrupted, watch(self.plan) as show:
             path, crew = self.folder / LEDGER, processes(workers)
             complete = carry_on(self.plan, path, crew, on_progress=show, enough=interrupted, say=output.say)
-        guard = Guard()
+        guard = ReportGuard()
         complete = complete and self.search(output, guard)
         without_proof(self.folder)
         if self.certified is not None:
@@ -116,7 +116,7 @@ class Certification:
             write_manifest(self.folder, evidence.files)
         return evidence, complete
 
-    def search(self, output: SearchOutput, guard: Guard) -> bool:
+    def search(self, output: SearchOutput, guard: ReportGuard) -> bool:
         """The plan's search, shared among its strata; what was begun and not finished is begun anew.
 
         False for Ctrl-C; what fails is said in the report.

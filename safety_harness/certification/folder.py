@@ -26,7 +26,7 @@ from safety_harness.certification.evidence import (
     as_text,
 )
 from safety_harness.certification.gather import GatheredEvidence
-from safety_harness.certification.guard import Guard
+from safety_harness.certification.guard import ReportGuard
 from safety_harness.certification.page import drawn
 from safety_harness.exceptions import InputError, OutputError, Place
 from safety_harness.scenario.files import refuse_no_file, resolved
@@ -51,7 +51,7 @@ def write_folder(folder: Path, gathered: GatheredEvidence, ledger: Ledger) -> Ev
     """
     try:
         _clear(folder)
-        guard = Guard()
+        guard = ReportGuard()
         guard.of("the copy of the plan", lambda: unpacked(ledger.files, folder / PLAN), Path())
         guard.of("the copies of traces", lambda: write_traces(gathered.examples, folder), None)
         evidence = replace(gathered.evidence, files=tuple(stored_files(folder)))

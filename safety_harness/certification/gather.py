@@ -38,7 +38,7 @@ from safety_harness.certification.evidence import (
 from safety_harness.certification.evidence import DeclaredPlan as PlanEvidence
 from safety_harness.certification.evidence import EvidenceProvenance as Origin
 from safety_harness.certification.findings import findings_of
-from safety_harness.certification.guard import Guard
+from safety_harness.certification.guard import ReportGuard
 from safety_harness.certification.hazards import hazards_of
 from safety_harness.certification.learned import learned_of
 from safety_harness.certification.proofs import stored_proof
@@ -94,13 +94,13 @@ def gather(
     command: str,
     trials: HarnessTrials = NO_TRIALS,
     declaration: str = "",
-    guard: Guard | None = None,
+    guard: ReportGuard | None = None,
 ) -> GatheredEvidence:
     """From the ledger, the searches below ``folder``, and some runs that are made again here.
 
     ``declaration`` is the hash of what was declared of this very plan, ``guard`` has what failed before.
     """
-    guard = guard or Guard()
+    guard = guard or ReportGuard()
     origin = _origin(plan, ledger, folder, command)
     return put_together(
         plan,
@@ -128,13 +128,13 @@ def put_together(
     proven: CertifiedProofs | None = None,
     notes: tuple[ArgumentNote, ...] = (),
     explain: Explains = told_whose_fault,
-    guard: Guard | None = None,
+    guard: ReportGuard | None = None,
 ) -> GatheredEvidence:
     """All that follows from the ledger and the searches, around what does not: the last eight.
 
     What ``guard`` notes down is among the findings.
     """
-    guard = guard or Guard()
+    guard = guard or ReportGuard()
     stored, damaged = guard.of("the stored random runs", lambda: random_traces(plan, ledger), ([], []))
     claims, strata = claims_of(plan, ledger, stored), strata_of(plan, ledger)
     searches = guard.of("the account of searches", lambda: searches_of(plan, folder), ())

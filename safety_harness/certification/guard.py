@@ -13,7 +13,7 @@ T = TypeVar("T")
 
 
 @dataclass(frozen=True, eq=False)
-class Guard:
+class ReportGuard:
     """Collects ``findings``: which parts could not be made, and why."""
 
     findings: list[OpenFinding] = field(default_factory=list)

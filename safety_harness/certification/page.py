@@ -22,7 +22,7 @@ from safety_harness.certification.evidence import (
     by_gravity,
 )
 from safety_harness.certification.figures import bounds_figure, margins_figure, separation_figure
-from safety_harness.certification.guard import Guard
+from safety_harness.certification.guard import ReportGuard
 from safety_harness.certification.result_tables import confidence_alone
 from safety_harness.certification.stored import cells_of
 from safety_harness.certification.tables import TABLES
@@ -71,16 +71,16 @@ def drawn(evidence: Evidence, runs: Mapping[int, JudgedRun]) -> tuple[str, Evide
     It asks nothing of the network.  ``runs`` are those of counterexamples, by their numbers.  A page that
     cannot be made at all has the evidence as it is in the JSON.
     """
-    guard = Guard()
+    guard = ReportGuard()
     page = guard.of("the page", lambda: _page(evidence, runs, guard), "")
     if guard.findings:  # which the page has to name, too
         new = tuple(one for one in guard.findings if one not in evidence.findings)
         evidence = replace(evidence, findings=(*evidence.findings, *new))
-        page = page and guard.of("the page", lambda: _page(evidence, runs, Guard()), "")
+        page = page and guard.of("the page", lambda: _page(evidence, runs, ReportGuard()), "")
     return page or f"<!DOCTYPE html><title>Evidence</title><pre>{escape(as_text(evidence))}</pre>", evidence
 
 
-def _page(evidence: Evidence, runs: Mapping[int, JudgedRun], guard: Guard) -> str:
+def _page(evidence: Evidence, runs: Mapping[int, JudgedRun], guard: ReportGuard) -> str:
     def picture(what: str, draw: Callable[[], str]) -> Markup:
         return Markup(guard.of(f"the picture of {what}", draw, ""))
 
@@ -173,7 +173,7 @@ def _proven(evidence: Evidence) -> list[tuple[CertifiedClaim, str, list[tuple[st
 
 
 def _counterexample(
-    one: CounterexampleEvidence, run: JudgedRun | None, replays: Replays, guard: Guard
+    one: CounterexampleEvidence, run: JudgedRun | None, replays: Replays, guard: ReportGuard
 ) -> dict[str, object]:
     """With its pictures; without a stored trace there are none."""
     none: dict[str, object] = {"run": None, "moment": ""}

@@ -187,7 +187,7 @@ def certify(
 def _shielded_lines(plan: Plan, ledger: Path) -> list[str]:
     """How much shields slowed the arm, in the random runs of each stratum whose traces are kept."""
     from safety_harness.campaign.ledger import Ledger
-    from safety_harness.certification.guard import Guard
+    from safety_harness.certification.guard import ReportGuard
     from safety_harness.certification.stored import random_traces
     from safety_harness.report.shielding import shield_lines
 
@@ -199,7 +199,7 @@ def _shielded_lines(plan: Plan, ledger: Path) -> list[str]:
     lines = []
     for k, name in shielded.items():
         traces = [one.trace for one in stored if one.stratum == k]
-        words = Guard().of("slowing", partial(shield_lines, traces), []) or [
+        words = ReportGuard().of("slowing", partial(shield_lines, traces), []) or [
             "how much it slowed is not known"
         ]
         lines.append(f"shield in {name}, {len(traces)} stored runs: {words[0]}")
