@@ -39,7 +39,7 @@ from safety_harness.properties.base import Unit
 from safety_harness.scenario.references import MODEL_SUFFIX, ONNX_SUFFIX, portable
 from safety_harness.simulation.worlds import WorldEntry, worlds_by_label
 from safety_harness.statistics.sample import Declaration, Floats, IndependentSample, Ints, refusal
-from safety_harness.trace.answer_times import AnswerTimes
+from safety_harness.trace.answer_times import AnswersTook
 from safety_harness.whole_file import replacing, writing
 
 _NUMBERS = 10 + len(COUNTS)
@@ -168,10 +168,10 @@ class Ledger:
         found = self._has("opened")
         return dict(self.all("SELECT name, sha256 FROM opened ORDER BY name")) if found else {}
 
-    def times(self, stratum: int) -> AnswerTimes:
+    def times(self, stratum: int) -> AnswersTook:
         """How long answers took in a stratum; none were timed where an older program made the ledger."""
         ((answers, slow, *times_s),) = self.all(_TIMES, stratum) if self._has("answering") else ((0, 0),)
-        return AnswerTimes(int(answers), int(slow), *times_s)
+        return AnswersTook(int(answers), int(slow), *times_s)
 
     @property
     def slow(self) -> list[str]:

@@ -117,10 +117,10 @@ class Ending:
 
     def _computing_times(self) -> list[str]:
         from safety_harness.report.decisions import ComputingTime, lines_of
-        from safety_harness.trace.answer_times import AnswerTimes
+        from safety_harness.trace.answer_times import AnswersTook
 
         runs = (
-            ComputingTime(name, words, AnswerTimes(*times))
+            ComputingTime(name, words, AnswersTook(*times))
             for sent in self._sent
             for name, words, times in sent["computing"]
         )

@@ -24,7 +24,7 @@ from safety_harness.report.words import (
     spread_words,
 )
 from safety_harness.settings import DecisionCost, DecisionTimes
-from safety_harness.trace.answer_times import AnswerTimes, most_cost_s
+from safety_harness.trace.answer_times import AnswersTook, most_cost_s
 from safety_harness.trace.overruling import Overruling, is_measured
 from safety_harness.trace.records import Check, DecisionOutcome, Trigger
 from safety_harness.trace.trace import Trace
@@ -214,14 +214,14 @@ class ComputingTime:
 
     tested: str
     words: str
-    times: AnswerTimes
+    times: AnswersTook
 
     @classmethod
     def of(cls, trace: Trace) -> ComputingTime:
         """From its record."""
         cost = trace.scenario.settings.avoidance.decision_time
         words = NOT_MODELLED if trace.scenario.driven else cost_words(cost, most_cost_s(trace))
-        return cls(trace.system.tested.name, words, AnswerTimes.of(trace))
+        return cls(trace.system.tested.name, words, AnswersTook.of(trace))
 
 
 def cost_words(cost: DecisionCost | DecisionTimes, declared_s: float) -> str:
@@ -259,10 +259,10 @@ def computing_time_lines(traces: Iterable[Trace]) -> list[str]:
 
 def lines_of(runs: Iterable[ComputingTime]) -> list[str]:
     """As ``computing_time_lines``."""
-    groups: dict[tuple[str, str], AnswerTimes] = {}
+    groups: dict[tuple[str, str], AnswersTook] = {}
     for run in runs:
         key = run.tested, run.words
-        groups[key] = groups.get(key, AnswerTimes()) + run.times
+        groups[key] = groups.get(key, AnswersTook()) + run.times
     return [
         f"{tested}: {line}"
         for (tested, words), times in groups.items()

@@ -49,7 +49,7 @@ from safety_harness.seeds import seed as leaf
 from safety_harness.simulation.simulate import INTERRUPTED
 from safety_harness.simulation.worlds import KINEMATIC, PYBULLET, WorldEntry
 from safety_harness.space.space import ScenarioSpace, each_to_hold
-from safety_harness.trace.answer_times import AnswerTimes
+from safety_harness.trace.answer_times import AnswersTook
 from safety_harness.trace.overruling import Overruling
 from safety_harness.trace.system import NOT_NOTED, SystemUnderTest
 from safety_harness.trace.trace import Trace
@@ -124,7 +124,7 @@ class Trials:
     differences: list[RunDifference] = field(default_factory=list, init=False)
     repeatability: Repeatability = field(default_factory=Repeatability, init=False)
     tried: TriedParts = field(default_factory=TriedParts, init=False)
-    times: AnswerTimes = field(default_factory=AnswerTimes, init=False)
+    times: AnswersTook = field(default_factory=AnswersTook, init=False)
     _admitter: Admitter = field(default_factory=Admitter, init=False)
 
     def __post_init__(self) -> None:
@@ -213,7 +213,7 @@ class Trials:
             self.decisions += len(trace.decisions)
             self.repeatability.add(trace)
             self.tried.add(trace)
-            self.times += AnswerTimes.of(trace)
+            self.times += AnswersTook.of(trace)
             self.unanswered += int(np.count_nonzero(unanswered(trace)))
             self.overruling += Overruling.of([trace])
             own = reference is None or not fault_of(reference)

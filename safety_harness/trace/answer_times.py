@@ -15,7 +15,7 @@ MOST_SLOW = 0.05  # of the answers: with more, the 95th percentile is above the 
 
 
 @dataclass(frozen=True)
-class AnswerTimes:
+class AnswersTook:
     """The ``answers`` that were timed, and how many of them were ``slow``: took longer than ``limit_s`` [s].
 
     That is the most that a decision costs in simulated time, or a control period where it costs nothing, as
@@ -28,7 +28,7 @@ class AnswerTimes:
     limit_s: float = 0.0
 
     @classmethod
-    def of(cls, trace: Trace) -> AnswerTimes:
+    def of(cls, trace: Trace) -> AnswersTook:
         """Take them from the record of one run; answers that were given together were not timed."""
         settings, took_s = trace.scenario.settings, trace.answer_s
         limit_s = 0.0
@@ -38,8 +38,8 @@ class AnswerTimes:
         slow = int(np.count_nonzero(took_s > limit_s))
         return cls(len(took_s), slow, float(np.max(took_s, initial=0.0)), limit_s)
 
-    def __add__(self, other: AnswerTimes) -> AnswerTimes:
-        return AnswerTimes(
+    def __add__(self, other: AnswersTook) -> AnswersTook:
+        return AnswersTook(
             self.answers + other.answers,
             self.slow + other.slow,
             max(self.slowest_s, other.slowest_s),

@@ -28,7 +28,7 @@ from safety_harness.report.search_attribution import SearchAttribution
 from safety_harness.scenario.model import Driver
 from safety_harness.search import session as search_session
 from safety_harness.simulation.worlds import KINEMATIC
-from safety_harness.trace.answer_times import AnswerTimes
+from safety_harness.trace.answer_times import AnswersTook
 from safety_harness.trace.trace import Trace
 from tests.campaign.plans import PLAN, ledger_in, plan_in
 from tests.search.short_space import SHORT, TEXT
@@ -101,7 +101,7 @@ def test_one_call_for_all_says_nothing_of_one_answer(tmp_path: Path) -> None:
     plan = small(tmp_path, "Together")
     with Ledger.open(filled(tmp_path, plan)) as ledger:
         assert ledger.times(0).slow == ledger.times(0).answers == RUNS * TICKS
-        assert ledger.times(1) == AnswerTimes(limit_s=ledger.times(1).limit_s)
+        assert ledger.times(1) == AnswersTook(limit_s=ledger.times(1).limit_s)
 
 
 def test_times_are_part_of_no_result(tmp_path: Path) -> None:
@@ -190,12 +190,12 @@ def test_an_avoider_is_held_against_what_its_decisions_cost(tmp_path: Path) -> N
     (driven,) = run_all([Admitter().admit(scenario)], KINEMATIC)
     assert isinstance(driven, Trace)
     timed = replace(driven, answer_s=np.array([0.009] + [0.001] * (TICKS - 1)))
-    assert AnswerTimes.of(timed) == AnswerTimes(TICKS, 1, 0.009, 0.008)
-    assert AnswerTimes.of(timed).words == ""  # one in fifty-one: the 95th percentile is within the period
-    times = AnswerTimes(20, 2, 0.2, 0.1) + AnswerTimes(20, 0, 0.05, 0.1)
-    assert times == AnswerTimes(40, 2, 0.2, 0.1)
+    assert AnswersTook.of(timed) == AnswersTook(TICKS, 1, 0.009, 0.008)
+    assert AnswersTook.of(timed).words == ""  # one in fifty-one: the 95th percentile is within the period
+    times = AnswersTook(20, 2, 0.2, 0.1) + AnswersTook(20, 0, 0.05, 0.1)
+    assert times == AnswersTook(40, 2, 0.2, 0.1)
     assert times.words == ""
-    assert (times + AnswerTimes(1, 1, 0.3, 0.1)).words == (
+    assert (times + AnswersTook(1, 1, 0.3, 0.1)).words == (
         "on this machine 3 of 41 answers (7.3 %) took longer than the 100 ms that the runs allow, "
         "the slowest 300.0 ms (3 times): it was tested as if it answered in time"
     )
