@@ -36,7 +36,8 @@ def _property_of(claim: Claim, scenario: Scenario) -> Property:
         entry, match = meant
         found = entry.property_of(match, scenario, claim.place)
         if claim.edition < EDITION and isinstance(found, ProtectiveSeparation):
-            return replace(found, default_mps=WALKING_MPS)
+            default_mps = WALKING_MPS if claim.edition < 2 else found.default_mps
+            return replace(found, default_mps=default_mps, tcp_alone=True)
         return found
     if looks_like_formula(claim.sentence):
         formula = FormulaClaim(parse_formula(claim.sentence, claim.place))

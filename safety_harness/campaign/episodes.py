@@ -37,6 +37,7 @@ from safety_harness.search.coverage import cell_of
 from safety_harness.seeds import Branch, generator
 from safety_harness.seeds import seed as leaf
 from safety_harness.statistics.sample import EpisodeOutcome
+from safety_harness.trace.answer_times import AnswersTook
 from safety_harness.trace.consistency import first_inconsistency
 from safety_harness.trace.overruling import Overruling
 from safety_harness.trace.records import Check
@@ -203,6 +204,7 @@ class EpisodeRunner:
             worker=self.worker,
             asked=() if run.scenario.driven else tuple(asked_in(run)),
             driven=driven_in(run),
+            times=AnswersTook.of(run),
         )
 
     def _kept_whatever(self, stratum: int) -> frozenset[int]:

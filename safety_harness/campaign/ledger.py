@@ -12,7 +12,7 @@ import os
 import sqlite3
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import closing, contextmanager
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from functools import cached_property, partial
 from operator import itemgetter
 from pathlib import Path
@@ -39,6 +39,7 @@ from safety_harness.properties.base import Unit
 from safety_harness.scenario.references import MODEL_SUFFIX, ONNX_SUFFIX, portable
 from safety_harness.simulation.worlds import WorldEntry, worlds_by_label
 from safety_harness.statistics.sample import Declaration, Floats, IndependentSample, Ints, refusal
+from safety_harness.trace.answer_times import AnswersTook
 from safety_harness.whole_file import replacing, writing
 
 _NUMBERS = 10 + len(COUNTS)
@@ -49,6 +50,10 @@ _SAMPLE = (
     "AND j.episode < coalesce(?, j.episode + 1)"
 )
 _DISTINCT = "SELECT stratum, count(DISTINCT run), count(*) FROM episode WHERE run <> 0 GROUP BY stratum"
+_TIMES = (  # numbers, whatever a stranger's ledger has there
+    "SELECT total(answers), total(slow), ifnull(max(slowest_s + 0.0), 0.0), "
+    "max(ifnull(max(limit_s + 0.0), 0.0), 1e-9) FROM answering WHERE stratum = ?"
+)
 _JUDGEMENT = f"INSERT INTO judgement VALUES ({', '.join('?' * 7)})"
 
 
@@ -160,8 +165,19 @@ class Ledger:
 
         It is empty for those that they write themselves.
         """
-        found = list(self.all("SELECT 1 FROM sqlite_master WHERE name = 'opened' AND type = 'table'"))
+        found = self._has("opened")
         return dict(self.all("SELECT name, sha256 FROM opened ORDER BY name")) if found else {}
+
+    def times(self, stratum: int) -> AnswersTook:
+        """How long answers took in a stratum; none were timed where an older program made the ledger."""
+        ((answers, slow, *times_s),) = self.all(_TIMES, stratum) if self._has("answering") else ((0, 0),)
+        return AnswersTook(int(answers), int(slow), *times_s)
+
+    @property
+    def slow(self) -> list[str]:
+        """Each stratum in which answers took longer than its runs allow, in words."""
+        named = ((name, self.times(k).words) for k, name in enumerate(self.declared.strata))
+        return [f"{name}: {words}" for name, words in named if words]
 
     def take_opened(self, files: Iterable[tuple[str, str]]) -> None:
         """Note files down; LedgerError for one of which earlier runs read other bytes."""
@@ -217,6 +233,10 @@ class Ledger:
                 for claim, one in enumerate(row.judgements):
                     found = (int(one.outcome), one.margin, one.worst_time_s, one.exercised)
                     execute(_JUDGEMENT, (row.stratum, claim, row.episode, *found))  # a NaN becomes NULL
+                if row.times.answers:
+                    execute(
+                        "INSERT INTO answering VALUES (?, ?, ?, ?, ?)", (row.stratum, *astuple(row.times))
+                    )
                 if row.trace is not None:
                     kept = (row.stratum, row.episode, row.violates, row.trace)
                     execute("INSERT INTO trace VALUES (?, ?, ?, ?)", kept)
@@ -251,7 +271,7 @@ class Ledger:
     @property
     def asks_again(self) -> bool:
         """Has it a table for that?  Those of older programs have none."""
-        return bool(list(self.all("SELECT 1 FROM sqlite_master WHERE name = 'repeated' AND type = 'table'")))
+        return self._has("repeated")
 
     @property
     def repeated(self) -> RepeatabilityResult:
@@ -389,6 +409,10 @@ class Ledger:
             yield
         finally:
             self.connection.execute(f"DETACH {name}")
+
+    def _has(self, table: str) -> bool:
+        """Is there such a table?  Ledgers of older programs lack some."""
+        return bool(list(self.all("SELECT 1 FROM sqlite_master WHERE name = ? AND type = 'table'", table)))
 
     def all(self, question: str, *values: object) -> Iterator[tuple[Any, ...]]:
         """The rows of the answer to a question in SQL."""

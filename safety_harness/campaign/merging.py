@@ -87,6 +87,7 @@ def _take_over(whole: Ledger, path: Path) -> None:
         )
         whole.connection.execute("INSERT OR IGNORE INTO judgement SELECT * FROM part.judgement")
         whole.connection.execute("INSERT OR IGNORE INTO trace SELECT * FROM part.trace")
+        whole.connection.execute("INSERT INTO answering SELECT * FROM part.answering")
         columns = "questions, asked, differing, words, apart"
         whole.connection.execute(
             f"INSERT INTO repeated ({columns}) SELECT {columns} FROM part.repeated ORDER BY id"

@@ -120,7 +120,7 @@ def _refuse_other_tables(connection: sqlite3.Connection, path: Path) -> None:
         known = dict(whole.execute(_KINDS))
         columns = {name: _columns(whole, name) for name, kind in known.items() if kind == "table"}
     found = dict(connection.execute(_KINDS))
-    for name in {"repeated", "opened"} - {*found}:  # of an older program
+    for name in {"repeated", "opened", "answering"} - {*found}:  # of an older program
         del known[name], columns[name]
     other = [name for name in {*known, *found} if known.get(name) != found.get(name)]
     other += [name for name in columns if not other and _columns(connection, name) != columns[name]]
@@ -233,6 +233,10 @@ CREATE TABLE repeated (
     differing INTEGER NOT NULL, words TEXT NOT NULL, apart INTEGER NOT NULL
 );
 CREATE TABLE opened (name TEXT PRIMARY KEY, sha256 TEXT NOT NULL) WITHOUT ROWID;
+CREATE TABLE answering (  -- how long answers took on the machines of the runs: part of no result
+    stratum INTEGER NOT NULL, answers INTEGER NOT NULL, slow INTEGER NOT NULL,
+    slowest_s REAL NOT NULL, limit_s REAL NOT NULL
+);
 CREATE VIEW episodes AS
     SELECT s.name AS stratum, e.episode, e.seed, e.draws, e.decisions, e.proposed, e.opposite, e.stopped,
         e.faults, e.late, {OVERRULED} AS overruled, e.{", e.".join(counts)},

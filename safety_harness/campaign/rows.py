@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from safety_harness.admission.repeatability import DrivenRun
 from safety_harness.avoidance.flaky import Asked
 from safety_harness.statistics.sample import EpisodeOutcome
+from safety_harness.trace.answer_times import AnswersTook
 from safety_harness.trace.overruling import Overruling
 
 
@@ -56,6 +57,7 @@ class Row:
     # Of which a ledger keeps nothing with the row; ``opened``: files beside the plan, and their SHA-256.
     asked: tuple[Asked, ...] = field(default=(), repr=False, compare=False)
     driven: DrivenRun | None = field(default=None, repr=False, compare=False)
+    times: AnswersTook = field(default_factory=AnswersTook, repr=False, compare=False)  # of this machine
     opened: tuple[tuple[str, str], ...] = field(default=(), repr=False, compare=False)
 
     @property

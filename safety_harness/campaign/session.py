@@ -12,7 +12,7 @@ from functools import partial
 from pathlib import Path
 
 from safety_harness.admission.admit import refuse_no_answer
-from safety_harness.admission.repeatability import Repeatability
+from safety_harness.admission.repeatability import Repeatability, RepeatabilityResult
 from safety_harness.campaign.episodes import trace_of
 from safety_harness.campaign.identity import unpacked
 from safety_harness.campaign.ledger import Ledger
@@ -20,6 +20,7 @@ from safety_harness.campaign.opening import only_runner
 from safety_harness.campaign.plan import Plan, read_plan, scenarios_by_avoider
 from safety_harness.campaign.processes import LIMITS, Limits, Processes, WorkerPool, bench_of_file
 from safety_harness.campaign.runner import CampaignRunner
+from safety_harness.exceptions import described
 
 LEDGER = "ledger.sqlite"
 MakesCrew = Callable[[Plan], WorkerPool]
@@ -68,7 +69,7 @@ def carry_on(
         ledger.begin_session(datetime.now(UTC).isoformat(timespec="seconds"), f"{crew.size}", machine)
         runner = CampaignRunner(plan, ledger, crew, on_progress=on_progress, enough=enough, part=part)
         complete = runner.run()
-        ledger.note_repeated(runner.repeatability.check())
+        ledger.note_repeated(_checked(runner.repeatability.check))
         return complete
 
 
@@ -79,14 +80,26 @@ def _ask_again(plan: Plan, ledger: Ledger, say: Callable[[str], None]) -> None:
     )
     days = dict.fromkeys(f"{datetime.fromisoformat(one):%-d %B %Y}" for one in ends if one)
     say(f"nothing was run: all {count} episodes are of {' to '.join(days) or 'an unknown day'}")
-    repeatability = Repeatability()
-    for stratum, episode, _ in ledger.traces():
-        repeatability.add(trace_of(plan, stratum, ledger.trace(stratum, episode) or b""))
-    found = repeatability.check()
+
+    def check() -> RepeatabilityResult:
+        repeatability = Repeatability()
+        for stratum, episode, _ in ledger.traces():
+            repeatability.add(trace_of(plan, stratum, ledger.trace(stratum, episode) or b""))
+        return repeatability.check()
+
+    found = _checked(check)
     if found.asked or found.words:
         say(found.line)
     if found.differing:
         ledger.note_repeated(found)
+
+
+def _checked(check: Callable[[], RepeatabilityResult]) -> RepeatabilityResult:
+    """What comes out of it; if it fails, which is no reason to lose the runs, that it did."""
+    try:
+        return check()
+    except Exception as error:  # also of a user's program
+        return RepeatabilityResult(questions=0, words=f"repeatability cannot be checked: {described(error)}")
 
 
 def _known(path: Path, plan: Plan) -> Ledger | None:

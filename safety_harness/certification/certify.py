@@ -15,20 +15,20 @@ from safety_harness.campaign.plan import Plan, read_plan
 from safety_harness.campaign.runner import CampaignRunner
 from safety_harness.campaign.session import LEDGER, carry_on, processes
 from safety_harness.certification.argument_files import read_notes
-from safety_harness.certification.counterexamples import searches_of
+from safety_harness.certification.counterexamples import Searched, searches_of
 from safety_harness.certification.evidence import Evidence
 from safety_harness.certification.folder import PAGE, PDF, browser, write_folder, write_manifest, write_pdf
 from safety_harness.certification.gather import gather
+from safety_harness.certification.guard import ReportGuard
 from safety_harness.certification.lodged import declared_sha256
 from safety_harness.certification.proofs import CertifiedNetwork, read_certified, without_proof
 from safety_harness.certification.results import refuse_hopeless
 from safety_harness.certification.tools import HarnessTrials, read_cell, read_oracles, read_selftest
-from safety_harness.exceptions import SafetyHarnessError, explanation
 from safety_harness.interrupts import one_more_ctrl_c
 from safety_harness.report.search_attribution import SearchAttribution
 from safety_harness.report.search_files import write_search
 from safety_harness.search.default import Default
-from safety_harness.search.session import SearchOutput, search_space
+from safety_harness.search.session import SearchOutput, SearchSession, search_space
 from safety_harness.search.trials import Trials, in_kinematic
 from safety_harness.space.read import read_space
 from safety_harness.trace.provenance import refuse_shared_modules
@@ -93,10 +93,11 @@ class Certification:
         with one_more_ctrl_c(output.say, remark) as interrupted, watch(self.plan) as show:
             path, crew = self.folder / LEDGER, processes(workers)
             complete = carry_on(self.plan, path, crew, on_progress=show, enough=interrupted, say=output.say)
-        complete = complete and self.search(output)
+        guard = ReportGuard()
+        complete = complete and self.search(output, guard)
         without_proof(self.folder)
         if self.certified is not None:
-            self.certified.write(self.folder)
+            guard.of("the copy of the proof", partial(self.certified.write, self.folder), None)
         with Ledger.open(self.folder / LEDGER) as ledger:
             gathered = gather(
                 self.plan,
@@ -105,14 +106,17 @@ class Certification:
                 command=self.command,
                 trials=self.trials,
                 declaration=self.declaration_sha256,
+                guard=guard,
             )
             evidence = write_folder(self.folder, gathered, ledger)
-        if self.pdf:
-            write_pdf(self.folder / PAGE, self.folder / PDF)
-        write_manifest(self.folder, evidence.files)
+        try:
+            if self.pdf:
+                write_pdf(self.folder / PAGE, self.folder / PDF)
+        finally:
+            write_manifest(self.folder, evidence.files)
         return evidence, complete
 
-    def search(self, output: SearchOutput) -> bool:
+    def search(self, output: SearchOutput, guard: ReportGuard) -> bool:
         """The plan's search, shared among its strata; what was begun and not finished is begun anew.
 
         False for Ctrl-C; what fails is said in the report.
@@ -123,29 +127,32 @@ class Certification:
             output.say(f"searching {one.stratum} for counterexamples, {one.asked} runs")
             shutil.rmtree(one.folder, ignore_errors=True)
             try:
-                trials = Trials(
-                    read_space(stratum.space.file),
-                    in_kinematic,
-                    seed=self.plan.seed,
-                    avoider=self.plan.avoider_here,
-                    sentences=tuple(claim.sentence for claim in self.plan.claims),
-                )
-                attribution = SearchAttribution()
-                made = search_space(
-                    trials,
-                    Default,
-                    out=one.folder,
-                    budget=one.asked,
-                    output=output,
-                    write_page=partial(write_search, attribution=attribution),
-                    explain=attribution.explain,
-                )
-            except SafetyHarnessError as error:
-                output.say(f"error: {explanation(error)}")
-                continue
+                what = f"the search of {one.stratum}"
+                made = guard.of(what, partial(self._searched, stratum.space.file, one, output), None)
             except KeyboardInterrupt:
                 output.say("interrupted before anything was tried")
                 return False
-            if made.interrupted and made.unwritable is None:
+            if made is None:
+                output.say(f"error: {guard.findings[-1].text}")
+            elif made.interrupted and made.unwritable is None:
                 return False
         return True
+
+    def _searched(self, space: Path, one: Searched, output: SearchOutput) -> SearchSession:
+        trials = Trials(
+            read_space(space),
+            in_kinematic,
+            seed=self.plan.seed,
+            avoider=self.plan.avoider_here,
+            sentences=tuple(claim.sentence for claim in self.plan.claims),
+        )
+        attribution = SearchAttribution()
+        return search_space(
+            trials,
+            Default,
+            out=one.folder,
+            budget=one.asked,
+            output=output,
+            write_page=partial(write_search, attribution=attribution),
+            explain=attribution.explain,
+        )

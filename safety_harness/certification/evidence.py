@@ -33,6 +33,7 @@ LATER = (
     "notes",
     "learned",
 )  # fields that stand in the JSON only where there is something in them
+UNMADE = "cannot be made"  # of a part of the report that failed after the runs
 UNANSWERED = "decision faults"  # among a stratum's decisions: those without a usable answer of the avoider
 
 
@@ -493,6 +494,11 @@ class Evidence:
         decisions = [pair for stratum in self.strata for pair in stratum.decisions]
         unanswered = sum(count for what, count in decisions if what == UNANSWERED)
         return fallback_words(unanswered, sum(count for what, count in decisions if what != UNANSWERED))
+
+    @property
+    def unmade(self) -> list[str]:
+        """Which parts of the report failed after the runs, and why."""
+        return [one.text for one in self.findings if f" {UNMADE}: " in one.text]
 
     @property
     def full(self) -> bool:

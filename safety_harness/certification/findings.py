@@ -17,7 +17,6 @@ from safety_harness.certification.evidence import (
     StratumResult,
 )
 from safety_harness.certification.tools import Credibility, SelfTest
-from safety_harness.certification.whose_fault import UNTOLD
 
 _PLAIN = {
     ClaimStatus.REFUTED: "is refuted",
@@ -42,12 +41,14 @@ def findings_of(
     yield from of_claims(evidence.claims)
     yield from of_hazards(evidence.hazards, model_only=evidence.plan.model_only)
     yield from of_strata(ledger, evidence.strata)
+    yield from (OpenFinding(text, "strata") for text in ledger.slow)
+    tested, strata = evidence.system, range(len(evidence.strata))
+    if tested.under_test and not (tested.asks or any(ledger.times(k).answers for k in strata)):
+        yield OpenFinding("how long the controller takes to answer was not measured", "strata")
     if ledger.repeated.words or not ledger.repeated.asked:
         yield OpenFinding(ledger.repeated.line, "strata")
     yield from (OpenFinding(text, "strata") for text in of_stored)
     yield from of_examples(met)
-    if evidence.whose_fault.about.startswith(UNTOLD):
-        yield OpenFinding(evidence.whose_fault.about, "counterexamples")
     yield from of_searches(searches, evidence.plan.search_runs)
     yield from of_worlds(evidence.credibility)
     yield from of_selftest(evidence.selftest)

@@ -26,7 +26,8 @@ from safety_harness.certification.evidence import (
     as_text,
 )
 from safety_harness.certification.gather import GatheredEvidence
-from safety_harness.certification.page import write_page
+from safety_harness.certification.guard import ReportGuard
+from safety_harness.certification.page import drawn
 from safety_harness.exceptions import InputError, OutputError, Place
 from safety_harness.scenario.files import refuse_no_file, resolved
 from safety_harness.scenario.kinds import FileKind, refuse_other_kind
@@ -50,14 +51,16 @@ def write_folder(folder: Path, gathered: GatheredEvidence, ledger: Ledger) -> Ev
     """
     try:
         _clear(folder)
-        unpacked(ledger.files, folder / PLAN)
-        write_traces(gathered.examples, folder)
+        guard = ReportGuard()
+        guard.of("the copy of the plan", lambda: unpacked(ledger.files, folder / PLAN), Path())
+        guard.of("the copies of traces", lambda: write_traces(gathered.examples, folder), None)
         evidence = replace(gathered.evidence, files=tuple(stored_files(folder)))
-        write_whole(folder / JSON, as_text(evidence))
-        write_whole(folder / JUNIT, junit_xml(evidence))
-        for name, text in argument_texts(evidence).items():
+        texts = guard.of("the files of the argument", lambda: argument_texts(evidence), {})
+        texts[JUNIT] = guard.of(JUNIT, lambda: junit_xml(evidence), "")
+        evidence = replace(evidence, findings=(*evidence.findings, *guard.findings))
+        texts[PAGE], evidence = drawn(evidence, gathered.runs)
+        for name, text in {JSON: as_text(evidence), **texts}.items():
             write_whole(folder / name, text)
-        write_page(folder / PAGE, evidence, gathered.runs)
     except OSError as error:
         raise OutputError.of(folder, error) from error
     return evidence

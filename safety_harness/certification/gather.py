@@ -6,10 +6,9 @@ import os
 import platform
 import shlex
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TypeVar
 
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import Plan
@@ -33,11 +32,13 @@ from safety_harness.certification.evidence import (
     ClaimStatus,
     Evidence,
     Record,
+    SystemDescription,
     WhoseFault,
 )
 from safety_harness.certification.evidence import DeclaredPlan as PlanEvidence
 from safety_harness.certification.evidence import EvidenceProvenance as Origin
 from safety_harness.certification.findings import findings_of
+from safety_harness.certification.guard import ReportGuard
 from safety_harness.certification.hazards import hazards_of
 from safety_harness.certification.learned import learned_of
 from safety_harness.certification.proofs import stored_proof
@@ -52,16 +53,19 @@ from safety_harness.certification.stored import (
     untried_in,
 )
 from safety_harness.certification.system import system_of
-from safety_harness.certification.tools import NO_TRIALS, Credibility, HarnessTrials
+from safety_harness.certification.tools import NO_TRIALS, CoverageOfRuns, Credibility, HarnessTrials
 from safety_harness.certification.verdicts import gravest
 from safety_harness.certification.whose_fault import whose_fault
-from safety_harness.exceptions import described
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.page_parts import in_words
 from safety_harness.trace.provenance import provenance
 
-T = TypeVar("T")
-
+NO_SYSTEM = SystemDescription(under_test=(), card=(), limits=(), gate=(), settings=(), changed=())
+NO_COVERAGE = CoverageOfRuns(runs=0, without_hand=0, cells=(), about="")
+NOT_BLAMED = WhoseFault(about="whose fault the violations are cannot be told", groups=(), would_help=())
+NOT_BELIEVED = Credibility(
+    agreement=None, reruns=(), oracles=(), oracles_measured_with="", absent=("it could not be told",)
+)
 Explains = Callable[[Plan, Sequence[Example | str]], Iterable[Example | str]]
 NO_SELFTEST = (
     "The harness was not put on trial for this report: no table of seeded faults was given (safety-harness "
@@ -90,11 +94,13 @@ def gather(
     command: str,
     trials: HarnessTrials = NO_TRIALS,
     declaration: str = "",
+    guard: ReportGuard | None = None,
 ) -> GatheredEvidence:
     """From the ledger, the searches below ``folder``, and some runs that are made again here.
 
-    ``declaration`` is the hash of what was declared of this very plan.
+    ``declaration`` is the hash of what was declared of this very plan, ``guard`` has what failed before.
     """
+    guard = guard or ReportGuard()
     origin = _origin(plan, ledger, folder, command)
     return put_together(
         plan,
@@ -103,8 +109,9 @@ def gather(
         trials,
         declaration=declaration,
         origin=origin,
-        proven=stored_proof(folder, plan),
-        notes=read_notes(folder),
+        proven=guard.of("the account of what is proven", lambda: stored_proof(folder, plan), None),
+        notes=guard.of("the list of the author's notes", lambda: read_notes(folder), ()),
+        guard=guard,
     )
 
 
@@ -121,14 +128,26 @@ def put_together(
     proven: CertifiedProofs | None = None,
     notes: tuple[ArgumentNote, ...] = (),
     explain: Explains = told_whose_fault,
+    guard: ReportGuard | None = None,
 ) -> GatheredEvidence:
-    """All that follows from the ledger and the searches, around what does not: the last seven."""
-    stored, damaged = random_traces(plan, ledger)
+    """All that follows from the ledger and the searches, around what does not: the last eight.
+
+    What ``guard`` notes down is among the findings.
+    """
+    guard = guard or ReportGuard()
+    stored, damaged = guard.of("the stored random runs", lambda: random_traces(plan, ledger), ([], []))
     claims, strata = claims_of(plan, ledger, stored), strata_of(plan, ledger)
-    searches = searches_of(plan, folder)
-    guard = _Guard()
-    declared = explain(plan, tuple(declared_counterexamples(plan, ledger)))
-    met = [*declared, *searched_counterexamples(plan, searches, folder)]
+    searches = guard.of("the account of searches", lambda: searches_of(plan, folder), ())
+    declared = guard.of(
+        "the table of counterexamples", lambda: tuple(declared_counterexamples(plan, ledger)), ()
+    )
+    searched = guard.of(
+        "the table of the search's counterexamples",
+        lambda: tuple(searched_counterexamples(plan, searches, folder)),
+        (),
+    )
+    told = guard.of("the attribution of counterexamples", lambda: tuple(explain(plan, declared)), declared)
+    met = [*told, *searched]
     examples = numbered(met)
     evidence = Evidence(
         format=FORMAT,
@@ -137,19 +156,19 @@ def put_together(
         plan=_plan(plan, ledger),
         standing=gravest(claim.standing for claim in claims),
         strata=strata,
-        overruling=overruling_of(ledger),
-        shields=shields_in(ledger),
+        overruling=guard.of("the account of overruled proposals", lambda: overruling_of(ledger), ()),
+        shields=guard.of("the runs behind a shield", lambda: shields_in(ledger), ()),
         claims=claims,
-        system=system_of(plan, ledger.opened),
+        system=guard.of("the description of the system", lambda: system_of(plan, ledger.opened), NO_SYSTEM),
         assumptions=ASSUMPTIONS,
         exclusions=(*EXCLUSIONS, *ledger.wrists),
         separation=guard.of("the separation of the runs", lambda: tuple(separation_of(plan, stored)), ()),
         calibration=guard.of("the calibration of the runs", lambda: tuple(calibration_of(plan, stored)), ()),
-        coverage=coverage_of(ledger),
+        coverage=guard.of("the coverage of the runs", lambda: coverage_of(ledger), NO_COVERAGE),
         counterexamples=tuple(one.shown for one in examples),
-        whose_fault=blame(plan, ledger),
-        search=search_evidence(searches),
-        credibility=believe(stored, trials),
+        whose_fault=guard.of("the attribution", lambda: blame(plan, ledger), NOT_BLAMED),
+        search=guard.of("the summary of searches", lambda: search_evidence(searches), None),
+        credibility=guard.of("the account of credibility", lambda: believe(stored, trials), NOT_BELIEVED),
         selftest=trials.selftest,
         selftest_absent="" if trials.selftest else NO_SELFTEST,
         record=Record(rows_sha256=root_of(ledger), declaration_sha256=declaration),
@@ -157,30 +176,19 @@ def put_together(
         provenance=replace(origin, libraries=origin.libraries + _files(stored)),
         files=(),
         proven=proven,
-        hazards=hazards_of(plan, ledger),
+        hazards=guard.of("the account of hazards", lambda: hazards_of(plan, ledger), ()),
         notes=notes,
         learned=guard.of("the account of the learned part", lambda: learned_of(plan, ledger, stored), None),
     )
-    untried: tuple[str, ...] = guard.of(
-        "the list of what no run tried", lambda: tuple(untried_in(plan, stored)), ()
+    untried = guard.of("the list of what no run tried", lambda: untried_in(plan, stored), [])
+    findings = guard.of(
+        "the list of findings",
+        lambda: tuple(findings_of(evidence, ledger, met, searches, [*damaged, *untried])),
+        (),
     )
-    findings = tuple(findings_of(evidence, ledger, met, searches, [*damaged, *untried, *guard.open]))
-    return GatheredEvidence(evidence=replace(evidence, findings=findings), examples=examples)
-
-
-@dataclass(frozen=True, eq=False)
-class _Guard:
-    """Around what is made after the runs: what fails is ``open``, and no reason to lose the report."""
-
-    open: list[str] = field(default_factory=list)
-
-    def of(self, what: str, make: Callable[[], T], otherwise: T) -> T:
-        """What ``make`` gives; ``otherwise`` if it fails, which is noted down."""
-        try:
-            return make()
-        except Exception as error:  # also of a user's program, whatever it raises
-            self.open.append(f"{what} cannot be made: {described(error)}")
-            return otherwise
+    return GatheredEvidence(
+        evidence=replace(evidence, findings=(*findings, *guard.findings)), examples=examples
+    )
 
 
 def _files(stored: Sequence[Stored]) -> tuple[tuple[str, str], ...]:

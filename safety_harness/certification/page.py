@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
-from pathlib import Path
 
-from markupsafe import Markup
+from markupsafe import Markup, escape
 
 from safety_harness.campaign.session import LEDGER
 from safety_harness.certification.argument import STATE, UNDEVELOPED, argument_of, argument_svg
@@ -19,14 +18,15 @@ from safety_harness.certification.evidence import (
     CounterexampleEvidence,
     Evidence,
     OpenFinding,
+    as_text,
     by_gravity,
 )
 from safety_harness.certification.figures import bounds_figure, margins_figure, separation_figure
+from safety_harness.certification.guard import ReportGuard
 from safety_harness.certification.result_tables import confidence_alone
 from safety_harness.certification.stored import cells_of
 from safety_harness.certification.tables import TABLES
 from safety_harness.certification.verdicts import confidence_words, percent
-from safety_harness.exceptions import described
 from safety_harness.report.attribution_picture import draw_attributions
 from safety_harness.report.coverage_map import coverage_map
 from safety_harness.report.evidence import JudgedRun
@@ -36,7 +36,6 @@ from safety_harness.report.proof_page import SCALE, STATES, drawn_maps
 from safety_harness.report.question_maps import key_of
 from safety_harness.report.replay import Replays
 from safety_harness.report.timeline import timeline
-from safety_harness.whole_file import write_whole
 
 MEANINGS = {
     ClaimStatus.SHOWN: "the upper bound of the violation probability is at or below the target in every "
@@ -56,24 +55,38 @@ MOST_OPEN = 2  # counterexamples that are drawn as the page opens
 MOST_PRINTED, MOST_PRINTED_CLAIMS, MOST_PRINTED_ROWS = 3, 4, 25
 
 
-def write_page(path: Path, evidence: Evidence, runs: Mapping[int, JudgedRun]) -> None:
-    """Write the page whole or not at all; it asks nothing of the network.  Raises OSError."""
-    write_whole(path, render(evidence, runs))
-
-
 def _meanings(evidence: Evidence) -> dict[ClaimStatus, str]:
     stood_in = ", or about the fallback in the avoider's place" if evidence.system.asks else ""
     return MEANINGS | {ClaimStatus.DOUBTED: MEANINGS[ClaimStatus.DOUBTED] + stood_in}
 
 
 def render(evidence: Evidence, runs: Mapping[int, JudgedRun]) -> str:
-    """The page as text; ``runs`` are those of counterexamples, by their numbers.
+    """The page of ``drawn`` as text: the same arguments give the same bytes."""
+    return drawn(evidence, runs)[0]
 
-    The same arguments give the same bytes.
+
+def drawn(evidence: Evidence, runs: Mapping[int, JudgedRun]) -> tuple[str, Evidence]:
+    """Return the page as text, and the evidence with a finding for each part that could not be drawn.
+
+    It asks nothing of the network.  ``runs`` are those of counterexamples, by their numbers.  A page that
+    cannot be made at all has the evidence as it is in the JSON.
     """
+    guard = ReportGuard()
+    page = guard.of("the page", lambda: _page(evidence, runs, guard), "")
+    if guard.findings:  # which the page has to name, too
+        new = tuple(one for one in guard.findings if one not in evidence.findings)
+        evidence = replace(evidence, findings=(*evidence.findings, *new))
+        page = page and guard.of("the page", lambda: _page(evidence, runs, ReportGuard()), "")
+    return page or f"<!DOCTYPE html><title>Evidence</title><pre>{escape(as_text(evidence))}</pre>", evidence
+
+
+def _page(evidence: Evidence, runs: Mapping[int, JudgedRun], guard: ReportGuard) -> str:
+    def picture(what: str, draw: Callable[[], str]) -> Markup:
+        return Markup(guard.of(f"the picture of {what}", draw, ""))
+
     top = argument_of(evidence)
     replays = Replays()
-    views = [_counterexample(one, runs.get(one.number), replays) for one in evidence.counterexamples]
+    views = [_counterexample(one, runs.get(one.number), replays, guard) for one in evidence.counterexamples]
     return render_page(
         "evidence.html.j2",
         style="evidence.css",
@@ -97,22 +110,25 @@ def render(evidence: Evidence, runs: Mapping[int, JudgedRun]) -> str:
         most_printed_rows=MOST_PRINTED_ROWS,
         meanings=_meanings(evidence),
         tables=TABLES,
-        bounds_figure=bounds_figure,
-        margins_figure=margins_figure,
+        bounds_figure=lambda *given: picture("bounds", lambda: bounds_figure(*given)),
+        margins_figure=lambda *given: picture("margins", lambda: margins_figure(*given)),
         counterexamples=views,
-        faults_picture=Markup(draw_attributions(dict(evidence.whose_fault.groups))),
+        faults_picture=picture(
+            "the attribution", lambda: draw_attributions(dict(evidence.whose_fault.groups))
+        ),
         top=top,
-        argument=Markup(argument_svg(top, prefix="argument-")),
-        separation=Markup(separation_figure(evidence.separation)),
-        coverage_map=Markup(
-            coverage_map(
+        argument=picture("the argument", lambda: argument_svg(top, prefix="argument-")),
+        separation=picture("the separation", lambda: separation_figure(evidence.separation)),
+        coverage_map=picture(
+            "the coverage",
+            lambda: coverage_map(
                 *cells_of(evidence.coverage),
                 prefix="coverage-map-",
                 title="Coverage of the domain by the declared runs",
-            )
+            ),
         ),
         percent=percent,
-        proven=_proven(evidence),
+        proven=guard.of("the picture of what is proven", lambda: _proven(evidence), []),
         proven_key=Markup(key_of(SCALE)),
         confidence=confidence_words,
     )
@@ -157,16 +173,14 @@ def _proven(evidence: Evidence) -> list[tuple[CertifiedClaim, str, list[tuple[st
 
 
 def _counterexample(
-    one: CounterexampleEvidence, run: JudgedRun | None, replays: Replays
+    one: CounterexampleEvidence, run: JudgedRun | None, replays: Replays, guard: ReportGuard
 ) -> dict[str, object]:
     """With its pictures; without a stored trace there are none."""
+    none: dict[str, object] = {"run": None, "moment": ""}
     if run is None or len(run.trace.ticks) == 0:
-        return {"one": one, "run": None, "moment": ""}
-    try:
-        return {"one": one} | _pictures(one, run.under(one.sentence), replays)
-    except Exception as error:  # no reason to lose the page
-        words = f"open: its pictures cannot be made: {described(error)}"
-        return {"one": replace(one, lines=(*one.lines, words)), "run": None, "moment": ""}
+        return {"one": one} | none
+    what = f"the pictures of counterexample {one.number}"
+    return {"one": one} | guard.of(what, lambda: _pictures(one, run.under(one.sentence), replays), none)
 
 
 def _pictures(one: CounterexampleEvidence, run: JudgedRun, replays: Replays) -> dict[str, object]:

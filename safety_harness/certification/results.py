@@ -20,6 +20,7 @@ from safety_harness.campaign.plan import Plan, PlannedClaim
 from safety_harness.campaign.summary import fallback_of
 from safety_harness.certification.evidence import (
     UNANSWERED,
+    UNMADE,
     Bound,
     ClaimEvidence,
     ClaimResult,
@@ -31,7 +32,7 @@ from safety_harness.certification.evidence import (
 from safety_harness.certification.standards import entry_of, traced
 from safety_harness.certification.stored import Stored, came_nearest
 from safety_harness.certification.verdicts import overall, standing_of
-from safety_harness.exceptions import StatisticsError
+from safety_harness.exceptions import StatisticsError, described
 from safety_harness.properties.answered import is_claimed
 from safety_harness.proportions import LEVEL
 from safety_harness.statistics.binomial import Sides, bounds_of, ends_of, violation_bounds
@@ -122,7 +123,10 @@ def _outcome(plan: Plan, ledger: Ledger, stored: Sequence[Stored], place: int, c
         stood_in=bool(fallback.unanswered) and (fallback.unanswered == fallback.decisions or not claimed),
     )
     if standing is ClaimStatus.UNTESTED:
-        why += f"; {came_nearest(plan, stored, place, claim)}"
+        try:
+            why += f"; {came_nearest(plan, stored, place, claim)}"
+        except Exception as error:  # of a run judged again
+            why += f"; how near a hand came {UNMADE}: {described(error)}"
     sure = np.isin(codes, (Code.HOLDS, Code.VIOLATED)) & np.isfinite(margins)
     shown, shares = _curve(np.sort(margins[sure]), without)
     return ClaimResult(

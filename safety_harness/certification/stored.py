@@ -15,7 +15,7 @@ from safety_harness.campaign.plan import Plan
 from safety_harness.certification.evidence import CalibrationCheck, SeparationCase, SeparationTerm
 from safety_harness.certification.system import model_of
 from safety_harness.certification.tools import CellCount, CoverageOfRuns
-from safety_harness.exceptions import TraceError
+from safety_harness.exceptions import InputError, described
 from safety_harness.properties.protective_separation import ProtectiveSeparation
 from safety_harness.properties.spread_calibration import IntervalRule, SpreadCalibration
 from safety_harness.properties.tried import TriedParts
@@ -47,9 +47,11 @@ def random_traces(plan: Plan, ledger: Ledger) -> tuple[list[Stored], list[str]]:
         try:
             data = ledger.trace(stratum, episode) or b""
             found.append(Stored(stratum, episode, trace_of(plan, stratum, data)))
-        except TraceError as error:
-            where = f"{plan.strata[stratum].name}, run {episode}"
-            damaged.append(f"{where}: its stored trace cannot be read: {error.got}")
+        except Exception as error:  # also of a scenario that cannot be read any more
+            why = error.got if isinstance(error, InputError) else described(error)
+            damaged.append(
+                f"{plan.strata[stratum].name}, run {episode}: its stored trace cannot be read: {why}"
+            )
     return found, damaged
 
 

@@ -8,26 +8,18 @@ from safety_harness.campaign.attributed import ViolatedEpisodes, violated_episod
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import Plan
 from safety_harness.certification.evidence import WhoseFault
-from safety_harness.exceptions import described
 
-UNTOLD = "whose fault the violations are cannot be told: "
 MOST = 20  # violations of each claim: the first ones
 
 
 def whose_fault(plan: Plan, ledger: Ledger) -> WhoseFault:
-    """Ask by kinematic replays; it executes what the plan names, as the runs did.
-
-    What cannot be told is no reason to lose the report: ``about`` says it.
-    """
+    """Ask by kinematic replays; it executes what the plan names, as the runs did."""
     violated = ViolatedEpisodes.first(ledger, MOST)
-    try:
-        tally = AttributionTally.of(
-            found
-            for admitted, claims in violated_episodes(plan, violated, programs=True)
-            for found in attribute(admitted, claims)
-        )
-    except Exception as error:  # of a user's program, whatever it raises
-        return WhoseFault(about=f"{UNTOLD}{described(error)}", groups=(), would_help=())
+    tally = AttributionTally.of(
+        found
+        for admitted, claims in violated_episodes(plan, violated, programs=True)
+        for found in attribute(admitted, claims)
+    )
     return WhoseFault(
         about=f"{violated.words}, the first {MOST} of each claim" if violated.of else "",
         groups=tuple(tally.groups.items()),

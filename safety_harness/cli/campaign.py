@@ -29,7 +29,7 @@ from safety_harness.cli.options import (
     Workers,
     command,
 )
-from safety_harness.exceptions import LedgerError, ScenarioError
+from safety_harness.exceptions import LedgerError, SafetyHarnessError, ScenarioError, described
 
 if TYPE_CHECKING:
     from safety_harness.campaign.ledger import Ledger
@@ -179,7 +179,15 @@ def _carry_on(
     result(*tested_lines(plan))
     with Ledger.open(path, check=False) as ledger:
         finished = kind_of(path.parent) is FileKind.REPORT  # whose files are those of its manifest
-        state = _say_ledger(ledger, None if finished else path.with_suffix(".html"))
+        state, drawn = _say_ledger(ledger), True
+        try:
+            if not finished:
+                _write_page(ledger, state, path.with_suffix(".html"))
+        except SafetyHarnessError:
+            raise
+        except Exception as error:  # no reason to keep silent about the runs
+            say(f"error: the page cannot be made: {described(error)}; the ledger has all runs")
+            drawn = False
         tally, targets = state.tally, {claim.sentence: claim.target for claim in plan.claims}
         asked = [(one, target) for one in state.bounds if (target := targets[one.claim]) is not None]
         unshown = require_shown and not (asked and all(one.shows(target) for one, target in asked))
@@ -192,7 +200,8 @@ def _carry_on(
         say("not every target of the plan is shown, as --require-shown asks")
     claims = [tally.of_claim(number).counts for number in range(len(plan.claims))]
     unknown = any(one[EpisodeOutcome.UNTESTED] == sum(one.values()) for one in claims)
-    return DIFFERS if tally.failed or unanswered or unlike or unknown or unshown else AS_EXPECTED
+    failed = tally.failed or not drawn
+    return DIFFERS if failed or unanswered or unlike or unknown or unshown else AS_EXPECTED
 
 
 def _say_ledger(ledger: Ledger, page: Path | None = None) -> LedgerState:

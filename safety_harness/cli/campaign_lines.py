@@ -46,6 +46,7 @@ def ledger_lines(ledger: Ledger, state: LedgerState) -> Iterator[str]:
     yield from (*_failure_lines(ledger), *_fallback_lines(ledger), *_overruled_lines(ledger))
     yield from (f"  {line}" for line in shields_in(ledger))
     yield f"  {ledger.repeated.line}"
+    yield from (f"  computing time: {line}" for line in ledger.slow)
     yield from worst_lines(declared.claims, declared.units, tally)
     if tally.complete:
         yield from _bound_lines(ledger, state.bounds)
@@ -77,6 +78,7 @@ def ledger_data(ledger: Ledger, state: LedgerState) -> dict[str, object]:
         "overruling": overruling_in(ledger).named,
         "shields": shields_in(ledger),
         "repeatability": ledger.repeated,
+        "slow_answers": ledger.slow,
         "dependent": ledger.dependent or None,
         "bounds": state.bounds or None,
         "fingerprint": state.fingerprint,

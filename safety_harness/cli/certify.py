@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -114,6 +115,7 @@ def certify(
     from safety_harness.scenario.model import Driver
     from safety_harness.scenario.typed_json import plain
     from safety_harness.search.session import SearchOutput
+    from safety_harness.trace.answer_times import UNHEEDED
 
     words = ["safety-harness", "certify", str(told(plan))]
     if controller is not None:
@@ -149,6 +151,7 @@ def certify(
         workers, watching_campaign, SearchOutput(say, say, watching_search, watching_words)
     )
     document(**plain(evidence), page=job.folder / PAGE)
+    say(*(f"error: {text}" for text in evidence.unmade))
     result(*tested_lines(job.plan), *_shielded_lines(job.plan, job.folder / LEDGER))
     for claim in evidence.claims:
         mark = {"holds": "ok  ", "violated": "NO  "}.get(STATE[claim.standing], "open")
@@ -164,19 +167,27 @@ def certify(
         result(f"all {bounds} bounds of the report hold together with {confidence} confidence")
     if evidence.fallback:
         result(evidence.fallback)
-    say(*(f"note: {one.text}" for one in evidence.findings if f": {UNTRIED} " in one.text))
+    say(
+        *(
+            f"note: {one.text}"
+            for one in evidence.findings
+            if f": {UNTRIED} " in one.text or UNHEEDED in one.text
+        )
+    )
     result(f"{job.folder / PAGE}: {evidence.standing.value}")
     if not complete:
         say("interrupted: the report says what is missing; the same command goes on from there")
         return INTERRUPTED
     if earlier is not None:
-        return _tell_delta(earlier, EarlierReport.read(job.folder), again)
-    return AS_EXPECTED if evidence.standing is ClaimStatus.SHOWN else DIFFERS
+        worse = _tell_delta(earlier, EarlierReport.read(job.folder), again)
+        return DIFFERS if evidence.unmade else worse
+    return AS_EXPECTED if evidence.standing is ClaimStatus.SHOWN and not evidence.unmade else DIFFERS
 
 
 def _shielded_lines(plan: Plan, ledger: Path) -> list[str]:
     """How much shields slowed the arm, in the random runs of each stratum whose traces are kept."""
     from safety_harness.campaign.ledger import Ledger
+    from safety_harness.certification.guard import ReportGuard
     from safety_harness.certification.stored import random_traces
     from safety_harness.report.shielding import shield_lines
 
@@ -188,7 +199,9 @@ def _shielded_lines(plan: Plan, ledger: Path) -> list[str]:
     lines = []
     for k, name in shielded.items():
         traces = [one.trace for one in stored if one.stratum == k]
-        words = shield_lines(traces) or ["how much it slowed is not known"]
+        words = ReportGuard().of("slowing", partial(shield_lines, traces), []) or [
+            "how much it slowed is not known"
+        ]
         lines.append(f"shield in {name}, {len(traces)} stored runs: {words[0]}")
     return lines
 

@@ -25,6 +25,7 @@ from safety_harness.properties.separation import (
     REACHING_MPS,
     Separation,
     farthest_steps,
+    fastest_mps,
     least_separation,
     lengths,
 )
@@ -52,9 +53,10 @@ def _ends(prop: ProtectiveSeparation, trace: Trace, margin_m: float) -> tuple[fl
     )
     speed_mps, faster_radps = known.of("tcp_speed_mps").uncertainty, rate_radps[:, None]
     per_speed_s2pm, grace_s = braking.stop_time_per_speed_s2pm, GRACE_TICKS * period_s
-    reaction_s, stop_s = times_left_s(trace)
+    stopped_mps = prop.stopped_from_mps(trace)
+    reaction_s, stop_s = _times_s(trace, stopped_mps)
     longest_s = braking.stop_time_base_s + grace_s
-    longest_s += per_speed_s2pm * float(trace.ticks["tcp_speed_mps"].max() + speed_mps)
+    longest_s += per_speed_s2pm * float(stopped_mps.max() + speed_mps)
     turns_radps = np.abs(true.rates_radps)
     sure = turns_radps.max(axis=1) >= STANDSTILL_RADPS + rate_radps
     maybe = turns_radps.max(axis=1) >= STANDSTILL_RADPS - rate_radps
@@ -65,7 +67,7 @@ def _ends(prop: ProtectiveSeparation, trace: Trace, margin_m: float) -> tuple[fl
 
     stopping = _may_be_stopping(trace)
     in_doubt = known.of("limits").limited or (bool(stopping.any()) and speed_mps > 0.0)
-    whole_s = per_speed_s2pm * trace.ticks["tcp_speed_mps"] + braking.stop_time_base_s
+    whole_s = per_speed_s2pm * stopped_mps + braking.stop_time_base_s
     left_s = (
         whole_s + braking.reaction_time_s if in_doubt else reaction_s + stop_s
     ) - per_speed_s2pm * speed_mps
@@ -77,7 +79,7 @@ def _ends(prop: ProtectiveSeparation, trace: Trace, margin_m: float) -> tuple[fl
 
     low = margin_m if braking.reaction_time_s >= longest_s - braking.stop_time_base_s else -np.inf
     if known.uncertain((*JOINTS, "tcp_speed_mps", *OF_HANDS)):
-        reaction_s, stop_s = _times_left_s(trace, per_speed_s2pm * speed_mps, longest_s)
+        reaction_s, stop_s = _times_left_s(trace, stopped_mps, per_speed_s2pm * speed_mps, longest_s)
         arm_mps = (turns_radps + faster_radps) @ reach_m
         needed_m = most_mps * (reaction_s + stop_s) + arm_mps * (reaction_s + 0.5 * stop_s)
         needed_m += 0.5 * period_s * (hand_mps + arm_mps)
@@ -108,8 +110,11 @@ class ProtectiveSeparation:
     the nearest pair of each link, not only of the nearest link: a slow link may be nearer than a fast
     one that should be farther away.
 
-    T_r and T_s are the settings' (T_s at the TCP speed of that tick).  Once a protective stop is
-    under way only what is left of them counts: a stop that begins in time is no violation later on.
+    T_r and T_s are the settings', T_s at the TCP's speed of that tick or, where that is larger, at that of
+    the arm's fastest point: all joints brake together, and a link stops no sooner than the fastest.  With
+    ``tcp_alone``, or where joints are known to within some uncertainty only, it is the TCP's.  Once a
+    protective stop is under way only what is left of them counts: a stop that begins in time is no violation
+    later on.
 
     Exercised when a hand comes as near to the moving arm as S_p can be for an arm at its speed limit.
     """
@@ -117,6 +122,7 @@ class ProtectiveSeparation:
     hand_speed_mps: float | None = None
     default_mps: float = REACHING_MPS
     own_speeds: bool = False
+    tcp_alone: bool = False  # as editions 1 and 2 of the claims have it
     unit: Unit = Unit.LENGTH
 
     @property
@@ -132,6 +138,12 @@ class ProtectiveSeparation:
     def assumed_mps(self) -> float:
         """The v_h that is taken where the hands' own speeds are not."""
         return self.default_mps if self.hand_speed_mps is None else self.hand_speed_mps
+
+    def stopped_from_mps(self, trace: Trace) -> NDArray[np.float64]:
+        """Return the speed (n,) [m/s] that T_s is taken at."""
+        tcp_mps: NDArray[np.float64] = trace.ticks["tcp_speed_mps"]
+        alone = self.tcp_alone or trace.known.uncertain(JOINTS)
+        return tcp_mps if alone else np.maximum(tcp_mps, _fastest_mps_of(trace))
 
     @reads(*JOINTS, "tcp_speed_mps", *OF_HANDS, bounded=["limits"], of_each_hand=True, ends=_ends)
     def evaluate(self, trace: Trace) -> Evaluation:
@@ -149,6 +161,8 @@ class ProtectiveSeparation:
             return nearest_of(trace, nearest_m, near_m, "hand", "the moving arm's surface")
 
         reason, times = described(trace, worst), times_begun(nearest_m < near_m)
+        if not self.tcp_alone and trace.known.uncertain(JOINTS):
+            reason += "; T_s is by the TCP's speed alone, as joints are known to within some uncertainty only"
         return judged(self, trace, worst.margin_m, trace.time_s[worst.tick], reason, times, lacked)
 
     def worst(self, trace: Trace) -> Separation | None:
@@ -156,7 +170,7 @@ class ProtectiveSeparation:
         settings, true, turns = trace.scenario.settings, true_motion(trace), moving(trace)
         if trace.ended == UNMEASURED:  # speeds at its last tick are not those of the whole run
             turns = turns & (np.arange(len(turns)) < len(turns) - 1)
-        reaction_s, stop_s = times_left_s(trace)
+        reaction_s, stop_s = _times_s(trace, self.stopped_from_mps(trace))
         which, what = least_separation(
             arm_of(trace),
             turns,
@@ -229,19 +243,33 @@ def times_left_s(trace: Trace) -> tuple[NDArray[np.float64], NDArray[np.float64]
     arm that still moves when its ramp has been over for two ticks again all of both.  None is carried out
     in a trace that does not know of all its flags.
     """
-    whole = not trace.known.of("limits").limited
-    return _times_left_s(trace, 0.0) if whole else _full_times_s(trace, 0.0)
+    return _times_s(trace, trace.ticks["tcp_speed_mps"])
 
 
-def _full_times_s(trace: Trace, off_s: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """(n,) and (n,) of all of both."""
-    braking, speed_mps = trace.scenario.settings.braking, trace.ticks["tcp_speed_mps"]
+def _times_s(trace: Trace, speed_mps: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """As ``times_left_s``, of stops from a speed (n,) that is no less than the TCP's."""
+    known = not trace.known.of("limits").limited
+    return (_times_left_s if known else _full_times_s)(trace, speed_mps, 0.0)
+
+
+@once_a_trace
+def _fastest_mps_of(trace: Trace) -> NDArray[np.float64]:
+    """(n,) of ``fastest_mps``."""
+    true = true_motion(trace)
+    return fastest_mps(arm_of(trace), true.joints_rad, true.rates_radps)
+
+
+def _full_times_s(
+    trace: Trace, speed_mps: NDArray[np.float64], off_s: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """(n,) and (n,) of all of both; ``speed_mps`` (n,)."""
+    braking = trace.scenario.settings.braking
     stop_s = braking.stop_time_base_s + braking.stop_time_per_speed_s2pm * speed_mps + off_s
     return np.full(len(speed_mps), braking.reaction_time_s), stop_s
 
 
 def _times_left_s(
-    trace: Trace, off_s: float, longest_s: float = 0.0
+    trace: Trace, speed_mps: NDArray[np.float64], off_s: float, longest_s: float = 0.0
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """(n,) and (n,) at most, where the stop time that a speed gives may be ``off_s`` more or less.
 
@@ -249,10 +277,10 @@ def _times_left_s(
     ``longest_s`` where nothing is known of stops.
     """
     period_s, time_s = trace.scenario.settings.clock.control_period_s, trace.time_s
-    reaction_s, stop_s = _full_times_s(trace, off_s)
+    reaction_s, stop_s = _full_times_s(trace, speed_mps, off_s)
     known = trace.known.measured("limits", trace.ticks)
     stopping = known & _may_be_stopping(trace)
-    whole_s = stop_s.copy()
+    whole_s, by_tcp_s = stop_s.copy(), _full_times_s(trace, trace.ticks["tcp_speed_mps"], off_s)[1]
     stop_s[~known] = longest_s
     for first, after in zip(*runs_of(stopping), strict=True):
         if first > 0 and not known[first - 1]:
@@ -261,9 +289,9 @@ def _times_left_s(
         run = slice(first, after)
         left_s = reaction_s[run] - (time_s[run] - time_s[first])
         braked = left_s <= 1e-9
-        ramp_s = left_s + (whole_s[first + int(np.argmax(braked))] if braked.any() else 0.0)
-        late_s = ramp_s + GRACE_TICKS * period_s
-        ramped = braked & (late_s > 2.0 * off_s)
+        begun = first + int(np.argmax(braked))
+        late_s = left_s + (whole_s[begun] if braked.any() else 0.0) + GRACE_TICKS * period_s
+        ramped = braked & (late_s - (whole_s - by_tcp_s)[begun] > 2.0 * off_s)  # the drives ramp by the TCP
         reaction_s[run] = np.where(ramped, 0.0, np.where(braked, reaction_s[run], left_s))
         stop_s[run] = np.where(ramped, np.maximum(late_s, 0.0), whole_s[run])
     return reaction_s, stop_s
@@ -281,8 +309,9 @@ def described(trace: Trace, found: Separation) -> str:
 
 
 _TIMES = (
-    "reaction time, stop time and hand sizes of the settings; the stop time is by the TCP's speed, and a "
-    "link that is faster may stop later; C, Z_d and Z_r are those of an oracle, and a real sensor's are more"
+    "reaction time, stop time and hand sizes of the settings; the stop time is by the speed of the TCP or of "
+    "the arm's fastest point, whichever is larger (by the TCP's where a log's joints are uncertain); C, "
+    "Z_d and Z_r are those of an oracle, and a real sensor's are more"
 )
 _MARGIN = "distance, surface to surface, less S_p, least over hands, links and ticks at which the arm moves"
 

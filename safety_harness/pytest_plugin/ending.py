@@ -117,8 +117,13 @@ class Ending:
 
     def _computing_times(self) -> list[str]:
         from safety_harness.report.decisions import ComputingTime, lines_of
+        from safety_harness.trace.answer_times import AnswersTook
 
-        runs = (ComputingTime(*values) for sent in self._sent for values in sent["computing"])
+        runs = (
+            ComputingTime(name, words, AnswersTook(*times))
+            for sent in self._sent
+            for name, words, times in sent["computing"]
+        )
         return [f"computing time: {line}" for line in lines_of(runs)]
 
     def _untried(self) -> list[str]:

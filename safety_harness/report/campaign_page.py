@@ -60,7 +60,13 @@ def write_page(
         answer=_answer(tally, verdicts),
         remarks=[
             one
-            for one in (ledger.dependent, fallback_of(ledger).words, ledger.repeated.words, *ledger.wrists)
+            for one in (
+                ledger.dependent,
+                fallback_of(ledger).words,
+                ledger.repeated.words,
+                *ledger.slow,
+                *ledger.wrists,
+            )
             if one
         ],
         rows=rows,

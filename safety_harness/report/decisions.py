@@ -6,11 +6,10 @@ That is what decisions cost in simulated time, and what they took on the machine
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from safety_harness.properties.answered import NOT_MODELLED, fallback_words, unanswered
 from safety_harness.report.words import (
@@ -25,6 +24,7 @@ from safety_harness.report.words import (
     spread_words,
 )
 from safety_harness.settings import DecisionCost, DecisionTimes
+from safety_harness.trace.answer_times import AnswersTook, most_cost_s
 from safety_harness.trace.overruling import Overruling, is_measured
 from safety_harness.trace.records import Check, DecisionOutcome, Trigger
 from safety_harness.trace.trace import Trace
@@ -210,28 +210,18 @@ def latency_words(trace: Trace) -> str:
 
 @dataclass(frozen=True)
 class ComputingTime:
-    """Of one run in which something was decided; ``cost_s`` is the most that a decision may cost."""
+    """What one run says of it: what a decision costs, in ``words``, and the ``times`` that answers took."""
 
-    avoider: str
+    tested: str
     words: str
-    cost_s: float
-    period_s: float
-    measured_s: tuple[float, ...]  # by the wall's clock; none of decisions that were made together
+    times: AnswersTook
 
     @classmethod
     def of(cls, trace: Trace) -> ComputingTime:
         """From its record."""
-        settings, measured_s = trace.scenario.settings, trace.decision_latency_s
-        cost = settings.avoidance.decision_time
-        drawn_s = cost.quantiles_s if isinstance(cost, DecisionTimes) else trace.decisions["decision_time_s"]
-        cost_s = float(np.max(drawn_s, initial=0.0))
-        return cls(
-            trace.system.tested.name,
-            cost_words(cost, cost_s),
-            cost_s,
-            settings.clock.control_period_s,
-            tuple(measured_s[measured_s > 0.0].tolist()),
-        )
+        cost = trace.scenario.settings.avoidance.decision_time
+        words = NOT_MODELLED if trace.scenario.driven else cost_words(cost, most_cost_s(trace))
+        return cls(trace.system.tested.name, words, AnswersTook.of(trace))
 
 
 def cost_words(cost: DecisionCost | DecisionTimes, declared_s: float) -> str:
@@ -252,53 +242,30 @@ def cost_words(cost: DecisionCost | DecisionTimes, declared_s: float) -> str:
     return f"{most} a decision" if always else f"{least} to {most}, drawn for each decision"
 
 
+def computing_times(traces: Iterable[Trace]) -> list[ComputingTime]:
+    """Return those of the runs in which something was decided, or a controller was timed."""
+    return [
+        ComputingTime.of(trace)
+        for trace in traces
+        if len(trace.answer_s)
+        or (len(trace.decisions) and not trace.scenario.driven and decided(trace, "decision_time_s"))
+    ]
+
+
 def computing_time_lines(traces: Iterable[Trace]) -> list[str]:
-    """A line on each avoider that decided and on each controller, one more where an avoider took longer."""
-    every = list(traces)
-    made = (trace for trace in every if len(trace.decisions) and decided(trace, "decision_time_s"))
-    return [*lines_of(map(ComputingTime.of, made)), *controller_lines(every)]
-
-
-def controller_lines(traces: Iterable[Trace]) -> list[str]:
-    """A line on each user's controller that was timed: a period in the median makes it too slow."""
-    times_s: dict[tuple[str, float], list[NDArray[np.float64]]] = {}
-    for trace in traces:
-        if len(trace.answer_s):
-            key = trace.system.tested.name, trace.scenario.settings.clock.control_period_s
-            times_s.setdefault(key, []).append(trace.answer_s)
-    lines = []
-    for (name, period_s), found in times_s.items():
-        median_s = float(np.median(np.concatenate(found)))
-        line = f"{name}: computing time not modelled"
-        if median_s > period_s:
-            line = (
-                f"{name}: the controller took {milliseconds_words(median_s)} in the median, "
-                f"{median_s / period_s:.2g} times the period of {milliseconds_words(period_s)}: "
-                "it was tested as if it answered at once"
-            )
-        lines.append(line)
-    return lines
+    """Return a line on each avoider and controller, one more where it was slower than its runs allow."""
+    return lines_of(computing_times(traces))
 
 
 def lines_of(runs: Iterable[ComputingTime]) -> list[str]:
     """As ``computing_time_lines``."""
-    groups: dict[tuple[str, str], list[ComputingTime]] = {}
+    groups: dict[tuple[str, str], AnswersTook] = {}
     for run in runs:
-        groups.setdefault((run.avoider, run.words), []).append(run)
-    return [line for group in groups.values() for line in _lines(group)]
-
-
-def _lines(group: list[ComputingTime]) -> Iterator[str]:
-    first = group[0]
-    yield f"{first.avoider}: {first.words}"
-    measured_s = [time_s for run in group for time_s in run.measured_s]
-    cost_s = max(run.cost_s for run in group)
-    if not measured_s or max(measured_s) <= (cost_s or first.period_s):
-        return
-    known = f"that it costs at most, {milliseconds_words(cost_s)}"
-    limit = known if cost_s else f"a control period, {milliseconds_words(first.period_s)}"
-    p99, slowest = (milliseconds_words(float(np.quantile(measured_s, q))) for q in (0.99, 1.0))
-    yield (
-        f"{first.avoider}: on this machine an answer took longer than {limit}: p99 {p99}, slowest {slowest} "
-        f"of {len(measured_s)}; no verdict depends on it"
-    )
+        key = run.tested, run.words
+        groups[key] = groups.get(key, AnswersTook()) + run.times
+    return [
+        f"{tested}: {line}"
+        for (tested, words), times in groups.items()
+        for line in (words, times.words)
+        if line
+    ]

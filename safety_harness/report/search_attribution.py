@@ -60,15 +60,13 @@ class SearchAttribution:
         try:
             admitted = self._admitter.admit(scenario)
             (one,) = attribute(admitted, (claim,))
+            asked = one.answer is AttributionAnswer.ATTRIBUTED and PYBULLET.is_installed
+            there = confirmed(admitted, one) if asked else ()
         except Exception as error:  # what was found must not be lost for want of an explanation
             return (f"whose fault: cannot be told: {described(error)}",)
         self.found[scenario.name] = one
-        lines = [f"whose fault: {one.words}"]
-        if one.answer is AttributionAnswer.ATTRIBUTED:
-            there = confirmed(admitted, one) if PYBULLET.is_installed else ()
-            changed = (replay for replay in there if replay.changes)
-            lines += (confirming_line(replay, one) for replay in changed)
-        return tuple(lines)
+        changed = (replay for replay in there if replay.changes)
+        return (f"whose fault: {one.words}", *(confirming_line(replay, one) for replay in changed))
 
     def of_search(self, session: SearchSession) -> FaultsOfSearch | None:
         """All violations together; None where there are none, or the search was interrupted."""

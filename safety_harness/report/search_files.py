@@ -47,6 +47,8 @@ def write_search(
     evidence = evidence_of(session, attribution)
     if evidence.faults is not None:
         say(evidence.faults.words)
+    if session.trials.times.words:
+        say(f"computing time: {session.trials.times.words}")
     found = as_json(session.trials, evidence)
     on_data(**found)
     try:
@@ -67,13 +69,14 @@ def evidence_of(session: SearchSession, attribution: SearchAttribution | None = 
     """Everything that the page shows."""
     trials = session.trials
     tested = trials.avoider or trials.space.simplest.under_test
+    cost = cost_words(trials.space.simplest.settings.avoidance.decision_time, trials.declared_s)
     faults = None if attribution is None else attribution.of_search(session)
     each = {} if attribution is None else attribution.found
     return SearchEvidence(
         title=trials.space.title,
         space=trials.space.name,
         tested=f"{option_of(tested).removeprefix('--')} {tested}",
-        computing_time=cost_words(trials.space.simplest.settings.avoidance.decision_time, trials.declared_s),
+        computing_time="; ".join(filter(None, (cost, trials.times.words))),
         seed=trials.seed,
         budget=session.budget,
         command=_command(session),

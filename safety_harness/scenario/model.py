@@ -358,7 +358,9 @@ HAND = Below(tables=(MOVING_HAND, JOINED_HAND, RECORDED_HAND))
 HANDS = Several(of=HAND, words="list of at most eight", most=MAX_HANDS)
 
 
-EDITION = 2  # of what the catalogue's sentences mean: 1 took people to come at 1.6 m/s where none is named
+# Of what the catalogue's sentences mean: 1 took people to come at 1.6 m/s where none is named; in 1 and 2 the
+# arm stops from the TCP's speed, however fast its other points are.
+EDITION = 3
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -49,6 +49,7 @@ from safety_harness.seeds import seed as leaf
 from safety_harness.simulation.simulate import INTERRUPTED
 from safety_harness.simulation.worlds import KINEMATIC, PYBULLET, WorldEntry
 from safety_harness.space.space import ScenarioSpace, each_to_hold
+from safety_harness.trace.answer_times import AnswersTook
 from safety_harness.trace.overruling import Overruling
 from safety_harness.trace.system import NOT_NOTED, SystemUnderTest
 from safety_harness.trace.trace import Trace
@@ -101,7 +102,7 @@ class Trials:
     reference keeps; ``differences`` has them all.  Of all runs, ``nearest_hand_m`` is the least distance
     between a hand and the arm, ``decisions`` their number, ``unanswered`` those without an answer,
     ``overruling`` what the gate did; ``repeatability`` takes their questions in, and ``tried``
-    what of the space they tried.  Each point's scenario has a
+    what of the space they tried, and ``times`` how long answers took.  Each point's scenario has a
     seed of its own, from ``seed`` and the point's number, unless the file fixes it.  An avoider with a memory
     of its own keeps it from run to run, as ``Admitter`` says.
     """
@@ -123,6 +124,7 @@ class Trials:
     differences: list[RunDifference] = field(default_factory=list, init=False)
     repeatability: Repeatability = field(default_factory=Repeatability, init=False)
     tried: TriedParts = field(default_factory=TriedParts, init=False)
+    times: AnswersTook = field(default_factory=AnswersTook, init=False)
     _admitter: Admitter = field(default_factory=Admitter, init=False)
 
     def __post_init__(self) -> None:
@@ -211,6 +213,7 @@ class Trials:
             self.decisions += len(trace.decisions)
             self.repeatability.add(trace)
             self.tried.add(trace)
+            self.times += AnswersTook.of(trace)
             self.unanswered += int(np.count_nonzero(unanswered(trace)))
             self.overruling += Overruling.of([trace])
             own = reference is None or not fault_of(reference)

@@ -7,6 +7,7 @@ after another.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -14,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.controller.answers import LaneAnswers, ask_together, lanes_of
+from safety_harness.controller.answers import LaneAnswers, answers_many, ask_together, lanes_of
 from safety_harness.controller.cycle import QUESTION
 from safety_harness.controller.driven import DrivenController, entry_of
 from safety_harness.controller.out_of_process.remote import RemoteController
@@ -92,8 +93,9 @@ def drive(lanes: Sequence[Lane], on_tick: Callable[[int], None] | None = None) -
         if ask is not None and not (lasts > k).any():
             break
     for lane, one in enumerate(lanes):
-        if n > 1 and one.failed is None:
+        if ask is not None and one.failed is None:
             one.ticks = room[lane, : len(one.ticks)]
+            one.controller.answers_took_s = ask.took_s[: len(one.ticks)]
             one.done = len(one.ticks)
 
 
@@ -112,12 +114,17 @@ def _refuse(
 
 
 class _Asking:
-    """The controllers of many lanes, asked together."""
+    """The controllers of many lanes, asked together.
+
+    ``took_s`` is the mean time [s] of an answer at each tick; empty where one call answers for all.
+    """
 
     def __init__(self, lanes: Sequence[Lane], controllers: DrivenRecords, answers: LaneAnswers) -> None:
         self._lanes, self._answers = lanes, answers
         self._users = [lane.controller.user for lane in lanes]
-        first = lanes[0].controller
+        self.took_s: list[float] = []
+        user, first = self._users[0], lanes[0].controller
+        self._timed = not (user.together if isinstance(user, RemoteController) else answers_many(user))
         self._layout, self._period_s = first.layout, first.period_s
         self._numbers = (
             controllers.seen[:, 0].view(np.float64).reshape(len(lanes), -1)[:, : first.layout.wanted]
@@ -129,10 +136,12 @@ class _Asking:
         rows = self._numbers[own]
         rows.flags.writeable = False
         users: Any = [self._users[lane] for lane in own]
+        begun_s = time.perf_counter()
         if isinstance(users[0], RemoteController):
             why = users[0].act_together(users, own, tick, self._layout.hand_slots, rows, self._answers)
         else:
             why = ask_together(users, own, rows, self._period_s, self._layout, self._answers)
+        self.took_s += [(time.perf_counter() - begun_s) / len(own)] * self._timed
         for lane, words in why.items():
             self._lanes[lane].failed, lasts[lane] = self._lanes[lane].controller.failed(words), -1
 

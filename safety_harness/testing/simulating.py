@@ -20,7 +20,7 @@ from safety_harness.controller.contract import UserController
 from safety_harness.exceptions import FlakyAvoiderError, InputError, Place
 from safety_harness.properties.answered import by_default
 from safety_harness.properties.tried import TriedParts
-from safety_harness.report.decisions import ComputingTime
+from safety_harness.report.decisions import computing_times
 from safety_harness.scenario.files import as_path
 from safety_harness.scenario.model import RecordedHand, Scenario
 from safety_harness.scenario.read import read_scenario
@@ -174,8 +174,8 @@ def _run(admitted: Admitted) -> Trace:
         raise KeyboardInterrupt
     if admitted.driver is None:
         refuse_flaky(admitted.avoider, trace)
-    if (test := session().test) is not None and len(trace.decisions):
-        test.computing_times.append(ComputingTime.of(trace))
+    if (test := session().test) is not None:
+        test.computing_times += computing_times([trace])
     return trace
 
 

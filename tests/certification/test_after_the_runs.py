@@ -1,63 +1,216 @@
-"""Nothing that happens after the runs of a plan loses its report."""
+"""Nothing that happens after the runs of a plan loses its report: every part of it is broken once."""
 
 from __future__ import annotations
 
-from types import SimpleNamespace
+import shutil
+from pathlib import Path
 from typing import Any
 
 import pytest
 
-from safety_harness.certification import gather, page
-from safety_harness.certification import whose_fault as module
+from safety_harness.admission.repeatability import Repeatability, RepeatabilityResult
+from safety_harness.campaign import session
+from safety_harness.campaign.ledger import Ledger
+from safety_harness.campaign.summary import fingerprint_of
+from safety_harness.certification import (
+    certify as certification,
+)
+from safety_harness.certification import (
+    counterexamples,
+    credibility,
+    folder,
+    gather,
+    page,
+    results,
+    stored,
+    whose_fault,
+)
+from safety_harness.certification.evidence import read_evidence
+from safety_harness.certification.folder import read_manifest
+from safety_harness.cli import campaign as campaign_command
+from safety_harness.cli.certify import certify
+from safety_harness.cli.console import DIFFERS, INTERRUPTED
+from safety_harness.report import campaign_page
+from safety_harness.report import search_attribution as attribution
 from safety_harness.report.search_attribution import SearchAttribution
-from tests.certification.made_up_evidence import evidence
+from safety_harness.search import session as search_session
+from tests.campaign.plans import PLAN, plan_in
+
+SMALL = PLAN.replace("runs: 30", "runs: 8").replace("runs: 20", "runs: 8") + "search:\n  runs: 8\n"
+# A claim that nothing tests: what came nearest is looked up in the stored runs.
+UNTESTED = SMALL.replace(
+    "  - claim: joint speeds within limits\n",
+    "  - claim: joint speeds within limits\n  - claim: uncertain answers fall back within 2 cycles\n",
+)
+# Whatever a report is made of after its last run, by where it is looked up.
+PARTS = [
+    (gather, "random_traces"),
+    (gather, "searches_of"),
+    (gather, "declared_counterexamples"),
+    (gather, "searched_counterexamples"),
+    (gather, "overruling_of"),
+    (gather, "system_of"),
+    (gather, "separation_of"),
+    (gather, "calibration_of"),
+    (gather, "coverage_of"),
+    (gather, "search_evidence"),
+    (gather, "hazards_of"),
+    (gather, "learned_of"),
+    (gather, "untried_in"),
+    (gather, "findings_of"),
+    (gather, "stored_proof"),
+    (gather, "read_notes"),
+    (stored, "trace_of"),
+    (counterexamples, "trace_of"),
+    (counterexamples, "load_trace"),
+    (results, "came_nearest"),
+    (whose_fault, "violated_episodes"),
+    (whose_fault, "attribute"),
+    (folder, "unpacked"),
+    (folder, "write_traces"),
+    (folder, "junit_xml"),
+    (folder, "argument_texts"),
+    (page, "argument_of"),
+    (page, "argument_svg"),
+    (page, "bounds_figure"),
+    (page, "margins_figure"),
+    (page, "separation_figure"),
+    (page, "coverage_map"),
+    (page, "cells_of"),
+    (page, "draw_attributions"),
+    (page, "path_views"),
+    (page, "timeline"),
+    (page, "shown_moment"),
+    (page, "_proven"),
+    (page, "key_of"),
+    (page, "render_page"),
+]
+# What is said of these in place of an open finding of their own.
+ELSEWHERE = [
+    (counterexamples, "circumstances"),
+    (credibility, "run_trial"),
+    (attribution, "attribute"),
+    (session, "trace_of"),
+    (Repeatability, "check"),
+]
+PLANTED = "planted by a test"
 
 
-def test_what_cannot_be_attributed_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The program of the plan cannot be made again: the page says so in place of whose fault it is."""
-
-    def broken(*_: object, **__: object) -> Any:
-        raise FileNotFoundError("still.py")
-
-    monkeypatch.setattr(module, "violated_episodes", broken)
-    monkeypatch.setattr(module.ViolatedEpisodes, "first", broken_free)
-    found = module.whose_fault(None, None)  # type: ignore[arg-type]
-    assert found.about.startswith(module.UNTOLD)
-    assert "still.py" in found.about
+def broken(*_: object, **__: object) -> Any:
+    raise RuntimeError(PLANTED)
 
 
-def broken_free(*_: object) -> Any:
-    return module.ViolatedEpisodes({}, 0)
+def interrupted(*_: object, **__: object) -> Any:
+    raise KeyboardInterrupt
+
+
+def named(part: tuple[Any, str]) -> str:
+    return f"{part[0].__name__.rpartition('.')[2]}.{part[1]}"
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a plan whose report was made once."""
+    where = tmp_path_factory.mktemp("made")
+    plan_in(where, UNTESTED)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(search_session, "SHRINKING_RUNS", 5)
+        patch.setattr(search_session, "MOST_SHRUNK", 1)
+        assert certify(where / "plan.yaml", out=where / "report", workers=1) == DIFFERS
+    evidence = read_evidence(where / "report" / "evidence.json")
+    assert not evidence.unmade
+    assert {one.independent for one in evidence.counterexamples} == {True, False}
+    return where
+
+
+@pytest.fixture
+def again(made: Path, tmp_path: Path) -> Path:
+    """A copy of it, without the page."""
+    where = Path(shutil.copytree(made, tmp_path / "again"))
+    for name in ("evidence.html", "evidence.json", "junit.xml", "manifest.json"):
+        (where / "report" / name).unlink()
+    return where
+
+
+@pytest.fixture
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What takes its time is not made again: each of these has its own test."""
+    monkeypatch.setattr(Repeatability, "check", lambda _: RepeatabilityResult(questions=0))
+    monkeypatch.setattr(credibility, "run_trial", broken)  # which is caught
+    monkeypatch.setattr(SearchAttribution, "explain", lambda *_: ())
+    monkeypatch.setattr(whose_fault, "attribute", lambda *_: ())
+
+
+def fingerprint(where: Path) -> str:
+    with Ledger.open(where / "report" / "ledger.sqlite") as ledger:
+        return fingerprint_of(ledger)
+
+
+@pytest.mark.usefixtures("quick")
+@pytest.mark.parametrize("part", PARTS, ids=named)
+def test_a_part_that_fails_is_an_open_finding_of_the_report(
+    part: tuple[Any, str], again: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = fingerprint(again)
+    monkeypatch.setattr(*part, broken)
+    assert certify(again / "plan.yaml", out=again / "report", workers=1) == DIFFERS
+    evidence = read_evidence(again / "report" / "evidence.json")
+    said = [one.text for one in evidence.findings if PLANTED in one.text]
+    assert said
+    assert all("cannot be" in text and f"RuntimeError: {PLANTED}" in text for text in said)
+    assert PLANTED in (again / "report" / "evidence.html").read_text()
+    assert "evidence.html" in read_manifest(again / "report")
+    assert fingerprint(again) == before
+
+
+@pytest.mark.parametrize("part", ELSEWHERE, ids=named)
+def test_a_part_that_is_caught_within_leaves_a_report_too(
+    part: tuple[Any, str], again: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(*part, broken)
+    assert certify(again / "plan.yaml", out=again / "report", workers=1) == DIFFERS
+    assert "evidence.html" in read_manifest(again / "report")
+
+
+@pytest.mark.parametrize(
+    "part", [PARTS[0], PARTS[6], (whose_fault, "attribute"), (folder, "write_traces")], ids=named
+)
+def test_ctrl_c_in_a_part_keeps_every_run(
+    part: tuple[Any, str], again: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = fingerprint(again)
+    with monkeypatch.context() as patch:
+        patch.setattr(*part, interrupted)
+        assert certify(again / "plan.yaml", out=again / "report", workers=1) == INTERRUPTED
+    assert fingerprint(again) == before
+
+
+@pytest.mark.parametrize("name", ["read_space", "search_space", "write_search"])
+def test_a_search_that_fails_is_an_open_finding(
+    name: str, again: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shutil.rmtree(again / "report" / "search")
+    monkeypatch.setattr(certification, name, broken)
+    assert certify(again / "plan.yaml", out=again / "report", workers=1) == DIFFERS
+    evidence = read_evidence(again / "report" / "evidence.json")
+    assert [
+        one for one in evidence.unmade if one.startswith("the search of near cannot be made: RuntimeError")
+    ]
+
+
+def test_a_page_of_a_campaign_that_fails_leaves_its_lines(
+    again: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copy(again / "report" / "ledger.sqlite", again / "ledger.sqlite")
+    monkeypatch.setattr(campaign_page, "render_page", broken)
+    assert campaign_command.run(again / "plan.yaml", ledger=again / "ledger.sqlite", workers=1) == DIFFERS
+    said = capsys.readouterr()
+    assert "fingerprint of the results" in said.out
+    assert f"the page cannot be made: RuntimeError: {PLANTED}" in said.err
 
 
 def test_a_scenario_that_cannot_be_admitted_again_is_no_traceback(monkeypatch: pytest.MonkeyPatch) -> None:
-    attribution = SearchAttribution()
-
-    def refused(_: object) -> Any:
-        raise FileNotFoundError("still.py")
-
-    monkeypatch.setattr(attribution._admitter, "admit", refused, raising=False)
-    (line,) = attribution.explain(None, None)  # type: ignore[arg-type]
+    explaining = SearchAttribution()
+    monkeypatch.setattr(explaining._admitter, "admit", broken, raising=False)
+    (line,) = explaining.explain(None, None)  # type: ignore[arg-type]
     assert line.startswith("whose fault: cannot be told")
-
-
-def test_a_picture_that_cannot_be_made_is_open_on_the_page(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The counterexample stays, without pictures, and says why."""
-
-    def broken(*_: object, **__: object) -> Any:
-        raise ValueError("no such mesh")
-
-    monkeypatch.setattr(page, "_pictures", broken)
-    run = SimpleNamespace(trace=SimpleNamespace(ticks=[0]), under=lambda _: run)
-    one = evidence().counterexamples[0]
-    view = page._counterexample(one, run, page.Replays())  # type: ignore[arg-type]
-    assert view["run"] is None
-    assert "no such mesh" in view["one"].lines[-1]  # type: ignore[attr-defined]
-
-
-def test_what_fails_after_the_runs_is_an_open_finding() -> None:
-    """Any exception counts: a user's program may raise anything."""
-    guard = gather._Guard()
-    assert guard.of("one", lambda: 1, 0) == 1
-    assert guard.of("the table", lambda: 1 // 0, 0) == 0
-    assert guard.open == ["the table cannot be made: ZeroDivisionError: integer division or modulo by zero"]

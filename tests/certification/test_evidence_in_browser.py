@@ -16,7 +16,7 @@ from partly_measured import partly_measured
 
 from safety_harness.admission.admit import admit
 from safety_harness.admission.trial import judge, run_kinematic
-from safety_harness.certification.page import write_page
+from safety_harness.certification.page import render
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.scenario.read import read_scenario
 from safety_harness.trace.known import Gap, Measurement, Source, knowing
@@ -34,7 +34,7 @@ def run() -> JudgedRun:
 @pytest.fixture(scope="module")
 def report(run: JudgedRun, tmp_path_factory: pytest.TempPathFactory) -> str:
     path = tmp_path_factory.mktemp("certification") / "evidence.html"
-    write_page(path, evidence(), {1: run, 2: run})
+    path.write_text(render(evidence(), {1: run, 2: run}))
     return path.as_uri()
 
 
@@ -154,7 +154,7 @@ def test_the_button_and_the_replay_go_to_the_worst_moment_of_the_claim_in_the_he
         for one, sentence in zip(whole.counterexamples, (first, second), strict=True)
     )
     path = tmp_path / "evidence.html"
-    write_page(path, replace(whole, counterexamples=examples), {1: run, 2: run})
+    path.write_text(render(replace(whole, counterexamples=examples), {1: run, 2: run}))
     show(browser, path.as_uri(), width=420)
     for number, sentence in enumerate((first, second)):
         awake(browser, number)
@@ -276,7 +276,7 @@ def test_a_printed_page_has_25_sheets_at_most_and_all_of_it_if_asked(
     sheets = []
     for provenance in (whole.provenance, full):
         many = replace(whole, counterexamples=examples, selftest=trial, provenance=provenance)
-        write_page(tmp_path / "evidence.html", many, {number: run for number in range(1, 31)})
+        (tmp_path / "evidence.html").write_text(render(many, dict.fromkeys(range(1, 31), run)))
         show(browser, (tmp_path / "evidence.html").as_uri(), width=1280, media="print")
         printed = browser.execute_cdp_cmd("Page.printToPDF", {"preferCSSPageSize": True})["data"]
         sheets.append(len(re.findall(rb"/Type\s*/Page\b(?!s)", base64.b64decode(printed))))
@@ -317,7 +317,7 @@ def test_a_replay_shows_what_was_measured_and_says_what_was_not(
 ) -> None:
     lost = Measurement(source=Source.LOG, gaps=(Gap(first=10, after=60),))
     trace = knowing(partly_measured(run.trace), {"transform_tcp_to_base": lost, "joint_position_rad": lost})
-    write_page(tmp_path / "evidence.html", evidence(), {1: replace(run, trace=trace)})
+    (tmp_path / "evidence.html").write_text(render(evidence(), {1: replace(run, trace=trace)}))
     forget(browser)
     show(browser, (tmp_path / "evidence.html").as_uri(), width=1000)
     awake(browser)

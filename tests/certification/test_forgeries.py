@@ -53,7 +53,7 @@ def report(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         return page if same else text
 
     monkeypatch.setattr(verify_report, "render", render)
-    monkeypatch.setattr(folder, "write_page", lambda path, *_: path.write_text(page))
+    monkeypatch.setattr(folder, "drawn", lambda evidence, _: (page, evidence))
     target = Path(shutil.copytree(made, tmp_path / "report"))
     return target
 

@@ -177,7 +177,7 @@ def test_ctrl_c_in_the_search_leaves_a_report_that_says_so(
 ) -> None:
     plan_in(tmp_path, SEARCHING.replace("runs: 30", "runs: 8").replace("runs: 20", "runs: 8"))
     monkeypatch.setattr(certify_module, "search_space", searching([lambda: Made(interrupted=True)], []))
-    monkeypatch.setattr(folder_module, "write_page", lambda *_: None)  # which takes seconds to draw
+    monkeypatch.setattr(folder_module, "drawn", lambda evidence, _: ("", evidence))
     assert certify(tmp_path / "plan.yaml", out=tmp_path / "report", workers=1) == INTERRUPTED
     said = [one.text for one in read_evidence(tmp_path / "report" / "evidence.json").findings]
     assert "near: the search was interrupted" in said

@@ -218,7 +218,7 @@ def test_what_is_declared_and_sealed_is_found_again_and_nothing_else(
     made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """As a user does it: declare, lodge, certify, seal, lodge, verify."""
-    monkeypatch.setattr(folder_module, "write_page", lambda path, *_: path.write_text("the page"))
+    monkeypatch.setattr(folder_module, "drawn", lambda evidence, _: ("the page", evidence))
     monkeypatch.setattr(verify_report, "render", lambda *_: "the page")
     plan, out = tmp_path / "plan.yaml", tmp_path / "report"
     plan_in(tmp_path, PLAN.replace("runs: 30", "runs: 12").replace("runs: 20", "runs: 12"))
@@ -294,7 +294,7 @@ def test_an_interrupted_certification_says_what_is_missing_and_goes_on(
 def test_a_program_in_a_report_is_not_executed_unasked(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(folder_module, "write_page", lambda path, *_: path.write_text("the page"))
+    monkeypatch.setattr(folder_module, "drawn", lambda evidence, _: ("the page", evidence))
     monkeypatch.setattr(verify_report, "render", lambda *_: "the page")
     (tmp_path / "mine.py").write_text(
         "from pathlib import Path\n"

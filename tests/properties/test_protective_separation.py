@@ -8,16 +8,18 @@ import numpy as np
 import pytest
 from examples import VISIT, ConstantSpeed, hand, run, scenario
 
-from safety_harness.properties.protective_separation import ProtectiveSeparation, times_left_s
+from safety_harness.admission.claims import property_of
+from safety_harness.properties.protective_separation import ProtectiveSeparation, _times_s, times_left_s
 from safety_harness.properties.separation import Separation
 from safety_harness.robot.capsules import load_capsules
 from safety_harness.robot.description import load_arm
 from safety_harness.robot.distance import hand_distance, place_capsules
-from safety_harness.robot.kinematics import forward_kinematics
-from safety_harness.scenario.model import Verdict
+from safety_harness.robot.kinematics import forward_kinematics, links_in_base
+from safety_harness.scenario.model import EDITION, Claim, Verdict
 from safety_harness.scenario.moves import MoveTo, Wait
 from safety_harness.settings import DEFAULTS
 from safety_harness.simulation.truth import cell_capsules
+from safety_harness.trace.known import Knowledge, Measurement
 from safety_harness.trace.records import Limit, Mode
 from safety_harness.trace.trace import Trace
 
@@ -174,3 +176,74 @@ def test_what_is_not_finite_is_no_evidence(field: str, value: float, visit: Trac
     ticks = visit.ticks.copy()
     ticks[field][len(ticks) // 2] = value
     assert CONSTANT.evaluate(replace(visit, ticks=ticks)).verdict is Verdict.INCONCLUSIVE
+
+
+def ends_m(joints: np.ndarray) -> np.ndarray:
+    """(capsules, 2, 3) the ends of the arm's axes, by forward kinematics alone."""
+    capsules = cell_capsules(load_capsules(), DEFAULTS)
+    transforms, placed = np.empty((8, 4, 4)), np.empty((len(capsules.names), 2, 3))
+    forward_kinematics(load_arm("ur10").chain[0], joints, transforms)
+    place_capsules(capsules.records, transforms, placed)
+    return placed
+
+
+@pytest.fixture(scope="module")
+def elbow_first() -> Trace:
+    """The shoulder lifts and the other joints hold the TCP nearly where it is; a hand waits nearby."""
+    still = run(scenario(hand(Wait(duration_s=9.0)), duration_s=0.1), controller=ConstantSpeed((0.0,) * 6))
+    q = still.ticks["joint_position_rad"][0]
+    step = 1e-6 * np.eye(6)
+    arm = load_arm("ur10")
+    tcps_m = [[links_in_base(arm, q + way * one)[-1][:3, 3] for way in (1.0, -1.0)] for one in step]
+    jacobian = np.array([(after - before) / 2e-6 for after, before in tcps_m]).T
+    rates = np.array([0.0, 0.1, 0.0, 0.0, 0.0, 0.0])
+    rates[2:5] = np.linalg.lstsq(jacobian[:, 2:5], -jacobian[:, 1] * 0.1, rcond=None)[0]
+    waiting = scenario(hand(Wait(duration_s=9.0)), duration_s=0.2)
+    return run(waiting, controller=ConstantSpeed(tuple(rates)))
+
+
+def test_an_elbow_that_is_faster_than_the_tcp_stops_later(elbow_first: Trace) -> None:
+    """T_s is that of the fastest point, whose speed finite differences of the arm's points give."""
+    found, then = CONSTANT.worst(elbow_first), replace(CONSTANT, tcp_alone=True).worst(elbow_first)
+    assert found is not None
+    assert then is not None
+    tick = elbow_first.ticks[found.tick]
+    q, rates, step_s = tick["joint_position_rad"], tick["joint_velocity_radps"], 1e-6
+    moved_m = ends_m(q + step_s * rates) - ends_m(q - step_s * rates)
+    fastest_mps = np.linalg.norm(moved_m, axis=-1).max() / (2.0 * step_s)
+    assert fastest_mps > 2.0 * tick["tcp_speed_mps"]
+    braking = DEFAULTS.braking
+    stop_s = braking.stop_time_base_s + braking.stop_time_per_speed_s2pm * fastest_mps
+    assert found.stop_time_s == pytest.approx(stop_s, abs=1e-8)
+    assert found.required_m > then.required_m + 2.0 * 0.9 * 0.1 * (fastest_mps - float(tick["tcp_speed_mps"]))
+
+
+def test_editions_1_and_2_stop_from_the_tcps_speed(elbow_first: Trace) -> None:
+    margins = {}
+    for edition in (2, EDITION):
+        claim = Claim(sentence=CONSTANT.sentence, expected=Verdict.HOLDS, edition=edition)
+        margins[edition] = property_of(claim, elbow_first.scenario).evaluate(elbow_first).margin
+    assert margins[2] == replace(CONSTANT, tcp_alone=True).evaluate(elbow_first).margin
+    assert margins[EDITION] == CONSTANT.evaluate(elbow_first).margin != margins[2]
+
+
+def test_where_joints_are_uncertain_the_verdict_says_whose_speed_it_takes(elbow_first: Trace) -> None:
+    columns = {"joint_velocity_radps": Measurement(uncertainty=1e-6)}
+    found = CONSTANT.evaluate(replace(elbow_first, known=Knowledge(columns)))
+    assert "T_s is by the TCP's speed alone, as joints are known to within some" in found.reason
+    assert "TCP's speed alone" not in CONSTANT.evaluate(elbow_first).reason
+
+
+def test_a_stop_excuses_no_longer_than_from_the_tcps_speed() -> None:
+    """The drives ramp by the TCP's speed: an arm that moves after that has all of its stop before it."""
+    on = scenario(hand(Wait(duration_s=9.0)), duration_s=1.0)
+    moves_on = run(on, controller=ConstantSpeed((0.0, 0.1, -0.46, 0.0, 0.0, 0.0)))
+    ticks = moves_on.ticks.copy()
+    ticks["limits"][2:] |= int(Limit.BRAKING)
+    stopping = replace(moves_on, ticks=ticks)
+    by_tcp = sum(times_left_s(stopping))
+    by_elbow = sum(_times_s(stopping, CONSTANT.stopped_from_mps(stopping)))
+    assert np.all(by_elbow >= by_tcp)
+    over = np.flatnonzero(np.diff(by_tcp) > 0.1)
+    assert len(over)
+    assert np.all(by_elbow[over + 1] > 0.4)

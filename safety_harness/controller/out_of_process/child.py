@@ -14,7 +14,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from safety_harness.controller.answers import LaneAnswers, ask_together
+from safety_harness.controller.answers import LaneAnswers, answers_many, ask_together
 from safety_harness.controller.contract import (
     DECISIONS,
     IMAGE,
@@ -70,7 +70,7 @@ def main(question_fd: int, answer_fd: int) -> None:
         controller, another = _controller(path, made.source, asked.get("attribute"))
         sees, reports = sees_of(controller), reports_of(controller)
         many = another is not None and IMAGE not in sees and DECISIONS not in reports
-        said = MadeController(PROTOCOL, controller.name, sees, reports, many)
+        said = MadeController(PROTOCOL, controller.name, sees, reports, many, answers_many(controller))
     except InputError as error:
         ends.write(as_binary(NoController(*map(printable, (error.expected, error.got, error.hint)))))
         return

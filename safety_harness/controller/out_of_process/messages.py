@@ -103,9 +103,13 @@ class Welcome(Struct, tag="hello", tag_field="say", forbid_unknown_fields=True):
 
 
 class MadeController(Welcome, tag="made", tag_field="say", forbid_unknown_fields=True):
-    """That of a process of ours; ``many``: it can make a controller for each of many lanes."""
+    """That of a process of ours.
+
+    ``many``: it can make a controller for each of many lanes; ``together``: one call answers for them all.
+    """
 
     many: bool = False
+    together: bool = False
 
 
 class SaidDecision(Struct, forbid_unknown_fields=True):

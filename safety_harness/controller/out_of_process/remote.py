@@ -52,6 +52,11 @@ class RemoteController:
         """What makes one more in the same process, for an episode beside; None if there can be none."""
         return self._another if isinstance(self._said, MadeController) and self._said.many else None
 
+    @property
+    def together(self) -> bool:
+        """Does one call of its process answer for many episodes?"""
+        return isinstance(self._said, MadeController) and self._said.together
+
     def _another(self) -> RemoteController:
         other = copy(self)
         other._lane = len(self._lanes)
