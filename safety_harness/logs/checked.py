@@ -14,7 +14,7 @@ from safety_harness.logs.sample_bound import SampleBound, refuse_unbounded
 from safety_harness.logs.streams import NS, LogSamples
 
 FARTHEST_M, FARTHEST_RAD = 10.0, 8.0 * np.pi
-HARDEST_TAKEN_RADPS2 = 40.0  # of a joint's acceleration, where none is said
+HARDEST_TAKEN = 40.0  # rad/s2 or m/s2, where no acceleration is said
 
 
 def joints_checked(joints: LogSamples, names: tuple[str, ...]) -> LogSamples:
@@ -116,37 +116,76 @@ def refuse_jumping_joints(joints: LogSamples, facts: JointFacts, names: tuple[st
 
 
 def refuse_contradicting_speeds(joints: LogSamples, facts: JointFacts, names: tuple[str, ...]) -> None:
-    """Raise LogError for the first interval in which a joint's speeds do not lead from angle to angle.
-
-    Between two samples T apart the mean speed is within a T/4 of the mean of both, at the acceleration a.
-    """
+    """Raise LogError for the first interval in which a joint's speeds do not lead from angle to angle."""
     known, hard = facts.speeds_known_to_radps, facts.accelerate_at_most_radps2
-    angles, speeds = joints.values[:, : len(names)], joints.values[:, len(names) :]
-    if known is None or not np.isfinite(speeds).all():
+    if known is None:
         return
-    step_s = np.diff(joints.time_ns)[:, None] / NS
-    told = (speeds[1:] + speeds[:-1]) / 2.0 * step_s
-    taken = 2.0 * np.abs(np.diff(speeds, axis=0) / step_s).max(
-        axis=0
-    )  # twice what is seen, where none is said
-    hardest = np.minimum(taken, HARDEST_TAKEN_RADPS2) if hard is None else hard
-    allowed = step_s * (known + hardest * step_s / 4.0)
-    found: list[tuple[int, int, int]] = []
-    for sign in (1.0, -1.0):  # more, or less, than is allowed since the sample at which that begins
-        more = np.vstack(
-            [np.zeros(len(names)), np.cumsum(sign * (np.diff(angles, axis=0) - told) - allowed, axis=0)]
-        )
-        since = np.minimum.accumulate(more, axis=0)
-        for end, joint in np.argwhere(more - since > 2.0 * facts.known_to_rad)[:1].tolist():
-            found.append((end, joint, int(np.argmax(more[:, joint] == since[end, joint]))))
-    for end, joint, begin in sorted(found)[:1]:
-        by_angles, by_speeds = angles[end, joint] - angles[begin, joint], told[begin:end, joint].sum()
-        off = 2.0 * facts.known_to_rad + allowed[begin:end].sum()
-        times = [f"{(joints.time_ns[at] - joints.time_ns[0]) / NS:.3f}" for at in (begin, end)]
+    angles, speeds = joints.values[:, : len(names)], joints.values[:, len(names) :]
+    found = _contradiction(joints.time_ns, angles, speeds, known, hard, 2.0 * facts.known_to_rad)
+    if found is not None:
+        joint, begin, times, (by_angles, by_speeds, off) = found
         raise joints.error(
             begin,
-            f"{names[joint]} to turn by {np.degrees(by_angles):.4g} deg from {times[0]} to {times[1]} s, "
+            f"{names[joint]} to turn by {np.degrees(by_angles):.4g} deg from {times}, "
             f"as its angles do, to within {np.degrees(off):.2g} deg",
             f"{np.degrees(by_speeds):.4g} deg by its speeds",
             "speeds of another unit, sign or joint? or joints: {speeds known to: ...} says what they are off",
         )
+
+
+def refuse_contradicting_hand_speeds(hand: LogSamples, known_to_m: float, speeds_known_to_mps: float) -> None:
+    """Raise LogError for the first interval in which a hand's speeds do not lead from place to place."""
+    assert hand.speeds_mps is not None
+    if hand.known_to_m is not None:
+        known_to_m = float(hand.known_to_m.max())
+    found = _contradiction(
+        hand.time_ns, hand.values, hand.speeds_mps, speeds_known_to_mps, None, 2.0 * known_to_m
+    )
+    if found is not None:
+        axis, begin, times, (by_places, by_speeds, off) = found
+        raise hand.error(
+            begin,
+            f"{hand.source.name} to move by {by_places * 1e3:.4g} mm along {'xyz'[axis]} from {times}, "
+            f"as its positions do, to within {off * 1e3:.2g} mm",
+            f"{by_speeds * 1e3:.4g} mm by its speeds",
+            "speeds of another unit, sign, axis or frame? or hands: {speeds: {known to: ...}} is too small",
+        )
+
+
+def _contradiction(
+    time_ns: NDArray[np.int64],
+    places: NDArray[np.float64],
+    speeds: NDArray[np.float64],
+    known: float,
+    hard: float | None,
+    off: float,
+) -> tuple[int, int, str, tuple[float, float, float]] | None:
+    """Find the first interval in which ``speeds`` (n, k) do not lead from place to place, ``places`` (n, k).
+
+    Return the column, the sample at which it begins, its times in words, and the ways by places and by speeds
+    with how far they may be apart.  Between two samples T apart the mean speed is within a T/4 of the mean of
+    both, at the acceleration a, ``hard``.  Samples without speeds are passed over.
+    """
+    there = np.flatnonzero(np.isfinite(speeds).all(axis=1))
+    if len(there) < 2:
+        return None
+    places, speeds, at_s = places[there], speeds[there], (time_ns[there] - time_ns[0]) / NS
+    step_s = np.diff(at_s)[:, None]
+    told = (speeds[1:] + speeds[:-1]) / 2.0 * step_s
+    # twice what is seen, where none is said
+    taken = 2.0 * np.abs(np.diff(speeds, axis=0) / step_s).max(axis=0)
+    hardest = np.minimum(taken, HARDEST_TAKEN) if hard is None else hard
+    allowed = step_s * (known + hardest * step_s / 4.0)
+    found: list[tuple[int, int, int]] = []
+    for sign in (1.0, -1.0):  # more, or less, than is allowed since the sample at which that begins
+        more = np.zeros(places.shape)
+        more[1:] = np.cumsum(sign * (np.diff(places, axis=0) - told) - allowed, axis=0)
+        since = np.minimum.accumulate(more, axis=0)
+        for end, column in np.argwhere(more - since > off)[:1].tolist():
+            found.append((end, column, int(np.argmax(more[:, column] == since[end, column]))))
+    for end, column, begin in sorted(found)[:1]:
+        by_places, by_speeds = places[end, column] - places[begin, column], told[begin:end, column].sum()
+        times = f"{at_s[begin]:.3f} to {at_s[end]:.3f} s"
+        within = off + np.broadcast_to(allowed, told.shape)[begin:end, column].sum()
+        return column, int(there[begin]), times, (float(by_places), float(by_speeds), float(within))
+    return None

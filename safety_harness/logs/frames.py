@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -91,9 +91,7 @@ def read_tree(source: LogSource, frame: str, base: str) -> Tree:
 
 
 def _topics(source: LogSource) -> list[LogSource]:
-    static = LogSource(
-        file=source.file, what="/tf_static", place=source.place, topic="/tf_static", index=None, path=""
-    )
+    static = replace(source, what="/tf_static", topic="/tf_static", index=None, path="")
     if source.topic == "/tf_static":
         return [source]
     return [one for one in (static, source) if one.topic in topics_of(source)] or [source]

@@ -19,12 +19,14 @@ from safety_harness.logs.bags import RECEIVED, STAMP, read_joints, read_position
 from safety_harness.logs.checked import (
     joints_checked,
     positions_checked,
+    refuse_contradicting_hand_speeds,
     refuse_contradicting_speeds,
     refuse_jumping_joints,
     refuse_the_same,
     with_bounds,
 )
 from safety_harness.logs.frames import ToBase, by_given, by_header
+from safety_harness.logs.frozen import REPEATS, at_rest, with_frozen
 from safety_harness.logs.model import (
     JOINTS_KNOWN_TO_RAD,
     JOINTS_LONGEST_GAP_S,
@@ -32,6 +34,7 @@ from safety_harness.logs.model import (
     CellLog,
     HandFacts,
     JointFacts,
+    TcpCheck,
 )
 from safety_harness.logs.sample_bound import SampleBound, sample_bound
 from safety_harness.logs.streams import LATEST_S, NS, Collector, LogSamples, LogSource, read_source
@@ -39,6 +42,7 @@ from safety_harness.logs.tables import (
     ANGLE_UNITS,
     LENGTH_UNITS,
     RATE_UNITS,
+    SPEED_UNITS,
     Table,
     header_of,
     optional_column,
@@ -46,6 +50,7 @@ from safety_harness.logs.tables import (
     required_column,
     time_column,
 )
+from safety_harness.logs.tcp import checked_tcp
 from safety_harness.logs.told import STREAMS, Told, ToldClock, read_told
 from safety_harness.robot.description import ArmModel
 from safety_harness.robot.robots import arm_model
@@ -55,7 +60,7 @@ from safety_harness.scenario.fields import Field, Fields
 from safety_harness.scenario.files import decode, read_bytes
 from safety_harness.scenario.kinds import FileKind, refuse_other_kind
 from safety_harness.scenario.nodes import Mapping, Scalar, parse_tree
-from safety_harness.scenario.robots import Robot, read_robot
+from safety_harness.scenario.robots import AnyRobot, Robot, read_robot
 from safety_harness.scenario.units import (
     ANGLE,
     ANGULAR_ACCELERATION,
@@ -66,18 +71,24 @@ from safety_harness.scenario.units import (
     Dimension,
 )
 
+TCP = "tcp"
 KEYS = (
-    *("log", "title", "about", "clock", "joints", "hands", *STREAMS),
+    *("log", "title", "about", "clock", "joints", "hands", TCP, *STREAMS),
     *("robot", "obstacles", "settings", "claims"),
 )
-OF_LOG = ("joints", "hands", *STREAMS, "from", "to", "period")
+OF_LOG = ("joints", "hands", TCP, *STREAMS, "from", "to", "period")
 OF_CLOCK = ("hands are ahead by", "known to")
 OF_JOINTS = (
     *("names", "unit", "time", "known to", "speeds known to"),
-    *("move at most", "accelerate at most", "longest gap"),
+    *("move at most", "accelerate at most", "longest gap", REPEATS),
 )
-OF_HANDS = ("forearm", "left out", "longest gap", "moves at most", "known to", "frame", "unit", "time")
+OF_HANDS = (
+    *("forearm", "left out", "longest gap", "moves at most", "known to", "frame", "unit", "time"),
+    *("speeds", REPEATS),
+)
+OF_TCP = ("known to", "frame", "unit", "time", REPEATS)
 NOT_MEASURED, NO_FOREARM, BASE, ELBOW = "not measured", "none", "base", "elbow"
+FIELD = "a column after the track's name, or the path of a field"
 PERIOD_STEP_NS, SHORTEST_PERIOD_NS, LONGEST_PERIOD_NS = 100_000, 1_000_000, 50_000_000
 _LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 _ANGLES = {"rad": 1.0, "deg": np.pi / 180.0}
@@ -131,6 +142,7 @@ def log_of(said: Field, *, name: str, align: bool = False) -> CellLog:
         else reading.told(ToldClock(hands_ahead_ns=clock_ns, hands_known_to_ns=round(known_to_s * NS)))
     )
     left_out, unmapped = ((), ()) if hand_facts is None else reading.neither(of_hands, bodies)
+    tcp = reading.tcp(joints, facts, robot)
     found = CellLog(
         name=name,
         file=said.file,
@@ -147,6 +159,8 @@ def log_of(said: Field, *, name: str, align: bool = False) -> CellLog:
         told=told,
         left_out=left_out,
         unmapped=unmapped,
+        tcp=tcp,
+        unused=reading.unused((*left_out, *unmapped)),
     )
     if found.ticks < 2:
         raise streams.required("joints").error("two control periods of joints, at least", got="less")
@@ -195,7 +209,9 @@ class _Reading:
             ]
             time = time_column(source, header, _said(said.optional("time")))
             read_table(Table(*time, (*at, *rates)), collector)
-        return joints_checked(collector.samples(), names)
+        samples = collector.samples()
+        samples = with_frozen(samples, list(samples.values.T[: len(names), :, None]), said)
+        return joints_checked(samples, names)
 
     def joint_facts(self, joints: LogSamples) -> JointFacts:
         """What is said of the joints, and by how much a slip would show."""
@@ -220,11 +236,18 @@ class _Reading:
             raise field.error("a hand at least")
         known, found = of_hands.required("known to"), []
         bound = sample_bound(known) if isinstance(known.node, Mapping) else None
+        speeds = None
+        if (field_of_speeds := of_hands.optional("speeds")) is not None:
+            speeds = field_of_speeds.fields(("known to", "field"))
         for name, one in hands:
             own = forearm
             if isinstance(forearm.node, Mapping):
                 own = forearm.fields(tuple(name for name, _ in hands)).required(name)
-            hand = self._positions(one, of_hands, window, bound=bound)
+            hand = self._positions(one, of_hands, window, bound=bound, speeds=speeds)
+            if speeds is not None:
+                known_to_m = np.inf if bound is not None else known.quantity(LENGTH, least=0.0)
+                known_to_mps = speeds.required("known to").quantity(SPEED, least=0.0)
+                refuse_contradicting_hand_speeds(hand, known_to_m, known_to_mps)
             elbow, there = None, True
             if isinstance(own.node, Scalar) and own.node.text in (NOT_MEASURED, NO_FOREARM):
                 there = own.node.text == NOT_MEASURED
@@ -233,6 +256,28 @@ class _Reading:
             found.append(Body(name, hand, elbow, there))
         refuse_the_same([one for body in found for one in (body.hand, body.elbow) if one is not None])
         return tuple(found)
+
+    def tcp(self, joints: LogSamples, facts: JointFacts, robot: AnyRobot) -> TcpCheck | None:
+        """Where the log itself has the TCP, on the clock of the joints, which they have to lead to."""
+        if TCP not in self.streams:
+            if TCP in self.given:
+                hint = "log: {tcp: FILE#TRACK}"
+                raise self.given.required(TCP).error("a stream of tcp below log", got="none", hint=hint)
+            return None
+        said, bodies = self.given.required(TCP).fields(OF_TCP), self.bodies_seen.copy()
+        known_to_m = said.required("known to").quantity(LENGTH, least=0.0)
+        window = int(joints.time_ns[0]), int(joints.time_ns[-1])
+        found = self._positions(self.streams.required(TCP), said, window)
+        self.bodies_seen = bodies
+        return checked_tcp(found, known_to_m, joints, facts, robot)
+
+    def unused(self, bodies: tuple[str, ...]) -> tuple[str, ...]:
+        """What its files have beside what was read, but for ``bodies``, which are told already."""
+        seen, used = (
+            {f"{one.file.name}#{name}" for one in self.sources for name in (one.seen, one.used)[k]}
+            for k in range(2)
+        )
+        return tuple(sorted(one for one in seen - used if not one.startswith(bodies)))
 
     def told(self, clock: ToldClock) -> Told:
         """What the controller said."""
@@ -258,10 +303,11 @@ class _Reading:
         *,
         keep: bool = False,
         bound: SampleBound | None = None,
+        speeds: Fields | None = None,
     ) -> LogSamples:
         """Of a body, in the base frame; ``keep`` those samples in which it is nowhere."""
         source = self._source(field)
-        width = 3 if bound is None else 4
+        width = 3 + (bound is not None) + 3 * (speeds is not None)
         collector = Collector(source, width, _counts(source), *window, least=2 - keep)
         unit = said.optional("unit")
         word = _word(unit, _LENGTHS) if unit else None
@@ -277,11 +323,13 @@ class _Reading:
                 to_base=to_base,
                 halves=not keep,
                 bound=bound,
+                speeds=None if speeds is None else speeds.required("field").sentence(FIELD),
             )
             index = "" if source.index is None else f"[{source.index}]"
             path = f":{source.path.lstrip('/')}" if source.path else ""
             self._saw(source, f"{source.topic}{index}{path}", set() if keep else collector.bodies)
-            return positions_checked(with_bounds(collector.samples()), keep)
+            found = _beside(collector.samples(), None, speeds)
+            return positions_checked(found if keep else with_frozen(found, [found.values], said), keep)
         if frame is None:
             expected = 'the key "frame": base, or {at: ..., turned: ...} of the frame in which positions are'
             raise said.whole.error(expected, got=f"none, and {source.name} is a table that cannot say it")
@@ -296,16 +344,24 @@ class _Reading:
             box = [optional_column(source, header, f"{stem}_{axis}", LENGTH_UNITS, word) for axis in "xyz"]
             sides = [side for side in box if side is not None]
             at += sides if len(sides) == 3 else [required_column(source, header, stem, LENGTH_UNITS, word)]
-            collector.width = len(at)
+        if speeds is not None:
+            name = speeds.optional("field")
+            stem = track if name is None else f"{track}_{name.sentence(FIELD)}"
+            at += [required_column(source, header, f"{stem}_{axis}", SPEED_UNITS, None) for axis in "xyz"]
+        collector.width = len(at)
         read_table(Table(*time, tuple(at)), collector)
-        found = with_bounds(collector.samples(), bound)
+        found = _beside(collector.samples(), bound, speeds)
         found.values[~found.values.any(axis=1)] = np.nan  # zeros: what trackers write for not seen
         gone = np.isnan(found.values)
         half = gone.any(axis=1) & ~gone.all(axis=1)
         if keep and half.any():
             expected = "a position, or none of its three numbers"
             raise found.error(int(np.argmax(half)), expected, str(found.values[half][0].tolist()))
+        if not keep:
+            found = with_frozen(found, [found.values], said)
         transform = _given_transform(frame)
+        if found.speeds_mps is not None:
+            found = replace(found, speeds_mps=found.speeds_mps @ transform[:3, :3].T)
         values = found.values @ transform[:3, :3].T + transform[:3, 3]
         return positions_checked(replace(found, values=values), keep)
 
@@ -359,6 +415,13 @@ class _Reading:
     def _seconds(self, key: str) -> float | None:
         field = self.streams.optional(key)
         return None if field is None else field.quantity(TIME, least=0.0, most=LATEST_S)
+
+
+def _beside(samples: LogSamples, bound: SampleBound | None, speeds: Fields | None) -> LogSamples:
+    """What stands beside the positions: how well each is known, and speeds in the last three columns."""
+    if speeds is not None:
+        samples = replace(samples, values=samples.values[:, :-3], speeds_mps=samples.values[:, -3:])
+    return with_bounds(samples, bound)
 
 
 def _given_transform(frame: Field) -> NDArray[np.float64]:
@@ -415,6 +478,7 @@ def facts_of_joints(said: Fields, arm: ArmModel) -> JointFacts:
         move_at_most_radps=most,
         accelerate_at_most_radps2=None if hard is None else hard.quantity(ANGULAR_ACCELERATION, above=0.0),
         longest_gap_s=_quantity(said, "longest gap", TIME, JOINTS_LONGEST_GAP_S, LATEST_S),
+        at_rest=at_rest(said),
     )
 
 
@@ -426,6 +490,7 @@ def facts_of_hands(said: Fields, *, each: bool = False) -> HandFacts:
         known_to_m=np.inf if by_sample else known.quantity(LENGTH, least=0.0),
         moves_at_most_mps=said.required("moves at most").quantity(SPEED, above=0.0),
         longest_gap_s=said.required("longest gap").quantity(TIME, above=0.0, most=LATEST_S),
+        at_rest=at_rest(said),
     )
 
 

@@ -31,7 +31,10 @@ TABLES, BAGS = (".csv", ".parquet"), (".mcap", ".db3")
 
 @dataclass(frozen=True)
 class LogSource:
-    """What a log's file says of a stream: the file, and what of it; ``place`` is where that is said."""
+    """What a log's file says of a stream: the file, and what of it; ``place`` is where that is said.
+
+    ``seen`` are the columns, topics and joints that its reader came across, ``used`` those that it took.
+    """
 
     file: Path
     what: str
@@ -39,6 +42,8 @@ class LogSource:
     topic: str = ""
     index: int | None = None
     path: str = ""
+    seen: set[str] = field(default_factory=set, compare=False)
+    used: set[str] = field(default_factory=set, compare=False)
 
     @property
     def name(self) -> str:
@@ -58,30 +63,30 @@ class LogSource:
         return (self.file,)
 
 
-def read_source(field: Field) -> LogSource:
+def read_source(said: Field) -> LogSource:
     """The stream that a text names; LogError for a file of no kind that can be read, or that is not there."""
-    text = field.scalar("a stream: FILE.csv, FILE.parquet#right_hand or FILE.mcap#/topic").strip()
+    text = said.scalar("a stream: FILE.csv, FILE.parquet#right_hand or FILE.mcap#/topic").strip()
     name, _, what = text.partition("#")
-    file = located((field.file.parent if field.file else Path()) / name, field.place)
+    file = located((said.file.parent if said.file else Path()) / name, said.place)
     folder = file.is_dir()
     if not name or (not folder and file.suffix not in (*TABLES, *BAGS)):
         expected = f"a file that ends in {', '.join((*TABLES, *BAGS))}, or the folder of a ROS 2 bag"
-        raise LogError(place=field.place, expected=expected, got=name or "no name")
+        raise LogError(place=said.place, expected=expected, got=name or "no name")
     if not folder and not file.is_file():
-        raise LogError(place=field.place, expected="a file that can be read", got=f"no such file: {file}")
+        raise LogError(place=said.place, expected="a file that can be read", got=f"no such file: {file}")
     if not folder and file.suffix in TABLES:
-        return LogSource(file=file, what=what, place=field.place)
+        return LogSource(file=file, what=what, place=said.place)
     found = _TOPIC.fullmatch(what)
     if found is None:
         expected = (
             "a topic after the file, such as run.mcap#/joint_states, /poses[1] or /tracker:wrist.position"
         )
-        raise LogError(place=field.place, expected=expected, got=what or "none")
+        raise LogError(place=said.place, expected=expected, got=what or "none")
     index = found["index"]
     return LogSource(
         file=file,
         what=what,
-        place=field.place,
+        place=said.place,
         topic=found["topic"],
         index=None if index is None else int(index),
         path=found["path"] or "",
@@ -94,7 +99,9 @@ class LogSamples:
 
     ``time_ns`` (n,) on its own clock; ``values`` (n, k) in SI, NaN where there is none; ``at`` (n,) the line,
     row or message that each stands in, which is what ``counts`` says; ``known_to_m`` (n,) within how much
-    each is known, where the log says it of each, NaN where it does not.  ``notes`` say what was left out.
+    each is known, where the log says it of each, NaN where it does not; ``speeds_mps`` (n, 3) are those that
+    the log has beside the positions; ``frozen`` (n,) is where a sample repeats the one before it although
+    the stream has noise.  ``notes`` say what was left out.
     """
 
     source: LogSource
@@ -103,6 +110,8 @@ class LogSamples:
     at: NDArray[np.int64]
     counts: str
     known_to_m: NDArray[np.float64] | None = None
+    speeds_mps: NDArray[np.float64] | None = None
+    frozen: NDArray[np.bool_] | None = None
     notes: tuple[str, ...] = ()
     span_ns: tuple[int, int] | None = None  # of the whole stream, beyond the window too
 
@@ -128,13 +137,9 @@ class LogSamples:
 
     def of(self, there: NDArray[np.bool_]) -> LogSamples:
         """Those that are ``there`` (n,)."""
-        return replace(
-            self,
-            time_ns=self.time_ns[there],
-            values=self.values[there],
-            at=self.at[there],
-            known_to_m=None if self.known_to_m is None else self.known_to_m[there],
-        )
+        names = ("time_ns", "values", "at", "known_to_m", "speeds_mps", "frozen")
+        kept = {name: one[there] for name in names if (one := getattr(self, name)) is not None}
+        return replace(self, **kept)
 
 
 @dataclass

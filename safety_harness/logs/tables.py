@@ -26,6 +26,7 @@ ROWS_AT_ONCE = 8_192
 TIME_UNITS = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}  # in nanoseconds
 LENGTH_UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 ANGLE_UNITS = {"rad": 1.0, "deg": math.pi / 180.0}
+SPEED_UNITS = {f"{unit}ps": si for unit, si in LENGTH_UNITS.items()}
 RATE_UNITS = {"radps": 1.0, "degps": math.pi / 180.0}
 _EXACT_BELOW = 1e6  # in a unit of time, up to which a float has enough digits for a nanosecond
 
@@ -129,6 +130,8 @@ def required_column(
 def read_table(table: Table, collector: Collector) -> None:
     """Hand every row to ``collector``; LogError with line or row for a cell that is no number."""
     source = collector.source
+    source.seen.update(header_of(source))
+    source.used.update({table.time, *(one.name for one in table.columns if one is not None)})
     if source.file.suffix == ".parquet":
         _read_parquet(table, collector)
         return

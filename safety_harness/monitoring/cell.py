@@ -19,11 +19,13 @@ from safety_harness.logs.read import (
     OF_HANDS,
     OF_LOG,
     SHORTEST_PERIOD_NS,
+    TCP,
     facts_of_hands,
     facts_of_joints,
     said_of_joints,
 )
 from safety_harness.logs.streams import LATEST_S, NS
+from safety_harness.logs.told import STREAMS
 from safety_harness.robot.description import ArmModel
 from safety_harness.robot.robots import arm_model
 from safety_harness.scenario.codec import Tree, scalar_text
@@ -95,10 +97,10 @@ class WatchedCell:
             for name, hand, table in zip(names, self.hands, hands, strict=True)
         }
         streams = {name: scalar_text(f"{table}#hand") for name, table in zip(names, hands, strict=True)}
-        kept: dict[str, Tree] = {key: said[key] for key in KEYS if key in said}
+        kept: dict[str, Tree] = {key: said[key] for key in KEYS if key in said and key not in (TCP, *STREAMS)}
         of_joints, of_hands = _table(kept, "joints"), _table(kept, "hands")
         for table in (of_joints, of_hands):
-            for key in ("names", "unit", "time", "frame"):
+            for key in ("names", "unit", "time", "frame", "left out", "speeds"):
                 table.pop(key, None)
         log: dict[str, Tree] = {"joints": joints, "period": format_quantity(self.period_s, TIME)}
         kept["log"] = log
