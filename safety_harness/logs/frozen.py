@@ -19,7 +19,7 @@ from safety_harness.scenario.fields import Fields
 
 Values = NDArray[np.float64]
 BLOCK, NOISY_BLOCKS = 10, 3  # samples that are asked for noise together, and how many such blocks it takes
-EQUAL = 12  # numbers in a row that chance does not repeat: 12 samples of a joint, 4 of a place
+FEWEST, BY_CHANCE = 4, 1e-3  # repetitions in a row, and how often a stream may show so many by chance
 TURNS = (
     0.2  # of the squared steps, by which those that follow each other turn back: noise without motion has 0.5
 )
@@ -46,17 +46,24 @@ def noisy(blocks: Values) -> NDArray[np.bool_]:
     return np.asarray(changes & ((turns > TURNS * squares) & (squares >= noise)).any(axis=1))
 
 
+def _is_frozen(row: int, repeated: int, blocks: int, samples: int) -> bool:
+    """Are ``row`` repetitions in a row, of all that are ``repeated``, too many for chance?
+
+    Chance is the share of repetitions elsewhere, among samples that hardly move: those of noisy ``blocks``.
+    """
+    share = (repeated - row + 1) / (BLOCK * blocks + repeated - row + 1)
+    return row >= FEWEST and blocks >= NOISY_BLOCKS and samples * share**row < BY_CHANCE
+
+
 def frozen(values: Values) -> NDArray[np.bool_]:
-    """(n,) where ``values`` (n, k) repeat the sample before them, in a row of EQUAL / k or more."""
-    same = np.zeros(len(values), np.bool_)
+    """(n,) where ``values`` (n, k) repeat the sample before them more often than chance lets their noise."""
+    same, found = np.zeros((2, len(values)), np.bool_)
     same[1:] = np.all(values[1:] == values[:-1], axis=1)
-    found = np.zeros(len(values), np.bool_)
-    for first, after in zip(*runs_of(same), strict=True):
-        found[first:after] = (after - first) * values.shape[1] >= EQUAL
     whole = len(values) // BLOCK * BLOCK
-    if found.any() and noisy(values[:whole].reshape(-1, BLOCK, values.shape[1])).sum() >= NOISY_BLOCKS:
-        return found
-    return np.zeros(len(values), np.bool_)
+    blocks = int(noisy(values[:whole].reshape(-1, BLOCK, values.shape[1])).sum())
+    for first, after in zip(*runs_of(same), strict=True):
+        found[first:after] = _is_frozen(int(after - first), int(same.sum()), blocks, len(values))
+    return found
 
 
 def with_frozen(samples: LogSamples, things: Sequence[Values], said: Fields) -> LogSamples:
@@ -86,25 +93,29 @@ class Repeats:
     _block: list[tuple[float, ...]] = field(default_factory=list)
     _last: tuple[float, ...] = ()
     _noisy: int = 0
-    _equal: int = 0
+    _samples: int = 0
+    _repeated: int = 0
+    _row: int = 0
     _since_ns: int = 0
-    _told_ns: int | None = None
+    _longest: tuple[int, int] = 0, 0  # row, and when it began, that was not told
 
     def since(self, time_ns: int, values: tuple[float, ...]) -> int | None:
         """Return since when the stream repeats ``values``, which came at ``time_ns``; None: it need not.
 
         A stream that repeated its values before it was known to have noise is told once, when it is known.
         """
-        if values != self._last:
-            self._last, self._since_ns, self._equal = values, time_ns, -1
-        self._equal += 1
+        self._samples += 1
+        if values == self._last:
+            self._row, self._repeated = self._row + 1, self._repeated + 1
+        else:
+            self._last, self._since_ns, self._row = values, time_ns, 0
         self._block.append(values)
         if len(self._block) == BLOCK:
             self._noisy += int(noisy(np.array([self._block]))[0])
             self._block.clear()
-        if self._equal * len(values) >= EQUAL:
-            self._told_ns = self._since_ns
-        if self._noisy < NOISY_BLOCKS:
+        self._longest = max(self._longest, (self._row, self._since_ns))
+        row, since_ns = self._longest
+        if not _is_frozen(row, self._repeated, self._noisy, self._samples):
             return None
-        told_ns, self._told_ns = self._told_ns, None
-        return told_ns
+        self._longest = 0, 0
+        return since_ns

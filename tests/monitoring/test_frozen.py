@@ -17,12 +17,12 @@ from safety_harness.monitoring.journal import Journal
 from safety_harness.monitoring.monitor import Monitor
 from safety_harness.scenario.model import Verdict
 
-FAR_M = tcp_m(MIDDLE_RAD[None])[0] + [0.3, 0.0, 0.0]
-DISTANCE, HEIGHT = "always hand distance > 50 mm", "always TCP height > 100 mm"
+FAR_M = tcp_m(MIDDLE_RAD[None])[0] + [0.45, 0.0, 0.0]
+DISTANCE, HEIGHT = "always hand distance > 150 mm", "always TCP height > 100 mm"
 SAID = """\
 log: {{joints: joints.csv, hands: hands.csv#hand, period: 8 ms}}
 clock: {{hands are ahead by: 0 ms, known to: 0 ms}}
-joints: {{known to: 0.02 deg{joints}}}
+joints: {{known to: 0.02 deg, accelerate at most: 2 rad/s2{joints}}}
 hands: {{forearm: none, frame: base, longest gap: 200 ms, moves at most: 2 m/s, known to: 8 mm{hands}}}
 settings: {{hand: {{forearm radius: 40 mm, radius: 60 mm}}}}
 claims: ["{distance}", "{height}"]
