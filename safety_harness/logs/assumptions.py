@@ -5,56 +5,50 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from safety_harness.logs.model import CellLog
-from safety_harness.scenario.nodes import Mapping
+from safety_harness.scenario.nodes import Scalar
 
 A_TCP = "a track of the TCP: log: {tcp: FILE#TRACK}"
 LIKELY = ("tcp", "tool", "flange", "effector", "eef")  # in the name of a column or topic that has the TCP
-A_FRAME = (
-    "headers of a bag that name their frame, with frame: {tf: FILE#/tf}; or a marker on the tool, of which "
-    "safety-harness log align says whether the arm's motion explains its places"
-)
+A_FRAME = "a bag whose headers name it, with frame: {tf: FILE#/tf}; or a marker on the tool, by log align"
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Assumption:
     """One of them: ``confirmed_by`` is empty where nothing in the log does, ``would`` names what would."""
 
     what: str
-    confirmed_by: str = ""
+    confirmed_by: str
     would: str
 
 
 def assumptions_of(log: CellLog) -> tuple[Assumption, ...]:
     """All that the verdicts on ``log`` assume of the arm, and of the frame of the hands."""
-    tcp, by, zeros = log.tcp, "", "the zero positions and signs of its joints"
+    tcp, by = log.tcp, ""
     likely = [one for one in log.unused if any(name in one.partition("#")[2].lower() for name in LIKELY)]
     would = A_TCP + f", perhaps {', '.join(likely[:3])}" * bool(likely)
     if tcp is not None:
-        by = f"{tcp.samples.source.name}, {len(tcp.samples.time_ns)} samples at most {tcp.apart_m * 1e3:.3g} mm"
-        by += f" from where the joints have it, of {tcp.within_m * 1e3:.3g} mm that may be"
-    found = [Assumption(what=f"the arm, {log.robot.label}", confirmed_by=by, would=would)]
-    found.append(Assumption(what=zeros, confirmed_by=by, would=would))
+        by = f"{tcp.samples.source.name}: where the joints have it to {tcp.apart_m * 1e3:.3g} mm"
+        by += f" in {len(tcp.samples.time_ns)} samples, of {tcp.within_m * 1e3:.3g} mm that may be"
+    of_arm = (
+        f"the arm, {log.robot.label}",
+        "the zero positions and signs of its joints",
+        "where its tool ends",
+    )
+    found = [Assumption(what, by, would) for what in of_arm]
     if tcp is not None and tcp.unseen:
         what = f"the zero positions of {', '.join(tcp.unseen)}, to within 5 deg: they hardly move the TCP"
-        found.append(Assumption(what=what, would="one of the tool's orientation, which is not read"))
-    found.append(Assumption(what="where its tool ends, the TCP", confirmed_by=by, would=would))
-    found.append(Assumption(what="the shape of its tool", would="none: robot: {tool: ...} has to enclose it"))
-    for body in log.hands:
-        source, headers = body.hand.source, ""
-        if source.is_bag and _by_headers(log):
-            headers = f"the frames that the headers of {source.name} name"
-        for what in ("the direction of the axes", "the origin of the heights"):
-            found.append(Assumption(what=f"{what} of {body.name}", confirmed_by=headers, would=A_FRAME))
-    return tuple(found)
-
-
-def _by_headers(log: CellLog) -> bool:
-    """Are positions placed by the frame that each message names, which has to be there then?"""
-    hands = dict(dict(log.said.entries("a log"))["hands"].entries("hands"))
-    frame = hands["frame"].node if "frame" in hands else None
-    return frame is None or (
-        isinstance(frame, Mapping) and "at" not in {key.text for key, _ in frame.entries}
+        found.append(Assumption(what, "", "a column of the tool's orientation, which is not read yet"))
+    found.append(Assumption("the shape of its tool", "", "no column: robot: {tool: ...} has to enclose it"))
+    said = dict(dict(log.said.entries("a log")).get("hands", log.said).entries("hands"))
+    stated = "frame" in said and (
+        isinstance(said["frame"].node, Scalar) or "at" in dict(said["frame"].entries(""))
     )
+    for body in log.hands:
+        source = body.hand.source
+        by = f"the frames that headers of {source.name} name" * (source.is_bag and not stated)
+        for what in ("the direction of the axes", "the origin of the heights"):
+            found.append(Assumption(f"{what} of {body.name}", by, A_FRAME))
+    return tuple(found)
 
 
 def unconfirmed_note(log: CellLog) -> str:

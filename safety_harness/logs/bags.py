@@ -221,10 +221,10 @@ def read_joints(
 def read_positions(
     source: LogSource,
     collector: Collector,
-    *,
     time: str,
     length: float,
     to_base: Callable[[str, Message], Callable[[Sequence[float]], Sequence[float]]],
+    *,
     halves: bool = True,
     bound: SampleBound | None = None,
     speeds: str | None = None,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import combinations
 
@@ -61,8 +62,13 @@ def _told(samples: LogSamples, there: NDArray[np.bool_]) -> LogSamples:
     )
 
 
-def with_bounds(samples: LogSamples, bound: SampleBound | None = None) -> LogSamples:
-    """What stands beside the positions is how well each is known: as numbers of ``bound``, or in metres."""
+def with_bounds(samples: LogSamples, bound: SampleBound | None = None, *, speeds: bool = False) -> LogSamples:
+    """What stands beside the positions is how well each is known: as numbers of ``bound``, or in metres.
+
+    With ``speeds`` the last three columns are these.
+    """
+    if speeds:
+        samples = replace(samples, values=samples.values[:, :-3], speeds_mps=samples.values[:, -3:])
     values, beside = samples.values[:, :3], samples.values[:, 3:]
     if not beside.shape[1]:
         return samples
@@ -115,77 +121,45 @@ def refuse_jumping_joints(joints: LogSamples, facts: JointFacts, names: tuple[st
         )
 
 
-def refuse_contradicting_speeds(joints: LogSamples, facts: JointFacts, names: tuple[str, ...]) -> None:
-    """Raise LogError for the first interval in which a joint's speeds do not lead from angle to angle."""
-    known, hard = facts.speeds_known_to_radps, facts.accelerate_at_most_radps2
-    if known is None:
-        return
-    angles, speeds = joints.values[:, : len(names)], joints.values[:, len(names) :]
-    found = _contradiction(joints.time_ns, angles, speeds, known, hard, 2.0 * facts.known_to_rad)
-    if found is not None:
-        joint, begin, times, (by_angles, by_speeds, off) = found
-        raise joints.error(
-            begin,
-            f"{names[joint]} to turn by {np.degrees(by_angles):.4g} deg from {times}, "
-            f"as its angles do, to within {np.degrees(off):.2g} deg",
-            f"{np.degrees(by_speeds):.4g} deg by its speeds",
-            "speeds of another unit, sign or joint? or joints: {speeds known to: ...} says what they are off",
-        )
-
-
-def refuse_contradicting_hand_speeds(hand: LogSamples, known_to_m: float, speeds_known_to_mps: float) -> None:
-    """Raise LogError for the first interval in which a hand's speeds do not lead from place to place."""
-    assert hand.speeds_mps is not None
-    if hand.known_to_m is not None:
-        known_to_m = float(hand.known_to_m.max())
-    found = _contradiction(
-        hand.time_ns, hand.values, hand.speeds_mps, speeds_known_to_mps, None, 2.0 * known_to_m
-    )
-    if found is not None:
-        axis, begin, times, (by_places, by_speeds, off) = found
-        raise hand.error(
-            begin,
-            f"{hand.source.name} to move by {by_places * 1e3:.4g} mm along {'xyz'[axis]} from {times}, "
-            f"as its positions do, to within {off * 1e3:.2g} mm",
-            f"{by_speeds * 1e3:.4g} mm by its speeds",
-            "speeds of another unit, sign, axis or frame? or hands: {speeds: {known to: ...}} is too small",
-        )
-
-
-def _contradiction(
-    time_ns: NDArray[np.int64],
+def refuse_contradicting_speeds(
+    samples: LogSamples,
     places: NDArray[np.float64],
     speeds: NDArray[np.float64],
-    known: float,
+    known: tuple[float, float],
     hard: float | None,
-    off: float,
-) -> tuple[int, int, str, tuple[float, float, float]] | None:
-    """Find the first interval in which ``speeds`` (n, k) do not lead from place to place, ``places`` (n, k).
+    names: Sequence[str],
+    unit: tuple[str, float],
+) -> None:
+    """Raise LogError for the first interval in which ``speeds`` (n, k) do not lead along ``places`` (n, k).
 
-    Return the column, the sample at which it begins, its times in words, and the ways by places and by speeds
-    with how far they may be apart.  Between two samples T apart the mean speed is within a T/4 of the mean of
-    both, at the acceleration a, ``hard``.  Samples without speeds are passed over.
+    Places and speeds are ``known`` to so much.  Between two samples T apart the mean speed is within a T/4 of
+    the mean of both, at the acceleration a, ``hard``; None: twice what the speeds show.  Samples without
+    speeds are passed over.  ``names`` of columns and ``unit``, with how many of it are 1 in SI, are for words.
     """
     there = np.flatnonzero(np.isfinite(speeds).all(axis=1))
     if len(there) < 2:
-        return None
-    places, speeds, at_s = places[there], speeds[there], (time_ns[there] - time_ns[0]) / NS
+        return
+    places, speeds, at_s = places[there], speeds[there], (samples.time_ns[there] - samples.time_ns[0]) / NS
     step_s = np.diff(at_s)[:, None]
     told = (speeds[1:] + speeds[:-1]) / 2.0 * step_s
-    # twice what is seen, where none is said
     taken = 2.0 * np.abs(np.diff(speeds, axis=0) / step_s).max(axis=0)
     hardest = np.minimum(taken, HARDEST_TAKEN) if hard is None else hard
-    allowed = step_s * (known + hardest * step_s / 4.0)
+    allowed = np.broadcast_to(step_s * (known[1] + hardest * step_s / 4.0), told.shape)
     found: list[tuple[int, int, int]] = []
     for sign in (1.0, -1.0):  # more, or less, than is allowed since the sample at which that begins
         more = np.zeros(places.shape)
         more[1:] = np.cumsum(sign * (np.diff(places, axis=0) - told) - allowed, axis=0)
         since = np.minimum.accumulate(more, axis=0)
-        for end, column in np.argwhere(more - since > off)[:1].tolist():
+        for end, column in np.argwhere(more - since > 2.0 * known[0])[:1].tolist():
             found.append((end, column, int(np.argmax(more[:, column] == since[end, column]))))
     for end, column, begin in sorted(found)[:1]:
-        by_places, by_speeds = places[end, column] - places[begin, column], told[begin:end, column].sum()
+        off = 2.0 * known[0] + allowed[begin:end, column].sum()
+        ways = places[end, column] - places[begin, column], told[begin:end, column].sum(), off
+        way, by_speeds, within = (f"{float(one) * unit[1]:.4g} {unit[0]}" for one in ways)
         times = f"{at_s[begin]:.3f} to {at_s[end]:.3f} s"
-        within = off + np.broadcast_to(allowed, told.shape)[begin:end, column].sum()
-        return column, int(there[begin]), times, (float(by_places), float(by_speeds), float(within))
-    return None
+        raise samples.error(
+            int(there[begin]),
+            f"{names[column]} to go by {way} from {times}, as its positions do, to within {within}",
+            f"{by_speeds} by its speeds",
+            'speeds of another unit, sign, axis or joint? or how well they are known: "speeds known to"',
+        )

@@ -71,14 +71,10 @@ def with_frozen(samples: LogSamples, things: Sequence[Values], said: Fields) -> 
     flags = np.any([frozen(one) for one in things], axis=0)
     if not flags.any():
         return samples
-    time_s = samples.time_ns / NS
-    spans = [
-        f"{time_s[first - 1]:.3f} to {time_s[after - 1]:.3f} s"
-        for first, after in zip(*runs_of(flags), strict=True)
-    ]
-    where = ", ".join(spans[:INTERVALS_TOLD]) + f" and {len(spans) - INTERVALS_TOLD} more" * (
-        len(spans) > INTERVALS_TOLD
-    )
+    begins, ends = runs_of(flags)
+    times = zip(samples.time_ns[begins - 1] / NS, samples.time_ns[ends - 1] / NS, strict=True)
+    where = ", ".join([f"{begin:.3f} to {end:.3f} s" for begin, end in times][:INTERVALS_TOLD])
+    where += f" and {len(begins) - INTERVALS_TOLD} times more" * (len(begins) > INTERVALS_TOLD)
     note = f"repeats its values to the last bit from {where} of its clock, though it has noise elsewhere: "
     if at_rest(said):
         return samples.noted(note + "at rest, as the file says")

@@ -56,7 +56,7 @@ class Body:
     forearm: bool = True
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False)
 class TcpCheck:
     """The TCP's own samples, at most ``apart_m`` from where the joints have it, of ``within_m`` allowed.
 

@@ -56,6 +56,11 @@ class LogSource:
         return bool(self.topic)
 
     @property
+    def counts(self) -> str:
+        """What its places are counted in."""
+        return "message" if self.is_bag else "line" if self.file.suffix == ".csv" else "row"
+
+    @property
     def files(self) -> tuple[Path, ...]:
         """The files that it reads: of a folder all in it."""
         if self.file.is_dir():
@@ -98,7 +103,7 @@ class LogSamples:
     """The samples of a stream within a window, in the order of the file.
 
     ``time_ns`` (n,) on its own clock; ``values`` (n, k) in SI, NaN where there is none; ``at`` (n,) the line,
-    row or message that each stands in, which is what ``counts`` says; ``known_to_m`` (n,) within how much
+    row or message that each stands in; ``known_to_m`` (n,) within how much
     each is known, where the log says it of each, NaN where it does not; ``speeds_mps`` (n, 3) are those that
     the log has beside the positions; ``frozen`` (n,) is where a sample repeats the one before it although
     the stream has noise.  ``notes`` say what was left out.
@@ -108,7 +113,6 @@ class LogSamples:
     time_ns: NDArray[np.int64]
     values: NDArray[np.float64]
     at: NDArray[np.int64]
-    counts: str
     known_to_m: NDArray[np.float64] | None = None
     speeds_mps: NDArray[np.float64] | None = None
     frozen: NDArray[np.bool_] | None = None
@@ -122,9 +126,9 @@ class LogSamples:
     def place(self, index: int) -> Place:
         """Of one sample, for errors."""
         number = int(self.at[index])
-        if self.counts == "line":
+        if self.source.counts == "line":
             return Place(file=self.source.file, line=number, field=self.source.what or None)
-        what = f"{self.counts} {number}" + (f" of {self.source.what}" if self.source.what else "")
+        what = f"{self.source.counts} {number}" + (f" of {self.source.what}" if self.source.what else "")
         return Place(file=self.source.file, field=what)
 
     def error(self, index: int, expected: str, got: str, hint: str = "") -> LogError:
@@ -148,10 +152,9 @@ class Collector:
 
     source: LogSource
     width: int
-    counts: str
     begin_ns: int | None = None
     end_ns: int | None = None
-    begin: Callable[[int], tuple[int | None, int | None]] | None = None  # the window, by the first time
+    begin: Callable[[int], list[int | None]] | None = None  # the window, by the first time
     least: int = 2
     bodies: set[str] = field(default_factory=set)  # all that its messages show, as streams name them
     _time: array[int] = field(default_factory=lambda: array("q"))
@@ -191,7 +194,6 @@ class Collector:
             np.array(self._time, np.int64),
             np.array(self._values, np.float64).reshape(n, self.width),
             np.array(self._at, np.int64),
-            self.counts,
         )
         if n < self.least:
             words = "two samples" if self.least == 2 else "a sample"
@@ -219,7 +221,7 @@ def refuse_disorder(samples: LogSamples) -> None:
         before, now = (samples.time_ns[i] / NS for i in (index, index + 1))
         twice = abs(int(steps[index])) < SHORTEST_STEP_NS
         same = np.array_equal(samples.values[index], samples.values[index + 1], equal_nan=True)
-        got = f"{now:.9f} s after {before:.9f} s, in {samples.counts} {int(samples.at[index])}"
+        got = f"{now:.9f} s after {before:.9f} s, in {samples.source.counts} {int(samples.at[index])}"
         hint = "sort it by time, in a copy: nothing is sorted here, since it may be two recordings in one"
         if twice:
             hint = "the same sample twice" if same else "two samples of one time that are not the same"

@@ -14,10 +14,7 @@ from safety_harness.scenario.robots import AnyRobot
 
 TURNED_RAD = np.radians(5.0)  # a zero position that is so far off has to show
 POSES_TURNED = 16  # of the log, at which that is tried
-HINT = (
-    "another arm, tool, zero position, sign or unit than the log's? or another frame: a UR controller's is "
-    "turned by 180 deg about z against base_link. tcp: {known to: ...} has to hold what its stamps are off"
-)
+HINT = "another arm, tool, zero position, sign, unit or frame? a UR controller's is turned by 180 deg about z"
 
 
 def checked_tcp(
@@ -31,13 +28,12 @@ def checked_tcp(
     time_s, tcp_s = ((one.time_ns - joints.time_ns[0]) / NS for one in (joints, tcp))
     angles = joints.values[:, : len(arm.joint_names)]
     step_s = np.diff(time_s)
-    off_rad = joint_off_rad(
+    slope, most, hard = (
         np.diff(angles, axis=0) / step_s[:, None],
-        step_s,
-        most=facts.move_at_most_radps,
-        hardest=facts.accelerate_at_most_radps2,
-        sample_rad=facts.known_to_rad,
+        facts.move_at_most_radps,
+        facts.accelerate_at_most_radps2,
     )
+    off_rad = joint_off_rad(slope, step_s, most=most, hardest=hard, sample_rad=facts.known_to_rad)
     which = np.clip(np.searchsorted(time_s, tcp_s, side="right") - 1, 0, len(step_s) - 1)
     off_rad = np.where(np.isin(tcp.time_ns, joints.time_ns), facts.known_to_rad, off_rad[which])
     off_m = known_to_m + off_rad * float(arm_with(arm, arm_capsules(robot)).reach_m.sum())
@@ -53,12 +49,10 @@ def checked_tcp(
             f"{told} m, {apart_m[index] * 1e3:.4g} mm away",
             HINT,
         )
-    some = np.linspace(0, len(poses) - 1, POSES_TURNED).astype(int)
+    some, turns = np.linspace(0, len(poses) - 1, POSES_TURNED).astype(int), np.eye(len(arm.joint_names))
     unseen = []
-    for name, turned in zip(arm.joint_names, np.eye(len(arm.joint_names)) * TURNED_RAD, strict=True):
-        away = [links_in_base(arm, poses[k] + turned)[-1, :3, 3] - places[k] for k in some]
+    for name, turn in zip(arm.joint_names, turns * TURNED_RAD, strict=True):
+        away = [links_in_base(arm, poses[k] + turn)[-1, :3, 3] - places[k] for k in some]
         if (np.linalg.norm(away, axis=1) <= apart_m[some] + off_m[some]).all():
             unseen.append(name)
-    return TcpCheck(
-        samples=tcp, apart_m=float(apart_m.max()), within_m=float(off_m.max()), unseen=tuple(unseen)
-    )
+    return TcpCheck(tcp, float(apart_m.max()), float(off_m.max()), tuple(unseen))
