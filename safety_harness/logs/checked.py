@@ -134,7 +134,7 @@ def refuse_contradicting_speeds(
 
     Places and speeds are ``known`` to so much.  Between two samples T apart the mean speed is within a T/4 of
     the mean of both, at the acceleration a, ``hard``; None: twice what the speeds show.  Samples without
-    speeds are passed over.  ``names`` of columns and ``unit``, with how many of it are 1 in SI, are for words.
+    speeds are passed over.  ``names`` of columns and ``unit``, and how many of it are 1 in SI, are for words.
     """
     there = np.flatnonzero(np.isfinite(speeds).all(axis=1))
     if len(there) < 2:

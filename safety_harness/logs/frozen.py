@@ -61,8 +61,10 @@ def frozen(values: Values) -> NDArray[np.bool_]:
     same[1:] = np.all(values[1:] == values[:-1], axis=1)
     whole = len(values) // BLOCK * BLOCK
     blocks = int(noisy(values[:whole].reshape(-1, BLOCK, values.shape[1])).sum())
-    for first, after in zip(*runs_of(same), strict=True):
-        found[first:after] = _is_frozen(int(after - first), int(same.sum()), blocks, len(values))
+    (begins, ends), repeated = runs_of(same), int(same.sum())
+    for k in np.flatnonzero(ends - begins >= FEWEST) if blocks >= NOISY_BLOCKS else ():
+        row = int(ends[k] - begins[k])
+        found[begins[k] : ends[k]] = _is_frozen(row, repeated, blocks, len(values))
     return found
 
 
