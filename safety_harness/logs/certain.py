@@ -177,9 +177,7 @@ def _outside(within: NDArray[np.float64], gaps: tuple[Gap, ...]) -> NDArray[np.f
     return found
 
 
-def _joints(
-    log: CellLog,
-) -> tuple[NDArray[np.float64], NDArray[np.float64], Source, Source, Reach, Reach]:
+def _joints(log: CellLog) -> tuple[NDArray[np.float64], NDArray[np.float64], Source, Source, Reach, Reach]:
     """Positions and speeds at the ticks, by what they were measured, and within how much they are known."""
     joints, facts, count = log.joints, log.joint_facts, log.ticks
     time_s, tick_s = log.seconds(joints), np.arange(count) * log.period_s
@@ -188,11 +186,7 @@ def _joints(
     step_s = np.diff(time_s)
     slope = np.diff(position_rad, axis=0) / step_s[:, None]
     bounds = {"most": facts.move_at_most_radps, "hardest": facts.accelerate_at_most_radps2}
-    grid = {
-        "longest_ns": round(facts.longest_gap_s * NS),
-        "period_ns": log.period_ns,
-        "count": count,
-    }
+    grid = {"longest_ns": round(facts.longest_gap_s * NS), "period_ns": log.period_ns, "count": count}
     time_ns = joints.time_ns - log.origin_ns
     off = joint_off_rad(slope, step_s, sample_rad=facts.known_to_rad, **bounds)  # type: ignore[arg-type]
     reach = over_ticks(time_ns, off, frozen=frozen, **grid)

@@ -24,12 +24,7 @@ from safety_harness.logs.checked import (
 from safety_harness.logs.facts import OF_HANDS, facts_of_hands, facts_of_joints, said_of_joints
 from safety_harness.logs.frames import ToBase, by_given, by_header, frame_name, given_transform
 from safety_harness.logs.frozen import REPEATS, with_frozen
-from safety_harness.logs.model import (
-    Body,
-    CellLog,
-    JointFacts,
-    TcpCheck,
-)
+from safety_harness.logs.model import Body, CellLog, JointFacts, TcpCheck
 from safety_harness.logs.sample_bound import SampleBound, sample_bound
 from safety_harness.logs.streams import LATEST_S, NS, Collector, LogSamples, LogSource, read_source
 from safety_harness.logs.tables import (
@@ -56,11 +51,7 @@ from safety_harness.scenario.files import decode, read_bytes
 from safety_harness.scenario.kinds import FileKind, refuse_other_kind
 from safety_harness.scenario.nodes import Mapping, Scalar, parse_tree
 from safety_harness.scenario.robots import AnyRobot, Robot, read_robot
-from safety_harness.scenario.units import (
-    LENGTH,
-    SPEED,
-    TIME,
-)
+from safety_harness.scenario.units import LENGTH, SPEED, TIME
 
 TCP = "tcp"
 KEYS = (

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -345,3 +348,16 @@ def test_log_check_lists_what_is_assumed_and_the_column_that_would_confirm_it(
     assert "confirms the zero positions of wrist_3_joint" in found.stderr
     data = json.loads(CliRunner().invoke(app, ["log", "check", str(log), "--json"]).stdout)
     assert data["result"]["assumptions"][0]["what"] == "the arm, UR10"
+
+
+def test_in_pytest_each_claim_of_a_log_has_what_was_left_out_in_junit(log: Path, streams: Streams) -> None:
+    add_columns(log.with_name("joints.csv"), ["payload_kg"], np.zeros((len(streams.joint_ns), 1)))
+    text = log.read_text()
+    log.write_text(text[: text.index("claims:")] + f"claims: [{DISTANCE}]\n")
+    command = [sys.executable, "-m", "pytest", "-q", f"--junitxml={log.parent / 'junit.xml'}", str(log)]
+    ran = subprocess.run(command, cwd=log.parent, capture_output=True, text=True, check=False)
+    assert ran.returncode == 0, ran.stdout
+    properties = ElementTree.parse(log.parent / "junit.xml").iter("property")
+    notes = [one.get("value") for one in properties if one.get("name") == "note"]
+    assert "columns, topics and joints that nothing reads: joints.csv#payload_kg" in notes
+    assert any(str(note).startswith("nothing in the log confirms the arm, UR10;") for note in notes)
