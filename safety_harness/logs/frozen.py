@@ -111,9 +111,10 @@ class Repeats:
         if len(self._block) == BLOCK:
             self._noisy += int(noisy(np.array([self._block]))[0])
             self._block.clear()
-        self._longest = max(self._longest, (self._row, self._since_ns))
+        if self._row > self._longest[0]:
+            self._longest = self._row, self._since_ns
         row, since_ns = self._longest
-        if not _is_frozen(row, self._repeated, self._noisy, self._samples):
+        if row < FEWEST or not _is_frozen(row, self._repeated, self._noisy, self._samples):
             return None
         self._longest = 0, 0
         return since_ns

@@ -123,6 +123,11 @@ class LogSamples:
         """Return the same with one more word on what was left out."""
         return replace(self, notes=(*self.notes, f"{self.source.name}: {note}"))
 
+    @property
+    def measured(self) -> LogSamples:
+        """Those that do not repeat frozen ones."""
+        return self if self.frozen is None else self.of(~self.frozen)
+
     def place(self, index: int) -> Place:
         """Of one sample, for errors."""
         number = int(self.at[index])

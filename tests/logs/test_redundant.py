@@ -19,6 +19,7 @@ from typer.testing import CliRunner
 
 from safety_harness.cli.main import app
 from safety_harness.exceptions import InputError, LogError
+from safety_harness.logs.approaches import approaches_of
 from safety_harness.logs.assumptions import assumptions_of
 from safety_harness.logs.frozen import BLOCK, Repeats, frozen
 from safety_harness.logs.judging import recorded as judged_log
@@ -284,6 +285,7 @@ def test_a_hand_that_freezes_leaves_claims_on_it_open(log: Path, streams: Stream
     write_csv(replace(streams, hand_m=hangs), log.parent)
     assert verdict_of(log, DISTANCE) is Verdict.INCONCLUSIVE
     assert verdict_of(log, "joint speeds within limits") is Verdict.HOLDS
+    assert approaches_of(read_log(log)).gaps == 1
     (note,) = [one for one in judged_log(log).notes if "to the last bit" in one]
     first_s, last_s = streams.hand_ns[[20, 37]] / 1e9
     assert f"hands.csv#hand: repeats its values to the last bit from {first_s:.3f} to {last_s:.3f} s" in note
