@@ -1,4 +1,4 @@
-"""A stream that repeats itself to the last bit is lost for the monitor, as it is for ``judge``."""
+"""A stream that repeats itself to the last bit is lost for the monitor, as it is for ``judge`` of its log."""
 
 from __future__ import annotations
 
@@ -23,10 +23,12 @@ SAID = """\
 log: {{joints: joints.csv, hands: hands.csv#hand, period: 8 ms}}
 clock: {{hands are ahead by: 0 ms, known to: 0 ms}}
 joints: {{known to: 0.02 deg, accelerate at most: 2 rad/s2{joints}}}
-hands: {{forearm: none, frame: base, longest gap: 200 ms, moves at most: 2 m/s, known to: 8 mm{hands}}}
+hands: {{forearm: none, frame: base, longest gap: 200 ms, moves at most: 2 m/s, known to: 8 mm,
+  left out: [hands.csv#marker], speeds: {{known to: 1 m/s}}{hands}}}
 settings: {{hand: {{forearm radius: 40 mm, radius: 60 mm}}}}
 claims: ["{distance}", "{height}"]
 tcp: {{known to: 2 mm, frame: base}}
+mode: {{words: {{RUN: servoing}}, known to: 0 ms, longest gap: 40 ms}}
 """
 AT_REST = ", repeats: at rest"
 
