@@ -10,13 +10,35 @@ from typer import Argument, Option, Typer
 from safety_harness.cli.console import AS_EXPECTED, document, result, say
 from safety_harness.cli.options import command
 
-_ABOUT = "Estimate by how much one clock of a log is ahead of the other."
+_ABOUT = "Check what a log leaves open: what nothing in it confirms, and how far its clocks are apart."
 commands = Typer(no_args_is_help=True, help=_ABOUT, short_help=_ABOUT)
 
 
-@commands.callback()
-def _group() -> None:
-    """Keeps ``align`` a command of a group, as long as it is the only one."""
+@command(commands, "check")
+def check(log: Annotated[Path, Argument(help="The description of a log.", metavar="LOG.yaml")]) -> int:
+    """List what verdicts on a log assume, what in it confirms each, and which column would.
+
+    Reads all of it, as judge does, and prints the columns, tracks and intervals that are left out. Exit code
+    0, whatever is confirmed; 2: the log contradicts itself or its file, or cannot be read.
+    """
+    from dataclasses import asdict
+
+    from safety_harness.logs.assumptions import assumptions_of
+    from safety_harness.logs.certain import trace_of
+    from safety_harness.logs.read import read_log
+
+    found = read_log(log)
+    notes, assumed = trace_of(found).notes, assumptions_of(found)
+    for one in assumed:
+        result(f"{'confirmed' if one.confirmed_by else 'ASSUMED  '}  {one.what}")
+        result(
+            f"           by {one.confirmed_by}"
+            if one.confirmed_by
+            else f"           would confirm it: {one.would}"
+        )
+    say(*(f"note: {note}" for note in notes))
+    document(assumptions=[asdict(one) for one in assumed], notes=notes)
+    return AS_EXPECTED
 
 
 @command(commands, "align")

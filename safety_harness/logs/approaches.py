@@ -78,17 +78,18 @@ def approaches_of(log: CellLog) -> Watched:
     found.fastest_mps = facts.moves_at_most_mps
     arm, seen_s = arm_model(log.robot), list[tuple[float, float]]()
     for body in log.hands:
-        time_s = log.seconds(body.hand, of_hands=True)
+        hand = body.hand.measured
+        time_s = log.seconds(hand, of_hands=True)
         breaks = np.flatnonzero(np.diff(time_s) > facts.longest_gap_s) + 1
         found.gaps += len(breaks)
         bounds = [0, *breaks.tolist(), len(time_s)]
         cut_before = True
         for begin, end in pairwise(bounds):
             part = time_s[begin:end]
-            cut, cut_after = _piece(found, part, body.hand.values[begin:end], log, arm)
+            cut, cut_after = _piece(found, part, hand.values[begin:end], log, arm)
             if not (cut_before or cut):  # nothing moved where the gap began, or where it ended
                 across = slice(begin - 1, begin + 1)
-                found.counted += _reaches(log, arm, time_s[across], body.hand.values[across])
+                found.counted += _reaches(log, arm, time_s[across], hand.values[across])
             cut_before = cut_after
             seen_s.append((float(max(part[0], 0.0)), float(min(part[-1], log.seconds(log.joints)[-1]))))
     until_s = 0.0

@@ -144,8 +144,10 @@ def messages(source: LogSource) -> Iterator[Message]:
     """
     with _opened(source) as reader:
         connections = [one for one in reader.connections if one.topic == source.topic]
+        source.seen.update(one.topic for one in reader.connections)
+        source.used.add(source.topic)
         if not connections:
-            topics = sorted({one.topic for one in reader.connections})
+            topics = sorted(source.seen)
             raise LogError(
                 place=source.place,
                 expected=f"a topic of {source.file.name}",
@@ -200,6 +202,8 @@ def read_joints(
                         expected = f'the joint "{name}"'
                         raise error(source, message, expected, f"the joints {shown(', '.join(told))}", hint)
                 found[told] = [told.index(name) for name in wanted]
+                source.seen.update(told)
+                source.used.update(wanted)
             at = found[told]
             if len(content.position) != len(told):
                 raise error(source, message, f"{len(told)} positions", str(len(content.position)))
@@ -217,18 +221,20 @@ def read_joints(
 def read_positions(
     source: LogSource,
     collector: Collector,
-    *,
     time: str,
     length: float,
     to_base: Callable[[str, Message], Callable[[Sequence[float]], Sequence[float]]],
+    *,
     halves: bool = True,
     bound: SampleBound | None = None,
+    speeds: str | None = None,
 ) -> None:
     """Positions in the base frame; NaN for a body that a message does not have.
 
     LogError for one of which it has not all numbers, unless ``halves`` may be.
     ``length`` is the unit in m, ``to_base`` makes positions in a frame, by its name, positions in the base's.
-    With a ``bound`` each has beside it, in m, within how much it is known.
+    With a ``bound`` each has beside it, in m, within how much it is known; with ``speeds``, the path of a
+    field in the same frame, its velocity [m/s] comes last.
     """
     for message in messages(source):
         content = message.content
@@ -259,9 +265,14 @@ def read_positions(
         if not halves and 0 < sum(map(math.isnan, place)) < 3:
             raise error(source, message, "a position, or none of its three numbers", str(place))
         collector.bodies.update(_bodies(source, message))
-        position = to_base(_frame_of(header), message)([value * length for value in place])
+        moved = to_base(_frame_of(header), message)
+        position = moved([value * length for value in place])
         if bound is not None:
             position = [*position, _bound(bound, content, source, message) * length]
+        if speeds is not None:
+            speed = _xyz(_follow(content, source, message, speeds), source, message)
+            ends = moved([value * length for value in speed]), moved([0.0] * 3)
+            position = [*position, *(one - other for one, other in zip(*ends, strict=True))]
         collector.add(_time_ns(message, source, time, header), position, message.number)
 
 

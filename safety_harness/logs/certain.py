@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from safety_harness.logs.assumptions import unconfirmed_note
 from safety_harness.logs.mode_motion import refuse_retreat_while_servoing
 from safety_harness.logs.model import Body, CellLog
 from safety_harness.logs.reach import (
@@ -60,6 +61,7 @@ from safety_harness.whole_file import sha256_of
 RECORDED = "recorded"  # the world of such a trace, and its avoider, which nobody knows
 HAND, ELBOW, PRESENT = "hand_position_in_base_m", "elbow_position_in_base_m", "hand_present"
 RECORDERS_APART_S = 0.25  # of two recorders that are started and stopped together
+UNUSED_NAMED = 12  # columns, topics and joints
 _LONGEST_STEP_S = 5.0  # between rows of a stored path
 _PASSED_ON = ("robot", "obstacles")
 _HAND_FILTER, _HORIZON = "hand filter", "prediction horizon"
@@ -175,25 +177,19 @@ def _outside(within: NDArray[np.float64], gaps: tuple[Gap, ...]) -> NDArray[np.f
     return found
 
 
-def _joints(
-    log: CellLog,
-) -> tuple[NDArray[np.float64], NDArray[np.float64], Source, Source, Reach, Reach]:
+def _joints(log: CellLog) -> tuple[NDArray[np.float64], NDArray[np.float64], Source, Source, Reach, Reach]:
     """Positions and speeds at the ticks, by what they were measured, and within how much they are known."""
     joints, facts, count = log.joints, log.joint_facts, log.ticks
     time_s, tick_s = log.seconds(joints), np.arange(count) * log.period_s
-    number = joints.values.shape[1] // 2
+    number, frozen = joints.values.shape[1] // 2, joints.frozen
     position_rad, told_radps = joints.values[:, :number], joints.values[:, number:]
     step_s = np.diff(time_s)
     slope = np.diff(position_rad, axis=0) / step_s[:, None]
     bounds = {"most": facts.move_at_most_radps, "hardest": facts.accelerate_at_most_radps2}
-    grid = {
-        "longest_ns": round(facts.longest_gap_s * NS),
-        "period_ns": log.period_ns,
-        "count": count,
-    }
+    grid = {"longest_ns": round(facts.longest_gap_s * NS), "period_ns": log.period_ns, "count": count}
     time_ns = joints.time_ns - log.origin_ns
     off = joint_off_rad(slope, step_s, sample_rad=facts.known_to_rad, **bounds)  # type: ignore[arg-type]
-    reach = over_ticks(time_ns, off, **grid)
+    reach = over_ticks(time_ns, off, frozen=frozen, **grid)
     bent = _bends(time_ns, slope, log.period_ns, count)
     for first, after in reach.gaps:
         bent[first:after] = 0.0
@@ -212,7 +208,7 @@ def _joints(
         which = np.clip(np.searchsorted(time_s, tick_s, side="right") - 1, 0, len(slope) - 1)
         rates, of_rates = slope[which], Source.DERIVED
         off = rate_off(slope, step_s, sample=facts.known_to_rad, **bounds)  # type: ignore[arg-type]
-    return at_ticks, rates, Source.LOG, of_rates, reach, over_ticks(time_ns, off, **grid)
+    return at_ticks, rates, Source.LOG, of_rates, reach, over_ticks(time_ns, off, frozen=frozen, **grid)
 
 
 def _bends(
@@ -307,7 +303,7 @@ def _body_reach(log: CellLog, samples: LogSamples, time_ns: NDArray[np.int64]) -
     grid = {"longest_ns": round(facts.longest_gap_s * NS), "period_ns": log.period_ns}
     worse_m = np.maximum(sample_m[:-1], sample_m[1:])
     off = body_off_m(way_m, step_s, most_mps=most_mps, sample_m=worse_m)
-    reach = over_ticks(time_ns, off, count=log.ticks, **grid)
+    reach = over_ticks(time_ns, off, frozen=samples.frozen, count=log.ticks, **grid)
     first_ns, last_ns = int(time_ns[0]), int(time_ns[-1])
     at_ends_m = float(max(sample_m[0], sample_m[-1]))
     return from_ends(reach, first_ns, last_ns, most=most_mps, sample=at_ends_m, **grid)
@@ -463,7 +459,7 @@ def _notes(log: CellLog, paths: list[_Path]) -> Iterator[str]:
             "samples: joints: {accelerate at most: ...} says closer where they were"
         )
     bodies = [one for body in log.hands for one in (body.hand, body.elbow) if one is not None]
-    for samples in (log.joints, *bodies):
+    for samples in (log.joints, *bodies, *(() if log.tcp is None else (log.tcp.samples,))):
         yield from samples.notes
     yield from _beyond_joints(log)[1]
     if log.unmapped:
@@ -473,9 +469,13 @@ def _notes(log: CellLog, paths: list[_Path]) -> Iterator[str]:
         )
     if log.left_out:
         yield f"left out, as the file says: {', '.join(log.left_out)}"
+    if log.unused:
+        more = f" and {len(log.unused) - UNUSED_NAMED} more" * (len(log.unused) > UNUSED_NAMED)
+        yield f"columns, topics and joints that nothing reads: {', '.join(log.unused[:UNUSED_NAMED])}{more}"
     for path in paths:
         if path.elbow is None:
             how = (
                 "its forearm was not measured" if path.body.forearm else "it has no forearm, by what is said"
             )
             yield f"{path.body.name}: {how}"
+    yield unconfirmed_note(log)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import combinations
 
@@ -14,7 +15,7 @@ from safety_harness.logs.sample_bound import SampleBound, refuse_unbounded
 from safety_harness.logs.streams import NS, LogSamples
 
 FARTHEST_M, FARTHEST_RAD = 10.0, 8.0 * np.pi
-HARDEST_TAKEN_RADPS2 = 40.0  # of a joint's acceleration, where none is said
+HARDEST_TAKEN = 40.0  # rad/s2 or m/s2, where no acceleration is said
 
 
 def joints_checked(joints: LogSamples, names: tuple[str, ...]) -> LogSamples:
@@ -61,8 +62,13 @@ def _told(samples: LogSamples, there: NDArray[np.bool_]) -> LogSamples:
     )
 
 
-def with_bounds(samples: LogSamples, bound: SampleBound | None = None) -> LogSamples:
-    """What stands beside the positions is how well each is known: as numbers of ``bound``, or in metres."""
+def with_bounds(samples: LogSamples, bound: SampleBound | None = None, *, speeds: bool = False) -> LogSamples:
+    """What stands beside the positions is how well each is known: as numbers of ``bound``, or in metres.
+
+    With ``speeds`` the last three columns are these.
+    """
+    if speeds:
+        samples = replace(samples, values=samples.values[:, :-3], speeds_mps=samples.values[:, -3:])
     values, beside = samples.values[:, :3], samples.values[:, 3:]
     if not beside.shape[1]:
         return samples
@@ -115,38 +121,45 @@ def refuse_jumping_joints(joints: LogSamples, facts: JointFacts, names: tuple[st
         )
 
 
-def refuse_contradicting_speeds(joints: LogSamples, facts: JointFacts, names: tuple[str, ...]) -> None:
-    """Raise LogError for the first interval in which a joint's speeds do not lead from angle to angle.
+def refuse_contradicting_speeds(
+    samples: LogSamples,
+    places: NDArray[np.float64],
+    speeds: NDArray[np.float64],
+    known: tuple[float, float],
+    hard: float | None,
+    names: Sequence[str],
+    unit: tuple[str, float],
+) -> None:
+    """Raise LogError for the first interval in which ``speeds`` (n, k) do not lead along ``places`` (n, k).
 
-    Between two samples T apart the mean speed is within a T/4 of the mean of both, at the acceleration a.
+    Places and speeds are ``known`` to so much.  Between two samples T apart the mean speed is within a T/4 of
+    the mean of both, at the acceleration a, ``hard``; None: twice what the speeds show.  Samples without
+    speeds are passed over.  ``names`` of columns and ``unit``, and how many of it are 1 in SI, are for words.
     """
-    known, hard = facts.speeds_known_to_radps, facts.accelerate_at_most_radps2
-    angles, speeds = joints.values[:, : len(names)], joints.values[:, len(names) :]
-    if known is None or not np.isfinite(speeds).all():
+    there = np.flatnonzero(np.isfinite(speeds).all(axis=1))
+    if len(there) < 2:
         return
-    step_s = np.diff(joints.time_ns)[:, None] / NS
+    places, speeds, at_s = places[there], speeds[there], (samples.time_ns[there] - samples.time_ns[0]) / NS
+    step_s = np.diff(at_s)[:, None]
     told = (speeds[1:] + speeds[:-1]) / 2.0 * step_s
-    taken = 2.0 * np.abs(np.diff(speeds, axis=0) / step_s).max(
-        axis=0
-    )  # twice what is seen, where none is said
-    hardest = np.minimum(taken, HARDEST_TAKEN_RADPS2) if hard is None else hard
-    allowed = step_s * (known + hardest * step_s / 4.0)
+    taken = 2.0 * np.abs(np.diff(speeds, axis=0) / step_s).max(axis=0)
+    hardest = np.minimum(taken, HARDEST_TAKEN) if hard is None else hard
+    allowed = np.broadcast_to(step_s * (known[1] + hardest * step_s / 4.0), told.shape)
     found: list[tuple[int, int, int]] = []
     for sign in (1.0, -1.0):  # more, or less, than is allowed since the sample at which that begins
-        more = np.vstack(
-            [np.zeros(len(names)), np.cumsum(sign * (np.diff(angles, axis=0) - told) - allowed, axis=0)]
-        )
+        more = np.zeros(places.shape)
+        more[1:] = np.cumsum(sign * (np.diff(places, axis=0) - told) - allowed, axis=0)
         since = np.minimum.accumulate(more, axis=0)
-        for end, joint in np.argwhere(more - since > 2.0 * facts.known_to_rad)[:1].tolist():
-            found.append((end, joint, int(np.argmax(more[:, joint] == since[end, joint]))))
-    for end, joint, begin in sorted(found)[:1]:
-        by_angles, by_speeds = angles[end, joint] - angles[begin, joint], told[begin:end, joint].sum()
-        off = 2.0 * facts.known_to_rad + allowed[begin:end].sum()
-        times = [f"{(joints.time_ns[at] - joints.time_ns[0]) / NS:.3f}" for at in (begin, end)]
-        raise joints.error(
-            begin,
-            f"{names[joint]} to turn by {np.degrees(by_angles):.4g} deg from {times[0]} to {times[1]} s, "
-            f"as its angles do, to within {np.degrees(off):.2g} deg",
-            f"{np.degrees(by_speeds):.4g} deg by its speeds",
-            "speeds of another unit, sign or joint? or joints: {speeds known to: ...} says what they are off",
+        for end, column in np.argwhere(more - since > 2.0 * known[0])[:1].tolist():
+            found.append((end, column, int(np.argmax(more[:, column] == since[end, column]))))
+    for end, column, begin in sorted(found)[:1]:
+        off = 2.0 * known[0] + allowed[begin:end, column].sum()
+        ways = places[end, column] - places[begin, column], told[begin:end, column].sum(), off
+        way, by_speeds, within = (f"{float(one) * unit[1]:.4g} {unit[0]}" for one in ways)
+        times = f"{at_s[begin]:.3f} to {at_s[end]:.3f} s"
+        raise samples.error(
+            int(there[begin]),
+            f"{names[column]} to go by {way} from {times}, as its positions do, to within {within}",
+            f"{by_speeds} by its speeds",
+            'speeds of another unit, sign, axis or joint? or how well they are known: "speeds known to"',
         )

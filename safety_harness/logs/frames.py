@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.exceptions import LogError, near_miss
+from safety_harness.geometry.rotations import rotation_from_vector
 from safety_harness.geometry.transforms import inverse_transform, transform_from
 from safety_harness.logs.bags import Message, error, messages, topics_of
 from safety_harness.logs.streams import LogSource
+from safety_harness.scenario.codec import POINT, ROTATION
+from safety_harness.scenario.fields import Field
+from safety_harness.scenario.nodes import Scalar
 from safety_harness.scenario.units import shown
 
 ToBase = Callable[[str, Message], Callable[[Sequence[float]], Sequence[float]]]
 STILL_M, STILL_RAD = 1e-6, 1e-6
+BASE = "base"
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,9 +96,7 @@ def read_tree(source: LogSource, frame: str, base: str) -> Tree:
 
 
 def _topics(source: LogSource) -> list[LogSource]:
-    static = LogSource(
-        file=source.file, what="/tf_static", place=source.place, topic="/tf_static", index=None, path=""
-    )
+    static = replace(source, what="/tf_static", topic="/tf_static", index=None, path="")
     if source.topic == "/tf_static":
         return [source]
     return [one for one in (static, source) if one.topic in topics_of(source)] or [source]
@@ -179,3 +182,22 @@ def by_given(transform: NDArray[np.float64], name: str | None, base: str, source
         return moved
 
     return to_base
+
+
+def given_transform(frame: Field) -> NDArray[np.float64]:
+    """(4, 4) from the frame of the positions to the base frame, as it is said."""
+    if isinstance(frame.node, Scalar):
+        frame.one_of({BASE: None})
+        return np.eye(4)
+    given = frame.fields(("at", "turned", "of"))
+    turned = given.optional("turned")
+    vector = (0.0, 0.0, 0.0) if turned is None else ROTATION.read(turned)
+    return transform_from(rotation_from_vector(np.array(vector)), np.array(POINT.read(given.required("at"))))
+
+
+def frame_name(frame: Field, base: str) -> str | None:
+    """Return the name of the frame that is stated; None for a pose of a frame without a name."""
+    if isinstance(frame.node, Scalar):
+        return base
+    name = frame.fields(("at", "turned", "of")).optional("of")
+    return None if name is None else name.sentence("the name of the frame in headers")

@@ -19,13 +19,17 @@ JOINTS_LONGEST_GAP_S = 0.1
 
 @dataclass(frozen=True, kw_only=True)
 class JointFacts:
-    """What is said of the joints; ``move_at_most_radps`` is (joints,), None is not said."""
+    """What is said of the joints; ``move_at_most_radps`` is (joints,), None is not said.
+
+    ``at_rest``: values that repeat to the last bit are those of a joint that stands still.
+    """
 
     known_to_rad: float
     speeds_known_to_radps: float | None
     move_at_most_radps: NDArray[np.float64]
     accelerate_at_most_radps2: float | None
     longest_gap_s: float
+    at_rest: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,6 +39,7 @@ class HandFacts:
     known_to_m: float
     moves_at_most_mps: float
     longest_gap_s: float
+    at_rest: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,6 +56,19 @@ class Body:
     forearm: bool = True
 
 
+@dataclass(frozen=True, eq=False)
+class TcpCheck:
+    """The TCP's own samples, at most ``apart_m`` from where the joints have it, of ``within_m`` allowed.
+
+    Of the ``unseen`` joints another zero position would not have shown.
+    """
+
+    samples: LogSamples
+    apart_m: float
+    within_m: float
+    unseen: tuple[str, ...]
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class CellLog:
     """A log that was read.
@@ -59,8 +77,9 @@ class CellLog:
     on the clock of the joints, from which everything is counted.  ``hands_ahead_ns`` is by how much the clock
     of the hands shows more, known to ``clock_known_to_s``.  ``period_ns`` is from tick to tick of the trace.
     ``said`` is the file, from which the scenario's own keys are still to be read; ``told`` is the
-    controller's own word.  Bodies beside the hands in their streams are ``left_out`` by the file, or
-    ``unmapped``: then another hand may be there.
+    controller's own word; ``tcp`` is where the log itself has the TCP.  Bodies beside the hands in their
+    streams are ``left_out`` by the file, or ``unmapped``: then another hand may be there.  ``unused`` are the
+    columns, topics and joints of its files that nothing reads.
     """
 
     name: str
@@ -78,6 +97,8 @@ class CellLog:
     told: Told
     left_out: tuple[str, ...] = ()
     unmapped: tuple[str, ...] = ()
+    tcp: TcpCheck | None = None
+    unused: tuple[str, ...] = ()
 
     @property
     def origin_ns(self) -> int:

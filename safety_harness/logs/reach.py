@@ -77,17 +77,26 @@ def rate_off(
 
 
 def over_ticks(
-    time_ns: NDArray[np.int64], off: Floats, *, longest_ns: int, period_ns: int, count: int
+    time_ns: NDArray[np.int64],
+    off: Floats,
+    *,
+    longest_ns: int,
+    period_ns: int,
+    count: int,
+    frozen: NDArray[np.bool_] | None = None,
 ) -> Reach:
     """From bounds ``off`` (m,) between samples at ``time_ns`` (m + 1,) to the ``count`` ticks.
 
     A tick has the largest bound of what touches the period before or after it.  Between samples farther apart
-    than ``longest_ns`` nothing is known: at the ticks between them, at that before them if there are none, as
-    the way from a lost tick is lost too, and at one with a sample that has such gaps on both sides.
+    than ``longest_ns``, and up to one that is ``frozen`` (m + 1,), nothing is known: at the ticks between
+    them, at that before them if there are none, as the way from a lost tick is lost too, and at one with a
+    sample that has such gaps on both sides.
     """
     within, told, lost = np.zeros(count), np.zeros(count, np.bool_), np.zeros(count, np.bool_)
     begin, end = time_ns[:-1], time_ns[1:]
     known = end - begin <= longest_ns
+    if frozen is not None:
+        known &= ~frozen[1:]
     first = np.maximum(begin // period_ns, 0)  # the tick at or before its beginning
     last = np.minimum(-(-end // period_ns), count - 1)  # and at or after its end
     spread = last - first

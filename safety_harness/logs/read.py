@@ -10,11 +10,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from safety_harness.exceptions import LogError, Place
-from safety_harness.geometry.rotations import rotation_from_vector
-from safety_harness.geometry.transforms import transform_from
 from safety_harness.logs.bags import RECEIVED, STAMP, read_joints, read_positions
 from safety_harness.logs.checked import (
     joints_checked,
@@ -24,63 +21,50 @@ from safety_harness.logs.checked import (
     refuse_the_same,
     with_bounds,
 )
-from safety_harness.logs.frames import ToBase, by_given, by_header
-from safety_harness.logs.model import (
-    JOINTS_KNOWN_TO_RAD,
-    JOINTS_LONGEST_GAP_S,
-    Body,
-    CellLog,
-    HandFacts,
-    JointFacts,
-)
+from safety_harness.logs.facts import OF_HANDS, facts_of_hands, facts_of_joints, said_of_joints
+from safety_harness.logs.frames import ToBase, by_given, by_header, frame_name, given_transform
+from safety_harness.logs.frozen import REPEATS, with_frozen
+from safety_harness.logs.model import Body, CellLog, JointFacts, TcpCheck
 from safety_harness.logs.sample_bound import SampleBound, sample_bound
 from safety_harness.logs.streams import LATEST_S, NS, Collector, LogSamples, LogSource, read_source
 from safety_harness.logs.tables import (
     ANGLE_UNITS,
     LENGTH_UNITS,
     RATE_UNITS,
+    SPEED_UNITS,
     Table,
     header_of,
+    only_track,
     optional_column,
     read_table,
     required_column,
     time_column,
+    tracks_of,
 )
+from safety_harness.logs.tcp import checked_tcp
 from safety_harness.logs.told import STREAMS, Told, ToldClock, read_told
 from safety_harness.robot.description import ArmModel
 from safety_harness.robot.robots import arm_model
-from safety_harness.scenario.codec import POINT, ROTATION
 from safety_harness.scenario.compose import MAX_BYTES
 from safety_harness.scenario.fields import Field, Fields
 from safety_harness.scenario.files import decode, read_bytes
 from safety_harness.scenario.kinds import FileKind, refuse_other_kind
 from safety_harness.scenario.nodes import Mapping, Scalar, parse_tree
-from safety_harness.scenario.robots import Robot, read_robot
-from safety_harness.scenario.units import (
-    ANGLE,
-    ANGULAR_ACCELERATION,
-    ANGULAR_SPEED,
-    LENGTH,
-    SPEED,
-    TIME,
-    Dimension,
-)
+from safety_harness.scenario.robots import AnyRobot, Robot, read_robot
+from safety_harness.scenario.units import LENGTH, SPEED, TIME
 
+TCP = "tcp"
 KEYS = (
-    *("log", "title", "about", "clock", "joints", "hands", *STREAMS),
+    *("log", "title", "about", "clock", "joints", "hands", TCP, *STREAMS),
     *("robot", "obstacles", "settings", "claims"),
 )
-OF_LOG = ("joints", "hands", *STREAMS, "from", "to", "period")
+OF_LOG = ("joints", "hands", TCP, *STREAMS, "from", "to", "period")
 OF_CLOCK = ("hands are ahead by", "known to")
-OF_JOINTS = (
-    *("names", "unit", "time", "known to", "speeds known to"),
-    *("move at most", "accelerate at most", "longest gap"),
-)
-OF_HANDS = ("forearm", "left out", "longest gap", "moves at most", "known to", "frame", "unit", "time")
+OF_TCP = ("known to", "frame", "unit", "time", REPEATS)
 NOT_MEASURED, NO_FOREARM, BASE, ELBOW = "not measured", "none", "base", "elbow"
+DEG, MM = ("deg", 180.0 / np.pi), ("mm", 1e3)
+FIELD = "a column after the track's name, or the path of a field"
 PERIOD_STEP_NS, SHORTEST_PERIOD_NS, LONGEST_PERIOD_NS = 100_000, 1_000_000, 50_000_000
-_LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
-_ANGLES = {"rad": 1.0, "deg": np.pi / 180.0}
 
 
 def read_log(path: str | Path, *, align: bool = False) -> CellLog:
@@ -131,6 +115,7 @@ def log_of(said: Field, *, name: str, align: bool = False) -> CellLog:
         else reading.told(ToldClock(hands_ahead_ns=clock_ns, hands_known_to_ns=round(known_to_s * NS)))
     )
     left_out, unmapped = ((), ()) if hand_facts is None else reading.neither(of_hands, bodies)
+    tcp = reading.tcp(joints, facts, robot)
     found = CellLog(
         name=name,
         file=said.file,
@@ -147,6 +132,8 @@ def log_of(said: Field, *, name: str, align: bool = False) -> CellLog:
         told=told,
         left_out=left_out,
         unmapped=unmapped,
+        tcp=tcp,
+        unused=reading.unused((*left_out, *unmapped)),
     )
     if found.ticks < 2:
         raise streams.required("joints").error("two control periods of joints, at least", got="less")
@@ -173,21 +160,17 @@ class _Reading:
         names = _names(said.optional("names"), self.arm)
         window = [self._seconds(key) for key in ("from", "to")]
 
-        def begin(first_ns: int) -> tuple[int | None, int | None]:
-            begin_s, end_s = window
-            return (
-                None if begin_s is None else first_ns + round(begin_s * NS),
-                None if end_s is None else first_ns + round(end_s * NS),
-            )
+        def begin(first_ns: int) -> list[int | None]:
+            return [None if at_s is None else first_ns + round(at_s * NS) for at_s in window]
 
-        collector = Collector(source, 2 * len(names), _counts(source), begin=begin)
+        collector = Collector(source, 2 * len(names), begin=begin)
         unit = said.optional("unit")
         if source.is_bag:
-            angle = _ANGLES[_word(unit, _ANGLES)] if unit else 1.0
+            angle = ANGLE_UNITS[_word(unit, ANGLE_UNITS)] if unit else 1.0
             read_joints(source, collector, names, time=_time(said), angle=angle)
         else:
             header = header_of(source)
-            word = _word(unit, _ANGLES) if unit else None
+            word = _word(unit, ANGLE_UNITS) if unit else None
             at = [required_column(source, header, f"{source.what}{n}", ANGLE_UNITS, word) for n in names]
             rates = [
                 optional_column(source, header, f"{source.what}{n}", RATE_UNITS, None, bare=False)
@@ -195,13 +178,18 @@ class _Reading:
             ]
             time = time_column(source, header, _said(said.optional("time")))
             read_table(Table(*time, (*at, *rates)), collector)
-        return joints_checked(collector.samples(), names)
+        samples = collector.samples()
+        samples = with_frozen(samples, list(samples.values.T[: len(names), :, None]), said)
+        return joints_checked(samples, names)
 
     def joint_facts(self, joints: LogSamples) -> JointFacts:
         """What is said of the joints, and by how much a slip would show."""
         facts = facts_of_joints(self._said_of_joints(), self.arm)
         refuse_jumping_joints(joints, facts, self.arm.joint_names)
-        refuse_contradicting_speeds(joints, facts, self.arm.joint_names)
+        if facts.speeds_known_to_radps is not None:
+            angles, speeds = np.split(joints.values, 2, axis=1)
+            known, hard = (facts.known_to_rad, facts.speeds_known_to_radps), facts.accelerate_at_most_radps2
+            refuse_contradicting_speeds(joints, angles, speeds, known, hard, self.arm.joint_names, DEG)
         return facts
 
     def bodies(
@@ -215,16 +203,23 @@ class _Reading:
         field = self.streams.required("hands")
         forearm = of_hands.required("forearm")
         named = isinstance(field.node, Mapping)
-        hands = field.entries("hands by their names") if named else ((_only_name(field), field),)
+        hands = field.entries("hands by their names") if named else (("hand", field),)
         if not hands:
             raise field.error("a hand at least")
         known, found = of_hands.required("known to"), []
         bound = sample_bound(known) if isinstance(known.node, Mapping) else None
+        told = of_hands.optional("speeds")
+        speeds = None if told is None else told.fields(("known to", "field"))
         for name, one in hands:
             own = forearm
             if isinstance(forearm.node, Mapping):
                 own = forearm.fields(tuple(name for name, _ in hands)).required(name)
-            hand = self._positions(one, of_hands, window, bound=bound)
+            hand = self._positions(one, of_hands, window, bound=bound, speeds=speeds)
+            if speeds is not None and hand.speeds_mps is not None:
+                off_m = known.quantity(LENGTH) if hand.known_to_m is None else float(hand.known_to_m.max())
+                of_both = off_m, speeds.required("known to").quantity(SPEED, least=0.0)
+                axes = [f"{axis} of {hand.source.name}" for axis in "xyz"]
+                refuse_contradicting_speeds(hand, hand.values, hand.speeds_mps, of_both, None, axes, MM)
             elbow, there = None, True
             if isinstance(own.node, Scalar) and own.node.text in (NOT_MEASURED, NO_FOREARM):
                 there = own.node.text == NOT_MEASURED
@@ -234,12 +229,34 @@ class _Reading:
         refuse_the_same([one for body in found for one in (body.hand, body.elbow) if one is not None])
         return tuple(found)
 
+    def tcp(self, joints: LogSamples, facts: JointFacts, robot: AnyRobot) -> TcpCheck | None:
+        """Where the log itself has the TCP, on the clock of the joints, which they have to lead to."""
+        if TCP not in self.streams:
+            if TCP in self.given:
+                hint = "log: {tcp: FILE#TRACK}"
+                raise self.given.required(TCP).error("a stream of tcp below log", got="none", hint=hint)
+            return None
+        said, bodies = self.given.required(TCP).fields(OF_TCP), self.bodies_seen.copy()
+        known_to_m = said.required("known to").quantity(LENGTH, least=0.0)
+        window = int(joints.time_ns[0]), int(joints.time_ns[-1])
+        found = self._positions(self.streams.required(TCP), said, window)
+        self.bodies_seen = bodies
+        return checked_tcp(found, known_to_m, joints, facts, robot)
+
+    def unused(self, bodies: tuple[str, ...]) -> tuple[str, ...]:
+        """What its files have beside what was read, but for ``bodies``, which are told already."""
+        seen, used = (
+            {f"{one.file.name}#{name}" for one in self.sources for name in (one.seen, one.used)[k]}
+            for k in range(2)
+        )
+        return tuple(sorted(one for one in seen - used if not one.startswith(bodies)))
+
     def told(self, clock: ToldClock) -> Told:
         """What the controller said."""
         names = _names(self._said_of_joints().optional("names"), self.arm)
 
         def placed(frame: Field, samples: LogSamples, first: int) -> LogSamples:
-            transform, values = _given_transform(frame), samples.values.copy()
+            transform, values = given_transform(frame), samples.values.copy()
             values[:, first : first + 3] = (
                 values[:, first : first + 3] @ transform[:3, :3].T + transform[:3, 3]
             )
@@ -258,35 +275,41 @@ class _Reading:
         *,
         keep: bool = False,
         bound: SampleBound | None = None,
+        speeds: Fields | None = None,
     ) -> LogSamples:
         """Of a body, in the base frame; ``keep`` those samples in which it is nowhere."""
         source = self._source(field)
-        width = 3 if bound is None else 4
-        collector = Collector(source, width, _counts(source), *window, least=2 - keep)
-        unit = said.optional("unit")
-        word = _word(unit, _LENGTHS) if unit else None
-        frame = said.optional("frame")
-        if source.is_bag:
-            to_base = self._to_base(source, frame)
-            length = _LENGTHS[word or "m"]
-            read_positions(
-                source,
-                collector,
-                time=_time(said),
-                length=length,
-                to_base=to_base,
-                halves=not keep,
-                bound=bound,
-            )
-            index = "" if source.index is None else f"[{source.index}]"
-            path = f":{source.path.lstrip('/')}" if source.path else ""
-            self._saw(source, f"{source.topic}{index}{path}", set() if keep else collector.bodies)
-            return positions_checked(with_bounds(collector.samples()), keep)
+        width = 3 + (bound is not None) + 3 * (speeds is not None)
+        collector = Collector(source, width, *window, least=2 - keep)
+        read = self._read_bag if source.is_bag else self._read_table
+        return positions_checked(read(collector, said, keep, bound, speeds), keep)
+
+    def _read_bag(
+        self, into: Collector, said: Fields, keep: bool, bound: SampleBound | None, speeds: Fields | None
+    ) -> LogSamples:
+        """As ``_positions``, from the messages of a topic."""
+        source, unit = into.source, said.optional("unit")
+        length = LENGTH_UNITS[_word(unit, LENGTH_UNITS) if unit else "m"]
+        to_base = self._to_base(source, said.optional("frame"))
+        path = None if speeds is None else speeds.required("field").sentence(FIELD)
+        read_positions(source, into, _time(said), length, to_base, halves=not keep, bound=bound, speeds=path)
+        index = "" if source.index is None else f"[{source.index}]"
+        path = f":{source.path.lstrip('/')}" if source.path else ""
+        self._saw(source, f"{source.topic}{index}{path}", set() if keep else into.bodies)
+        found = with_bounds(into.samples(), speeds=speeds is not None)
+        return found if keep else with_frozen(found, [found.values], said)
+
+    def _read_table(
+        self, into: Collector, said: Fields, keep: bool, bound: SampleBound | None, speeds: Fields | None
+    ) -> LogSamples:
+        """As ``_positions``, from the columns of a table."""
+        source, unit, frame = into.source, said.optional("unit"), said.optional("frame")
+        word = _word(unit, LENGTH_UNITS) if unit else None
         if frame is None:
             expected = 'the key "frame": base, or {at: ..., turned: ...} of the frame in which positions are'
             raise said.whole.error(expected, got=f"none, and {source.name} is a table that cannot say it")
         header = header_of(source)
-        track = source.what or _only_track(source, header)
+        track = source.what or only_track(source, header)
         at = [required_column(source, header, f"{track}_{axis}", LENGTH_UNITS, word) for axis in "xyz"]
         self._saw(source, track, set() if keep else tracks_of(header, bare=word is not None))
         time = time_column(source, header, _said(said.optional("time")))
@@ -296,18 +319,25 @@ class _Reading:
             box = [optional_column(source, header, f"{stem}_{axis}", LENGTH_UNITS, word) for axis in "xyz"]
             sides = [side for side in box if side is not None]
             at += sides if len(sides) == 3 else [required_column(source, header, stem, LENGTH_UNITS, word)]
-            collector.width = len(at)
-        read_table(Table(*time, tuple(at)), collector)
-        found = with_bounds(collector.samples(), bound)
+        if speeds is not None:
+            name = speeds.optional("field")
+            stem = track if name is None else f"{track}_{name.sentence(FIELD)}"
+            at += [required_column(source, header, f"{stem}_{axis}", SPEED_UNITS, None) for axis in "xyz"]
+        into.width = len(at)
+        read_table(Table(*time, tuple(at)), into)
+        found = with_bounds(into.samples(), bound, speeds=speeds is not None)
         found.values[~found.values.any(axis=1)] = np.nan  # zeros: what trackers write for not seen
         gone = np.isnan(found.values)
         half = gone.any(axis=1) & ~gone.all(axis=1)
         if keep and half.any():
             expected = "a position, or none of its three numbers"
             raise found.error(int(np.argmax(half)), expected, str(found.values[half][0].tolist()))
-        transform = _given_transform(frame)
-        values = found.values @ transform[:3, :3].T + transform[:3, 3]
-        return positions_checked(replace(found, values=values), keep)
+        if not keep:
+            found = with_frozen(found, [found.values], said)
+        transform = given_transform(frame)
+        if found.speeds_mps is not None:
+            found = replace(found, speeds_mps=found.speeds_mps @ transform[:3, :3].T)
+        return replace(found, values=found.values @ transform[:3, :3].T + transform[:3, 3])
 
     def _saw(self, source: LogSource, mapped: str, bodies: set[str]) -> None:
         """A body of a stream, and all those of its messages or columns, by the names of streams."""
@@ -346,7 +376,7 @@ class _Reading:
     def _given(self, source: LogSource, frame: Field) -> ToBase:
         """By the frame that is said, which no header may contradict."""
         base = self.arm.link_names[0] if np.array_equal(self.arm.transform_seat, np.eye(4)) else BASE
-        return by_given(_given_transform(frame), _frame_name(frame, base), base, source)
+        return by_given(given_transform(frame), frame_name(frame, base), base, source)
 
     def _said_of_joints(self) -> Fields:
         return said_of_joints(self.given)
@@ -359,25 +389,6 @@ class _Reading:
     def _seconds(self, key: str) -> float | None:
         field = self.streams.optional(key)
         return None if field is None else field.quantity(TIME, least=0.0, most=LATEST_S)
-
-
-def _given_transform(frame: Field) -> NDArray[np.float64]:
-    """(4, 4) from the frame of the positions to the base frame, as it is said."""
-    if isinstance(frame.node, Scalar):
-        frame.one_of({BASE: None})
-        return np.eye(4)
-    given = frame.fields(("at", "turned", "of"))
-    turned = given.optional("turned")
-    vector = (0.0, 0.0, 0.0) if turned is None else ROTATION.read(turned)
-    return transform_from(rotation_from_vector(np.array(vector)), np.array(POINT.read(given.required("at"))))
-
-
-def _frame_name(frame: Field, base: str) -> str | None:
-    """Return the name of the frame that is stated; None for a pose of a frame without a name."""
-    if isinstance(frame.node, Scalar):
-        return base
-    name = frame.fields(("at", "turned", "of")).optional("of")
-    return None if name is None else name.sentence("the name of the frame in headers")
 
 
 def _names(field: Field | None, arm: ArmModel) -> tuple[str, ...]:
@@ -396,39 +407,6 @@ def _names(field: Field | None, arm: ArmModel) -> tuple[str, ...]:
     return names
 
 
-def said_of_joints(given: Fields) -> Fields:
-    """What stands below the key "joints", nothing if it is not there."""
-    field = given.optional("joints")
-    return Fields(given.whole, {}) if field is None else field.fields(OF_JOINTS)
-
-
-def facts_of_joints(said: Fields, arm: ArmModel) -> JointFacts:
-    """What is said of the joints below the key of that name."""
-    most = arm.velocity_limit_radps.copy()
-    if (field := said.optional("move at most")) is not None:
-        most = np.full(len(most), field.quantity(ANGULAR_SPEED, above=0.0))
-    hard = said.optional("accelerate at most")
-    rates = said.optional("speeds known to")
-    return JointFacts(
-        known_to_rad=_quantity(said, "known to", ANGLE, JOINTS_KNOWN_TO_RAD),
-        speeds_known_to_radps=None if rates is None else rates.quantity(ANGULAR_SPEED, least=0.0),
-        move_at_most_radps=most,
-        accelerate_at_most_radps2=None if hard is None else hard.quantity(ANGULAR_ACCELERATION, above=0.0),
-        longest_gap_s=_quantity(said, "longest gap", TIME, JOINTS_LONGEST_GAP_S, LATEST_S),
-    )
-
-
-def facts_of_hands(said: Fields, *, each: bool = False) -> HandFacts:
-    """What is said of the hands below the key of that name; ``each`` sample may say how well it is known."""
-    known = said.required("known to")
-    by_sample = each and isinstance(known.node, Mapping)
-    return HandFacts(
-        known_to_m=np.inf if by_sample else known.quantity(LENGTH, least=0.0),
-        moves_at_most_mps=said.required("moves at most").quantity(SPEED, above=0.0),
-        longest_gap_s=said.required("longest gap").quantity(TIME, above=0.0, most=LATEST_S),
-    )
-
-
 def _period_ns(streams: Fields, joints: LogSamples) -> int:
     """From tick to tick: what is said, or what the joints' samples are apart, to a tenth of a millisecond."""
     field = streams.optional("period")
@@ -437,34 +415,6 @@ def _period_ns(streams: Fields, joints: LogSamples) -> int:
     apart_ns = float(np.median(np.diff(joints.time_ns)))
     rounded = round(apart_ns / PERIOD_STEP_NS) * PERIOD_STEP_NS
     return min(max(rounded, SHORTEST_PERIOD_NS), LONGEST_PERIOD_NS)
-
-
-def tracks_of(header: tuple[str, ...], *, bare: bool) -> set[str]:
-    """The names of all tracks of a table: x, y and z in a unit of length, or in none if ``bare``."""
-    ends = (*(f"_{unit}" for unit in LENGTH_UNITS), *[""] * bare)
-    found = {(name[: -len(f"_x{end}")], end) for name in header for end in ends if name.endswith(f"_x{end}")}
-    return {stem for stem, end in found if {f"{stem}_y{end}", f"{stem}_z{end}"} <= set(header)}
-
-
-def _only_track(source: LogSource, header: tuple[str, ...]) -> str:
-    """The one track of a table."""
-    tracks = sorted(tracks_of(header, bare=True))
-    if len(tracks) != 1:
-        got = ", ".join(tracks) or f"the columns {', '.join(header)}"
-        expected = f"which track, such as {source.file.name}#right_hand"
-        raise LogError(place=source.place, expected=expected, got=got)
-    return tracks[0]
-
-
-def _only_name(field: Field) -> str:
-    return "hand"
-
-
-def _quantity(
-    said: Fields, key: str, dimension: Dimension, default: float, most: float | None = None
-) -> float:
-    field = said.optional(key)
-    return default if field is None else field.quantity(dimension, least=0.0, most=most)
 
 
 def _word(field: Field, words: dict[str, float]) -> str:
@@ -479,9 +429,3 @@ def _time(said: Fields) -> str:
     """Of a bag: by the stamp of each message, or by when it was received."""
     field = said.optional("time")
     return STAMP if field is None else field.one_of({one: one for one in (STAMP, RECEIVED)})
-
-
-def _counts(source: LogSource) -> str:
-    if source.is_bag:
-        return "message"
-    return "line" if source.file.suffix == ".csv" else "row"

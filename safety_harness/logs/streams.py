@@ -31,7 +31,10 @@ TABLES, BAGS = (".csv", ".parquet"), (".mcap", ".db3")
 
 @dataclass(frozen=True)
 class LogSource:
-    """What a log's file says of a stream: the file, and what of it; ``place`` is where that is said."""
+    """What a log's file says of a stream: the file, and what of it; ``place`` is where that is said.
+
+    ``seen`` are the columns, topics and joints that its reader came across, ``used`` those that it took.
+    """
 
     file: Path
     what: str
@@ -39,6 +42,8 @@ class LogSource:
     topic: str = ""
     index: int | None = None
     path: str = ""
+    seen: set[str] = field(default_factory=set, compare=False)
+    used: set[str] = field(default_factory=set, compare=False)
 
     @property
     def name(self) -> str:
@@ -51,6 +56,11 @@ class LogSource:
         return bool(self.topic)
 
     @property
+    def counts(self) -> str:
+        """What its places are counted in."""
+        return "message" if self.is_bag else "line" if self.file.suffix == ".csv" else "row"
+
+    @property
     def files(self) -> tuple[Path, ...]:
         """The files that it reads: of a folder all in it."""
         if self.file.is_dir():
@@ -58,30 +68,30 @@ class LogSource:
         return (self.file,)
 
 
-def read_source(field: Field) -> LogSource:
+def read_source(said: Field) -> LogSource:
     """The stream that a text names; LogError for a file of no kind that can be read, or that is not there."""
-    text = field.scalar("a stream: FILE.csv, FILE.parquet#right_hand or FILE.mcap#/topic").strip()
+    text = said.scalar("a stream: FILE.csv, FILE.parquet#right_hand or FILE.mcap#/topic").strip()
     name, _, what = text.partition("#")
-    file = located((field.file.parent if field.file else Path()) / name, field.place)
+    file = located((said.file.parent if said.file else Path()) / name, said.place)
     folder = file.is_dir()
     if not name or (not folder and file.suffix not in (*TABLES, *BAGS)):
         expected = f"a file that ends in {', '.join((*TABLES, *BAGS))}, or the folder of a ROS 2 bag"
-        raise LogError(place=field.place, expected=expected, got=name or "no name")
+        raise LogError(place=said.place, expected=expected, got=name or "no name")
     if not folder and not file.is_file():
-        raise LogError(place=field.place, expected="a file that can be read", got=f"no such file: {file}")
+        raise LogError(place=said.place, expected="a file that can be read", got=f"no such file: {file}")
     if not folder and file.suffix in TABLES:
-        return LogSource(file=file, what=what, place=field.place)
+        return LogSource(file=file, what=what, place=said.place)
     found = _TOPIC.fullmatch(what)
     if found is None:
         expected = (
             "a topic after the file, such as run.mcap#/joint_states, /poses[1] or /tracker:wrist.position"
         )
-        raise LogError(place=field.place, expected=expected, got=what or "none")
+        raise LogError(place=said.place, expected=expected, got=what or "none")
     index = found["index"]
     return LogSource(
         file=file,
         what=what,
-        place=field.place,
+        place=said.place,
         topic=found["topic"],
         index=None if index is None else int(index),
         path=found["path"] or "",
@@ -93,16 +103,19 @@ class LogSamples:
     """The samples of a stream within a window, in the order of the file.
 
     ``time_ns`` (n,) on its own clock; ``values`` (n, k) in SI, NaN where there is none; ``at`` (n,) the line,
-    row or message that each stands in, which is what ``counts`` says; ``known_to_m`` (n,) within how much
-    each is known, where the log says it of each, NaN where it does not.  ``notes`` say what was left out.
+    row or message that each stands in; ``known_to_m`` (n,) within how much
+    each is known, where the log says it of each, NaN where it does not; ``speeds_mps`` (n, 3) are those that
+    the log has beside the positions; ``frozen`` (n,) is where a sample repeats the one before it although
+    the stream has noise.  ``notes`` say what was left out.
     """
 
     source: LogSource
     time_ns: NDArray[np.int64]
     values: NDArray[np.float64]
     at: NDArray[np.int64]
-    counts: str
     known_to_m: NDArray[np.float64] | None = None
+    speeds_mps: NDArray[np.float64] | None = None
+    frozen: NDArray[np.bool_] | None = None
     notes: tuple[str, ...] = ()
     span_ns: tuple[int, int] | None = None  # of the whole stream, beyond the window too
 
@@ -110,12 +123,17 @@ class LogSamples:
         """Return the same with one more word on what was left out."""
         return replace(self, notes=(*self.notes, f"{self.source.name}: {note}"))
 
+    @property
+    def measured(self) -> LogSamples:
+        """Those that do not repeat frozen ones."""
+        return self if self.frozen is None else self.of(~self.frozen)
+
     def place(self, index: int) -> Place:
         """Of one sample, for errors."""
         number = int(self.at[index])
-        if self.counts == "line":
+        if self.source.counts == "line":
             return Place(file=self.source.file, line=number, field=self.source.what or None)
-        what = f"{self.counts} {number}" + (f" of {self.source.what}" if self.source.what else "")
+        what = f"{self.source.counts} {number}" + (f" of {self.source.what}" if self.source.what else "")
         return Place(file=self.source.file, field=what)
 
     def error(self, index: int, expected: str, got: str, hint: str = "") -> LogError:
@@ -128,13 +146,9 @@ class LogSamples:
 
     def of(self, there: NDArray[np.bool_]) -> LogSamples:
         """Those that are ``there`` (n,)."""
-        return replace(
-            self,
-            time_ns=self.time_ns[there],
-            values=self.values[there],
-            at=self.at[there],
-            known_to_m=None if self.known_to_m is None else self.known_to_m[there],
-        )
+        names = ("time_ns", "values", "at", "known_to_m", "speeds_mps", "frozen")
+        kept = {name: one[there] for name in names if (one := getattr(self, name)) is not None}
+        return replace(self, **kept)
 
 
 @dataclass
@@ -143,10 +157,9 @@ class Collector:
 
     source: LogSource
     width: int
-    counts: str
     begin_ns: int | None = None
     end_ns: int | None = None
-    begin: Callable[[int], tuple[int | None, int | None]] | None = None  # the window, by the first time
+    begin: Callable[[int], list[int | None]] | None = None  # the window, by the first time
     least: int = 2
     bodies: set[str] = field(default_factory=set)  # all that its messages show, as streams name them
     _time: array[int] = field(default_factory=lambda: array("q"))
@@ -186,7 +199,6 @@ class Collector:
             np.array(self._time, np.int64),
             np.array(self._values, np.float64).reshape(n, self.width),
             np.array(self._at, np.int64),
-            self.counts,
         )
         if n < self.least:
             words = "two samples" if self.least == 2 else "a sample"
@@ -214,7 +226,7 @@ def refuse_disorder(samples: LogSamples) -> None:
         before, now = (samples.time_ns[i] / NS for i in (index, index + 1))
         twice = abs(int(steps[index])) < SHORTEST_STEP_NS
         same = np.array_equal(samples.values[index], samples.values[index + 1], equal_nan=True)
-        got = f"{now:.9f} s after {before:.9f} s, in {samples.counts} {int(samples.at[index])}"
+        got = f"{now:.9f} s after {before:.9f} s, in {samples.source.counts} {int(samples.at[index])}"
         hint = "sort it by time, in a copy: nothing is sorted here, since it may be two recordings in one"
         if twice:
             hint = "the same sample twice" if same else "two samples of one time that are not the same"

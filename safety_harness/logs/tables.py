@@ -26,6 +26,7 @@ ROWS_AT_ONCE = 8_192
 TIME_UNITS = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}  # in nanoseconds
 LENGTH_UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 ANGLE_UNITS = {"rad": 1.0, "deg": math.pi / 180.0}
+SPEED_UNITS = {f"{unit}ps": si for unit, si in LENGTH_UNITS.items()}
 RATE_UNITS = {"radps": 1.0, "degps": math.pi / 180.0}
 _EXACT_BELOW = 1e6  # in a unit of time, up to which a float has enough digits for a nanosecond
 
@@ -126,54 +127,70 @@ def required_column(
     return found
 
 
+def tracks_of(header: tuple[str, ...], *, bare: bool) -> set[str]:
+    """The names of all tracks of a table: x, y and z in a unit of length, or in none if ``bare``."""
+    ends = (*(f"_{unit}" for unit in LENGTH_UNITS), *[""] * bare)
+    found = {(name[: -len(f"_x{end}")], end) for name in header for end in ends if name.endswith(f"_x{end}")}
+    return {stem for stem, end in found if {f"{stem}_y{end}", f"{stem}_z{end}"} <= set(header)}
+
+
+def only_track(source: LogSource, header: tuple[str, ...]) -> str:
+    """The one track of a table."""
+    tracks = sorted(tracks_of(header, bare=True))
+    if len(tracks) != 1:
+        got = ", ".join(tracks) or f"the columns {', '.join(header)}"
+        expected = f"which track, such as {source.file.name}#right_hand"
+        raise LogError(place=source.place, expected=expected, got=got)
+    return tracks[0]
+
+
 def read_table(table: Table, collector: Collector) -> None:
     """Hand every row to ``collector``; LogError with line or row for a cell that is no number."""
     source = collector.source
-    if source.file.suffix == ".parquet":
-        _read_parquet(table, collector)
-        return
+    wanted = (table.time, *(one.name for one in table.columns if one is not None))
+    source.seen.update(header_of(source))
+    source.used.update(wanted)
+    parquet = source.file.suffix == ".parquet"
+    for at, cells in _parquet_cells(source, table, wanted) if parquet else _csv_cells(source, wanted):
+        time_ns, rest = _time(cells[0], table, source, at), iter(cells[1:])
+        values = [math.nan if one is None else _cell(next(rest), one, source, at) for one in table.columns]
+        collector.add(time_ns, values, at)
+
+
+def _csv_cells(source: LogSource, wanted: Sequence[str]) -> Iterator[tuple[int, Sequence[Any]]]:
+    """Each line's number, and its cells in the columns that are ``wanted``."""
     with source.file.open("rb") as data:
         data.seek(-1, SEEK_END)
         cut_off = data.read() not in (b"\n", b"\r")
     with _rows(source.file) as rows:
-        line, header = next(rows)
-        row = header
-        names = [cell.strip() for cell in header]
-        time_at = names.index(table.time)
-        cells_at = [None if one is None else (names.index(one.name), one) for one in table.columns]
+        line, row = next(rows)
+        names = [cell.strip() for cell in row]
+        cells_at = [names.index(name) for name in wanted]
         for line, row in rows:
             if not row:
                 continue
             if len(row) != len(names):
                 expected = f"{len(names)} cells, as in the first line"
                 raise _error(source, expected, str(len(row)), line=line)
-            time_ns = _time(row[time_at], table, source, line)
-            values = [
-                math.nan if one is None else _cell(row[one[0]], one[1], source, line) for one in cells_at
-            ]
-            collector.add(time_ns, values, line)
+            yield line, [row[at] for at in cells_at]
     if cut_off:
         expected, got = "a line end after the last line", f"the end of the file after {row[-1]!r}"
         hint = "it may be cut off within a number; if it is whole, end it with a line end, in a copy"
         raise _error(source, expected, got, hint, line=line)
 
 
-def _read_parquet(table: Table, collector: Collector) -> None:
-    source = collector.source
-    wanted = [table.time, *(one.name for one in table.columns if one is not None)]
+def _parquet_cells(
+    source: LogSource, table: Table, wanted: Sequence[str]
+) -> Iterator[tuple[int, Sequence[Any]]]:
+    """As ``_csv_cells``, with the numbers of rows."""
     with _parquet(source) as file:
         _refuse_types(source, file.schema_arrow, table)
         row = 0
         for batch in file.iter_batches(batch_size=ROWS_AT_ONCE, columns=list(dict.fromkeys(wanted))):
             columns = {name: batch.column(name).to_pylist() for name in batch.schema.names}
-            for at in range(batch.num_rows):
+            for cells in zip(*(columns[name] for name in wanted), strict=True):
                 row += 1
-                time_ns = _time(columns[table.time][at], table, source, row)
-                values = [
-                    math.nan if one is None else _cell(columns[one.name][at], one, source, row)
-                    for one in table.columns
-                ]
-                collector.add(time_ns, values, row)
+                yield row, cells
 
 
 def _refuse_types(source: LogSource, schema: Any, table: Table) -> None:

@@ -309,8 +309,7 @@ class _Reading:
         time = time_column(
             source, header_of(source), None if said is None else said.sentence("the name of a column")
         )
-        counts = "line" if source.file.suffix == ".csv" else "row"
-        collector = Collector(source, len(columns), counts, least=least)
+        collector = Collector(source, len(columns), least=least)
         read_table(Table(*time, tuple(columns)), collector)
         return collector.samples()
 
@@ -325,7 +324,7 @@ class _Reading:
         """From the messages of a topic."""
         said = self.said.optional("time")
         time = STAMP if said is None else said.one_of({one: one for one in (STAMP, RECEIVED)})
-        collector = Collector(source, sum(part.width for part in parts), "message", least=least)
+        collector = Collector(source, sum(part.width for part in parts), least=least)
         read_parts(source, collector, parts, names, time=time, framed=framed)
         return collector.samples()
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
-from safety_harness.exceptions import LogError, Place
 from safety_harness.logs.certain import RECORDED, claims_of, log_file, settings_with
+from safety_harness.logs.facts import OF_HANDS, facts_of_hands, facts_of_joints, said_of_joints
 from safety_harness.logs.model import HandFacts, JointFacts
 from safety_harness.logs.read import (
     KEYS,
@@ -16,21 +16,17 @@ from safety_harness.logs.read import (
     NO_FOREARM,
     NOT_MEASURED,
     OF_CLOCK,
-    OF_HANDS,
     OF_LOG,
     SHORTEST_PERIOD_NS,
-    facts_of_hands,
-    facts_of_joints,
-    said_of_joints,
+    TCP,
+    said_in,
 )
 from safety_harness.logs.streams import LATEST_S, NS
+from safety_harness.logs.told import STREAMS
 from safety_harness.robot.description import ArmModel
 from safety_harness.robot.robots import arm_model
 from safety_harness.scenario.codec import Tree, scalar_text
-from safety_harness.scenario.compose import MAX_BYTES
 from safety_harness.scenario.fields import Field, Fields
-from safety_harness.scenario.files import decode, read_bytes
-from safety_harness.scenario.kinds import FileKind, refuse_other_kind
 from safety_harness.scenario.model import MAX_HANDS, Scenario
 from safety_harness.scenario.nodes import Mapping, Node, Scalar, parse_tree
 from safety_harness.scenario.nodes import Sequence as Items
@@ -95,10 +91,10 @@ class WatchedCell:
             for name, hand, table in zip(names, self.hands, hands, strict=True)
         }
         streams = {name: scalar_text(f"{table}#hand") for name, table in zip(names, hands, strict=True)}
-        kept: dict[str, Tree] = {key: said[key] for key in KEYS if key in said}
+        kept: dict[str, Tree] = {key: said[key] for key in KEYS if key in said and key not in (TCP, *STREAMS)}
         of_joints, of_hands = _table(kept, "joints"), _table(kept, "hands")
         for table in (of_joints, of_hands):
-            for key in ("names", "unit", "time", "frame"):
+            for key in ("names", "unit", "time", "frame", "left out", "speeds"):
                 table.pop(key, None)
         log: dict[str, Tree] = {"joints": joints, "period": format_quantity(self.period_s, TIME)}
         kept["log"] = log
@@ -116,10 +112,7 @@ def read_cell(path: Path, claims: Sequence[str] = ()) -> WatchedCell:
 
     InputError with its place for what cannot be used.
     """
-    refuse_other_kind(path, FileKind.LOG, error=LogError)
-    data = read_bytes(path, most=MAX_BYTES, place=Place(file=path), error=LogError)
-    text = decode(data, most=MAX_BYTES, file=path, error=LogError)
-    return _cell_of(Field(parse_tree(text, path), path, path="", line=1), claims)
+    return _cell_of(said_in(path), claims)
 
 
 def cell_taken(robot: str, hands: Sequence[str], period: str, claims: Sequence[str]) -> WatchedCell:

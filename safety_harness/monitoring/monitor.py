@@ -213,8 +213,8 @@ class Monitor:
         if problems:
             self.counts.refused += 1
             name, got = problems[0]
-            hint = "another unit, marker or clock from here on? or it is faster than is said"
-            raise line_error(number, name, "a way from the sample before that is possible", got, hint)
+            hint = 'another unit, marker or clock from here on? faster than is said? or "repeats: at rest"'
+            raise line_error(number, name, "a sample that can follow the one before it", got, hint)
 
     def _use_hands(self, time_ns: int, sample: Sample) -> list[tuple[str, str]]:
         """The places of hands of a line that cannot be used, and why."""
@@ -254,7 +254,9 @@ class Monitor:
                     track.lost = True
                     continue
                 since_ns = track.samples[-1][0] if track.samples else at_ns - track.reaches_ns
-                track.add(at_ns, position_m)
+                if (frozen_ns := track.add(at_ns, position_m)) is not None:
+                    problems.append((f"hands.{name}.{body}_position_in_base_m", self._frozen(frozen_ns)))
+                    since_ns = min(since_ns, frozen_ns)
                 self._stale = max(min(self._stale, since_ns // self.cell.period_ns), 0)
                 used[-1] = True
             if self.journal is not None and any(used):
@@ -280,16 +282,27 @@ class Monitor:
         rates = None
         if self.cell.joint_facts.speeds_known_to_radps is not None:
             rates = np.array(sample.joint_velocity_radps)
-        track.add(time_ns, position, rates)
+        frozen_ns = track.add(time_ns, position, rates)
         if self.journal is not None:
             assert self._origin_ns is not None
             self.journal.joints(time_ns + self._origin_ns, position_rad, sample.joint_velocity_radps)
         self._silent, self._unused = False, 0
         period_ns = self.cell.period_ns
-        self._stale = max(min(self._stale, before_ns // period_ns), 0)
+        since_ns = before_ns if frozen_ns is None else frozen_ns
+        self._stale = max(min(self._stale, since_ns // period_ns), 0)
         if self._moments and before_ns % period_ns == 0 and self._moments[-1].tick == before_ns // period_ns:
             self._moments[-1].rates_radps = track.at(before_ns)[1]
         self.counts.missing += max((time_ns - before_ns) // period_ns - 1, 0)
+        if frozen_ns is not None:
+            raise Jump(self._frozen(frozen_ns))
+
+    def _frozen(self, since_ns: int) -> str:
+        """What came of a stream that repeats itself since ``since_ns``, on the joints' clock."""
+        assert self._origin_ns is not None
+        since_s = (self._origin_ns + since_ns) / NS
+        return (
+            f"the same numbers to the last bit from {since_s:.3f} s on, though the stream has noise elsewhere"
+        )
 
     def _judge(self) -> Iterator[VerdictLine]:
         """The ticks that joints have come for."""

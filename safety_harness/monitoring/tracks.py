@@ -12,6 +12,7 @@ from collections import deque
 import numpy as np
 from numpy.typing import NDArray
 
+from safety_harness.logs.frozen import Repeats
 from safety_harness.logs.model import HandFacts, JointFacts
 from safety_harness.logs.reach import (
     ROUNDING_M,
@@ -27,7 +28,7 @@ Values = NDArray[np.float64]
 
 
 class Jump(ValueError):
-    """A way from one sample to the next that is not possible at the speed that is said."""
+    """A sample that cannot follow the one before it: too far away, or frozen."""
 
 
 class WithinByTick:
@@ -40,10 +41,10 @@ class WithinByTick:
         self._alone: dict[int, None] = {}  # ticks with a sample at the end of a gap
         self.oldest = 0
 
-    def add(self, begin_ns: int, end_ns: int, off: float) -> None:
-        """From one sample to the next it was within ``off`` of the line between them."""
+    def add(self, begin_ns: int, end_ns: int, off: float, *, lost: bool = False) -> None:
+        """From one sample to the next it was within ``off`` of the line between them, or ``lost``."""
         first, last = begin_ns // self._period_ns, -(-end_ns // self._period_ns)
-        if end_ns - begin_ns > self._longest_ns:
+        if lost or end_ns - begin_ns > self._longest_ns:
             self._lost |= dict.fromkeys(range(max(first + (last - first > 1), self.oldest), last))
             ends = (divmod(time_ns, self._period_ns) for time_ns in (begin_ns, end_ns))
             self._alone |= {tick: None for tick, beside_ns in ends if not beside_ns}
@@ -76,6 +77,7 @@ class JointTrack:
         self.last: tuple[int, Values, Values | None] | None = None
         self._before: tuple[int, Values, Values | None] | None = None
         self.slope: Values | None = None  # from the sample before to the last
+        self._repeats = [Repeats() for _ in facts.move_at_most_radps]
 
     def refuse_jump(self, time_ns: int, position_rad: Values) -> None:
         """Jump if a joint cannot have got there since the last sample; ``position_rad`` (n,)."""
@@ -90,13 +92,20 @@ class JointTrack:
                     f"which can {np.degrees(most[joint]):.4g} deg/s"
                 )
 
-    def add(self, time_ns: int, position_rad: Values, rates_radps: Values | None) -> None:
-        """A sample that is later than the last one: ``position_rad`` (n,), ``rates_radps`` (n,)."""
+    def add(self, time_ns: int, position_rad: Values, rates_radps: Values | None) -> int | None:
+        """Take a sample that is later than the last one: ``position_rad`` (n,), ``rates_radps`` (n,).
+
+        Return since when a joint is frozen; None: none is.
+        """
         sample, before = (time_ns, position_rad, rates_radps), self.last
         self._before, self.last = before, sample
+        joints = zip(self._repeats, position_rad.tolist(), strict=True)
+        since = [at_ns for one, value in joints if (at_ns := one.since(time_ns, (value,))) is not None]
         if before is None:
             self._within.add(0, 0, self._facts.known_to_rad)
-            return
+            return None
+        frozen = bool(since) and not self._facts.at_rest
+        begin_ns = min(before[0], *since) if frozen else before[0]
         step_s, facts = (time_ns - before[0]) / NS, self._facts
         most, hard = facts.move_at_most_radps, facts.accelerate_at_most_radps2
         slope = (position_rad - before[1])[None] / step_s
@@ -104,7 +113,7 @@ class JointTrack:
             np.array([step_s]) if hard is None else step_s
         )  # of one step, by numbers: it is the quicker way
         off = joint_off_rad(slope, steps, most=most, hardest=hard, sample_rad=facts.known_to_rad)
-        self._within.add(before[0], time_ns, off.item())
+        self._within.add(begin_ns, time_ns, off.item(), lost=frozen)
         if facts.speeds_known_to_radps is None:
             off = rate_off(slope, steps, most=most, hardest=hard, sample=facts.known_to_rad)
         else:
@@ -113,12 +122,13 @@ class JointTrack:
             fastest = np.maximum(np.abs(rates_radps), np.abs(before[2])) + most
             more = float(fastest.max()) if hard is None else hard * step_s / 2.0
             off = np.array(facts.speeds_known_to_radps + more)
-        self._rate_within.add(before[0], time_ns, off.item())
+        self._rate_within.add(begin_ns, time_ns, off.item(), lost=frozen)
         if self.slope is not None and before[0] % self._period_ns:
             cell = before[0] // self._period_ns
             bend = float(np.abs(slope[0] - self.slope).max()) * self._period_ns / NS / 4.0
             self._bends[cell] = self._bends.get(cell, 0.0) + bend
         self.slope = slope[0]
+        return begin_ns if frozen else None
 
     def at(self, tick_ns: int) -> tuple[Values, Values]:
         """Position and speed at a time from the sample before the last one on, up to the last."""
@@ -165,6 +175,7 @@ class BodyTrack:
         self.samples: deque[tuple[int, Values]] = deque()
         self._first_ns: int | None = None
         self.lost = False  # since the last sample
+        self._repeats = Repeats()
 
     def takes(self, time_ns: int) -> bool:
         """Is it later than the last one?"""
@@ -179,18 +190,24 @@ class BodyTrack:
             if way_m > most * (step_s + 2.0 * self._clock_s) + 2.0 * self._facts.known_to_m + ROUNDING_M:
                 raise Jump(f"it go {way_m * 1e3:.4g} mm in {step_s * 1e3:.4g} ms, which can {most:g} m/s")
 
-    def add(self, time_ns: int, position_m: Values) -> None:
-        """A sample that is later than the last one, at ``position_m`` (3,)."""
+    def add(self, time_ns: int, position_m: Values) -> int | None:
+        """Take a sample that is later than the last one, at ``position_m`` (3,).
+
+        Return since when it is frozen, and lost; None: it is not.
+        """
+        since_ns = self._repeats.since(time_ns, tuple(position_m.tolist()))
+        self.lost = since_ns is not None and not self._facts.at_rest
         if self.samples:
             before_ns, before_m = self.samples[-1]
             way_m = np.array([np.linalg.norm(position_m - before_m)])
             steps, most = np.array([(time_ns - before_ns) / NS]), self._facts.moves_at_most_mps
             off = body_off_m(way_m, steps, most_mps=most, sample_m=self._sample_m)
-            self._within.add(before_ns, time_ns, float(off[0]))
+            begin_ns = before_ns if since_ns is None else min(since_ns, before_ns)
+            self._within.add(begin_ns if self.lost else before_ns, time_ns, float(off[0]), lost=self.lost)
         else:
             self._first_ns = time_ns
         self.samples.append((time_ns, position_m))
-        self.lost = False
+        return since_ns if self.lost else None
 
     def at(self, tick: int) -> tuple[Values, float] | None:
         """Where it was at a tick, and within how much; None if that is not known."""

@@ -29,16 +29,7 @@ from safety_harness.formulas.prefix import Prefix, is_endless
 from safety_harness.formulas.quantities import formula_error
 from safety_harness.formulas.signal import Signal
 from safety_harness.formulas.signals import hand_distance, nearest_hand_to_tcp
-from safety_harness.monitoring.sensing import (
-    CELL_HIGH,
-    CELL_LOW,
-    HIGH,
-    LOW,
-    MEASURED,
-    TRIED,
-    VALUE,
-    Values,
-)
+from safety_harness.monitoring.sensing import CELL_HIGH, CELL_LOW, HIGH, LOW, MEASURED, TRIED, VALUE, Values
 from safety_harness.properties.base import Unit
 from safety_harness.properties.catalogue import CATALOGUE
 from safety_harness.properties.hand_distance import HAND_DISTANCE

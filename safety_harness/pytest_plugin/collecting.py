@@ -114,7 +114,9 @@ class LogFile(pytest.File):
             raise self.CollectError(f'{self.path}: expected the key "claims"; got a log that claims nothing')
         for claim in scenario.claims:
             check = partial(_judge_log, found.trace, claim)
-            yield ClaimItem.from_parent(self, name=claim.sentence, claim=claim, check=check)
+            item = ClaimItem.from_parent(self, name=claim.sentence, claim=claim, check=check)
+            item.user_properties += [("note", note) for note in found.notes]
+            yield item
 
 
 class ScenarioNode(pytest.Collector):

@@ -62,9 +62,9 @@ def hand_file(
     ``elbow_towards_in_base_m`` is needed where the forearm was not measured.
     """
     assert log.hand_facts is not None
-    tracks, notes = {HAND: _track(log, body.hand)}, []
+    tracks, notes = {HAND: _track(log, body.hand.measured)}, []
     if body.elbow is not None:
-        tracks[ELBOW] = _track(log, body.elbow)
+        tracks[ELBOW] = _track(log, body.elbow.measured)
     elif not body.forearm:
         tracks[ELBOW] = tracks[HAND]
     elif elbow_towards_in_base_m is None:

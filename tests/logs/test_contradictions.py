@@ -260,7 +260,7 @@ def test_speeds_that_do_not_lead_from_angle_to_angle_are_refused(
     with pytest.raises(LogError, match="by its speeds") as refused:
         judged_log(log)
     assert refused.value.place.file == log.with_name("joints.csv")
-    assert "as its angles do, to within" in refused.value.expected
+    assert "as its positions do, to within" in refused.value.expected
 
 
 @pytest.mark.parametrize("seed", range(8))
