@@ -143,7 +143,7 @@ def junit_xml(evidence: Evidence) -> str:
         for claim in evidence.claims:
             for outcome in claim.outcomes:
                 if outcome.stratum == stratum.name:
-                    _case(suite, claim, outcome)
+                    _case(suite, claim, outcome, evidence)
         tags = [child.tag for case in suite for child in case]
         for name, tag in (("failures", "failure"), ("errors", "error"), ("skipped", "skipped")):
             suite.set(name, str(tags.count(tag)))
@@ -152,12 +152,17 @@ def junit_xml(evidence: Evidence) -> str:
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"
 
 
-def _case(suite: ElementTree.Element, claim: ClaimEvidence, outcome: ClaimResult) -> None:
+def _case(suite: ElementTree.Element, claim: ClaimEvidence, outcome: ClaimResult, evidence: Evidence) -> None:
     case = ElementTree.SubElement(
         suite, "testcase", classname=_xml_text(outcome.stratum), name=_xml_text(claim.sentence)
     )
-    if outcome.standing is ClaimStatus.SHOWN:
-        return
+    if outcome.standing is not ClaimStatus.SHOWN:
+        _not_passed(case, outcome)
+    only = replace(evidence, claims=(replace(claim, outcomes=(outcome,)),))
+    ElementTree.SubElement(case, "system-out").text = _xml_text(only.basis)
+
+
+def _not_passed(case: ElementTree.Element, outcome: ClaimResult) -> None:
     untargeted = "failure" if outcome.violated else "skipped"
     tag = {ClaimStatus.REFUTED: "failure", ClaimStatus.ESTIMATED: untargeted}.get(outcome.standing, "error")
     said = ElementTree.SubElement(case, tag, message=_xml_text(f"{outcome.standing.value}: {outcome.why}"))

@@ -76,6 +76,7 @@ def render(evidence: Evidence, runs: Mapping[int, JudgedRun]) -> str:
     views = [_counterexample(one, runs.get(one.number), replays) for one in evidence.counterexamples]
     return render_page(
         "evidence.html.j2",
+        basis=evidence.basis,
         style="evidence.css",
         scripts=("evidence.js", "coverage.js"),
         replays=any(view["run"] for view in views),
