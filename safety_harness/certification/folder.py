@@ -34,13 +34,14 @@ from safety_harness.scenario.typed_json import of_format, read_json, typed
 from safety_harness.whole_file import sha256_of, write_whole
 
 PAGE, JSON, JUNIT, PDF = "evidence.html", "evidence.json", "junit.xml", "evidence.pdf"
-MANIFEST, PLAN = "manifest.json", "plan"
+MANIFEST, PLAN, OPENED = "manifest.json", "plan", "opened"
 FORMAT = "safety-harness manifest 1"
 MADE = (PAGE, JSON, JUNIT, PDF, GSN, NOTES)
 LOG = f"{LEDGER}-wal"
 PASSING = (LOG, f"{LEDGER}-shm", f"{LEDGER}.lock")
 LARGEST_MANIFEST_BYTES = 2**21  # some 20,000 files
 LARGEST_TRACE_BYTES = 2**26
+MOST_OPENED_BYTES = 2**26  # of all that programs opened; of more, reports carry the hashes alone
 
 
 def write_folder(folder: Path, gathered: GatheredEvidence, ledger: Ledger) -> Evidence:
@@ -51,6 +52,7 @@ def write_folder(folder: Path, gathered: GatheredEvidence, ledger: Ledger) -> Ev
     try:
         _clear(folder)
         unpacked(ledger.files, folder / PLAN)
+        _pack_opened(folder / OPENED, ledger)
         write_traces(gathered.examples, folder)
         evidence = replace(gathered.evidence, files=tuple(stored_files(folder)))
         write_whole(folder / JSON, as_text(evidence))
@@ -61,6 +63,46 @@ def write_folder(folder: Path, gathered: GatheredEvidence, ledger: Ledger) -> Ev
     except OSError as error:
         raise OutputError.of(folder, error) from error
     return evidence
+
+
+def _pack_opened(folder: Path, ledger: Ledger) -> None:
+    """Copy what the plan's programs opened, each file under its hash, if all of it is small enough."""
+    own = ledger.declared.plan_file.parent
+    there = {sha256: own / name for name, sha256 in ledger.opened.items() if is_file_of(own / name, sha256)}
+    if there and sum(file.stat().st_size for file in there.values()) <= MOST_OPENED_BYTES:
+        folder.mkdir(exist_ok=True)
+        for sha256, file in there.items():
+            shutil.copyfile(file, folder / sha256)
+
+
+def is_file_of(path: Path, sha256: str) -> bool:
+    """Is there a file with these bytes?"""
+    return path.is_file() and sha256_of(path) == sha256
+
+
+def put_back_opened(report: Path, plan: Path, root: Path, ledger: Ledger) -> None:
+    """Put what programs opened beside the ``plan`` that is unpacked below ``root``.
+
+    Files are taken from the report, or from a folder beside it into which the user puts them.
+    InputError that says which one is missing, and where to put it.
+    """
+    for name, sha256 in ledger.opened.items():
+        target = (plan.parent / name).resolve()
+        within = resolved(root) in target.parents
+        here = target if within else ledger.declared.plan_file.parent / name
+        if not sha256 or is_file_of(here, sha256):
+            continue
+        beside = report.with_name(f"{report.name}.{OPENED}") / sha256
+        packed = next((one for one in (report / OPENED / sha256, beside) if is_file_of(one, sha256)), None)
+        if packed is None or not within or target.exists():
+            raise InputError(
+                place=Place(file=report),
+                expected=f"{name} with the SHA-256 {sha256}, which its program opened",
+                got="none that the report carries",
+                hint=f"put it at {beside if within else here}",
+            )
+        target.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(packed, target)
 
 
 def argument_texts(evidence: Evidence) -> dict[str, str]:
@@ -77,7 +119,7 @@ def _clear(folder: Path) -> None:
     (folder / PDF).unlink(missing_ok=True)
     (folder / MANIFEST).unlink(missing_ok=True)
     for name in earlier:
-        if name.startswith(f"{PLAN}/"):
+        if name.startswith((f"{PLAN}/", f"{OPENED}/")):
             (folder / name).unlink(missing_ok=True)
 
 

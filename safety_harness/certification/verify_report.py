@@ -36,7 +36,17 @@ from safety_harness.certification.counterexamples import (
 )
 from safety_harness.certification.credibility import credibility_of
 from safety_harness.certification.evidence import Evidence, EvidenceProvenance, as_text
-from safety_harness.certification.folder import JSON, JUNIT, MADE, PAGE, PDF, PLAN, argument_texts, junit_xml
+from safety_harness.certification.folder import (
+    JSON,
+    JUNIT,
+    MADE,
+    OPENED,
+    PAGE,
+    PDF,
+    PLAN,
+    argument_texts,
+    junit_xml,
+)
 from safety_harness.certification.gather import (
     GatheredEvidence,
     libraries_of,
@@ -414,7 +424,7 @@ def _foreign(evidence: Evidence, hashes: dict[str, str]) -> Iterator[str]:
     """Files that nothing here has looked into."""
     shown = {one.trace_file for one in evidence.counterexamples}
     for name in hashes:
-        inside = Path(name).parts[0] == PLAN
+        inside = Path(name).parts[0] in (PLAN, OPENED)
         inside |= Path(name).parts[0] == SEARCH and name.endswith((".yaml", ".trace", f"/{FINDINGS}"))
         if name not in (*MADE, LEDGER, *PROOF, *shown) and not inside:
             yield name
