@@ -88,18 +88,15 @@ def put_back_opened(report: Path, plan: Path, root: Path, ledger: Ledger) -> Non
     """
     for name, sha256 in ledger.opened.items():
         target = (plan.parent / name).resolve()
-        within = resolved(root) in target.parents
-        here = target if within else ledger.declared.plan_file.parent / name
-        if not sha256 or is_file_of(here, sha256):
+        if not sha256 or resolved(root) not in target.parents or is_file_of(target, sha256):
             continue
-        beside = report.with_name(f"{report.name}.{OPENED}") / sha256
-        packed = next((one for one in (report / OPENED / sha256, beside) if is_file_of(one, sha256)), None)
-        if packed is None or not within or target.exists():
+        places = [one / sha256 for one in (report / OPENED, report.with_name(f"{report.name}.{OPENED}"))]
+        packed = next((one for one in places if is_file_of(one, sha256)), None)
+        if packed is None or target.exists():
+            expected = f"{name} with the SHA-256 {sha256}, which its program opened"
+            hint = f"put it at {places[1]}"
             raise InputError(
-                place=Place(file=report),
-                expected=f"{name} with the SHA-256 {sha256}, which its program opened",
-                got="none that the report carries",
-                hint=f"put it at {beside if within else here}",
+                place=Place(file=report), expected=expected, got="another file or none", hint=hint
             )
         target.parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(packed, target)

@@ -37,14 +37,9 @@ _TAKEN = (
     "how the arm brakes: as its maker's worst-case stop times say",
     _ARM,
 )
-EXCLUSIONS = (
-    *_BEYOND,
-    "real sensors and their failures: noise, delay, dropout and faults are as a scenario states",
-)
-ASSUMPTIONS = (
-    *_TAKEN,
-    "runs are independent: each has seeds of its own, from the plan's seed and its number",
-)
+_SENSORS = "real sensors and their failures: noise, delay, dropout and faults are as a scenario states"
+_INDEPENDENT = "runs are independent: each has seeds of its own, from the plan's seed and its number"
+EXCLUSIONS, ASSUMPTIONS = (*_BEYOND, _SENSORS), (*_TAKEN, _INDEPENDENT)
 UNWATCHED = (*EXCLUSIONS, *_TAKEN)
 """What nothing watches in a simulated run; up to a colon each has its name."""
 UNWATCHED_IN_LOGS = (*_BEYOND, "what LOG.yaml says of sensors, clocks and frames", _ARM)
@@ -59,17 +54,13 @@ def basis(
     ``worlds`` are names such as "PyBullet"; ``exercised`` has for each claim in how many of how many runs it
     was exercised, or is words on the runs; ``unwatched`` are assumptions, whose names are shown.
     """
-    words = exercised if isinstance(exercised, str) else _exercised_words(exercised)
+    if not isinstance(exercised, str):
+        counts = sorted(exercised, key=lambda one: (one[0] / max(one[1], 1), one))
+        ends = dict.fromkeys(f"{tested} of {runs} runs" for tested, runs in (*counts[:1], *counts[-1:]))
+        exercised = f"claims exercised in {' to '.join(ends)}" if counts else "no claim was exercised"
     places = " and in ".join(dict.fromkeys(worlds))
     names = ", ".join(dict.fromkeys(one.partition(":")[0] for one in unwatched))
-    return f"Basis: in {places}; {words}; nothing watched: {names}"
-
-
-def _exercised_words(exercised: Iterable[tuple[int, int]]) -> str:
-    """The least exercised claim and the most exercised one."""
-    counts = sorted(exercised, key=lambda one: (one[0] / max(one[1], 1), one))
-    ends = dict.fromkeys(f"{tested} of {runs} runs" for tested, runs in (*counts[:1], *counts[-1:]))
-    return f"claims exercised in {' to '.join(ends)}" if counts else "no claim was exercised"
+    return f"Basis: in {places}; {exercised}; nothing watched: {names}"
 
 
 def made_in(trace: Trace) -> str:

@@ -77,17 +77,12 @@ def sarif(runs: Sequence[JudgedRun]) -> dict[str, Any]:
         "rules": [{"id": sentence, "shortDescription": {"text": sentence}} for sentence in rules],
     }
     results = [_result(run, claim, found, expected) for run, claim, found, expected in told_of]
+    run = {"tool": {"driver": tool}, "columnKind": "unicodeCodePoints", "results": results}
+    run["properties"] = {"basis": basis_of(runs)}
     return {
         "$schema": SCHEMA,
         "version": "2.1.0",
-        "runs": [
-            {
-                "tool": {"driver": tool},
-                "columnKind": "unicodeCodePoints",
-                "results": results,
-                "properties": {"basis": basis_of(runs)},
-            }
-        ],
+        "runs": [run],
     }
 
 

@@ -121,9 +121,7 @@ def tallies(runs: Iterable[JudgedRun]) -> tuple[ClaimTally, ...]:
 
 def basis_of(runs: Sequence[JudgedRun], coverage: Sequence[ClaimTally] | None = None) -> str:
     """Say what the verdicts of ``runs`` rest on; ``coverage`` where more runs were judged than are here."""
-    return basis_of_tallies(
-        [made_in(run.trace) for run in runs], tallies(runs) if coverage is None else coverage
-    )
+    return basis_of_tallies((made_in(run.trace) for run in runs), coverage or tallies(runs))
 
 
 def answer(runs: Sequence[JudgedRun]) -> str:

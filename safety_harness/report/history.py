@@ -85,11 +85,6 @@ class History:
         found = f"Of {of} {len(turned)} turned, {len(self.unlike)} to what is not expected"
         return found + (f"; overruling grows for {', '.join(self.growing)}." if self.growing else ".")
 
-    @property
-    def basis(self) -> str:
-        """What the verdicts of the newest revision rest on."""
-        return f"{self.revisions[-1].name}: {self.revisions[-1].basis}"
-
 
 def read_history(folder: Path) -> History:
     """Every report.json below ``folder``, in the order of their folders' names, numbers as numbers.
@@ -168,7 +163,7 @@ def write_page(path: Path, history: History, *, command: str, generated_at: date
     page = render_page(
         "history.html.j2",
         made=(generated_at, command),
-        basis=history.basis,
+        basis=revisions[-1].basis,
         history=history,
         rows=[_row(one) for one in sorted(history.courses, key=lambda one: (not one.unlike, not one.turns))],
         overruling=[
