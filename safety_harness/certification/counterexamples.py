@@ -245,7 +245,7 @@ def searched_counterexamples(
             try:
                 run = judged_run(load_trace(trace))
                 refuse_not_simulated(run.trace, trace)
-                if _unclaimed(read_scenario(file)) != _unclaimed(run.trace.scenario):
+                if _acted(read_scenario(file)) != _acted(run.trace.scenario):
                     raise ScenarioError.of_file(file, "its trace's scenario", "another than its trace has")
                 sentence, lines = _told(file)
             except InputError as error:
@@ -263,9 +263,9 @@ def searched_counterexamples(
             )
 
 
-def _unclaimed(scenario: Scenario) -> str:
-    """The text of a scenario but for its claims, of which a counterexample's file says what it expects."""
-    return write_scenario(replace(scenario, claims=()))
+def _acted(scenario: Scenario) -> str:
+    """The text of a scenario but for its title and claims, of which a counterexample has its own."""
+    return write_scenario(replace(scenario, title="-", about="", claims=()))
 
 
 def _example(
