@@ -234,8 +234,8 @@ def _same(then: float, now: float) -> bool:
 def _near(then: float, now: float) -> bool:
     """Return whether two margins (SI) differ by no more than another machine's arithmetic may do.
 
-    Emulated machines move one by 0.13 mm at most: a way ends at one of its samples, which are 2.5 mm apart, and
-    a last bit decides at which.  All others move by 1e-12 at most.  The stated tolerance is that step.
+    Emulated machines move one by 0.13 mm at most: a way ends at one of its samples, which are 2.5 mm apart,
+    and a last bit decides at which.  All others move by 1e-12 at most.  The stated tolerance is that step.
     """
     if math.isnan(then) or math.isnan(now):
         return math.isnan(then) and math.isnan(now)

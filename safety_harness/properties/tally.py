@@ -27,7 +27,7 @@ _BEYOND = (
     "about power and force limiting",
     "fingers: a hand is a sphere and its forearm a capsule",
     "the person's torso and head",
-    "more than eight hands, and those of people whom no scenario has",
+    "people whom no scenario has: their hands, and any hand beyond the eighth",
     "the tool and the workpiece, friction and flexibility of the arm",
     "the robot maker's own safety functions: none is relied on, and no performance level is claimed",
 )
