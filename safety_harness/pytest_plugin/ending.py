@@ -62,7 +62,8 @@ class Ending:
         say = terminalreporter.write_line
         terminalreporter.section("safety claims")
         found = self._tallies()
-        for line in (*table_lines(found), *far_lines(found), *self._tested(), self._basis()):
+        basis = [self._basis()] * bool(found)
+        for line in (*table_lines(found), *far_lines(found), *self._tested(), *basis):
             say(line)
         untested = untested_lines(self._tallies())
         for line in untested and [
