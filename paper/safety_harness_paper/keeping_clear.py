@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from safety_harness.properties.separation import REACHING_MPS
 from safety_harness.settings import DEFAULTS
 from safety_harness_paper.avoiders import BAYESIAN, OPPOSITE
 from safety_harness_paper.intervals import Estimate, Paired, mean_of, share_of
@@ -115,8 +116,9 @@ def result(scale: Scale, found: Found) -> Result:
             "its episodes are violated, that none of the others' is, is no evidence for giving way.",
             "Inconclusive: the hand never came near enough for the claim to be put to the test (400 mm for "
             "the 50 mm). Such an episode is no evidence and is left out of the shares.",
-            "Protective separation: that of ISO/TS 15066, for a person at 1.6 m/s, or at the hands' own "
-            "speeds; it is asked of a moving arm only. A fixed critical distance of 400 mm cannot keep it.",
+            f"Protective separation: that of ISO/TS 15066, for a hand at {REACHING_MPS:g} m/s, or at the "
+            "hands' own speeds; it is asked of a moving arm only. A fixed critical distance of 400 mm cannot "
+            "keep it.",
         ),
     )
 

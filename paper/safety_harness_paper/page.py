@@ -7,10 +7,12 @@ from pathlib import Path
 
 from markupsafe import Markup
 
+from safety_harness.properties.tally import basis
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.page_parts import render_page
 from safety_harness.report.replay import Replays
 from safety_harness.report.words import with_minus
+from safety_harness.simulation.worlds import PYBULLET
 from safety_harness.whole_file import write_whole
 from safety_harness_paper.choices import CHOICES
 from safety_harness_paper.document import About, comparison_words
@@ -44,6 +46,7 @@ def render(results: Sequence[Result], about: About, runs: Runs = ()) -> str:
     return render_page(
         "reproduction.html.j2",
         of="safety_harness_paper",
+        basis=basis([str(PYBULLET)], "in as many runs as each result states"),
         style="tables.css",
         results=results,
         about=about,

@@ -9,14 +9,13 @@ import hashlib
 import json
 import os
 import re
-import tempfile
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
 
 from safety_harness.avoidance.shipped import SHIPPED, shipped_model
-from safety_harness.exceptions import InputError, LedgerError, Place, ScenarioError
+from safety_harness.exceptions import LedgerError, Place, ScenarioError
 from safety_harness.robot.robots import arm_model
 from safety_harness.scenario.compose import Library
 from safety_harness.scenario.files import read_bytes, resolved
@@ -52,8 +51,11 @@ class Identity:
 
     @classmethod
     def from_json(cls, text: str) -> Identity:
-        """As it was kept; ValueError or TypeError for any other text."""
-        return cls(tuple((str(name), str(value)) for name, value in json.loads(text)))
+        """As it was kept; ValueError or TypeError for any other text, and for a part that is named twice."""
+        parts = tuple((str(name), str(value)) for name, value in json.loads(text))
+        if len(dict(parts)) < len(parts):
+            raise ValueError("a part is named twice")
+        return cls(parts)
 
     def changes(self, now: Identity) -> list[str]:
         """What is another now, in words; empty if nothing is.
@@ -183,26 +185,6 @@ def _packed(data: bytes, path: Path, names: dict[Path, str]) -> bytes:
         return (os.path.relpath(names[target], folder) + colon[3:] + name).encode()
 
     return _ABSOLUTE.sub(relative, data)
-
-
-def refuse_unpackable(plan: Path, files: Sequence[PlanFile], read: Callable[[Path], Identity]) -> None:
-    """Raise ScenarioError if a copy of the plan's files reads another plan: its report would never verify.
-
-    ``read`` makes the identity of a plan's file.
-    """
-    with tempfile.TemporaryDirectory(prefix="safety-harness-") as folder:
-        try:
-            copied = dict(read(unpacked(files, Path(folder))).parts)
-        except InputError as error:
-            raise ScenarioError.of_file(
-                plan, _PACKABLE, f"a copy in which {error.place} is missing"
-            ) from error
-    other = [file.name for file in files if copied.get(f"the file {file.name}") != file.sha256]
-    if other:
-        raise ScenarioError.of_file(plan, _PACKABLE, f"a copy that reads {', '.join(other)} from elsewhere")
-
-
-_PACKABLE = "references that a report can carry with it: relative paths"
 
 
 def _files_of(robot: AnyRobot) -> Iterator[Path]:

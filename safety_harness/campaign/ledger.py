@@ -34,8 +34,10 @@ from safety_harness.campaign.opening import (
 )
 from safety_harness.campaign.plan import Plan
 from safety_harness.campaign.rows import Row
+from safety_harness.exceptions import RecordingError
 from safety_harness.isolation.opened import sha256_of
 from safety_harness.properties.base import Unit
+from safety_harness.scenario.recording import parse_recording
 from safety_harness.scenario.references import MODEL_SUFFIX, ONNX_SUFFIX, portable
 from safety_harness.simulation.worlds import WorldEntry, worlds_by_label
 from safety_harness.statistics.sample import Declaration, Floats, IndependentSample, Ints, refusal
@@ -79,6 +81,15 @@ WRISTS = (
     "recorded hands are wrists: straight fingers reach 120 to 150 mm beyond the sphere, and no distance here "
     "counts them"
 )
+
+
+def _is_recording(file: PlanFile) -> bool:
+    """Is it a table of tracked points, whatever it is called?"""
+    try:
+        return bool(parse_recording(file.data, Path(file.name)).tracks)
+    except RecordingError:
+        return False
+
 
 # How it was asked again: elsewhere, by driving again (an avoider: with the 8), in one call too.
 APART, BY_RUNS, TOGETHER, OF_AVOIDER = 1, 2, 4, 8
@@ -199,7 +210,7 @@ class Ledger:
     @property
     def wrists(self) -> tuple[str, ...]:
         """What a reader has to know of recorded hands; nothing where no file of the plan is a recording."""
-        return (WRISTS,) if any(file.name.endswith(".csv") for file in self.files) else ()
+        return (WRISTS,) if any(map(_is_recording, self.files)) else ()
 
     @cached_property
     def counts(self) -> tuple[str, ...]:

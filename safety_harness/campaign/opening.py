@@ -132,9 +132,9 @@ def _refuse_other_tables(connection: sqlite3.Connection, path: Path) -> None:
 _KINDS = "SELECT name, CASE WHEN type IN ('view', 'index') THEN sql ELSE type END FROM sqlite_master"
 
 
-def _columns(connection: sqlite3.Connection, table: str) -> list[tuple[str, int]]:
-    """Names, and whether they are hidden or computed."""
-    return [(row[1], row[6]) for row in connection.execute(f"PRAGMA table_xinfo({table})")]
+def _columns(connection: sqlite3.Connection, table: str) -> list[tuple[object, ...]]:
+    """Names, types, defaults and keys, and whether they are hidden or computed."""
+    return [row[1:] for row in connection.execute(f"PRAGMA table_xinfo({table})")]
 
 
 @contextmanager

@@ -7,6 +7,7 @@ docs/campaigns.md is the reference of the file.
 from __future__ import annotations
 
 import hashlib
+import tempfile
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -18,9 +19,16 @@ from safety_harness.admission.avoiders import command_line_reference, with_avoid
 from safety_harness.admission.claims import property_of
 from safety_harness.admission.driving import named_system
 from safety_harness.campaign.hazards import PlannedHazards, read_hazards
-from safety_harness.campaign.identity import Identity, PlanFile, files_of_plan, identity_of, references_in
+from safety_harness.campaign.identity import (
+    Identity,
+    PlanFile,
+    files_of_plan,
+    identity_of,
+    references_in,
+    unpacked,
+)
 from safety_harness.campaign.plan_keys import CLAIM, KEPT, LEAST_TARGET, PLAN, SEARCH, STRATUM
-from safety_harness.exceptions import InadmissibleError, Place
+from safety_harness.exceptions import InadmissibleError, InputError, Place, ScenarioError
 from safety_harness.properties.base import Unit
 from safety_harness.scenario.compose import Library
 from safety_harness.scenario.fields import Field, Fields
@@ -132,6 +140,25 @@ class Plan:
         """The scenario with the plan's avoider, if it names one."""
         reference = self.avoider_here
         return scenario if reference is None else with_avoider(scenario, reference, self.avoider_place)
+
+
+def read_packable(path: Path) -> Plan:
+    """As ``read_plan``; ScenarioError if a copy of its files reads another plan, as a report's would."""
+    plan = read_plan(path)
+    with tempfile.TemporaryDirectory(prefix="safety-harness-") as folder:
+        try:
+            copied = dict(read_plan(unpacked(plan.files, Path(folder))).identity.parts)
+        except InputError as error:
+            got = f"a copy in which {error.place} is missing"
+            raise ScenarioError.of_file(plan.file, _PACKABLE, got) from error
+    other = [file.name for file in plan.files if copied.get(f"the file {file.name}") != file.sha256]
+    if other:
+        got = f"a copy that reads {', '.join(other)} from elsewhere"
+        raise ScenarioError.of_file(plan.file, _PACKABLE, got)
+    return plan
+
+
+_PACKABLE = "references that a report can carry with it: relative paths"
 
 
 def read_plan(path: str | Path, edition: int = EDITION) -> Plan:

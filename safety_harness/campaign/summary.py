@@ -22,6 +22,7 @@ from safety_harness.campaign.opening import unusable
 from safety_harness.campaign.rows import Row
 from safety_harness.properties.answered import fallback_words
 from safety_harness.properties.shield_theorem import counts_words
+from safety_harness.properties.tally import basis
 from safety_harness.statistics.binomial import ProbabilityBounds, Sides, bounds_of
 from safety_harness.statistics.sample import JUDGED, EpisodeOutcome
 
@@ -82,6 +83,12 @@ def state_of(ledger: Ledger) -> LedgerState:
     tally = tally_of(ledger)
     bounds = bounds_in(ledger) if tally.complete and not ledger.dependent else ()
     return LedgerState(tally, bounds, fingerprint_of(ledger) if tally.complete else None)
+
+
+def basis_in(ledger: Ledger, tally: CampaignTally) -> str:
+    """Say what the ledger's verdicts rest on: its world, the exercised runs, and what nothing watched."""
+    claims = map(tally.of_claim, range(len(ledger.declared.claims)))
+    return basis([str(ledger.declared.world)], ((one.tested, tally.done) for one in claims))
 
 
 @dataclass(frozen=True)
@@ -147,6 +154,12 @@ class ClaimCounts:
     counts: dict[EpisodeOutcome, int] = field(default_factory=lambda: dict.fromkeys(EpisodeOutcome, 0))
     worst: float = math.nan
     worst_episode: int = -1
+
+    @property
+    def tested(self) -> int:
+        """Episodes that ran and put it to the test."""
+        left_out = (EpisodeOutcome.UNTESTED, EpisodeOutcome.FAILED)
+        return sum(count for outcome, count in self.counts.items() if outcome not in left_out)
 
     def add(self, outcome: EpisodeOutcome, margin: float, episode: int) -> None:
         """Count; of equal margins the first episode's is kept."""

@@ -9,9 +9,8 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from safety_harness.campaign.identity import refuse_unpackable
 from safety_harness.campaign.ledger import Ledger
-from safety_harness.campaign.plan import Plan, read_plan
+from safety_harness.campaign.plan import Plan, read_packable
 from safety_harness.campaign.runner import CampaignRunner
 from safety_harness.campaign.session import LEDGER, carry_on, processes
 from safety_harness.certification.argument_files import read_notes
@@ -68,8 +67,7 @@ class Certification:
         cannot be read, for a proof that is not confirmed or not of its network, for two packages that own one
         module, and for a PDF that no browser can print.
         """
-        plan = read_plan(file)
-        refuse_unpackable(plan.file, plan.files, lambda copy: read_plan(copy).identity)
+        plan = read_packable(file)
         declaration_sha256 = declared_sha256(plan, declared)
         refuse_hopeless(plan)
         refuse_shared_modules()

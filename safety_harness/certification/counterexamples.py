@@ -27,7 +27,10 @@ from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.search_attribution import SearchAttribution
 from safety_harness.report.words import count_words, margin_words
 from safety_harness.scenario.files import decode, read_bytes
+from safety_harness.scenario.model import Scenario
+from safety_harness.scenario.read import read_scenario
 from safety_harness.scenario.typed_json import read_json, typed
+from safety_harness.scenario.write import write_scenario
 from safety_harness.search.counterexample import circumstances
 from safety_harness.statistics.sample import EpisodeOutcome
 from safety_harness.trace.store import load_trace
@@ -242,6 +245,8 @@ def searched_counterexamples(
             try:
                 run = judged_run(load_trace(trace))
                 refuse_not_simulated(run.trace, trace)
+                if _acted(read_scenario(file)) != _acted(run.trace.scenario):
+                    raise ScenarioError.of_file(file, "its trace's scenario", "another than its trace has")
                 sentence, lines = _told(file)
             except InputError as error:
                 got = "no trace" if not trace.is_file() else error.got
@@ -256,6 +261,11 @@ def searched_counterexamples(
                 scenario=file.relative_to(folder).as_posix(),
                 lines=lines[:MOST_LINES],
             )
+
+
+def _acted(scenario: Scenario) -> str:
+    """The text of a scenario but for its title and claims, of which a counterexample has its own."""
+    return write_scenario(replace(scenario, title="-", about="", claims=()))
 
 
 def _example(

@@ -81,11 +81,15 @@ class CarriedPart:
 
 @dataclass(frozen=True, kw_only=True)
 class EvidenceDelta:
-    """The whole comparison.  ``before`` and ``after`` are the folders' names with the roots of their rows."""
+    """The whole comparison.  ``before`` and ``after`` are the folders' names with the roots of their rows.
+
+    ``bases`` say what the verdicts of each rest on.
+    """
 
     format: str
     before: tuple[str, str]
     after: tuple[str, str]
+    bases: tuple[str, str]
     regressions: tuple[str, ...]
     parts: tuple[PartChange, ...]
     claims: tuple[ClaimChange, ...]
@@ -177,6 +181,7 @@ def delta_between(
         format=FORMAT,
         before=(names[0], before.record.rows_sha256),
         after=(names[1], after.record.rows_sha256),
+        bases=(f"{names[0]}: {before.basis}", f"{names[1]}: {after.basis}"),
         regressions=(
             *_lost(before, after),
             *unasked.values(),

@@ -36,6 +36,7 @@ def render(delta: EvidenceDelta, *, command: str, generated_at: datetime) -> str
         "delta.html.j2",
         made=(generated_at, command),
         delta=delta,
+        basis=". ".join(delta.bases),
         claims=[
             (
                 one.sentence,

@@ -22,6 +22,7 @@ from safety_harness.compiled import source_hash
 from safety_harness.exceptions import InputError
 from safety_harness.proof.maps import BoxMap
 from safety_harness.properties.answered import fallback_words
+from safety_harness.properties.tally import basis
 from safety_harness.scenario.typed_json import of_format, plain, read_json, typed
 from safety_harness.trace.system import NOT_NOTED, SystemUnderTest
 
@@ -499,6 +500,16 @@ class Evidence:
     def unmade(self) -> list[str]:
         """Which parts of the report failed after the runs, and why."""
         return [one.text for one in self.findings if f" {UNMADE}: " in one.text]
+
+    @property
+    def basis(self) -> str:
+        """What the verdicts rest on: world, exercised runs, and what the report excludes or assumes."""
+        world = f"the {self.plan.world} world" if self.plan.model_only else self.plan.world
+        counts = [
+            (sum(one.tested - one.failed for one in claim.outcomes), sum(one.runs for one in claim.outcomes))
+            for claim in self.claims
+        ]
+        return basis([world], counts, (*self.exclusions, *self.assumptions))
 
     @property
     def full(self) -> bool:

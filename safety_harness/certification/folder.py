@@ -35,13 +35,14 @@ from safety_harness.scenario.typed_json import of_format, read_json, typed
 from safety_harness.whole_file import sha256_of, write_whole
 
 PAGE, JSON, JUNIT, PDF = "evidence.html", "evidence.json", "junit.xml", "evidence.pdf"
-MANIFEST, PLAN = "manifest.json", "plan"
+MANIFEST, PLAN, OPENED = "manifest.json", "plan", "opened"
 FORMAT = "safety-harness manifest 1"
 MADE = (PAGE, JSON, JUNIT, PDF, GSN, NOTES)
 LOG = f"{LEDGER}-wal"
 PASSING = (LOG, f"{LEDGER}-shm", f"{LEDGER}.lock")
 LARGEST_MANIFEST_BYTES = 2**21  # some 20,000 files
 LARGEST_TRACE_BYTES = 2**26
+MOST_OPENED_BYTES = 2**26  # of all that programs opened; of more, reports carry the hashes alone
 
 
 def write_folder(folder: Path, gathered: GatheredEvidence, ledger: Ledger) -> Evidence:
@@ -53,6 +54,7 @@ def write_folder(folder: Path, gathered: GatheredEvidence, ledger: Ledger) -> Ev
         _clear(folder)
         guard = ReportGuard()
         guard.of("the copy of the plan", lambda: unpacked(ledger.files, folder / PLAN), Path())
+        guard.of("the copies of opened files", lambda: _pack_opened(folder / OPENED, ledger), None)
         guard.of("the copies of traces", lambda: write_traces(gathered.examples, folder), None)
         evidence = replace(gathered.evidence, files=tuple(stored_files(folder)))
         texts = guard.of("the files of the argument", lambda: argument_texts(evidence), {})
@@ -64,6 +66,43 @@ def write_folder(folder: Path, gathered: GatheredEvidence, ledger: Ledger) -> Ev
     except OSError as error:
         raise OutputError.of(folder, error) from error
     return evidence
+
+
+def _pack_opened(folder: Path, ledger: Ledger) -> None:
+    """Copy what the plan's programs opened, each file under its hash, if all of it is small enough."""
+    own = ledger.declared.plan_file.parent
+    there = {sha256: own / name for name, sha256 in ledger.opened.items() if is_file_of(own / name, sha256)}
+    if there and sum(file.stat().st_size for file in there.values()) <= MOST_OPENED_BYTES:
+        folder.mkdir(exist_ok=True)
+        for sha256, file in there.items():
+            shutil.copyfile(file, folder / sha256)
+
+
+def is_file_of(path: Path, sha256: str) -> bool:
+    """Is there a file with these bytes?"""
+    return path.is_file() and sha256_of(path) == sha256
+
+
+def put_back_opened(report: Path, plan: Path, root: Path, ledger: Ledger) -> None:
+    """Put what programs opened beside the ``plan`` that is unpacked below ``root``.
+
+    Files are taken from the report, or from a folder beside it into which the user puts them.
+    InputError that says which one is missing, and where to put it.
+    """
+    for name, sha256 in ledger.opened.items():
+        target = (plan.parent / name).resolve()
+        if not sha256 or resolved(root) not in target.parents or is_file_of(target, sha256):
+            continue
+        places = [one / sha256 for one in (report / OPENED, report.with_name(f"{report.name}.{OPENED}"))]
+        packed = next((one for one in places if is_file_of(one, sha256)), None)
+        if packed is None or target.exists():
+            expected = f"{name} with the SHA-256 {sha256}, which its program opened"
+            hint = f"put it at {places[1]}"
+            raise InputError(
+                place=Place(file=report), expected=expected, got="another file or none", hint=hint
+            )
+        target.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(packed, target)
 
 
 def argument_texts(evidence: Evidence) -> dict[str, str]:
@@ -80,7 +119,7 @@ def _clear(folder: Path) -> None:
     (folder / PDF).unlink(missing_ok=True)
     (folder / MANIFEST).unlink(missing_ok=True)
     for name in earlier:
-        if name.startswith(f"{PLAN}/"):
+        if name.startswith((f"{PLAN}/", f"{OPENED}/")):
             (folder / name).unlink(missing_ok=True)
 
 
@@ -146,7 +185,7 @@ def junit_xml(evidence: Evidence) -> str:
         for claim in evidence.claims:
             for outcome in claim.outcomes:
                 if outcome.stratum == stratum.name:
-                    _case(suite, claim, outcome)
+                    _case(suite, claim, outcome, evidence)
         tags = [child.tag for case in suite for child in case]
         for name, tag in (("failures", "failure"), ("errors", "error"), ("skipped", "skipped")):
             suite.set(name, str(tags.count(tag)))
@@ -155,12 +194,17 @@ def junit_xml(evidence: Evidence) -> str:
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"
 
 
-def _case(suite: ElementTree.Element, claim: ClaimEvidence, outcome: ClaimResult) -> None:
+def _case(suite: ElementTree.Element, claim: ClaimEvidence, outcome: ClaimResult, evidence: Evidence) -> None:
     case = ElementTree.SubElement(
         suite, "testcase", classname=_xml_text(outcome.stratum), name=_xml_text(claim.sentence)
     )
-    if outcome.standing is ClaimStatus.SHOWN:
-        return
+    if outcome.standing is not ClaimStatus.SHOWN:
+        _not_passed(case, outcome)
+    only = replace(evidence, claims=(replace(claim, outcomes=(outcome,)),))
+    ElementTree.SubElement(case, "system-out").text = _xml_text(only.basis)
+
+
+def _not_passed(case: ElementTree.Element, outcome: ClaimResult) -> None:
     untargeted = "failure" if outcome.violated else "skipped"
     tag = {ClaimStatus.REFUTED: "failure", ClaimStatus.ESTIMATED: untargeted}.get(outcome.standing, "error")
     said = ElementTree.SubElement(case, tag, message=_xml_text(f"{outcome.standing.value}: {outcome.why}"))

@@ -43,7 +43,6 @@ from safety_harness.certification.hazards import hazards_of
 from safety_harness.certification.learned import learned_of
 from safety_harness.certification.proofs import stored_proof
 from safety_harness.certification.results import bounds, claims_of, overruling_of, strata_of
-from safety_harness.certification.standards import ASSUMPTIONS, EXCLUSIONS
 from safety_harness.certification.stored import (
     Stored,
     calibration_of,
@@ -56,6 +55,8 @@ from safety_harness.certification.system import system_of
 from safety_harness.certification.tools import NO_TRIALS, CoverageOfRuns, Credibility, HarnessTrials
 from safety_harness.certification.verdicts import gravest
 from safety_harness.certification.whose_fault import whose_fault
+from safety_harness.exceptions import described
+from safety_harness.properties.tally import ASSUMPTIONS, EXCLUSIONS
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.page_parts import in_words
 from safety_harness.trace.provenance import provenance

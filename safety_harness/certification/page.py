@@ -89,6 +89,7 @@ def _page(evidence: Evidence, runs: Mapping[int, JudgedRun], guard: ReportGuard)
     views = [_counterexample(one, runs.get(one.number), replays, guard) for one in evidence.counterexamples]
     return render_page(
         "evidence.html.j2",
+        basis=evidence.basis,
         style="evidence.css",
         scripts=("evidence.js", "coverage.js"),
         replays=any(view["run"] for view in views),

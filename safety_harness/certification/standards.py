@@ -189,23 +189,6 @@ TRACED = {  # by the example in the entry of the catalogue
 }
 OWN = _traced("not stated by the plan: the claim is a formula of its author's")
 
-EXCLUSIONS = (
-    "contact forces and pressures: what happens once something touches is not modelled, so nothing here is "
-    "about power and force limiting",
-    "fingers: a hand is a sphere and its forearm a capsule",
-    "the person's torso and head",
-    "more than eight hands, and those of people whom no scenario has",
-    "real sensors and their failures beyond the noise, delay, dropout and faults that a scenario states",
-    "the tool and the workpiece, friction and flexibility of the arm",
-    "the robot maker's own safety functions: none is relied on, and no performance level is claimed",
-)
-ASSUMPTIONS = (
-    "hands move and are distributed as the scenario spaces say; the plan's author answers for both",
-    "the arm brakes as its maker's worst-case stop times say",
-    "the model of the arm is that of its URDF; its capsules enclose every triangle of its meshes",
-    "runs are independent: each has seeds of its own, from the plan's seed and its number",
-)
-
 
 def told_with_standards(entry: CatalogueEntry) -> Iterator[tuple[str, str]]:
     """(name, text) of everything that an entry says for people, and the standards that it is traced to."""

@@ -19,7 +19,7 @@ from safety_harness.campaign.plan import Plan, read_plan
 from safety_harness.campaign.session import LEDGER
 from safety_harness.certification.altered import turns_of
 from safety_harness.certification.evidence import read_evidence
-from safety_harness.certification.folder import JSON, read_manifest
+from safety_harness.certification.folder import JSON, put_back_opened, read_manifest
 from safety_harness.certification.lodged import L, declaration_of, read_declaration, read_seal, seal_of
 from safety_harness.certification.verify_files import (
     Examination,
@@ -139,6 +139,8 @@ def verify(
         if plan is None:
             return
         _refuse_to_execute(plan, runs, execute_programs)
+        if execute_programs and runs != 0:
+            put_back_opened(folder, plan.file, unpacking, ledger)
         own = check_plan(folder, plan, ledger)
         yield own
         if not own.stands:

@@ -22,6 +22,7 @@ from safety_harness.certification.folder import (
     LARGEST_TRACE_BYTES,
     LOG,
     MANIFEST,
+    OPENED,
     PAGE,
     PLAN,
     names_in,
@@ -107,6 +108,9 @@ def check_plan(folder: Path, known: Plan, ledger: Ledger) -> Examination:
             faults.append(f"{name} is not the ledger's")
     there = {name for name in names_in(folder) if name.startswith(f"{PLAN}/")}
     faults += [f"{name} is no file of the ledger's plan" for name in sorted(there - files.keys())]
+    of_programs = {f"{OPENED}/{sha256}" for sha256 in ledger.opened.values()}
+    opened = {name for name in names_in(folder) if name.startswith(f"{OPENED}/")}
+    faults += [f"{name} was opened by no program" for name in sorted(opened - of_programs)]
     faults += [f"{what}: the ledger says otherwise than its plan" for what in _other(known, ledger)]
     faults += _wrongly_stopped(known, ledger)
     notes = tuple(f"since it was made: {change}" for change in changes if change not in own)

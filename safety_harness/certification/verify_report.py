@@ -36,7 +36,17 @@ from safety_harness.certification.counterexamples import (
 )
 from safety_harness.certification.credibility import credibility_of
 from safety_harness.certification.evidence import Evidence, EvidenceProvenance, as_text
-from safety_harness.certification.folder import JSON, JUNIT, MADE, PAGE, PDF, PLAN, argument_texts, junit_xml
+from safety_harness.certification.folder import (
+    JSON,
+    JUNIT,
+    MADE,
+    OPENED,
+    PAGE,
+    PDF,
+    PLAN,
+    argument_texts,
+    junit_xml,
+)
 from safety_harness.certification.gather import (
     GatheredEvidence,
     libraries_of,
@@ -69,6 +79,7 @@ _MARKUP = re.compile(rb"<[^<>]*>")
 _TAG = re.compile(rb"<\w[^<>]*>")
 _WHERE = re.compile(rb'( (?:d|x|y)=")([^"]*)"')
 _NUMBER = re.compile(rb"-?\d+(?:\.\d+)?")
+_NOT_PASSED = {"failure", "error", "skipped"}
 _AROUND = 60  # letters shown before and after a difference
 
 
@@ -141,7 +152,8 @@ def passed_in(junit: bytes) -> list[tuple[str, str]] | None:
     """Return stratum and claim of each case of a JUnit file that passes; None for what is no XML."""
     try:
         cases = ElementTree.fromstring(junit).iter("testcase")
-        return sorted((one.get("classname", ""), one.get("name", "")) for one in cases if len(one) == 0)
+        passed = (one for one in cases if _NOT_PASSED.isdisjoint(child.tag for child in one))
+        return sorted((one.get("classname", ""), one.get("name", "")) for one in passed)
     except ElementTree.ParseError:
         return None
 
@@ -412,7 +424,7 @@ def _foreign(evidence: Evidence, hashes: dict[str, str]) -> Iterator[str]:
     """Files that nothing here has looked into."""
     shown = {one.trace_file for one in evidence.counterexamples}
     for name in hashes:
-        inside = Path(name).parts[0] == PLAN
+        inside = Path(name).parts[0] in (PLAN, OPENED)
         inside |= Path(name).parts[0] == SEARCH and name.endswith((".yaml", ".trace", f"/{FINDINGS}"))
         if name not in (*MADE, LEDGER, *PROOF, *shown) and not inside:
             yield name

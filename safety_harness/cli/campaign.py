@@ -116,6 +116,7 @@ def pilot_runs(
     from safety_harness.campaign.pilot import pilot
     from safety_harness.campaign.plan import read_plan
     from safety_harness.cli.progress import counting, time_words
+    from safety_harness.properties.tally import basis
     from safety_harness.scenario.model import Driver
     from safety_harness.scenario.typed_json import plain
 
@@ -130,6 +131,7 @@ def pilot_runs(
     result(*(f"{'ok  ' if one.enough else 'WARN'} {one.line}" for one in found.forecasts))
     result(*(f"WARN a run failed: {one}" for one in found.failures))
     result(*(f"WARN {one}" for one in found.remarks))
+    result(basis([str(read.world)], ((one.tested, one.tried) for one in found.forecasts)))
     result(
         f"{read.runs} runs: about {time_words(seconds)} with {cores} processes on this machine, alone on it"
     )
@@ -363,7 +365,7 @@ def compare(
     )
     from safety_harness.campaign.overruled import compare_overruling
     from safety_harness.campaign.session import LEDGER
-    from safety_harness.campaign.summary import fallback_of
+    from safety_harness.campaign.summary import basis_in, fallback_of, tally_of
     from safety_harness.cli.campaign_lines import difference_lines
     from safety_harness.properties.base import SI_UNITS
 
@@ -393,6 +395,7 @@ def compare(
             document(before=before.path, after=after.path, not_comparable=undecided)
             result(*undecided)
             return DIFFERS
+        bases = [f"{one.path}: {basis_in(one, tally_of(one))}" for one in (before, after)]
         compared, overruled = compare_ledgers(before, after), compare_overruling(before, after)
         worse, lost = worse_episodes(before, after), list(against_lines(before, after))
         document(
@@ -410,13 +413,14 @@ def compare(
                 for one in worse
             ],
             remarks=lost,
+            basis=bases,
         )
         result(*difference_lines(compared, before.declared.confidence))
         result(*(one.words for one in overruled if one.before.proposals or one.after.proposals))
         for found in worse:
             was, now = (found.unit.margin_text(margin) for margin in (found.before, found.after))
             result(f"  worse: {found.stratum}, episode {found.episode}: {found.claim}: {was} -> {now}")
-        result(*lost)
+        result(*lost, *bases)
     return DIFFERS if any(one.low > 0.0 for one in compared) else AS_EXPECTED
 
 
@@ -469,6 +473,7 @@ def rare_violations(
     from safety_harness.cli.campaign_lines import rare_line
     from safety_harness.cli.progress import one_line
     from safety_harness.exceptions import StatisticsError
+    from safety_harness.properties.tally import basis
     from safety_harness.statistics.importance import Importance
     from safety_harness.statistics.rare import Splitting
 
@@ -501,8 +506,9 @@ def rare_violations(
                 confidence=read.confidence,
             )
     remarks = list(watch.remarks(read))
-    result(*remarks)
-    document(remarks=remarks)
+    rests_on = basis([str(read.world)], "every draw counts, whether it exercised the claim or not")
+    result(*remarks, rests_on)
+    document(remarks=remarks, basis=rests_on)
     return DIFFERS if unlike or remarks else AS_EXPECTED
 
 

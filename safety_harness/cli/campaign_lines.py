@@ -15,6 +15,7 @@ from safety_harness.campaign.summary import (
     CampaignTally,
     ClaimCounts,
     LedgerState,
+    basis_in,
     fallback_of,
     shields_in,
 )
@@ -48,6 +49,7 @@ def ledger_lines(ledger: Ledger, state: LedgerState) -> Iterator[str]:
     yield f"  {ledger.repeated.line}"
     yield from (f"  computing time: {line}" for line in ledger.slow)
     yield from worst_lines(declared.claims, declared.units, tally)
+    yield basis_in(ledger, tally)
     if tally.complete:
         yield from _bound_lines(ledger, state.bounds)
         yield f"fingerprint of the results: {state.fingerprint}"
@@ -61,6 +63,7 @@ def ledger_data(ledger: Ledger, state: LedgerState) -> dict[str, object]:
     return {
         "ledger": ledger.path,
         "title": declared.title,
+        "basis": basis_in(ledger, tally),
         "world": declared.world.label,
         "confidence": declared.confidence,
         "complete": whole,
@@ -120,8 +123,7 @@ def worst_lines(claims: tuple[str, ...], units: tuple[Unit, ...], tally: Campaig
     for k, (claim, unit) in enumerate(zip(claims, units, strict=True)):
         one = tally.of_claim(k)
         counts = one.counts
-        tested = sum(counts.values()) - counts[EpisodeOutcome.UNTESTED] - counts[EpisodeOutcome.FAILED]
-        words = f"violated in {counts[EpisodeOutcome.VIOLATED]} of {tested} tested"
+        words = f"violated in {counts[EpisodeOutcome.VIOLATED]} of {one.tested} tested"
         others = (
             (EpisodeOutcome.UNTESTED, "not put to the test"),
             (EpisodeOutcome.INCONCLUSIVE, "inconclusive"),

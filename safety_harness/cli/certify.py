@@ -174,7 +174,7 @@ def certify(
             if f": {UNTRIED} " in one.text or UNHEEDED in one.text
         )
     )
-    result(f"{job.folder / PAGE}: {evidence.standing.value}")
+    result(evidence.basis, f"{job.folder / PAGE}: {evidence.standing.value}")
     if not complete:
         say("interrupted: the report says what is missing; the same command goes on from there")
         return INTERRUPTED
@@ -222,7 +222,7 @@ def _tell_delta(before: EarlierReport, after: EarlierReport, made_by: str) -> in
     spaces = [one for one in delta.parts if one.part == "space"]
     result(*(f"another space, {one.name}: {one.before} before, {one.after} now" for one in spaces))
     again = [one.what for one in delta.carried if not one.carries]
-    result(f"to be run again: {', '.join(again) or 'nothing'}", delta.line, f"{folder / PAGE}")
+    result(f"to be run again: {', '.join(again) or 'nothing'}", delta.line, *delta.bases, f"{folder / PAGE}")
     return DIFFERS if delta.regressions else AS_EXPECTED
 
 
@@ -386,8 +386,8 @@ def verify(
     document(stands=stands, checks=checks)
     open_ones = "" if whole else ", but for what was not checked"
     if stands:
-        answer = read_evidence(report / JSON).standing.value
-        result(f"the report stands{open_ones}: {answer}")
+        evidence = read_evidence(report / JSON)
+        result(evidence.basis, f"the report stands{open_ones}: {evidence.standing.value}")
     else:
         result("the report does not stand")
     return AS_EXPECTED if stands and (whole or not strict) else DIFFERS

@@ -73,6 +73,7 @@ def evaluate(
     """
     from safety_harness.admission.avoiders import told_avoider
     from safety_harness.cli.progress import watching_steps
+    from safety_harness.properties.tally import BASIS_OF_ANSWERS
     from safety_harness.scenario.files import told
     from safety_harness.scoring.session import ScoringSession
 
@@ -95,6 +96,7 @@ def evaluate(
         return INTERRUPTED if scored.interrupted else BAD_INPUT
     for one in scored.avoiders:
         result(*_lines(one))
+    result(BASIS_OF_ANSWERS)
     words = ["safety-harness", "evaluate", *map(told_avoider, avoiders)]
     words += ["--search", str(search), "--seed", str(seed)]
     words += [] if questions is None else ["--questions", str(questions)]

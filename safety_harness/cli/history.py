@@ -38,7 +38,7 @@ def history(
         write_page(out, found, command=shlex.join(words), generated_at=datetime.now(UTC))
     except OSError as error:
         raise OutputError.of(out, error) from error
-    say(found.sentence)
+    say(found.sentence, found.revisions[-1].basis)
     turns = [
         {"claim": one.claimed, "turns": one.turns, "as_expected": not one.unlike} for one in found.courses
     ]

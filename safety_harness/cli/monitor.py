@@ -216,6 +216,7 @@ def _say(change: VerdictLine, as_json: bool) -> None:
 def _ended(own: Monitor, *, as_json: bool, interrupted: bool) -> int:
     """What came of it, and the exit code."""
     from safety_harness.exceptions import StreamError
+    from safety_harness.properties.tally import UNWATCHED_IN_LOGS, basis
     from safety_harness.scenario.model import Verdict
 
     try:
@@ -239,4 +240,6 @@ def _ended(own: Monitor, *, as_json: bool, interrupted: bool) -> int:
         say("at the end of the stream:")
     for change in final:
         say(f"  {change.verdict.value}  {change.claim}  ({change.reason})")
+    exercised = [(int(one.verdict is not Verdict.INCONCLUSIVE), 1) for one in final]
+    say(basis(["a stream of a cell"], exercised, UNWATCHED_IN_LOGS))
     return AS_EXPECTED if all(change.verdict is Verdict.HOLDS for change in final) else DIFFERS

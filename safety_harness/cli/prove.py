@@ -73,6 +73,7 @@ def prove(
     from safety_harness.proof.plan import read_proof_plan
     from safety_harness.proof.session import Effort, carry_on, fresh
     from safety_harness.proof.together import joint_bounds
+    from safety_harness.properties.tally import BASIS_OF_ANSWERS
     from safety_harness.report.proof_page import ProofEvidence, render
     from safety_harness.scenario.files import told
     from safety_harness.whole_file import write_text
@@ -109,11 +110,12 @@ def prove(
     write_text(page, render(evidence))
     document(
         page=page,
+        basis=BASIS_OF_ANSWERS,
         certificate=path,
         claims=[{k: v for k, v in one.items() if k != "tree"} for one in written["claims"]],
         together=[asdict(one) for one in bounds],
     )
-    result("", str(page))
+    result("", BASIS_OF_ANSWERS, str(page))
     say(f"certificate: {path} (safety-harness prove --check {path})")
     if interrupted:
         say("interrupted: --resume goes on")

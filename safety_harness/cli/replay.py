@@ -28,7 +28,7 @@ from safety_harness.cli.run import DATA, REPORT, TRACES, say_results
 from safety_harness.exceptions import InadmissibleError, InputError, LogError, Place, TraceError
 from safety_harness.logs.judging import recorded
 from safety_harness.properties.answered import with_expectation
-from safety_harness.report.evidence import JudgedRun
+from safety_harness.report.evidence import JudgedRun, basis_of
 from safety_harness.report.knowledge import measured_lines, unmeasured_words
 from safety_harness.report.machine import refused_data, run_data
 from safety_harness.scenario.fields import SENTENCE, is_sentence
@@ -173,7 +173,8 @@ def judge_again(
         say(*(f"note: {run.trace.scenario.name}: {note}" for note in run.notes if run.trace.known.recorded))
         runs.append(run)
     evaluations = [evaluation for run in runs for _, evaluation in run.judged_claims()]
-    document(runs=[run_data(run) for run in runs], refused=refused_data(refused))
+    document(runs=[run_data(run) for run in runs], basis=basis_of(runs), refused=refused_data(refused))
+    say(*[basis_of(runs)] * bool(runs))
     if out is not None and runs:
         _report(runs, refused, out, paths)
     if unmeasured := unmeasured_words(evaluations):

@@ -45,7 +45,7 @@ from safety_harness.report.decisions import (
     overruling_lines,
     overruling_of_each,
 )
-from safety_harness.report.evidence import JudgedRun, notes_of, tallies
+from safety_harness.report.evidence import JudgedRun, basis_of, notes_of, tallies
 from safety_harness.report.possible_hands import possible_lines
 from safety_harness.report.shielding import shield_lines
 from safety_harness.report.words import tested_words
@@ -227,6 +227,7 @@ class RunSession:
         if self.runs and not self._report():
             return INTERRUPTED if self.interrupted else BAD_INPUT
         untested = self._say_coverage()
+        say(*[basis_of(self.runs)] * bool(self.runs))
         times = computing_time_lines(run.trace for run in self.runs)
         say(*(f"computing time: {line}" for line in times))
         say(*(f"shield: {line}" for line in shield_lines(run.trace for run in self.runs)))

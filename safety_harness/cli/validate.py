@@ -96,12 +96,10 @@ def validate(paths: Sequence[Path], avoider: str | None = None) -> int:
 
 def _checked_plan(path: Path, looker: Looker) -> Plan:
     """A plan of whose strata a draw can be tried; it is said if certify will refuse it."""
-    from safety_harness.campaign.identity import refuse_unpackable
-    from safety_harness.campaign.plan import read_plan
+    from safety_harness.campaign.plan import read_packable
     from safety_harness.certification.results import refuse_hopeless
 
-    plan = read_plan(path)
-    refuse_unpackable(plan.file, plan.files, lambda copy: read_plan(copy).identity)
+    plan = read_packable(path)
     try:
         refuse_hopeless(plan)
     except StatisticsError as error:

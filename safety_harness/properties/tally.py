@@ -8,6 +8,8 @@ from math import inf, isfinite, nan
 
 from safety_harness.properties.base import Evaluation, far_words
 from safety_harness.scenario.model import Verdict
+from safety_harness.simulation.worlds import WORLDS
+from safety_harness.trace.trace import Trace
 
 HEADINGS = (
     "claim",
@@ -19,6 +21,65 @@ HEADINGS = (
     "inconclusive",
     "worst margin",
 )
+
+_BEYOND = (
+    "contact forces and pressures: what happens once something touches is not modelled, so nothing here is "
+    "about power and force limiting",
+    "fingers: a hand is a sphere and its forearm a capsule",
+    "the person's torso and head",
+    "people whom no scenario has: their hands, and any hand beyond the eighth",
+    "the tool and the workpiece, friction and flexibility of the arm",
+    "the robot maker's own safety functions: none is relied on, and no performance level is claimed",
+)
+_ARM = "the arm's model: it is that of its URDF, and its capsules enclose every triangle of its meshes"
+_TAKEN = (
+    "how hands move and are distributed: as the scenario spaces say; the plan's author answers for both",
+    "how the arm brakes: as its maker's worst-case stop times say",
+    _ARM,
+)
+_SENSORS = "real sensors and their failures: noise, delay, dropout and faults are as a scenario states"
+_INDEPENDENT = "runs are independent: each has seeds of its own, from the plan's seed and its number"
+EXCLUSIONS, ASSUMPTIONS = (*_BEYOND, _SENSORS), (*_TAKEN, _INDEPENDENT)
+UNWATCHED = (*EXCLUSIONS, *_TAKEN)
+"""What nothing watches in a simulated run; up to a colon each has its name."""
+UNWATCHED_IN_LOGS = (*_BEYOND, "what LOG.yaml says of sensors, clocks and frames", _ARM)
+A_LOG, NO_WORLD = "a log", "no world"
+
+
+def basis(
+    worlds: Iterable[str], exercised: Iterable[tuple[int, int]] | str, unwatched: Iterable[str] = UNWATCHED
+) -> str:
+    """Say in one sentence what verdicts rest on: world, exercised runs, and what nothing watched.
+
+    ``worlds`` are names such as "PyBullet"; ``exercised`` has for each claim in how many of how many runs it
+    was exercised, or is words on the runs; ``unwatched`` are assumptions, whose names are shown.
+    """
+    if not isinstance(exercised, str):
+        counts = sorted(exercised, key=lambda one: (one[0] / max(one[1], 1), one))
+        ends = dict.fromkeys(f"{tested} of {runs} runs" for tested, runs in (*counts[:1], *counts[-1:]))
+        exercised = f"claims exercised in {' to '.join(ends)}" if counts else "no claim was exercised"
+    places = " and in ".join(dict.fromkeys(worlds))
+    names = ", ".join(dict.fromkeys(one.partition(":")[0] for one in unwatched))
+    return f"Basis: in {places}; {exercised}; nothing watched: {names}"
+
+
+def made_in(trace: Trace) -> str:
+    """Return the world in words in which a trace was made: "PyBullet", "a log" for one of a cell."""
+    name = trace.provenance.world
+    return A_LOG if trace.known.recorded else next((str(one) for one in WORLDS if one.name == name), name)
+
+
+def basis_of_tallies(worlds: Iterable[str], tallies: Iterable[ClaimTally]) -> str:
+    """Say it of judged runs: what nothing watched follows from the ``worlds``."""
+    found = list(dict.fromkeys(worlds))
+    simulated = UNWATCHED if not found or set(found) != {A_LOG} else ()
+    of_logs = UNWATCHED_IN_LOGS if A_LOG in found else ()
+    counts = [(one.exercised, one.runs) for one in tallies if one.applicable]
+    return basis(found or [NO_WORLD], counts, (*simulated, *of_logs))
+
+
+BASIS_OF_ANSWERS = basis([NO_WORLD], "no run was made", ("what a run does with the answers", *UNWATCHED))
+"""What a verdict rests on that is about answers to questions, and about no run."""
 
 
 @dataclass(frozen=True, kw_only=True)

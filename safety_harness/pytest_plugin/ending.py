@@ -61,7 +61,9 @@ class Ending:
 
         say = terminalreporter.write_line
         terminalreporter.section("safety claims")
-        for line in (*table_lines(self._tallies()), *far_lines(self._tallies()), *self._tested()):
+        found = self._tallies()
+        basis = [self._basis()] * bool(found)
+        for line in (*table_lines(found), *far_lines(found), *self._tested(), *basis):
             say(line)
         untested = untested_lines(self._tallies())
         for line in untested and [
@@ -196,14 +198,17 @@ class Ending:
         return [f"tested in {', '.join(sorted(names))}: {words}" for words, names in runs.items() if words]
 
     def _tallies(self) -> tuple[ClaimTally, ...]:
-        from safety_harness.properties.tally import Judged, tally_claims
+        from safety_harness.pytest_plugin.running import judgements, tallies_of
+
+        return tallies_of(j for sent in self._sent for j in judgements(sent))
+
+    def _basis(self) -> str:
+        """What the verdicts of the session rest on."""
+        from safety_harness.properties.tally import basis_of_tallies
         from safety_harness.pytest_plugin.running import judgements
 
-        return tally_claims(
-            Judged(run=j.run.name, evaluation=j.evaluation, expected=j.expected)
-            for sent in self._sent
-            for j in judgements(sent)
-        )
+        worlds = (j.run.world for sent in self._sent for j in judgements(sent))
+        return basis_of_tallies(worlds, self._tallies())
 
     def _untested(self) -> list[str]:
         return [tally.sentence for tally in self._tallies() if tally.untested] if self._sent else []

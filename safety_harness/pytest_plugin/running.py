@@ -23,6 +23,7 @@ from safety_harness.isolation.telling import executed
 from safety_harness.properties.against import ClaimDifference, RunDifference
 from safety_harness.properties.answered import ANSWERED
 from safety_harness.properties.base import Evaluation, Unit
+from safety_harness.properties.tally import ClaimTally, Judged, basis_of_tallies, tally_claims
 from safety_harness.pytest_plugin.collecting import FileItem, SpaceClaimItem
 from safety_harness.pytest_plugin.plugin import JUDGES_ITSELF, TEST, explained
 from safety_harness.report.words import count_words
@@ -208,6 +209,11 @@ def judgements(sent: Payload) -> list[Judgement]:
     ]
 
 
+def tallies_of(judged: Iterable[Judgement]) -> tuple[ClaimTally, ...]:
+    """How often each claim was put to the test."""
+    return tally_claims(Judged(run=j.run.name, evaluation=j.evaluation, expected=j.expected) for j in judged)
+
+
 def differences(every: Iterable[Payload]) -> list[RunDifference]:
     """Of several payloads, each run once with all the claims that tests made of it."""
     runs: dict[str, RunDifference] = {}
@@ -260,6 +266,7 @@ def junit_properties(test: TestRun) -> list[tuple[str, object]]:
             "worst time": "" if when is None else f"{when:.6g} s",
             "exercised": sum(j.evaluation.exercised for j in several),
             "runs": len(several),
+            "basis": basis_of_tallies((j.run.world for j in several), tallies_of(several)),
             "scenario": worst.run.name,
             kind: name,
             "seed": worst.run.seed,

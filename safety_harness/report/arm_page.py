@@ -36,7 +36,7 @@ ENDLESS_RAD = np.pi  # where a joint without ends turns round
 def write_arm_page(path: Path, robots: Sequence[AnyRobot], *, title: str) -> None:
     """Write the page whole or not at all; it asks nothing of the network.  OSError."""
     arms = [_section(robot, number) for number, robot in enumerate(robots, start=1)]
-    page = render_page("arms.html.j2", style="evidence.css", replays=True, title=title, arms=arms)
+    page = render_page("arms.html.j2", basis="", style="evidence.css", replays=True, title=title, arms=arms)
     write_whole(path, page)
 
 

@@ -11,7 +11,7 @@ from typing import Any
 from safety_harness.admission.trial import judge
 from safety_harness.campaign.ledger import Declared, Ledger
 from safety_harness.campaign.overruled import overruling_in
-from safety_harness.campaign.summary import CampaignTally, LedgerState, fallback_of
+from safety_harness.campaign.summary import CampaignTally, LedgerState, basis_in, fallback_of
 from safety_harness.properties.base import Unit
 from safety_harness.proportions import share_words
 from safety_harness.report.evidence import JudgedRun
@@ -56,6 +56,7 @@ def write_page(
         shown=shown,
         made=(generated_at, command),
         declared=declared,
+        basis=basis_in(ledger, tally),
         tally=tally,
         answer=_answer(tally, verdicts),
         remarks=[

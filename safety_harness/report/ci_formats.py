@@ -11,7 +11,7 @@ from urllib.parse import quote
 
 from safety_harness.distribution import installed_version
 from safety_harness.properties.base import Evaluation
-from safety_harness.report.evidence import JudgedRun, answer
+from safety_harness.report.evidence import JudgedRun, answer, basis_of
 from safety_harness.report.words import margin_words
 from safety_harness.scenario.files import told
 from safety_harness.scenario.model import Claim, Verdict
@@ -57,6 +57,7 @@ def markdown(runs: Sequence[JudgedRun]) -> str:
         lines.append(f"| {' | '.join(map(_cell, cells))} |")
     if len(told_of) > MOST_LINES:
         lines += ["", f"{len(told_of) - MOST_LINES} more are in report.html."]
+    lines += ["", basis_of(runs)]
     return "\n".join(lines) + "\n"
 
 
@@ -76,10 +77,12 @@ def sarif(runs: Sequence[JudgedRun]) -> dict[str, Any]:
         "rules": [{"id": sentence, "shortDescription": {"text": sentence}} for sentence in rules],
     }
     results = [_result(run, claim, found, expected) for run, claim, found, expected in told_of]
+    run = {"tool": {"driver": tool}, "columnKind": "unicodeCodePoints", "results": results}
+    run["properties"] = {"basis": basis_of(runs)}
     return {
         "$schema": SCHEMA,
         "version": "2.1.0",
-        "runs": [{"tool": {"driver": tool}, "columnKind": "unicodeCodePoints", "results": results}],
+        "runs": [run],
     }
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from safety_harness.properties.answered import DEFAULT_CLAIM, by_default, is_claimed
 from safety_harness.properties.base import Evaluation, Unit
-from safety_harness.properties.tally import ClaimTally, Judged, tally_claims
+from safety_harness.properties.tally import ClaimTally, Judged, basis_of_tallies, made_in, tally_claims
 from safety_harness.scenario.model import Claim, RecordedHand, Scenario, Verdict
 from safety_harness.trace.trace import Trace
 
@@ -117,6 +117,11 @@ def tallies(runs: Iterable[JudgedRun]) -> tuple[ClaimTally, ...]:
         for run in runs
         for claim, evaluation in run.judged_claims()
     )
+
+
+def basis_of(runs: Sequence[JudgedRun], coverage: Sequence[ClaimTally] | None = None) -> str:
+    """Say what the verdicts of ``runs`` rest on; ``coverage`` where more runs were judged than are here."""
+    return basis_of_tallies((made_in(run.trace) for run in runs), coverage or tallies(runs))
 
 
 def answer(runs: Sequence[JudgedRun]) -> str:

@@ -38,6 +38,7 @@ class Revision:
     source_hash: str
     claims: dict[Claimed, Row]
     overruling: dict[str, tuple[int, int]]
+    basis: str  # of its verdicts
 
 
 @dataclass(frozen=True)
@@ -124,12 +125,13 @@ def _revision(file: Path, name: str) -> Revision:
         overruling = {
             avoider: (one["overruled"], one["proposals"]) for avoider, one in found["overruling"].items()
         }
+        basis = str(found.get("basis", "Basis: not stated by this report"))
         sources = dict.fromkeys(run["source_hash"] for run in found["runs"])
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         got = f"{type(error).__name__}: {error}"
         expected = f'a report with format "{FORMAT}"'
         raise InputError(place=Place(file=file), expected=expected, got=got) from error
-    return Revision(name, ", ".join(sources), claims, overruling)
+    return Revision(name, ", ".join(sources), claims, overruling, basis)
 
 
 def _tested(system: Row) -> str:
@@ -161,6 +163,7 @@ def write_page(path: Path, history: History, *, command: str, generated_at: date
     page = render_page(
         "history.html.j2",
         made=(generated_at, command),
+        basis=revisions[-1].basis,
         history=history,
         rows=[_row(one) for one in sorted(history.courses, key=lambda one: (not one.unlike, not one.turns))],
         overruling=[

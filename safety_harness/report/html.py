@@ -34,7 +34,7 @@ from safety_harness.report.decisions import (
     overruling_of_each,
     tested_words,
 )
-from safety_harness.report.evidence import JudgedRun, answer, notes_of, tallies
+from safety_harness.report.evidence import JudgedRun, answer, basis_of, notes_of, tallies
 from safety_harness.report.knowledge import measured_rows
 from safety_harness.report.machine import refused_data
 from safety_harness.report.page_parts import MOST_OPEN, render_page
@@ -142,6 +142,7 @@ def render(
         most_full=MOST_IN_FULL,
         most_open=MOST_OPEN,
         coverage=tallies(runs) if coverage is None else coverage,
+        basis=basis_of(runs, coverage),
         skipped=skipped,
         refused=refused_data(refused),
         against=against,

@@ -23,7 +23,7 @@ from safety_harness.report.decisions import (
     computing_time_lines,
     overruling_of_each,
 )
-from safety_harness.report.evidence import JudgedRun, tallies
+from safety_harness.report.evidence import JudgedRun, basis_of, tallies
 from safety_harness.report.knowledge import known_data
 from safety_harness.report.possible_hands import asks_of_hands, refused_for_possible
 from safety_harness.report.shielding import shield_data
@@ -51,7 +51,8 @@ def report_data(
 ) -> dict[str, Any]:
     """What came out of ``runs``, in types that JSON has.
 
-    An object with ``format``, ``interrupted`` (more was planned than is here), ``overruling`` (of each
+    An object with ``format``, ``interrupted`` (more was planned than is here), ``basis`` (what the verdicts
+    rest on, in a sentence), ``overruling`` (of each
     avoider: of its proposals how many were overruled, why, and what came instead), ``runs``, ``coverage``,
     ``skipped``, ``refused``, ``against`` and ``repeatability`` (what a second avoider answered to questions
     of the runs; null if none was asked); each run says what was run, of which ``system`` (null for what it
@@ -67,6 +68,7 @@ def report_data(
     return {
         "format": FORMAT,
         "interrupted": interrupted,
+        "basis": basis_of(runs, coverage),
         "overruling": {
             name: one.named for name, one in overruling_of_each(run.trace for run in runs).items()
         },

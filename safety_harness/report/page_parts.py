@@ -50,6 +50,7 @@ def asset(name: str) -> str:
 def render_page(
     template: str,
     *,
+    basis: str,
     of: str = PACKAGE,
     style: str = "",
     scripts: tuple[str, ...] = (),
@@ -61,6 +62,7 @@ def render_page(
     ``style`` names a style sheet of its own that follows the shared one, ``scripts`` scripts likewise;
     ``of`` is the package that the template lies in.  ``replays``: with the viewer of replays in 3-D, and
     three.js as text that becomes a script, which the page's policy allows, when one is looked at.
+    ``basis`` says what the page's verdicts rest on; empty for a page without any.
     """
     script = "".join(map(asset, ("report.js", *scripts)))
     sheets, also = [style] if style else [], ""
@@ -74,6 +76,7 @@ def render_page(
             style=Markup("".join(map(asset, ("report.css", *sheets)))),
             script=Markup(script),
             script_hash=Markup(_hash(script) + also),
+            basis=basis,
             **values,
         )
     )

@@ -15,6 +15,7 @@ from safety_harness.proof.certificate import NO_PAIR, Proof, model_hash, outward
 from safety_harness.proof.maps import EDGES, BoxMap, maps_of
 from safety_harness.proof.plan import ProofPlan
 from safety_harness.proof.together import JointBound
+from safety_harness.properties.tally import BASIS_OF_ANSWERS
 from safety_harness.report.page_parts import in_words, render_page
 from safety_harness.report.question_maps import Scale, class_map, key_of
 from safety_harness.report.words import point_words
@@ -43,6 +44,7 @@ def render(evidence: ProofEvidence) -> str:
     proven = sum(proof.verdict == "proven" for proof in proofs)
     return render_page(
         "proof.html.j2",
+        basis=BASIS_OF_ANSWERS,
         style="score.css",
         e=evidence,
         answer=f"{evidence.plan.title}: {proven} of {len(proofs)} claims proven",

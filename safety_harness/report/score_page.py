@@ -15,6 +15,7 @@ from safety_harness.avoidance.measures import gained_m, off_m, optimum_in_base_m
 from safety_harness.compiled import source_hash
 from safety_harness.distribution import installed_version
 from safety_harness.geometry.arrays import ArrayNx3
+from safety_harness.properties.tally import BASIS_OF_ANSWERS
 from safety_harness.report.page_parts import MOST_OPEN, render_page
 from safety_harness.report.question_maps import VIEWS, Scale, key_of, question_map
 from safety_harness.report.score_document import sentence
@@ -61,6 +62,7 @@ def render(evidence: ScoreEvidence) -> str:
     scored = evidence.scored
     return render_page(
         "score.html.j2",
+        basis=BASIS_OF_ANSWERS,
         style="score.css",
         e=evidence,
         s=scored,

@@ -24,7 +24,7 @@ from safety_harness.report.svg import standalone
 from safety_harness.scenario.files import told
 from safety_harness.scenario.model import Driver
 from safety_harness.search.findings import Findings, Goal, Group
-from safety_harness.search.session import FINDINGS, NO_REFERENCE, SearchSession, complaint_of
+from safety_harness.search.session import FINDINGS, NO_REFERENCE, SearchSession, basis_of_search, complaint_of
 from safety_harness.search.trials import Trials
 from safety_harness.simulation.worlds import KINEMATIC, PYBULLET
 from safety_harness.trace.provenance import provenance
@@ -126,6 +126,7 @@ def as_json(trials: Trials, evidence: SearchEvidence) -> dict[str, object]:
     findings, baseline = evidence.findings, evidence.baseline
     return {
         "space": evidence.space,
+        "basis": basis_of_search(findings, evidence.confirmed),
         "avoider": None if isinstance(trials.avoider, Driver) else trials.avoider,
         "system": evidence.system.as_dict,
         "against": None if trials.against is None else _held(trials.against),

@@ -33,7 +33,7 @@ from safety_harness.search.confirm import Complaint, Disagreement, InOneWorld
 from safety_harness.search.counterexample import DRAWS
 from safety_harness.search.coverage import Coverage
 from safety_harness.search.findings import Findings, Group
-from safety_harness.search.session import WrittenCounterexample, not_found_words
+from safety_harness.search.session import WrittenCounterexample, basis_of_search, not_found_words
 from safety_harness.simulation.worlds import KINEMATIC, PYBULLET
 from safety_harness.trace.overruling import Overruling
 from safety_harness.trace.system import NOT_NOTED, SystemUnderTest
@@ -97,6 +97,7 @@ def render(evidence: SearchEvidence) -> str:
     replays = Replays()
     return render_page(
         "search.html.j2",
+        basis=basis_of_search(findings, evidence.confirmed),
         style="search.css",
         scripts=("coverage.js",),
         replays=bool(evidence.shown),

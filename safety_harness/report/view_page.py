@@ -7,7 +7,7 @@ from pathlib import Path
 
 from markupsafe import Markup
 
-from safety_harness.report.evidence import JudgedRun
+from safety_harness.report.evidence import JudgedRun, basis_of
 from safety_harness.report.html import claim_rows, notes
 from safety_harness.report.knowledge import measured_lines
 from safety_harness.report.page_parts import render_page
@@ -37,4 +37,5 @@ def write_view(path: Path, runs: Sequence[tuple[str, JudgedRun]]) -> None:
         for number, ((name, run), lane) in enumerate(zip(runs, lanes, strict=True), start=1)
     ]
     title = " beside ".join(name for name, _ in runs)
-    write_whole(path, render_page("view.html.j2", replays=True, title=title, sections=sections))
+    basis = basis_of([run for _, run in runs])
+    write_whole(path, render_page("view.html.j2", basis=basis, replays=True, title=title, sections=sections))

@@ -22,6 +22,7 @@ from safety_harness.exceptions import OutputError, explanation
 from safety_harness.properties.against import Against
 from safety_harness.properties.answered import fallback_words
 from safety_harness.properties.base import Unit, close_to, far_words
+from safety_harness.properties.tally import basis
 from safety_harness.scenario.model import Scenario, Verdict
 from safety_harness.scenario.write import write_scenario
 from safety_harness.search.confirm import Complaint, Disagreement, disagreement_of
@@ -54,6 +55,12 @@ SHRINKING_RUNS = 200  # for each
 MOST_RUN_TWICE = 8  # disagreements of the worlds of which both runs are made, to be shown
 _MOST_AS_FOUND = 1_000  # files
 _BATCH = 64  # runs that go to their decisions together
+
+
+def basis_of_search(findings: Findings, confirmed: int) -> str:
+    """Say what a search's findings rest on; ``confirmed`` is how many PyBullet shows too."""
+    counts = [(int(runs), findings.tried) for runs in findings.evidence]
+    return basis([str(KINEMATIC), *[str(PYBULLET)] * bool(confirmed)], counts)
 
 
 def _tell(tell: Callable[[str], None], where: str, what: str) -> None:
@@ -198,6 +205,7 @@ class SearchSession:
                 self._shrink_groups(claim)
         for line in remarks(self.trials, findings):
             say(line)
+        say(basis_of_search(findings, self.confirmed))
         for sentence in self.not_found:
             self.output.result(f"NOT FOUND  {sentence}: {not_found_words(findings)}")
         if self.written and not self.reference:

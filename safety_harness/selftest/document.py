@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from safety_harness.certification.tools import FaultState
+from safety_harness.properties.tally import basis
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.page_parts import render_page
 from safety_harness.report.replay import Replays
@@ -28,6 +29,7 @@ from safety_harness.selftest.outcome import (
     summary,
     tally_of,
 )
+from safety_harness.simulation.worlds import KINEMATIC, PYBULLET
 from safety_harness.whole_file import write_whole
 
 FORMAT = "safety-harness selftest 1"
@@ -109,8 +111,10 @@ def render(outcomes: Sequence[FaultOutcome], about: SelfTestRun, runs: CaughtRun
     """The page as text; the same arguments give the same bytes.  ``runs`` are replayed in 3-D on it."""
     faults, harmless = in_table(outcomes)
     replays = Replays()
+    worlds = [str(KINEMATIC), *[str(PYBULLET)] * any(one.confirmed is not None for one in outcomes)]
     return render_page(
         "selftest.html.j2",
+        basis=basis(worlds, f"{len(outcomes)} of {about.planned} faults tried"),
         style="tables.css",
         about=about,
         tally=tally_of(outcomes),

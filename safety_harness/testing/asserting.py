@@ -24,6 +24,7 @@ from safety_harness.properties.against import ClaimDifference
 from safety_harness.properties.answered import AvoiderAnswered, by_default
 from safety_harness.properties.base import Evaluation, Property, inconclusive, unreadable
 from safety_harness.properties.measured import columns_read_by
+from safety_harness.properties.tally import made_in
 from safety_harness.report.words import tested_words
 from safety_harness.scenario.model import Claim, Scenario, Verdict
 from safety_harness.testing.against import against_reference, is_shared, note_of
@@ -135,6 +136,7 @@ def run_of(trace: Trace) -> Run:
         tested=trace.system.words,
         seed=trace.scenario.seed,
         sound=trace.complete and unreadable(trace, TRUTH) is None and _is_measured(trace),
+        world=made_in(trace),
         beside=tested_words(trace.scenario, trace.system),
     )
 

@@ -45,6 +45,7 @@ class Run:
     tested: str  # "avoider" or "controller", and its name
     seed: int
     sound: bool
+    world: str  # in words
     beside: str = ""  # as ``tested``, with its shield and what is not the default
 
 

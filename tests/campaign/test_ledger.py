@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import os
 import sqlite3
@@ -315,3 +316,10 @@ def test_a_folder_that_cannot_be_made_is_an_output_error(tmp_path: Path, plan: P
     (tmp_path / "file").write_text("")
     with pytest.raises(OutputError):
         Ledger.create(tmp_path / "file" / "ledger.sqlite", plan)
+
+
+def test_no_part_of_an_identity_is_named_twice() -> None:
+    """Of two the later one would count, and whoever reads the text might look at the other."""
+    twice = json.dumps([["Python", "3.11"], ["Python", "3.10"]])
+    with pytest.raises(ValueError, match="named twice"):
+        Identity.from_json(twice)

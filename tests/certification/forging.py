@@ -66,7 +66,7 @@ def report_in(folder: Path) -> Path:
     found = report / SEARCHED
     found.mkdir(parents=True)
     (found / "one.trace").write_bytes(data)
-    text = write_scenario(trace.scenario)
+    text = write_scenario(replace(trace.scenario, title="counterexample: a claim", about=""))
     (found / "one.yaml").write_text(f"# A counterexample to: {plan.claims[0].sentence}\n{text}")
     findings = {
         "tried": 1,

@@ -36,7 +36,6 @@ from safety_harness.certification.evidence import (
     WhoseFault,
 )
 from safety_harness.certification.learned import LIFE
-from safety_harness.certification.standards import ASSUMPTIONS, EXCLUSIONS
 from safety_harness.certification.tools import (
     CaughtFault,
     CellCount,
@@ -48,6 +47,7 @@ from safety_harness.certification.tools import (
     WorldAgreement,
 )
 from safety_harness.proof.maps import CELLS, BoxMap
+from safety_harness.properties.tally import ASSUMPTIONS, EXCLUSIONS
 from safety_harness.trace.system import Component, SystemUnderTest
 
 HOSTILE = "<script>alert(1)</script><b>bold</b> & \"quoted\" 'single'"

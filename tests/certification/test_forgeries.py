@@ -89,7 +89,7 @@ TEXTS: dict[str, Touch] = {
     "by what a table is sorted": written(PAGE, 'data-sort="0.5"', 'data-sort="0.005"'),
     "a unit": written(PAGE, r"(−\d+\.\d) mm", r"\g<1> µm"),
     "a setting": written(PAGE, "<dd>400 mm</dd>", "<dd>40 mm</dd>"),
-    "an assumption": written(PAGE, "<li>hands move and are[^<]*</li>", ""),
+    "an assumption": written(PAGE, "<li>how hands move and are[^<]*</li>", ""),
     "a hash": written(PAGE, r"sha256 \w{4}", "sha256 0000"),
     "a command to be copied": written(PAGE, "safety-harness replay", "rm -rf"),
     "a colour of the style sheet": written(PAGE, "--violated: #a83a00", "--violated: #00674f"),

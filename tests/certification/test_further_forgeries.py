@@ -122,6 +122,21 @@ def exchanged(report: Path) -> None:
     hashed_anew(report)
 
 
+def schema(name: str, before: str, after: str) -> Touch:
+    """Another text in the schema, which SQLite then takes for what a table or view is."""
+    update = f"UPDATE sqlite_master SET sql = replace(sql, '{before}', '{after}') WHERE name = '{name}'"
+    return in_ledger("PRAGMA writable_schema = ON", update)
+
+
+def twice(report: Path) -> None:
+    """The interpreter as a first part of the identity, before the one that was noted."""
+    with closing(sqlite3.connect(report / LEDGER)) as connection, connection:
+        connection.execute(
+            "UPDATE about SET value = '[[\"Python\", \"2.7\"], ' || substr(value, 2) WHERE key = 'identity'"
+        )
+    hashed_anew(report)
+
+
 def linked(report: Path) -> None:
     (report / "certificate").symlink_to("/tmp")
     hashed_anew(report)
@@ -215,6 +230,19 @@ ROWS: dict[str, tuple[Touch, str]] = {
     ),
     "an index of an expression": (in_ledger("CREATE INDEX z ON judgement (abs(margin))"), TABLES),
     "SQLite's own statistics": (in_ledger("ANALYZE"), TABLES),
+    "another type, by the schema itself": (
+        schema("judgement", "exercised INTEGER", "exercised TEXT"),
+        TABLES,
+    ),
+    "a default, by the schema itself": (
+        schema("judgement", "margin REAL", "margin REAL DEFAULT 1.0"),
+        TABLES,
+    ),
+    "a view, by the schema itself": (
+        schema("results", "THEN ''violated''", "THEN ''holds''"),
+        TABLES,
+    ),
+    "a part of the identity twice": (twice, "a part is named twice"),
     "a trace of another system": (
         traced(lambda trace: replace(trace, system=Trace.system)),
         "another system under test",
@@ -228,6 +256,10 @@ ROWS: dict[str, tuple[Touch, str]] = {
 FILES: dict[str, tuple[Touch, str]] = {
     "two counterexamples exchanged": (exchanged, "is not the trace that the ledger keeps"),
     "a link in the folder": (linked, "certificate is a link or a device"),
+    "the scenario of a counterexample that was searched for": (
+        written(f"{SEARCHED}/one.yaml", r"(?m)^seed: .*$", "seed: 99"),
+        "counterexample",
+    ),
     "a pipe in the folder": (piped, "certificate is a link or a device"),
     "a log beside the ledger": (put(f"{LEDGER}-wal"), "changes of the ledger that are not in it"),
     "a plan in capitals": (put("plan/PLAN.yaml", b"plan: x"), "is no file of the ledger's plan"),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from contextlib import nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +28,7 @@ from safety_harness.certification.tools import HarnessTrials
 from safety_harness.cli.certify import certify
 from safety_harness.cli.console import INTERRUPTED
 from safety_harness.exceptions import InputError, OutputError, SimulationError
+from safety_harness.scenario.model import Claim, Verdict
 from safety_harness.scenario.write import write_scenario
 from safety_harness.search.session import SearchOutput
 from safety_harness.trace.store import save_trace
@@ -191,7 +192,14 @@ def test_a_counterexample_that_was_not_simulated_is_not_shown(tmp_path: Path, vi
     plan = plan_in(tmp_path, SEARCHING)
     searches = searches_of(plan, tmp_path)
     file = searches[0].folder / "a.yaml"
-    file.write_text(f"# To be violated\n{write_scenario(visit.scenario)}")
+    claimed = replace(
+        visit.scenario, claims=(Claim(sentence="TCP speed never above 250 mm/s", expected=Verdict.HOLDS),)
+    )
+    file.write_text(f"# To be violated\n{write_scenario(claimed)}")
+    other = replace(visit, scenario=replace(visit.scenario, seed=99))
+    save_trace(other, file.with_suffix(".trace"))
+    (found,) = searched_counterexamples(plan, searches, tmp_path)
+    assert found == "near: the search's a.yaml cannot be shown: another than its trace has"
     for trace, shown in ((visit, True), (partly_measured(visit), False)):
         save_trace(trace, file.with_suffix(".trace"))
         (found,) = searched_counterexamples(plan, searches, tmp_path)

@@ -5,7 +5,6 @@ from made_up_evidence import evidence
 
 from safety_harness.certification.page import render
 from safety_harness.certification.standards import (
-    EXCLUSIONS,
     OWN,
     QUESTIONS,
     STANDARDS,
@@ -15,6 +14,7 @@ from safety_harness.certification.standards import (
     traced,
 )
 from safety_harness.properties.catalogue import CATALOGUE
+from safety_harness.properties.tally import EXCLUSIONS
 
 
 def test_every_claim_of_the_catalogue_is_traced_to_a_hazard() -> None:

@@ -12,6 +12,7 @@ import pytest
 from safety_harness.admission.admit import admit
 from safety_harness.admission.trial import run_kinematic
 from safety_harness.campaign.episodes import EpisodeRunner, trace_bytes
+from safety_harness.campaign.identity import PlanFile
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.plan import read_plan
 from safety_harness.campaign.rows import ClaimJudgement, Row
@@ -132,3 +133,19 @@ def test_a_campaign_of_recorded_hands_says_that_they_are_wrists(
     with Ledger.create(tmp_path / "ledger.sqlite", read_plan(file)) as made:
         assert ("recorded hands are wrists" in words_of(page_of(made, tmp_path))) is told
         assert bool(made.wrists) is told  # what the evidence excludes
+
+
+@pytest.mark.parametrize(
+    ("name", "table", "told"),
+    [
+        ("hands.txt", "time_s,right_hand_x_m,right_hand_y_m,right_hand_z_m\n0,0,0,0\n1,0,0,0\n", True),
+        ("speeds.csv", "speed,times\n1,2\n", False),
+    ],
+)
+def test_a_recording_is_told_by_its_content(tmp_path: Path, name: str, table: str, told: bool) -> None:
+    plan = plan_in(tmp_path)
+    with Ledger.create(
+        tmp_path / "other.sqlite",
+        replace(plan, files=(*plan.files, PlanFile(name, table.encode()))),
+    ) as made:
+        assert bool(made.wrists) is told

@@ -128,7 +128,7 @@ def test_what_is_sent_home_is_plain_and_comes_back_the_same() -> None:
     whole = evaluation(margin=np.float64(-0.25), parts=(part,))
     assert unpacked(json.loads(json.dumps(packed(whole)))) == whole
     test = TestRun("a::b", draws=True)
-    run = Run("some", "mine", 3, True)
+    run = Run("some", "mine", 3, True, "PyBullet")
     test.note(Judgement(run, evaluation(Verdict.HOLDS, 0.5), Verdict.HOLDS), None)
     test.note(Judgement(run, whole, Verdict.HOLDS), None)
     test.note(Judgement(run, evaluation(Verdict.HOLDS, 0.7), Verdict.HOLDS), None)
