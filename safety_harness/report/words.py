@@ -16,7 +16,7 @@ from safety_harness.properties.base import Evaluation, Unit
 from safety_harness.properties.positions import BEYOND_M, RepulsivePosesReachable
 from safety_harness.robot.drive import delay_ticks
 from safety_harness.scenario.model import Scenario
-from safety_harness.scenario.robots import AnyRobot, Robot
+from safety_harness.scenario.robots import AnyRobot, OwnRobot, Robot
 from safety_harness.settings import DEFAULTS, Settings
 from safety_harness.trace.records import Check, DecisionOutcome, Mode, Trigger
 from safety_harness.trace.system import SystemUnderTest
@@ -200,7 +200,7 @@ def _changes(prefix: str, default: Any, own: Any) -> Iterator[tuple[str, str, st
 
 def drives_as_modelled(robot: AnyRobot, period_s: float) -> list[tuple[str, str, str]]:
     """(name, default, this run) of what an own arm's drives do, as rounded and limited; none by default."""
-    drives = None if isinstance(robot, Robot) else robot.drives
+    drives = robot.drives if isinstance(robot, OwnRobot) else None
     if drives is None:
         return []
     periods = delay_ticks(drives.dead_time_s, period_s)
