@@ -55,6 +55,11 @@ class Identity:
         """As it was kept; ValueError or TypeError for any other text."""
         return cls(tuple((str(name), str(value)) for name, value in json.loads(text)))
 
+    @property
+    def systems(self) -> list[str]:
+        """The systems under test, each once, as text."""
+        return sorted({text for name, text in self.parts if name.startswith(SYSTEM)})
+
     def changes(self, now: Identity) -> list[str]:
         """What is another now, in words; empty if nothing is.
 

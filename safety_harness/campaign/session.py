@@ -65,7 +65,7 @@ def carry_on(
             ledger = stack.enter_context(Ledger.create(path, plan))
         crew = stack.enter_context(closing(make_crew(plan)))
         machine = f"{platform.node()}, {platform.machine()}, {processor()}"
-        ledger.begin_session(datetime.now(UTC).isoformat(timespec="seconds"), f"{crew.size}", machine)
+        ledger.begin_session(datetime.now(UTC).isoformat(), f"{crew.size}", machine)
         runner = CampaignRunner(plan, ledger, crew, on_progress=on_progress, enough=enough, part=part)
         complete = runner.run()
         ledger.note_repeated(runner.repeatability.check())

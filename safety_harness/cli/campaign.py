@@ -343,12 +343,13 @@ def compare(
     Exit code 0; 1: B is shown to be worse somewhere; 2: campaigns that cannot be compared; of a run that did
     not end well, its own.
     """
-    from safety_harness.admission.avoiders import one_of
+    from safety_harness.admission.avoiders import one_of, option_of
     from safety_harness.campaign.against import against_lines, plan_against
     from safety_harness.campaign.ledger import Ledger
     from safety_harness.campaign.merging import (
         compare_ledgers,
         refuse_incomparable,
+        refuse_itself,
         without_a_decided_run,
         worse_episodes,
     )
@@ -364,6 +365,9 @@ def compare(
     if reference is not None:
         with Ledger.open(first) as mine:
             plan = plan_against(mine, reference)
+            if plan.identity.systems == mine.declared.identity.systems:
+                got = f"{reference}, which {first} is of by its hash: a comparison with itself finds nothing"
+                raise ScenarioError.of_option(option_of(reference), "another system", got)
         first, second = plan.file.parent / LEDGER, first
         code = _carry_on(plan, first, workers, None, "1/1")
         if code != AS_EXPECTED:
@@ -373,6 +377,7 @@ def compare(
         for ledger in (before, after):
             if words := fallback_of(ledger).words:
                 result(f"{ledger.path}: {words}")
+        refuse_itself(before, after)
         refuse_incomparable(before, after)
         undecided = [
             f"not comparable: {ledger.path} has no run of which it is known whether it violates {claim}, "

@@ -94,7 +94,7 @@ def evaluate(
         say(f"{'interrupted: ' if scored.interrupted else ''}nothing was scored")
         return INTERRUPTED if scored.interrupted else BAD_INPUT
     for one in scored.avoiders:
-        result(*_lines(one))
+        result(*_lines(one, scored.against))
     words = ["safety-harness", "evaluate", *map(told_avoider, avoiders)]
     words += ["--search", str(search), "--seed", str(seed)]
     words += [] if questions is None else ["--questions", str(questions)]
@@ -114,8 +114,8 @@ def evaluate(
     return DIFFERS if scored.findings else AS_EXPECTED
 
 
-def _lines(one: ScoredAvoider) -> Iterator[str]:
-    """What the terminal shows of one avoider."""
+def _lines(one: ScoredAvoider, against: str) -> Iterator[str]:
+    """What the terminal shows of one avoider, scored beside a reference or not."""
     from safety_harness.cli.evaluation_tables import titled
     from safety_harness.report.score_tables import (
         COLUMNS,
@@ -141,7 +141,8 @@ def _lines(one: ScoredAvoider) -> Iterator[str]:
     for search in one.searches:
         yield f"searched {search.region}: {search.asked:,} questions in a ledger of their own"
     yield towards_words(one.card)
-    yield f"{len(one.findings)} findings on {one.reference}" + (":" if one.findings else "")
+    beside = f" that {against} has not" if against else ""
+    yield f"{len(one.findings)} findings on {one.reference}{beside}" + (":" if one.findings else "")
     for finding in one.findings:
         yield f"  {finding.kind.value}{f' ({finding.region})' if finding.region else ''}: {finding.words}"
 

@@ -6,7 +6,7 @@ import json
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -32,12 +32,16 @@ Row = dict[str, Any]
 
 @dataclass(frozen=True)
 class Revision:
-    """One report: its folder's name, the claims of its runs, and (overruled, proposals) of each avoider."""
+    """One report: its folder's name, the claims of its runs, and (overruled, proposals) of each avoider.
+
+    ``made_at`` is ISO 8601 in UTC, empty where the report does not say it.
+    """
 
     name: str
     source_hash: str
     claims: dict[Claimed, Row]
     overruling: dict[str, tuple[int, int]]
+    made_at: str
 
 
 @dataclass(frozen=True)
@@ -70,6 +74,7 @@ class History:
     revisions: tuple[Revision, ...]
     courses: tuple[Course, ...]
     growing: tuple[str, ...]
+    by_name: bool
 
     @property
     def unlike(self) -> list[Course]:
@@ -82,12 +87,15 @@ class History:
         turned = [one for one in self.courses if one.turns]
         of = f"{count_words(len(self.courses), 'claim', 'claims')} over {len(self.revisions)} revisions"
         found = f"Of {of} {len(turned)} turned, {len(self.unlike)} to what is not expected"
-        return found + (f"; overruling grows for {', '.join(self.growing)}." if self.growing else ".")
+        found += f"; overruling grows for {', '.join(self.growing)}" * bool(self.growing)
+        order = "; in the order of their folders' names: not every report says when it was made"
+        return f"{found}{order * self.by_name}."
 
 
 def read_history(folder: Path) -> History:
-    """Every report.json below ``folder``, in the order of their folders' names, numbers as numbers.
+    """Every report.json below ``folder``, in the order in which they were made.
 
+    Where one of an earlier version does not say when: in that of their folders' names, numbers as numbers.
     Raises InputError for fewer than two, and for a file that is no report of this version.
     """
     files = sorted(
@@ -98,12 +106,16 @@ def read_history(folder: Path) -> History:
         raise InputError(place=Place(file=folder), expected=expected, got=str(len(files)))
     revisions = tuple(_revision(file, file.parent.relative_to(folder).as_posix()) for file in files)
     named = dict.fromkeys(key for one in revisions for key in one.claims)
+    by_name = not all(one.made_at for one in revisions)
+    if not by_name:
+        revisions = tuple(sorted(revisions, key=lambda one: one.made_at))
     courses = tuple(
         Course(key, tuple((one.name, one.claims[key]) for one in revisions if key in one.claims))
         for key in named
     )
     avoiders = dict.fromkeys(name for one in revisions for name in one.overruling)
-    return History(revisions, courses, tuple(name for name in avoiders if _grows(shares_of(revisions, name))))
+    growing = tuple(name for name in avoiders if _grows(shares_of(revisions, name)))
+    return History(revisions, courses, growing, by_name)
 
 
 def _natural(name: str) -> list[tuple[int, int | str]]:
@@ -125,11 +137,13 @@ def _revision(file: Path, name: str) -> Revision:
             avoider: (one["overruled"], one["proposals"]) for avoider, one in found["overruling"].items()
         }
         sources = dict.fromkeys(run["source_hash"] for run in found["runs"])
+        made_at = found.get("made_at", "")
+        made_at = made_at and datetime.fromisoformat(made_at).astimezone(UTC).isoformat()
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         got = f"{type(error).__name__}: {error}"
         expected = f'a report with format "{FORMAT}"'
         raise InputError(place=Place(file=file), expected=expected, got=got) from error
-    return Revision(name, ", ".join(sources), claims, overruling)
+    return Revision(name, ", ".join(sources), claims, overruling, made_at)
 
 
 def _tested(system: Row) -> str:

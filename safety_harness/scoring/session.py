@@ -16,13 +16,14 @@ from safety_harness.scoring.figures import WRONG_M
 from safety_harness.scoring.findings import findings
 from safety_harness.scoring.question_file import question_file
 from safety_harness.scoring.regions import QuestionRegion, named_regions
-from safety_harness.scoring.repeats import Subject
+from safety_harness.scoring.repeats import Subject, compared
 from safety_harness.scoring.results import Scored, ScoredAvoider, ShownQuestion
 from safety_harness.scoring.score import YARDSTICKS, Counts, paced, score, yardsticks
-from safety_harness.scoring.scorecard import Scorecard
+from safety_harness.scoring.scorecard import Scorecard, WayOfAsking
 from safety_harness.scoring.space_region import space_region
 from safety_harness.scoring.worst import TOLERANCE_M, Tried, search_region, worst_questions
 from safety_harness.settings import DEFAULTS
+from safety_harness.shipped.contents import located
 from safety_harness.space.read import read_space
 from safety_harness.space.regions import SeenRegions, seen_by
 from safety_harness.whole_file import write_text
@@ -58,7 +59,7 @@ class ScoringSession:
     _cards: dict[tuple[object, ...], tuple[Scorecard, ...]] = field(default_factory=dict, init=False)
 
     def __post_init__(self) -> None:
-        self.scored = Scored(self.seed, self.budget)
+        self.scored = Scored(self.seed, self.budget, against=self.against or "")
         self._space_regions = [space_region(read_space(path), self.seed) for path in self.spaces]
 
     def run(self) -> Scored:
@@ -67,6 +68,8 @@ class ScoringSession:
             (Subject.of(one, AVOIDER), self._regions(one)) for one in self.references
         ]  # every mistake before anything is asked
         other = None if self.against is None else Subject.of(self.against, Place(field="--against"))
+        for one in self.references if self.against else ():
+            self._refuse_itself(one)
         for _, regions in subjects:
             searched = sum(region.asked_in_runs for region in regions) if self.budget else 0
             of_score = 2 + len(regions)
@@ -81,6 +84,24 @@ class ScoringSession:
         except KeyboardInterrupt:
             self.scored.interrupted = True
         return self.scored
+
+    def _refuse_itself(self, reference: str, *cards: Scorecard) -> None:
+        """ScenarioError if ``--against`` is ``reference``: the same file and name, or its bytes elsewhere.
+
+        A copy of a Python file, which may load other files, is only known by the same answers on ``cards``.
+        """
+        files, names, hashes = zip(*map(_file_name_and_hash, (reference, self.against or "")), strict=True)
+        same = len(set(names)) == len(set(hashes)) == 1
+        if cards:
+            mine, theirs = ([region.answers for region in one.regions] for one in cards)
+            pairs = zip(cards[0].regions, mine, theirs, strict=True)
+            again = (compared(WayOfAsking.AGAIN, one.questions, a, b) for one, a, b in pairs)
+            same = same and not any(one.differ for one in again)
+        elif files[0].endswith(".py"):
+            same = same and len(set(files)) == 1
+        if same:
+            got = f"{self.against}, which is {reference} by its hash: a comparison with itself finds nothing"
+            raise ScenarioError.of_option("--against", "another avoider than is scored", got)
 
     def _step(self, words: str) -> None:
         """The next begins; yardsticks that are known already take no steps."""
@@ -137,6 +158,8 @@ class ScoringSession:
         except KeyboardInterrupt:
             self.scored.avoiders += [of(card) for card in partly[-1:]]
             raise
+        if beside is not None:
+            self._refuse_itself(reference, card, beside)
         self.scored.avoiders.append(of(card))
         self._search(self.scored.avoiders[-1], subject, regions, told)
 
@@ -213,6 +236,13 @@ def _about(tried: Tried, seed: int) -> str:
         f"(the closed-form optimum: {1e3 * tried.optimum_gained_m:.1f} mm) and is {1e3 * tried.off_m:.1f} mm "
         f"from the optimum, with a largest spread of {1e3 * tried.largest_spread_m:.1f} mm."
     )
+
+
+def _file_name_and_hash(reference: str) -> tuple[str, str, str]:
+    """Where the file of an avoider is, its name there, and its hash; a shipped one has its name and hash."""
+    file, name = file_and_name(reference)
+    where = os.path.realpath(located(os.path.expanduser(file))) if file else ""
+    return where, name if file else reference, avoider_sha256(scenario_of_avoider(reference))
 
 
 def _slug(reference: str) -> str:
