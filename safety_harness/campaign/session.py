@@ -110,12 +110,16 @@ def plan_of(ledger: Ledger) -> Iterator[Plan]:
     """
     file = ledger.declared.plan_file
     with ExitStack() as stack:
-        if not file.is_file():
-            folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="safety-harness-"))
-            file = unpacked(ledger.files, Path(folder))
-        plan = read_plan(file)
+        plan = read_plan(file) if file.is_file() else stack.enter_context(copied_plan_of(ledger))
         ledger.refuse_other_plan(plan)
         yield plan
+
+
+@contextmanager
+def copied_plan_of(ledger: Ledger) -> Iterator[Plan]:
+    """The plan as the ledger's own copy of its files has it, whatever became of them since; InputError."""
+    with tempfile.TemporaryDirectory(prefix="safety-harness-") as folder:
+        yield read_plan(unpacked(ledger.files, Path(folder)))
 
 
 def processor() -> str:

@@ -29,7 +29,7 @@ from safety_harness.cli.options import (
     Workers,
     command,
 )
-from safety_harness.exceptions import LedgerError, ScenarioError
+from safety_harness.exceptions import InputError, LedgerError, ScenarioError
 
 if TYPE_CHECKING:
     from safety_harness.campaign.ledger import Ledger
@@ -231,8 +231,15 @@ def status(
     Exit code 0; 2: no ledger that can be read, or the page cannot be written.
     """
     from safety_harness.campaign.ledger import Ledger
+    from safety_harness.campaign.session import copied_plan_of
+    from safety_harness.cli.campaign_lines import tested_lines
 
     with Ledger.open(ledger, check=False) as opened:
+        try:
+            with copied_plan_of(opened) as plan:
+                result(*tested_lines(plan))
+        except InputError as error:
+            say(f"what was tested cannot be said: {error}")
         _say_ledger(opened, html)
     return AS_EXPECTED
 

@@ -360,7 +360,7 @@ def say_results(run: JudgedRun) -> None:
         mark = ("ok  " if same else "DIFF") if evaluation.applicable else "n/a "
         when = "-" if evaluation.worst_time_s is None else f"{evaluation.worst_time_s:.3f} s"
         expected = "" if same else f"  (expected {claim.expectation})"
-        if overridden and evaluation.verdict is Verdict.VIOLATED is claim.expected and claim.most is None:
+        if overridden and claim.is_loosely(evaluation.verdict):
             expected = f"  (expected of another than {overridden}: it may be for another reason)"
         result(
             f"{mark} {evaluation.verdict.value:<12} {evaluation.margin_text():>13} at {when:>9}  "
