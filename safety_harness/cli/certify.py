@@ -10,7 +10,6 @@ from typer.core import TyperGroup
 
 from safety_harness.cli.console import AS_EXPECTED, DIFFERS, INTERRUPTED, document, result, say
 from safety_harness.cli.options import Executes, OfController, Workers, command
-from safety_harness.exceptions import SettingsError
 
 if TYPE_CHECKING:
     from safety_harness.campaign.plan import Plan
@@ -145,9 +144,6 @@ def certify(
         pdf=pdf,
         proof=proof,
     )
-    if since is not None and since.resolve() == job.folder.resolve():
-        got = f"{since}, which is written anew"
-        raise SettingsError.of_option("--since", "the folder of another report", got)
     # Standard output is kept for the verdicts.
     evidence, complete = job.run(
         workers, watching_campaign, SearchOutput(say, say, watching_search, watching_words)

@@ -74,7 +74,6 @@ class History:
     revisions: tuple[Revision, ...]
     courses: tuple[Course, ...]
     growing: tuple[str, ...]
-    by_name: bool
 
     @property
     def unlike(self) -> list[Course]:
@@ -87,15 +86,13 @@ class History:
         turned = [one for one in self.courses if one.turns]
         of = f"{count_words(len(self.courses), 'claim', 'claims')} over {len(self.revisions)} revisions"
         found = f"Of {of} {len(turned)} turned, {len(self.unlike)} to what is not expected"
-        found += f"; overruling grows for {', '.join(self.growing)}" * bool(self.growing)
-        order = "; in the order of their folders' names: not every report says when it was made"
-        return f"{found}{order * self.by_name}."
+        return found + (f"; overruling grows for {', '.join(self.growing)}." if self.growing else ".")
 
 
 def read_history(folder: Path) -> History:
     """Every report.json below ``folder``, in the order in which they were made.
 
-    Where one of an earlier version does not say when: in that of their folders' names, numbers as numbers.
+    Those of earlier versions, which do not say when, come first, in the order of their folders' names.
     Raises InputError for fewer than two, and for a file that is no report of this version.
     """
     files = sorted(
@@ -106,16 +103,13 @@ def read_history(folder: Path) -> History:
         raise InputError(place=Place(file=folder), expected=expected, got=str(len(files)))
     revisions = tuple(_revision(file, file.parent.relative_to(folder).as_posix()) for file in files)
     named = dict.fromkeys(key for one in revisions for key in one.claims)
-    by_name = not all(one.made_at for one in revisions)
-    if not by_name:
-        revisions = tuple(sorted(revisions, key=lambda one: one.made_at))
+    revisions = tuple(sorted(revisions, key=lambda one: one.made_at))
     courses = tuple(
         Course(key, tuple((one.name, one.claims[key]) for one in revisions if key in one.claims))
         for key in named
     )
     avoiders = dict.fromkeys(name for one in revisions for name in one.overruling)
-    growing = tuple(name for name in avoiders if _grows(shares_of(revisions, name)))
-    return History(revisions, courses, growing, by_name)
+    return History(revisions, courses, tuple(name for name in avoiders if _grows(shares_of(revisions, name))))
 
 
 def _natural(name: str) -> list[tuple[int, int | str]]:

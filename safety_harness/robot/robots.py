@@ -162,24 +162,18 @@ def refuse_unenclosed(robot: AnyRobot) -> None:
             robot.without_geometry or (),
             Place(file=(robot.files or (None,))[-1], field="robot"),
         )
-    links = unenclosed_links(arm, capsules.link_index.tolist(), accepted)
-    if links:
-        raise ArmFileError(
-            place=place,
-            expected="capsules of every link between others that have them",
-            got=f"none of {', '.join(links)}",
-            hint=f"without geometry: [{', '.join(links)}] accepts that no distance knows of them",
-        )
-    most_m = TCP_BEYOND_M if robot.tcp_beyond_m is None else robot.tcp_beyond_m
-    beyond_m = tcp_beyond(arm, capsules)
-    if beyond_m > most_m:
-        raise ArmFileError(
-            place=place,
-            expected=f"a TCP within {1e3 * most_m:g} mm of a capsule of the arm, its tool or its part",
-            got=f"one {1e3 * beyond_m:.1f} mm away",
-            hint="capsules of the whole tool; where nothing solid reaches the TCP, "
-            f"tcp beyond capsules: {np.ceil(1e3 * beyond_m):.0f} mm",
-        )
+    beyond_mm = 1e3 * tcp_beyond(arm, capsules)
+    most_mm = 1e3 * (TCP_BEYOND_M if robot.tcp_beyond_m is None else robot.tcp_beyond_m)
+    if links := ", ".join(unenclosed_links(arm, capsules.link_index.tolist(), accepted)):
+        expected, got = "capsules of every link between others that have them", f"none of {links}"
+        hint = f"without geometry: [{links}] accepts that no distance knows of them"
+    elif beyond_mm > most_mm:
+        expected = f"a TCP within {most_mm:g} mm of a capsule of the arm, its tool or its part"
+        got, hint = f"one {beyond_mm:.1f} mm away", f"tcp beyond capsules: {np.ceil(beyond_mm):.0f} mm"
+        hint = f"capsules of the whole tool; {hint} where nothing solid reaches the TCP"
+    else:
+        return
+    raise ArmFileError(place=place, expected=expected, got=got, hint=hint)
 
 
 @_OnceEach

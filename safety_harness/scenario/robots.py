@@ -419,8 +419,7 @@ def read_robot(field: Field | Robot, carried: Mapping[str, bytes]) -> AnyRobot:
 
 def _equipped(field: Field) -> Robot | EquippedArm:
     """An arm of the package with what is mounted on it; the arm alone where nothing is."""
-    hints = {"braking": "settings: {braking: ...}"}
-    given = field.fields(_EQUIPPED.names, hints=hints)
+    given = field.fields(_EQUIPPED.names, hints={"braking": "settings: {braking: ...}"})
     arm: EquippedArm = _EQUIPPED.made_of(given)
     return arm if arm.seat or arm.tool or arm.part else arm.arm
 

@@ -23,7 +23,6 @@ from safety_harness.scoring.scorecard import Scorecard, WayOfAsking
 from safety_harness.scoring.space_region import space_region
 from safety_harness.scoring.worst import TOLERANCE_M, Tried, search_region, worst_questions
 from safety_harness.settings import DEFAULTS
-from safety_harness.shipped.contents import located
 from safety_harness.space.read import read_space
 from safety_harness.space.regions import SeenRegions, seen_by
 from safety_harness.whole_file import write_text
@@ -68,8 +67,6 @@ class ScoringSession:
             (Subject.of(one, AVOIDER), self._regions(one)) for one in self.references
         ]  # every mistake before anything is asked
         other = None if self.against is None else Subject.of(self.against, Place(field="--against"))
-        for one in self.references if self.against else ():
-            self._refuse_itself(one)
         for _, regions in subjects:
             searched = sum(region.asked_in_runs for region in regions) if self.budget else 0
             of_score = 2 + len(regions)
@@ -84,24 +81,6 @@ class ScoringSession:
         except KeyboardInterrupt:
             self.scored.interrupted = True
         return self.scored
-
-    def _refuse_itself(self, reference: str, *cards: Scorecard) -> None:
-        """ScenarioError if ``--against`` is ``reference``: the same file and name, or its bytes elsewhere.
-
-        A copy of a Python file, which may load other files, is only known by the same answers on ``cards``.
-        """
-        files, names, hashes = zip(*map(_file_name_and_hash, (reference, self.against or "")), strict=True)
-        same = len(set(names)) == len(set(hashes)) == 1
-        if cards:
-            mine, theirs = ([region.answers for region in one.regions] for one in cards)
-            pairs = zip(cards[0].regions, mine, theirs, strict=True)
-            again = (compared(WayOfAsking.AGAIN, one.questions, a, b) for one, a, b in pairs)
-            same = same and not any(one.differ for one in again)
-        elif files[0].endswith(".py"):
-            same = same and len(set(files)) == 1
-        if same:
-            got = f"{self.against}, which is {reference} by its hash: a comparison with itself finds nothing"
-            raise ScenarioError.of_option("--against", "another avoider than is scored", got)
 
     def _step(self, words: str) -> None:
         """The next begins; yardsticks that are known already take no steps."""
@@ -158,8 +137,8 @@ class ScoringSession:
         except KeyboardInterrupt:
             self.scored.avoiders += [of(card) for card in partly[-1:]]
             raise
-        if beside is not None:
-            self._refuse_itself(reference, card, beside)
+        if other is not None and beside is not None:
+            _refuse_itself(reference, card, other.reference, beside)
         self.scored.avoiders.append(of(card))
         self._search(self.scored.avoiders[-1], subject, regions, told)
 
@@ -238,11 +217,18 @@ def _about(tried: Tried, seed: int) -> str:
     )
 
 
-def _file_name_and_hash(reference: str) -> tuple[str, str, str]:
-    """Where the file of an avoider is, its name there, and its hash; a shipped one has its name and hash."""
-    file, name = file_and_name(reference)
-    where = os.path.realpath(located(os.path.expanduser(file))) if file else ""
-    return where, name if file else reference, avoider_sha256(scenario_of_avoider(reference))
+def _refuse_itself(reference: str, card: Scorecard, against: str, beside: Scorecard) -> None:
+    """ScenarioError if two references are one by name and hash, and answered alike.
+
+    The same Python file in another folder may load other weights.
+    """
+    hashes = {one: avoider_sha256(scenario_of_avoider(one)) for one in (reference, against)}
+    keys = {(sha256, file_and_name(one)[1] if sha256 else one) for one, sha256 in hashes.items()}
+    pairs = zip(card.regions, beside.regions, strict=True)
+    asked = (compared(WayOfAsking.AGAIN, one.questions, one.answers, other.answers) for one, other in pairs)
+    if len(keys) == 1 and not any(again.differ for again in asked):
+        got = f"{against}, which is {reference} by its hash: a comparison with itself finds nothing"
+        raise ScenarioError.of_option("--against", "another avoider than is scored", got)
 
 
 def _slug(reference: str) -> str:
