@@ -191,6 +191,18 @@ def one_of(avoider: str | None, controller: str | None) -> str | None:
     return avoider if controller is None else Driver(controller)
 
 
+def refuse_itself(tested: str | None, reference: str | None, option: str = "--against") -> None:
+    """InadmissibleError where what is tested is its own reference: the same word, or one name in one file."""
+    whole = {
+        (os.path.realpath(os.path.expanduser(file)), name) if file else (str(one), "")
+        for one in (tested, reference)
+        for file, name in [file_and_name(one or "")]
+    }
+    if tested is not None and len(whole) == 1:
+        got = f"{reference} itself: such a comparison finds nothing"
+        raise InadmissibleError.of_option(option, f"another reference than {tested}", got)
+
+
 def replay_command(
     scenario: Scenario, trace: Path, *others: Path, by: str = "replay", told: Callable[[Path], Path] = told
 ) -> str:

@@ -57,6 +57,11 @@ class Identity:
             raise ValueError("a part is named twice")
         return cls(parts)
 
+    @property
+    def systems(self) -> list[str]:
+        """The systems under test, each once, as text."""
+        return sorted({text for name, text in self.parts if name.startswith(SYSTEM)})
+
     def changes(self, now: Identity) -> list[str]:
         """What is another now, in words; empty if nothing is.
 

@@ -11,7 +11,7 @@ import numpy as np
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.opening import COUNTS, explained, only_runner, refuse_any_file, unusable
 from safety_harness.campaign.session import plan_of
-from safety_harness.campaign.summary import tally_of
+from safety_harness.campaign.summary import root_of, tally_of
 from safety_harness.exceptions import LedgerError, Place
 from safety_harness.properties.base import Unit
 from safety_harness.statistics.paired import PairedComparison, compare
@@ -124,6 +124,18 @@ def compare_ledgers(first: Ledger, second: Ledger) -> tuple[PairedComparison, ..
     pairs = [(stratum, claim) for stratum in strata for claim in claims]
     confidence = 1.0 - (1.0 - first.declared.confidence) / len(pairs)
     return tuple(compare(second.sample(*pair), first.sample(*pair), confidence) for pair in pairs)
+
+
+def began_at(ledger: Ledger) -> list[str]:
+    """When its sessions began, as ISO 8601 in UTC, in their order."""
+    return [began for (began,) in ledger.all("SELECT began FROM session ORDER BY began")]
+
+
+def refuse_itself(first: Ledger, second: Ledger) -> None:
+    """LedgerError for two ledgers of the same runs: the same sessions, and the same rows."""
+    if began_at(first) == began_at(second) and root_of(first) == root_of(second):
+        got = f"{first.path}, which has the same runs: a comparison with itself"
+        raise unusable(second.path, "a ledger of other runs", got)
 
 
 def refuse_incomparable(first: Ledger, second: Ledger) -> None:

@@ -66,7 +66,7 @@ def carry_on(
             ledger = stack.enter_context(Ledger.create(path, plan))
         crew = stack.enter_context(closing(make_crew(plan)))
         machine = f"{platform.node()}, {platform.machine()}, {processor()}"
-        ledger.begin_session(datetime.now(UTC).isoformat(timespec="seconds"), f"{crew.size}", machine)
+        ledger.begin_session(datetime.now(UTC).isoformat(), f"{crew.size}", machine)
         runner = CampaignRunner(plan, ledger, crew, on_progress=on_progress, enough=enough, part=part)
         complete = runner.run()
         ledger.note_repeated(_checked(runner.repeatability.check))
@@ -123,12 +123,16 @@ def plan_of(ledger: Ledger) -> Iterator[Plan]:
     """
     file = ledger.declared.plan_file
     with ExitStack() as stack:
-        if not file.is_file():
-            folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="safety-harness-"))
-            file = unpacked(ledger.files, Path(folder))
-        plan = read_plan(file)
+        plan = read_plan(file) if file.is_file() else stack.enter_context(copied_plan_of(ledger))
         ledger.refuse_other_plan(plan)
         yield plan
+
+
+@contextmanager
+def copied_plan_of(ledger: Ledger) -> Iterator[Plan]:
+    """The plan as the ledger's own copy of its files has it, whatever became of them since; InputError."""
+    with tempfile.TemporaryDirectory(prefix="safety-harness-") as folder:
+        yield read_plan(unpacked(ledger.files, Path(folder)))
 
 
 def processor() -> str:

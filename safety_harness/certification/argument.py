@@ -333,6 +333,7 @@ def _credibility(evidence: Evidence) -> Answers:
         yield words, rerun.place, DOUBT if rerun.changed else DONE
     for cell in known.cells:
         fine = cell.decided and not cell.differing and cell.present
+        fine = fine and not cell.foreign_to(evidence.system.under_test)
         words = f"A recorded cell: {cell.differing} of {cell.decided} verdicts differ"
         yield words, "recorded-cells", DONE if fine else DOUBT
     if known.oracles:

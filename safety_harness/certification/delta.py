@@ -19,7 +19,7 @@ from pathlib import Path
 
 from safety_harness.campaign.identity import SYSTEM, Identity, edition_of
 from safety_harness.campaign.ledger import Ledger
-from safety_harness.campaign.merging import compare_ledgers
+from safety_harness.campaign.merging import began_at, compare_ledgers, refuse_itself
 from safety_harness.campaign.session import LEDGER
 from safety_harness.certification.delta_parts import NONE, PartChange, both, parts_changed, proofs_in
 from safety_harness.certification.evidence import (
@@ -146,6 +146,7 @@ def delta_of(earlier: EarlierReport, later: EarlierReport) -> EvidenceDelta:
     with ExitStack() as stack:
         reports = (earlier, later)
         first, second = (stack.enter_context(Ledger.open(one.folder / LEDGER, alone=True)) for one in reports)
+        _refuse_order(earlier, first, second)
         return delta_between(
             earlier.evidence,
             later.evidence,
@@ -153,6 +154,15 @@ def delta_of(earlier: EarlierReport, later: EarlierReport) -> EvidenceDelta:
             identities=(first.declared.identity, second.declared.identity),
             paired=_paired(first, second),
         )
+
+
+def _refuse_order(earlier: EarlierReport, first: Ledger, second: Ledger) -> None:
+    """InputError for the runs of one report twice, and for a later report in the place of the earlier."""
+    refuse_itself(first, second)
+    was, now = (began_at(one)[-1:] for one in (first, second))
+    if was > now:
+        expected, got = "the earlier report first", f"runs that began at {was[0]}, before which others began"
+        raise InputError(place=Place(file=earlier.folder), expected=expected, got=f"{got} at {''.join(now)}")
 
 
 Paired = dict[tuple[str, str], tuple[float, float, float]]

@@ -17,6 +17,7 @@ from safety_harness.certification.evidence import (
     StratumResult,
 )
 from safety_harness.certification.tools import Credibility, SelfTest
+from safety_harness.trace.system import SystemUnderTest
 
 _PLAIN = {
     ClaimStatus.REFUTED: "is refuted",
@@ -50,7 +51,7 @@ def findings_of(
     yield from (OpenFinding(text, "strata") for text in of_stored)
     yield from of_examples(met)
     yield from of_searches(searches, evidence.plan.search_runs)
-    yield from of_worlds(evidence.credibility)
+    yield from of_worlds(evidence.credibility, evidence.system.under_test)
     yield from of_selftest(evidence.selftest)
     names = {one.name for one in argument_of(evidence).every()}
     for note in evidence.notes:
@@ -133,8 +134,8 @@ def of_examples(examples: Sequence[Example | str]) -> Iterator[OpenFinding]:
     yield from (OpenFinding(text, "counterexamples") for text in texts)
 
 
-def of_worlds(credibility: Credibility) -> Iterator[OpenFinding]:
-    """Reasons to doubt the simulator."""
+def of_worlds(credibility: Credibility, tested: Sequence[SystemUnderTest]) -> Iterator[OpenFinding]:
+    """Reasons to doubt the simulator, and that recorded cells are of the ``tested`` systems."""
     agreement = credibility.agreement
     if agreement is None or not agreement.present:
         text = "the agreement of the two worlds was not measured with this source"
@@ -147,6 +148,9 @@ def of_worlds(credibility: Credibility) -> Iterator[OpenFinding]:
             text = (
                 f"{cell.differing} of {cell.decided} verdicts of {cell.comparison.log} differ in simulation"
             )
+            yield OpenFinding(text, "recorded-cells")
+        if foreign := cell.foreign_to(tested):
+            text = f"{cell.comparison.log} is no cell of the tested system: {foreign}"
             yield OpenFinding(text, "recorded-cells")
         if not cell.present:
             text = f"the worlds were held against {cell.comparison.log} with another source"

@@ -55,7 +55,6 @@ from safety_harness.certification.system import system_of
 from safety_harness.certification.tools import NO_TRIALS, CoverageOfRuns, Credibility, HarnessTrials
 from safety_harness.certification.verdicts import gravest
 from safety_harness.certification.whose_fault import whose_fault
-from safety_harness.exceptions import described
 from safety_harness.properties.tally import ASSUMPTIONS, EXCLUSIONS
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.page_parts import in_words

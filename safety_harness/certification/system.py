@@ -17,7 +17,7 @@ from safety_harness.campaign.plan import Plan
 from safety_harness.certification.evidence import SystemDescription
 from safety_harness.properties.answered import NOT_MODELLED
 from safety_harness.report.decisions import cost_words
-from safety_harness.report.words import changed_settings, drives_as_modelled, setting_words
+from safety_harness.report.words import changed_settings, drives_as_modelled, setting_words, unknown_files
 from safety_harness.scenario.files import resolved
 from safety_harness.scenario.model import Scenario
 from safety_harness.scenario.references import MODEL_SUFFIX
@@ -50,7 +50,10 @@ def system_of(plan: Plan, opened: Mapping[str, str]) -> SystemDescription:
     return SystemDescription(
         under_test=tuple(dict.fromkeys(map(named_system, scenarios))),
         card=() if model is None else tuple(card_of(model)),
-        limits=() if model is None else tuple(str(one) for one in model.card.get("limits", ())),
+        limits=(
+            *(() if model is None else (str(one) for one in model.card.get("limits", ()))),
+            *dict.fromkeys(unknown_files(one).removeprefix("; ") for one in scenarios if unknown_files(one)),
+        ),
         gate=() if first.driven else tuple(_gate(first.settings, model, named=first.avoider in NAMES)),
         settings=(
             *((f"file {name}", f"sha256 {sha256}") for name, sha256 in opened.items() if sha256),

@@ -254,7 +254,8 @@ def cell_lines(known: RecordedCell) -> CellTable:
     source = "this very source" if known.present else f"another source, {found.source_hash}"
     rows = [(world.world, line) for world in found.worlds for line in world_lines(world, found.usually)]
     return table_of(
-        f"{found.log}, {found.title}, {found.duration_s:g} s: {found.tested} under the recorded hands, "
+        f"{found.log}, {found.title}, {found.duration_s:g} s: {found.tested} on "
+        f"{found.system.robot if found.system else 'an arm that is not noted'} under the recorded hands, "
         f"simulated minus recorded, run with {source}. "
         f"{count_words(known.differing, 'verdict', 'verdicts')} of {known.decided} differ, "
         f"{known.optimistic} of them optimistic (a claim holds in simulation that was violated in the cell). "

@@ -6,6 +6,7 @@ The trial of the harness on seeded faults, and its independent oracles, are read
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
@@ -19,6 +20,7 @@ from safety_harness.recorded.compare import CellComparison, read_comparison
 from safety_harness.scenario.typed_json import of_format, read_json, typed
 from safety_harness.search.coverage import CoverageCell
 from safety_harness.shipped.contents import located
+from safety_harness.trace.system import SystemUnderTest
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,6 +77,14 @@ class RecordedCell:
     comparison: CellComparison
     sha256: str
     present: bool
+
+    def foreign_to(self, tested: Sequence[SystemUnderTest]) -> str:
+        """Say what of its system is in none of ``tested``, by hash; empty if one of them is its system."""
+        own = self.comparison.system
+        if own is None:
+            return "which arm, controller and settings it is of is not noted; write it again"
+        changes = sorted((list(own.changes(one)) for one in tested), key=len)
+        return "; ".join(changes[0]) if changes else "no system is tested"
 
     @property
     def decided(self) -> int:

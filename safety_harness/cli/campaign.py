@@ -29,7 +29,7 @@ from safety_harness.cli.options import (
     Workers,
     command,
 )
-from safety_harness.exceptions import LedgerError, SafetyHarnessError, ScenarioError, described
+from safety_harness.exceptions import InputError, LedgerError, SafetyHarnessError, ScenarioError, described
 
 if TYPE_CHECKING:
     from safety_harness.campaign.ledger import Ledger
@@ -242,8 +242,15 @@ def status(
     Exit code 0; 2: no ledger that can be read, or the page cannot be written.
     """
     from safety_harness.campaign.ledger import Ledger
+    from safety_harness.campaign.session import copied_plan_of
+    from safety_harness.cli.campaign_lines import tested_lines
 
     with Ledger.open(ledger, check=False) as opened:
+        try:
+            with copied_plan_of(opened) as plan:
+                result(*tested_lines(plan))
+        except InputError as error:
+            say(f"what was tested cannot be said: {error}")
         _say_ledger(opened, html)
     return AS_EXPECTED
 
@@ -354,12 +361,13 @@ def compare(
     Exit code 0; 1: B is shown to be worse somewhere; 2: campaigns that cannot be compared; of a run that did
     not end well, its own.
     """
-    from safety_harness.admission.avoiders import one_of
+    from safety_harness.admission.avoiders import one_of, option_of
     from safety_harness.campaign.against import against_lines, plan_against
     from safety_harness.campaign.ledger import Ledger
     from safety_harness.campaign.merging import (
         compare_ledgers,
         refuse_incomparable,
+        refuse_itself,
         without_a_decided_run,
         worse_episodes,
     )
@@ -375,6 +383,9 @@ def compare(
     if reference is not None:
         with Ledger.open(first) as mine:
             plan = plan_against(mine, reference)
+            if plan.identity.systems == mine.declared.identity.systems:
+                got = f"{reference}, which {first} is of by its hash: a comparison with itself finds nothing"
+                raise ScenarioError.of_option(option_of(reference), "another system", got)
         first, second = plan.file.parent / LEDGER, first
         code = _carry_on(plan, first, workers, None, "1/1")
         if code != AS_EXPECTED:
@@ -384,6 +395,7 @@ def compare(
         for ledger in (before, after):
             if words := fallback_of(ledger).words:
                 result(f"{ledger.path}: {words}")
+        refuse_itself(before, after)
         refuse_incomparable(before, after)
         undecided = [
             f"not comparable: {ledger.path} has no run of which it is known whether it violates {claim}, "

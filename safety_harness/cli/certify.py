@@ -171,7 +171,7 @@ def certify(
         *(
             f"note: {one.text}"
             for one in evidence.findings
-            if f": {UNTRIED} " in one.text or UNHEEDED in one.text
+            if f": {UNTRIED} " in one.text or UNHEEDED in one.text or one.place == "recorded-cells"
         )
     )
     result(evidence.basis, f"{job.folder / PAGE}: {evidence.standing.value}")

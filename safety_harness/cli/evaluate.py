@@ -95,7 +95,7 @@ def evaluate(
         say(f"{'interrupted: ' if scored.interrupted else ''}nothing was scored")
         return INTERRUPTED if scored.interrupted else BAD_INPUT
     for one in scored.avoiders:
-        result(*_lines(one))
+        result(*_lines(one, scored.against))
     result(BASIS_OF_ANSWERS)
     words = ["safety-harness", "evaluate", *map(told_avoider, avoiders)]
     words += ["--search", str(search), "--seed", str(seed)]
@@ -116,8 +116,8 @@ def evaluate(
     return DIFFERS if scored.findings else AS_EXPECTED
 
 
-def _lines(one: ScoredAvoider) -> Iterator[str]:
-    """What the terminal shows of one avoider."""
+def _lines(one: ScoredAvoider, against: str) -> Iterator[str]:
+    """What the terminal shows of one avoider, scored beside a reference or not."""
     from safety_harness.cli.evaluation_tables import titled
     from safety_harness.report.score_tables import (
         COLUMNS,
@@ -143,7 +143,8 @@ def _lines(one: ScoredAvoider) -> Iterator[str]:
     for search in one.searches:
         yield f"searched {search.region}: {search.asked:,} questions in a ledger of their own"
     yield towards_words(one.card)
-    yield f"{len(one.findings)} findings on {one.reference}" + (":" if one.findings else "")
+    beside = f" that {against} has not" if against else ""
+    yield f"{len(one.findings)} findings on {one.reference}{beside}" + (":" if one.findings else "")
     for finding in one.findings:
         yield f"  {finding.kind.value}{f' ({finding.region})' if finding.region else ''}: {finding.words}"
 

@@ -59,7 +59,7 @@ def fuzz(
     none of what it does, a claim that no run put to the test, or an avoider that gave no answer, or answered
     otherwise when asked again; 2: bad input, or a place that cannot be written; 130: interrupted.
     """
-    from safety_harness.admission.avoiders import one_of, with_avoider
+    from safety_harness.admission.avoiders import one_of, refuse_itself, with_avoider
     from safety_harness.admission.driving import named_system
     from safety_harness.cli.progress import watching_search, watching_words
     from safety_harness.report.search_attribution import SearchAttribution
@@ -80,7 +80,9 @@ def fuzz(
         expected = "another searcher, to compare with uniform sampling"
         raise ScenarioError.of_option("--baseline", expected, "--searcher uniform")
     attribution = SearchAttribution()
-    read, asked = read_space(space), one_of(avoider, controller)
+    asked = one_of(avoider, controller)
+    refuse_itself(asked, against)
+    read = read_space(space)
     made = search_space(
         Trials(
             read,

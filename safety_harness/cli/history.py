@@ -22,7 +22,7 @@ def history(
 ) -> int:
     """What turned over the revisions: verdicts, margins, overruling.
 
-    Reads the report.json of many runs, say a CI's artefacts, in the order of their folders' names.
+    Reads the report.json of many runs, say a CI's artefacts, in the order in which they were made.
     Exit code 0: nothing turned to what is not expected; 1: a verdict did, or overruling grows; 2: bad input.
     """
     import shlex

@@ -135,6 +135,10 @@ def fit(
     base: Base = None,
     tcp: Tcp = None,
     package: Packages = [],  # noqa: B006
+    without_geometry: Annotated[
+        list[str],
+        Option(help="A link between others that may have no shape; may be given again.", metavar="LINK"),
+    ] = [],  # noqa: B006
     seed: Seed = 0,
     jobs: Annotated[int, Option(help="Links at a time, each in a process.")] = 1,
 ) -> int:
@@ -150,14 +154,21 @@ def fit(
     from safety_harness.cli.progress import counting
     from safety_harness.extras import FITTING
     from safety_harness.properties.tally import table
+    from safety_harness.robot.capsules import unenclosed_links
     from safety_harness.robot.fit_capsules import FINE_M, excess, fit_arm, link_surface, write_capsules
 
     FITTING.require("robot fit")
     if jobs < 1:
         raise SettingsError.of_option("--jobs", "a number of at least 1", str(jobs))
     arm = _arm(file, base, tcp, package)
-    shaped = sum(bool(link.collision or link.visual) for link in arm.links)
-    with counting(shaped, "links") as tell, ExitStack() as closing:
+    shaped = [link.index for link in arm.links if link.collision or link.visual]
+    if shaped and (links := unenclosed_links(arm, shaped, without_geometry)):
+        raise SettingsError.of_option(
+            "--without-geometry",
+            f"shapes of every link of {arm.file} between others that have them, or the links accepted here",
+            f"no shape of {', '.join(links)}",
+        )
+    with counting(len(shaped), "links") as tell, ExitStack() as closing:
         over = map if jobs == 1 else closing.enter_context(pool(jobs)).map
         fitted = fit_arm(arm, seed, tell, over)
     write_capsules(out, arm, fitted)

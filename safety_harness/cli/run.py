@@ -13,7 +13,13 @@ from pathlib import Path
 from typing import Any
 
 from safety_harness.admission.admit import Admitted, admit
-from safety_harness.admission.avoiders import command_line_reference, option_of, replay_command, told_avoider
+from safety_harness.admission.avoiders import (
+    command_line_reference,
+    option_of,
+    refuse_itself,
+    replay_command,
+    told_avoider,
+)
 from safety_harness.admission.repeatability import Repeatability, RepeatabilityResult
 from safety_harness.admission.taking import NotTaken, made_equal, not_taken_words, taken
 from safety_harness.admission.trial import run_trial
@@ -77,6 +83,7 @@ def read_all(
         world.refuse(one)
         return equal.get(one.name) or taken(one, avoiders, admit)
 
+    refuse_itself(avoider, against)
     gathered = gather(paths)
     say(*aside_lines(gathered.aside))
     if gathered.scenarios:
@@ -361,7 +368,7 @@ def say_results(run: JudgedRun) -> None:
         mark = ("ok  " if same else "DIFF") if evaluation.applicable else "n/a "
         when = "-" if evaluation.worst_time_s is None else f"{evaluation.worst_time_s:.3f} s"
         expected = "" if same else f"  (expected {claim.expectation})"
-        if overridden and evaluation.verdict is Verdict.VIOLATED is claim.expected and claim.most is None:
+        if overridden and claim.is_loosely(evaluation.verdict):
             expected = f"  (expected of another than {overridden}: it may be for another reason)"
         result(
             f"{mark} {evaluation.verdict.value:<12} {evaluation.margin_text():>13} at {when:>9}  "

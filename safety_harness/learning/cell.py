@@ -11,7 +11,7 @@ from safety_harness.exceptions import DatasetError, Place
 from safety_harness.geometry.regions import Region
 from safety_harness.robot.robots import arm_model
 from safety_harness.scenario.read import read_scenario
-from safety_harness.scenario.robots import AnyRobot, Robot
+from safety_harness.scenario.robots import AnyRobot, OwnRobot, Robot
 from safety_harness.settings import DEFAULTS, Settings
 from safety_harness.shipped.contents import located
 from safety_harness.space.regions import paper_seen
@@ -29,7 +29,7 @@ class TrainingCell:
     @property
     def arm(self) -> str:
         """What cards call the arm: its name here, or that of its URDF."""
-        return self.robot.label if isinstance(self.robot, Robot) else arm_model(self.robot).name
+        return arm_model(self.robot).name if isinstance(self.robot, OwnRobot) else self.robot.label
 
 
 UR10_CELL = TrainingCell()

@@ -44,7 +44,7 @@ from safety_harness.logs.tables import (
 from safety_harness.logs.tcp import checked_tcp
 from safety_harness.logs.told import STREAMS, Told, ToldClock, read_told
 from safety_harness.robot.description import ArmModel
-from safety_harness.robot.robots import arm_model
+from safety_harness.robot.robots import arm_model, refuse_unenclosed
 from safety_harness.scenario.compose import MAX_BYTES
 from safety_harness.scenario.fields import Field, Fields
 from safety_harness.scenario.files import decode, read_bytes
@@ -88,6 +88,7 @@ def log_of(said: Field, *, name: str, align: bool = False) -> CellLog:
     """As ``read_log``, of a file that is a tree already; ``align``: its clocks need not be said."""
     given = said.fields(KEYS)
     robot = read_robot(given.optional("robot") or Robot.UR10, {})
+    refuse_unenclosed(robot)
     streams = given.required("log").fields(OF_LOG)
     arm = arm_model(robot)
     reading = _Reading(given, streams, arm)

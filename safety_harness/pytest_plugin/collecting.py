@@ -183,7 +183,14 @@ def _judge(scenario: Scenario, claim: Claim, test: TestRun) -> None:
     evaluation = prop.evaluate(trace)
     _skip_inapplicable([evaluation])
     require(evaluation, claim.given(evaluation.margin), trace, prop.evaluate)
+    _note_of_another(claim, evaluation, scenario, test)
     refuse_fallback(trace)
+
+
+def _note_of_another(claim: Claim, evaluation: Evaluation, scenario: Scenario, test: TestRun) -> None:
+    """Note a violation that the file expects of its own avoider, where ``--avoider`` stands in its place."""
+    if session().avoider is not None and claim.is_loosely(evaluation.verdict):
+        test.of_another.append(f"{scenario.name.partition('#')[0]}: {claim.sentence}")
 
 
 def _skip_inapplicable(evaluations: Iterable[Evaluation]) -> None:
@@ -226,11 +233,11 @@ class SpaceRuns:
         """Draw scenarios and judge claim ``number`` of them; SafetyViolation with the smallest that fails."""
         __tracebackhide__ = True
         for scenario in kept_for(test, one_system(self.space)):
-            self._examine(scenario, number)
+            self._examine(scenario, number, test)
 
         def example(scenario: Scenario) -> None:
             __tracebackhide__ = True
-            self._examine(scenario, number)
+            self._examine(scenario, number, test)
 
         drawing = given(scenario=self._strategy)(watching(example, test))
         if not session().derandomize:
@@ -244,7 +251,7 @@ class SpaceRuns:
             if shown is not None:
                 test.show(*shown)
 
-    def _examine(self, scenario: Scenario, number: int) -> None:
+    def _examine(self, scenario: Scenario, number: int, test: TestRun) -> None:
         __tracebackhide__ = True
         judged = self._judge(scenario)
         for claim, evaluation in zip(self.claims, judged.evaluations, strict=True):
@@ -253,6 +260,7 @@ class SpaceRuns:
         found = judged.differences[number]
         if not settle(evaluation, judged.run, expected, None) and not is_shared(found):
             raise violation_of(evaluation, simulate(scenario), expected, found)
+        _note_of_another(self.claims[number], evaluation, scenario, test)
         found, fallback = judged.differences[-1], judged.fallback
         if fallback is None or settle(fallback, judged.run, Verdict.HOLDS, None) or is_shared(found):
             return

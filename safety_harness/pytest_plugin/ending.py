@@ -82,6 +82,7 @@ class Ending:
         for line in (
             *self._against(),
             *self._not_taken(),
+            *self._of_another(),
             self._overruled(),
             *self._computing_times(),
             *self._untried(),
@@ -116,6 +117,11 @@ class Ending:
             f"not run: {avoiders.count(name)} tests of scenarios that {name} cannot take"
             for name in dict.fromkeys(avoiders)
         ]
+
+    def _of_another(self) -> list[str]:
+        """Violations that files expect of their own avoider, and --avoider has too."""
+        found = dict.fromkeys(one for sent in self._sent for one in sent["of_another"])
+        return [f"expected of another than --avoider: it may be for another reason: {one}" for one in found]
 
     def _computing_times(self) -> list[str]:
         from safety_harness.report.decisions import ComputingTime, lines_of

@@ -266,6 +266,13 @@ def _refuse_unusable_avoiders(*, make: bool) -> None:
     for reference, option in ((now.avoider, "--avoider"), (now.against, "--safety-against")):
         if reference is not None:
             refuse_unusable_avoider(reference, option, make=make)
+    if now.against is not None:
+        from safety_harness.admission.avoiders import refuse_itself
+
+        try:
+            refuse_itself(now.avoider, now.against, "--safety-against")
+        except InputError as error:
+            raise pytest.UsageError(explained(error)) from None
 
 
 def _refuse_unknown_world(label: str) -> None:

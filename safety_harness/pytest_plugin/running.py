@@ -193,6 +193,7 @@ def payload(test: TestRun) -> Payload:
             for digest, run in test.differences.items()
         ],
         "not_taken": test.not_taken,
+        "of_another": [*dict.fromkeys(test.of_another)],
         "simulated": [],
         "judged_runs": [],
         "traces": [],
@@ -276,4 +277,5 @@ def junit_properties(test: TestRun) -> list[tuple[str, object]]:
         if evaluation.unmeasured:
             values["not measured"] = ", ".join(evaluation.unmeasured)
         found += [(name + end, value) for name, value in values.items()]
+    found += [("expected of another than --avoider", one) for one in dict.fromkeys(test.of_another)]
     return found

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.admission.admit import admit
+from safety_harness.admission.driving import named_system
 from safety_harness.admission.trial import judge, run_trial
 from safety_harness.exceptions import LogError, Place
 from safety_harness.properties.base import Evaluation
@@ -35,6 +36,7 @@ from safety_harness.scenario.model import Verdict
 from safety_harness.scenario.typed_json import of_format, plain, read_json, typed
 from safety_harness.simulation.worlds import WORLDS, WorldEntry
 from safety_harness.trace.provenance import provenance
+from safety_harness.trace.system import SystemUnderTest
 from safety_harness.trace.trace import Trace
 from safety_harness.whole_file import sha256_of
 
@@ -123,6 +125,7 @@ class CellComparison:
     platform: str
     libraries: tuple[tuple[str, str], ...]
     files: tuple[tuple[str, str], ...]
+    system: SystemUnderTest | None = None  # of the simulated runs; an earlier version did not write it
 
     @property
     def claims(self) -> tuple[ClaimOfBoth, ...]:
@@ -167,6 +170,7 @@ def compare_worlds(made: FromLog) -> CellComparison:
         platform=origin.platform,
         libraries=origin.libraries,
         files=tuple(hashes),
+        system=named_system(made.scenario),
     )
 
 

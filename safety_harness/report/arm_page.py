@@ -24,7 +24,7 @@ from safety_harness.report.svg import plain
 from safety_harness.robot.capsules import CapsuleSet
 from safety_harness.robot.description import ArmModel
 from safety_harness.robot.robots import arm_capsules, arm_model
-from safety_harness.scenario.robots import AnyRobot, Robot, robot_named
+from safety_harness.scenario.robots import AnyRobot, OwnRobot, Robot, robot_named
 from safety_harness.shipped.contents import ShippedKind, shipped_files
 from safety_harness.whole_file import write_whole
 
@@ -54,7 +54,7 @@ def _section(robot: AnyRobot, number: int) -> dict[str, Any]:
     frames = (*arm.link_names, arm.tcp_link)
     return {
         "id": f"arm-{number}",
-        "name": plain(robot.label if isinstance(robot, Robot) else arm.name, longest=60),
+        "name": plain(arm.name if isinstance(robot, OwnRobot) else robot.label, longest=60),
         "replay": {
             "id": f"arm-{number}-scene",
             "data": as_attribute(_scene(arm, capsules, meshes)),

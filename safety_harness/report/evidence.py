@@ -11,6 +11,7 @@ from pathlib import Path
 from safety_harness.properties.answered import DEFAULT_CLAIM, by_default, is_claimed
 from safety_harness.properties.base import Evaluation, Unit
 from safety_harness.properties.tally import ClaimTally, Judged, basis_of_tallies, made_in, tally_claims
+from safety_harness.report.words import unknown_files
 from safety_harness.scenario.model import Claim, RecordedHand, Scenario, Verdict
 from safety_harness.trace.trace import Trace
 
@@ -101,8 +102,9 @@ class JudgedRun:
 
 
 def notes_of(scenario: Scenario) -> tuple[str, ...]:
-    """What a reader has to know of the recordings: gaps that were bridged, jumps removed."""
-    return tuple(
+    """What a reader has to know of recordings (gaps that were bridged, jumps removed) and of a program."""
+    unknown = unknown_files(scenario).removeprefix("; ")
+    return (unknown,) * bool(unknown) + tuple(
         f"{hand.name}, {hand.recording}: {note}"
         for hand in scenario.hands
         if isinstance(hand, RecordedHand)

@@ -6,7 +6,7 @@ import json
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -32,13 +32,17 @@ Row = dict[str, Any]
 
 @dataclass(frozen=True)
 class Revision:
-    """One report: its folder's name, the claims of its runs, and (overruled, proposals) of each avoider."""
+    """One report: its folder's name, the claims of its runs, and (overruled, proposals) of each avoider.
+
+    ``made_at`` is ISO 8601 in UTC, empty where the report does not say it.
+    """
 
     name: str
     source_hash: str
     claims: dict[Claimed, Row]
     overruling: dict[str, tuple[int, int]]
     basis: str  # of its verdicts
+    made_at: str
 
 
 @dataclass(frozen=True)
@@ -87,8 +91,9 @@ class History:
 
 
 def read_history(folder: Path) -> History:
-    """Every report.json below ``folder``, in the order of their folders' names, numbers as numbers.
+    """Every report.json below ``folder``, in the order in which they were made.
 
+    Those of earlier versions, which do not say when, come first, in the order of their folders' names.
     Raises InputError for fewer than two, and for a file that is no report of this version.
     """
     files = sorted(
@@ -99,6 +104,7 @@ def read_history(folder: Path) -> History:
         raise InputError(place=Place(file=folder), expected=expected, got=str(len(files)))
     revisions = tuple(_revision(file, file.parent.relative_to(folder).as_posix()) for file in files)
     named = dict.fromkeys(key for one in revisions for key in one.claims)
+    revisions = tuple(sorted(revisions, key=lambda one: one.made_at))
     courses = tuple(
         Course(key, tuple((one.name, one.claims[key]) for one in revisions if key in one.claims))
         for key in named
@@ -127,11 +133,13 @@ def _revision(file: Path, name: str) -> Revision:
         }
         basis = str(found.get("basis", "Basis: not stated by this report"))
         sources = dict.fromkeys(run["source_hash"] for run in found["runs"])
+        made_at = found.get("made_at", "")
+        made_at = made_at and datetime.fromisoformat(made_at).astimezone(UTC).isoformat()
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         got = f"{type(error).__name__}: {error}"
         expected = f'a report with format "{FORMAT}"'
         raise InputError(place=Place(file=file), expected=expected, got=got) from error
-    return Revision(name, ", ".join(sources), claims, overruling, basis)
+    return Revision(name, ", ".join(sources), claims, overruling, basis, made_at)
 
 
 def _tested(system: Row) -> str:

@@ -6,6 +6,7 @@ import hashlib
 import json
 from collections.abc import Sequence
 from dataclasses import asdict
+from datetime import UTC, datetime
 from math import isfinite
 from pathlib import Path
 from typing import Any
@@ -51,12 +52,12 @@ def report_data(
 ) -> dict[str, Any]:
     """What came out of ``runs``, in types that JSON has.
 
-    An object with ``format``, ``interrupted`` (more was planned than is here), ``basis`` (what the verdicts
-    rest on, in a sentence), ``overruling`` (of each
-    avoider: of its proposals how many were overruled, why, and what came instead), ``runs``, ``coverage``,
-    ``skipped``, ``refused``, ``against`` and ``repeatability`` (what a second avoider answered to questions
-    of the runs; null if none was asked); each run says what was run, of which ``system`` (null for what it
-    has not), whether its ``avoider_answered`` (null if it has none), and
+    An object with ``format``, ``made_at`` (ISO 8601), ``interrupted`` (more was planned than is here),
+    ``basis`` (what the verdicts rest on, in a sentence), ``overruling`` (of each avoider: of its proposals
+    how many were overruled, why, and what came instead), ``runs``, ``coverage``, ``skipped``, ``refused``,
+    ``against`` and ``repeatability`` (what a second avoider answered to questions of the runs; null if none
+    was asked); each run says what was run, of which ``system`` (null for what it has not), whether its
+    ``avoider_answered`` (null if it has none), and
     has its ``claims`` (a formula that "and" joins also each of its ``parts``), and coverage says of each
     claim over all runs how often it was put to the test; ``known`` has those columns of the trace that are
     not simulated truth, and ``unmeasured`` those for want of which a claim is inconclusive (``decisions`` and
@@ -67,6 +68,7 @@ def report_data(
     """
     return {
         "format": FORMAT,
+        "made_at": datetime.now(UTC).isoformat(),
         "interrupted": interrupted,
         "basis": basis_of(runs, coverage),
         "overruling": {

@@ -37,6 +37,7 @@ def document(scored: Scored) -> str:
         "source_hash": source_hash(),
         "seed": scored.seed,
         "search_budget": scored.budget,
+        "against": scored.against or None,
         "interrupted": scored.interrupted,
         "failed": scored.failed,
         "finding_count": scored.findings,
@@ -50,7 +51,7 @@ def sentence(scored: Scored) -> str:
     """The answer in one sentence."""
     asked = sum(len(region.questions) for one in scored.avoiders for region in one.card.regions)
     names = ", ".join(one.card.avoider for one in scored.avoiders)
-    of = f"{asked:,} questions"
+    of = f"{asked:,} questions" + f" beside {scored.against}" * bool(scored.against)
     if not scored.avoiders:
         return "Nothing was scored."
     often = [one.card for one in scored.avoiders if not is_green(one.card)]

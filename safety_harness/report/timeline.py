@@ -33,7 +33,7 @@ from safety_harness.report.words import (
     claimed_tcp_speed_mps,
 )
 from safety_harness.scenario.model import Verdict
-from safety_harness.scenario.robots import Robot
+from safety_harness.scenario.robots import OwnRobot
 from safety_harness.trace.records import DecisionOutcome, Mode
 from safety_harness.trace.trace import Trace
 from safety_harness.trace.unmeasured import decided, measured
@@ -314,7 +314,7 @@ def _claimed(run: JudgedRun, limit_of: Callable[[Evaluation], float | None]) -> 
 def joint_panel(axes: Axes, trace: Trace) -> None:
     """The joint angles, of an own arm by number."""
     angles = (trace.ticks["joint_position_rad"] * DEGREES).T
-    ours = isinstance(trace.scenario.robot, Robot)
+    ours = not isinstance(trace.scenario.robot, OwnRobot)
     names = UR_JOINTS if ours else [f"joint {number}" for number in range(1, len(angles) + 1)]
     styles = zip(names, angles, JOINT_INKS, cycle(DASHES), strict=False)
     lines = [(name, angle, ink, dashes) for name, angle, ink, dashes in styles]

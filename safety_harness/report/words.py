@@ -16,7 +16,8 @@ from safety_harness.properties.base import Evaluation, Unit
 from safety_harness.properties.positions import BEYOND_M, RepulsivePosesReachable
 from safety_harness.robot.drive import delay_ticks
 from safety_harness.scenario.model import Scenario
-from safety_harness.scenario.robots import AnyRobot, Robot
+from safety_harness.scenario.references import EXEC, names_a_program
+from safety_harness.scenario.robots import AnyRobot, OwnRobot, Robot
 from safety_harness.settings import DEFAULTS, Settings
 from safety_harness.trace.records import Check, DecisionOutcome, Mode, Trigger
 from safety_harness.trace.system import SystemUnderTest
@@ -185,7 +186,15 @@ def tested_words(scenario: Scenario, system: SystemUnderTest) -> str:
     shield = [] if scenario.shield is None else [f"shield {scenario.shield.kind.value}"]
     gate = [] if scenario.gate is None else [f"gate {', '.join(scenario.gate.words)}"]
     changed = (f"{name} {value}" for name, _, value in changes(scenario))
-    return ", ".join([system.words, *shield, *gate, *changed])
+    return ", ".join([system.words, *shield, *gate, *changed]) + unknown_files(scenario)
+
+
+def unknown_files(scenario: Scenario) -> str:
+    """Say of a program that is started, or listens, that what it opens is not known; empty for any other."""
+    if not names_a_program(scenario.under_test):
+        return ""
+    declared = ", but for those that it declares in HARNESS_FILES" * scenario.under_test.startswith(EXEC)
+    return f"; which files this program opens is not known{declared}"
 
 
 def _changes(prefix: str, default: Any, own: Any) -> Iterator[tuple[str, str, str]]:
@@ -200,7 +209,7 @@ def _changes(prefix: str, default: Any, own: Any) -> Iterator[tuple[str, str, st
 
 def drives_as_modelled(robot: AnyRobot, period_s: float) -> list[tuple[str, str, str]]:
     """(name, default, this run) of what an own arm's drives do, as rounded and limited; none by default."""
-    drives = None if isinstance(robot, Robot) else robot.drives
+    drives = robot.drives if isinstance(robot, OwnRobot) else None
     if drives is None:
         return []
     periods = delay_ticks(drives.dead_time_s, period_s)

@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from safety_harness.exceptions import ArmModelError
 from safety_harness.geometry.arrays import ArrayN
+from safety_harness.geometry.segments import point_segment_distance
 from safety_harness.robot.description import ArmModel, ChainRecords, load_arm
 from safety_harness.robot.distance import CAPSULE, CapsuleRecords, chain_lengths
 from safety_harness.robot.kinematics import FRAMES
@@ -179,6 +180,33 @@ def read_capsules(
         if (link.collision or link.visual) and link.link not in held:
             raise ArmFileError.of_file(file, f"capsules of the link {link.link!r}", "none")
     return capsules
+
+
+def unenclosed_links(arm: ArmModel, enclosed: Collection[int], accepted: Collection[str] = ()) -> list[str]:
+    """Names of links between the first and the last of ``enclosed`` (the base is 0) that are not among them.
+
+    Those in ``accepted`` are left out.
+    """
+    names = arm.link_names
+    between = range(min(enclosed), min(max(enclosed), len(names)))
+    return [names[k] for k in between if k not in enclosed and names[k] not in accepted]
+
+
+def tcp_beyond(arm: ArmModel, capsules: CapsuleSet) -> float:
+    """How far [m] the TCP lies outside of every capsule at it and of the last link that has any; 0 in one.
+
+    Joints behind that link stand at 0.
+    """
+    point_m, nearest_m = np.zeros(3), np.inf
+    frames = enumerate((arm.flange, *arm.joint_origins[::-1], np.eye(4)))
+    for link, origin in ((capsules.frames - 1 - k, frame) for k, frame in frames):
+        for k in np.flatnonzero(capsules.link_index == link):
+            far_m = point_segment_distance(point_m, capsules.start_in_link[k], capsules.end_in_link[k])
+            nearest_m = min(nearest_m, far_m - capsules.radius_m[k])
+        if link <= len(arm.joint_names) and (capsules.link_index == link).any():
+            break
+        point_m = origin[:3, :3] @ point_m + origin[:3, 3]
+    return max(0.0, float(nearest_m))
 
 
 def hashes_of(arm: ArmModel) -> tuple[str, dict[str, str]]:

@@ -12,18 +12,27 @@ from typing import Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from safety_harness.exceptions import Place
 from safety_harness.geometry.rotations import rotation_from_vector
 from safety_harness.geometry.transforms import inverse_transform, transform_from
-from safety_harness.robot.capsules import CapsuleSet, load_capsules, read_capsules
+from safety_harness.robot.capsules import (
+    CapsuleSet,
+    load_capsules,
+    read_capsules,
+    tcp_beyond,
+    unenclosed_links,
+)
 from safety_harness.robot.description import ArmModel, load_arm, read_arm, urdf_file
 from safety_harness.robot.drive import DriveModel
 from safety_harness.robot.dynamics import link_masses
 from safety_harness.robot.inverse import InverseKinematics
 from safety_harness.robot.joint_data import Use
 from safety_harness.robot.urdf import ArmFileError
-from safety_harness.scenario.robots import AnyRobot, OwnRobot, Piece, Robot, Seat, Tool, YesNo
+from safety_harness.scenario.robots import AnyRobot, EquippedArm, OwnRobot, Piece, Robot, Seat, Tool, YesNo
 
 Made = TypeVar("Made")
+# A gap in which a finger fits: a tool that ends sooner leaves room for a part that no distance knows of.
+TCP_BEYOND_M = 0.02
 
 
 class _OnceEach(Generic[Made]):
@@ -35,7 +44,7 @@ class _OnceEach(Generic[Made]):
         self.cache_clear = self._cached.cache_clear
 
     def __call__(self, robot: AnyRobot) -> Made:
-        return self._cached(robot, () if isinstance(robot, Robot) else robot.files)
+        return self._cached(robot, robot.files if isinstance(robot, OwnRobot) else ())
 
 
 @_OnceEach
@@ -46,8 +55,11 @@ def arm_model(robot: AnyRobot) -> ArmModel:
     """
     if isinstance(robot, Robot):
         return load_arm(robot.arm_name)
-    arm = _own(robot, meshes=False)
-    arm.require(Use.RUN)
+    if isinstance(robot, EquippedArm):
+        arm = load_arm(robot.arm.arm_name)
+    else:
+        arm = _own(robot, meshes=False)
+        arm.require(Use.RUN)
     if robot.tool is not None:
         arm = replace(arm, flange=arm.flange @ transform_tool(robot.tool))
     return arm if robot.seat is None else arm.seated(transform_seat(robot.seat))
@@ -58,10 +70,12 @@ def arm_capsules(robot: AnyRobot) -> CapsuleSet:
     """The capsules of the arm; ``ArmFileError`` for those of another arm."""
     if isinstance(robot, Robot):
         return load_capsules(robot.arm_name)
-    file = robot.files[1]
-    capsules = read_capsules(
-        file, arm_model(robot), text=robot.capsules_text, urdf_sha256=str(robot.urdf_sha256)
-    )
+    if isinstance(robot, EquippedArm):
+        capsules = load_capsules(robot.arm.arm_name)
+    else:
+        capsules = read_capsules(
+            robot.files[1], arm_model(robot), text=robot.capsules_text, urdf_sha256=str(robot.urdf_sha256)
+        )
     tcp = capsules.frames - 1
     if robot.tool is not None:
         to_tcp = inverse_transform(transform_tool(robot.tool))
@@ -77,7 +91,7 @@ def drive_model(robot: AnyRobot) -> DriveModel | None:
 
     ``ArmFileError`` where their torques are limited and a link has no mass.
     """
-    if isinstance(robot, Robot) or robot.drives is None:
+    if not isinstance(robot, OwnRobot) or robot.drives is None:
         return None
     drives, model = robot.drives, DriveModel(dead_time_s=robot.drives.dead_time_s, lag_s=robot.drives.lag_s)
     if drives.torque_limit is None:
@@ -120,7 +134,8 @@ def inverse_kinematics(robot: AnyRobot) -> InverseKinematics:
 @_OnceEach
 def refuse_unfit(robot: AnyRobot) -> None:
     """``ArmFileError`` unless an own arm's files are as they were read, its meshes those of its capsules."""
-    if isinstance(robot, Robot):
+    refuse_unenclosed(robot)
+    if not isinstance(robot, OwnRobot):
         return
     found = _sha256_of(robot.files[0])
     if found != robot.urdf_sha256:
@@ -133,11 +148,38 @@ def refuse_unfit(robot: AnyRobot) -> None:
 
 
 @_OnceEach
+def refuse_unenclosed(robot: AnyRobot) -> None:
+    """``ArmFileError`` for a link, or a TCP, that no capsule encloses and the arm's file does not accept."""
+    if isinstance(robot, Robot):
+        return
+    arm, capsules = arm_model(robot), arm_capsules(robot)
+    accepted: Sequence[str] = ()
+    place = Place(field="robot")
+    if isinstance(robot, OwnRobot):
+        accepted, place = (
+            robot.without_geometry or (),
+            Place(file=(robot.files or (None,))[-1], field="robot"),
+        )
+    beyond_mm = 1e3 * tcp_beyond(arm, capsules)
+    most_mm = 1e3 * (TCP_BEYOND_M if robot.tcp_beyond_m is None else robot.tcp_beyond_m)
+    if links := ", ".join(unenclosed_links(arm, capsules.link_index.tolist(), accepted)):
+        expected, got = "capsules of every link between others that have them", f"none of {links}"
+        hint = f"without geometry: [{links}] accepts that no distance knows of them"
+    elif beyond_mm > most_mm:
+        expected = f"a TCP within {most_mm:g} mm of a capsule of the arm, its tool or its part"
+        got, hint = f"one {beyond_mm:.1f} mm away", f"tcp beyond capsules: {np.ceil(beyond_mm):.0f} mm"
+        hint = f"capsules of the whole tool; {hint} where nothing solid reaches the TCP"
+    else:
+        return
+    raise ArmFileError(place=place, expected=expected, got=got, hint=hint)
+
+
+@_OnceEach
 def urdf_sha256_of(robot: AnyRobot) -> str:
     """SHA-256 of the arm's URDF."""
-    if isinstance(robot, Robot):
-        return _sha256_of(urdf_file(robot.arm_name))
-    return str(robot.urdf_sha256)
+    if isinstance(robot, OwnRobot):
+        return str(robot.urdf_sha256)
+    return _sha256_of(urdf_file((robot if isinstance(robot, Robot) else robot.arm).arm_name))
 
 
 def _sha256_of(file: Path) -> str:

@@ -251,7 +251,7 @@ def _moved(node: Node, folder: Path, to: Path) -> Node:
         "avoider": lambda text: avoider_seen_from(to, text, folder),
         "controller": lambda text: avoider_seen_from(to, text, folder),
         "recording": lambda text: seen_from(to, text, folder),
-        "robot": lambda text: robot_seen_from(to, text, folder),
+        **{key: lambda text: robot_seen_from(to, text, folder) for key in ("robot", "arm")},
         **{key: lambda text: seen_from(to, text, folder) for key in FILES},
     }
     return _rewritten(node, words, None)
@@ -266,10 +266,11 @@ def _rewritten(node: Node, words: dict[str, _Rewrite], rewrite: _Rewrite | None)
         return replace(node, text=first + ", ".join(map(rewrite, parts)))
     if isinstance(node, Sequence):
         return replace(node, items=tuple(_rewritten(item, words, rewrite) for item in node.items))
-    entries = tuple(
-        (key, _rewritten(value, words, words.get(key.text, rewrite))) for key, value in node.entries
-    )
-    return replace(node, entries=entries)
+    entries = []
+    for key, value in node.entries:
+        listed = key.text in FILES and isinstance(value, Sequence)  # capsules of a tool, and no file of them
+        entries.append((key, _rewritten(value, words, None if listed else words.get(key.text, rewrite))))
+    return replace(node, entries=tuple(entries))
 
 
 def _keys(mapping: Mapping) -> set[str]:

@@ -383,6 +383,10 @@ class Claim:
         beyond = self.most is not None and (margin is None or not -margin <= self.most[0])
         return Verdict.HOLDS if beyond else self.expected
 
+    def is_loosely(self, verdict: Verdict) -> bool:
+        """Is it violated as expected, for whatever reason?  No bound says by how much."""
+        return verdict is Verdict.VIOLATED is self.expected and self.most is None
+
     @property
     def expectation(self) -> str:
         """As a file has it."""

@@ -29,6 +29,7 @@ from safety_harness.scenario.codec import (
     Word,
     declared,
     key,
+    keyed,
     table_of,
 )
 from safety_harness.scenario.fields import Field, Fields
@@ -43,7 +44,7 @@ from safety_harness.shipped.contents import is_shipped, located
 MAX_URDF_BYTES = 20_000_000
 MAX_CAPSULES_BYTES = 4_000_000
 _ENDINGS = (".yaml", ".yml")
-FILES = ("arm", "urdf", "capsules")  # keys that name one
+FILES = ("urdf", "capsules")  # keys that name one
 _PIECE = "{from: [0 mm, 0 mm, 20 mm], to: [0 mm, 0 mm, 120 mm], radius: 45 mm}"
 _CENTRE = "[0 mm, 0 mm, 50 mm]"
 _ORIGIN: Vector3 = (0.0, 0.0, 0.0)
@@ -272,6 +273,22 @@ class OwnRobot:
         f"[{_PIECE}]",
         default=None,
     )
+    tcp_beyond_m: float | None = key(
+        "tcp beyond capsules",
+        QuantityValue(LENGTH, least=0.0, most=1.0),
+        "how far the TCP may lie from every capsule, as that of a welding torch does",
+        "150 mm",
+        "20 mm",
+        default=None,
+    )
+    without_geometry: tuple[str, ...] | None = key(
+        "without geometry",
+        Several(of=_LINK, words="list of names", expected="a list of links"),
+        "links between others that nothing encloses, which are accepted so",
+        "[forearm]",
+        "none",
+        default=None,
+    )
     drives: Drives | None = key(
         "drives",
         Below(tables=(table_of(Drives, "drives of a robot", path="robot.drives"),)),
@@ -347,7 +364,28 @@ class OwnRobot:
         return replace(self, urdf=urdf, capsules=name(self.capsules))
 
 
-AnyRobot = Robot | OwnRobot
+_OWN = table_of(OwnRobot, "robot", path="robot")
+_MOUNTED = {one.attribute: one for one in _OWN.keys}
+
+
+@declared
+class EquippedArm:
+    """An arm of the package with what is mounted on it; it stops as the settings say."""
+
+    arm: Robot = keyed(Key("arm", Word(Robot), "an arm of the package"))
+    seat: Seat | None = keyed(_MOUNTED["seat"], default=None)
+    tool: Tool | None = keyed(_MOUNTED["tool"], default=None)
+    part: tuple[Piece, ...] | None = keyed(_MOUNTED["part"], default=None)
+    tcp_beyond_m: float | None = keyed(_MOUNTED["tcp_beyond_m"], default=None)
+
+    @property
+    def label(self) -> str:
+        """What people call it, with what is mounted."""
+        mounted = {"another seat": self.seat, "a tool": self.tool, "a part": self.part}
+        return f"{self.arm.label} with {' and '.join(name for name, one in mounted.items() if one)}"
+
+
+AnyRobot = Robot | OwnRobot | EquippedArm
 
 
 def robot_seen_from(folder: Path, text: str, standing_in: Path) -> str:
@@ -355,11 +393,12 @@ def robot_seen_from(folder: Path, text: str, standing_in: Path) -> str:
     return seen_from(folder, text, standing_in) if text.endswith(_ENDINGS) else text
 
 
-_OWN = table_of(OwnRobot, "robot", path="robot")
+_EQUIPPED = table_of(EquippedArm, "robot", path="robot")
 _ARM = Key(
     "arm",
-    Text(words="file", expected="a file with these keys"),
-    "a file with these keys; what is said beside it comes first",
+    Text(words="file, or UR10, UR5 or UR3", expected="a file with these keys"),
+    "a file with these keys; what is said beside it comes first. Beside UR10, UR5 or UR3 only "
+    "`seated at`, `tool`, `carries` and `tcp beyond capsules`",
     "shipped:iiwa14",
     "none",
 )
@@ -375,8 +414,10 @@ class _RobotValue(Below):
         return field
 
     def write(self, value: object) -> Any:
-        """The name, or the mapping of an own arm."""
-        return value.value if isinstance(value, Robot) else _OWN.write(value)
+        """The name, or the mapping of an own or an equipped arm."""
+        if isinstance(value, Robot):
+            return value.value
+        return (_EQUIPPED if isinstance(value, EquippedArm) else _OWN).write(value)
 
 
 ROBOT_VALUE = _RobotValue(
@@ -398,6 +439,8 @@ def read_robot(field: Field | Robot, carried: Mapping[str, bytes]) -> AnyRobot:
         given = _keys_of_file(field)
     else:
         given = field.fields(ROBOT.names)
+        if "arm" in given and not is_arm_file(given.required("arm").scalar("the name of an arm or a file")):
+            return _equipped(field)
         if "arm" in given:
             arm = (_path(given.required("arm")),)
             given = Fields(field, _keys_of_file(given.required("arm")).by_key | given.by_key)
@@ -414,6 +457,13 @@ def read_robot(field: Field | Robot, carried: Mapping[str, bytes]) -> AnyRobot:
         if name in given:
             values[name] = _named_from(field, given.required(name))
     return OwnRobot(**values, files=(urdf, capsules, *arm))
+
+
+def _equipped(field: Field) -> Robot | EquippedArm:
+    """An arm of the package with what is mounted on it; the arm alone where nothing is."""
+    given = field.fields(_EQUIPPED.names, hints={"braking": "settings: {braking: ...}"})
+    arm: EquippedArm = _EQUIPPED.made_of(given)
+    return arm if arm.seat or arm.tool or arm.part else arm.arm
 
 
 def robot_named(text: str) -> AnyRobot:

@@ -43,10 +43,14 @@ class ScoredAvoider:
 
 @dataclass(eq=False)
 class Scored:
-    """All of a session; ``budget`` is of each avoider's search, ``failed`` says who did not answer at all."""
+    """All of a session; ``budget`` is of each avoider's search, ``failed`` says who did not answer at all.
+
+    ``against`` is the reference, as the user named it; empty without one.
+    """
 
     seed: int
     budget: int
+    against: str = ""
     avoiders: list[ScoredAvoider] = field(default_factory=list)
     failed: list[str] = field(default_factory=list)
     interrupted: bool = False

@@ -16,10 +16,10 @@ from safety_harness.scoring.figures import WRONG_M
 from safety_harness.scoring.findings import findings
 from safety_harness.scoring.question_file import question_file
 from safety_harness.scoring.regions import QuestionRegion, named_regions
-from safety_harness.scoring.repeats import Subject
+from safety_harness.scoring.repeats import Subject, compared
 from safety_harness.scoring.results import Scored, ScoredAvoider, ShownQuestion
 from safety_harness.scoring.score import YARDSTICKS, Counts, paced, score, yardsticks
-from safety_harness.scoring.scorecard import Scorecard
+from safety_harness.scoring.scorecard import Scorecard, WayOfAsking
 from safety_harness.scoring.space_region import space_region
 from safety_harness.scoring.worst import TOLERANCE_M, Tried, search_region, worst_questions
 from safety_harness.settings import DEFAULTS
@@ -58,7 +58,7 @@ class ScoringSession:
     _cards: dict[tuple[object, ...], tuple[Scorecard, ...]] = field(default_factory=dict, init=False)
 
     def __post_init__(self) -> None:
-        self.scored = Scored(self.seed, self.budget)
+        self.scored = Scored(self.seed, self.budget, against=self.against or "")
         self._space_regions = [space_region(read_space(path), self.seed) for path in self.spaces]
 
     def run(self) -> Scored:
@@ -137,6 +137,8 @@ class ScoringSession:
         except KeyboardInterrupt:
             self.scored.avoiders += [of(card) for card in partly[-1:]]
             raise
+        if other is not None and beside is not None:
+            _refuse_itself(reference, card, other.reference, beside)
         self.scored.avoiders.append(of(card))
         self._search(self.scored.avoiders[-1], subject, regions, told)
 
@@ -213,6 +215,20 @@ def _about(tried: Tried, seed: int) -> str:
         f"(the closed-form optimum: {1e3 * tried.optimum_gained_m:.1f} mm) and is {1e3 * tried.off_m:.1f} mm "
         f"from the optimum, with a largest spread of {1e3 * tried.largest_spread_m:.1f} mm."
     )
+
+
+def _refuse_itself(reference: str, card: Scorecard, against: str, beside: Scorecard) -> None:
+    """ScenarioError if two references are one by name and hash, and answered alike.
+
+    The same Python file in another folder may load other weights.
+    """
+    hashes = {one: avoider_sha256(scenario_of_avoider(one)) for one in (reference, against)}
+    keys = {(sha256, file_and_name(one)[1] if sha256 else one) for one, sha256 in hashes.items()}
+    pairs = zip(card.regions, beside.regions, strict=True)
+    asked = (compared(WayOfAsking.AGAIN, one.questions, one.answers, other.answers) for one, other in pairs)
+    if len(keys) == 1 and not any(again.differ for again in asked):
+        got = f"{against}, which is {reference} by its hash: a comparison with itself finds nothing"
+        raise ScenarioError.of_option("--against", "another avoider than is scored", got)
 
 
 def _slug(reference: str) -> str:

@@ -98,6 +98,7 @@ class TestRun:
     differences: dict[str, RunDifference] = field(default_factory=dict)  # from a reference, by digest
     shared: list[str] = field(default_factory=list)  # failures that the reference has as well
     judges_itself: bool = False  # by the marker, without assert_holds
+    of_another: list[str] = field(default_factory=list)  # violated as expected of the file's own avoider
     not_taken: str = ""  # the avoider that cannot take its scenario
 
     @property

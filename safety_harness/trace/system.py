@@ -12,7 +12,7 @@ from typing import Annotated, Any
 from msgspec import Meta
 
 from safety_harness.scenario.model import VISUAL_SERVO, Scenario
-from safety_harness.scenario.robots import OwnRobot
+from safety_harness.scenario.robots import EquippedArm, OwnRobot
 from safety_harness.scenario.shield import Shield
 from safety_harness.settings import GateKind, HandSensorKind, ImageSource, Settings
 
@@ -102,6 +102,8 @@ def system_of(
     settings, robot = scenario.settings, scenario.robot
     if isinstance(robot, OwnRobot):
         robot_sha256 = str(robot.urdf_sha256)
+    elif isinstance(robot, EquippedArm):
+        robot_sha256 = hashlib.sha256(f"{robot_sha256} {_text(robot)}".encode()).hexdigest()
     servo, gate, perception, whole = _parts(settings)
     if scenario.gate is not None:
         gate = replace(gate, name=", ".join([gate.name, *scenario.gate.words]))

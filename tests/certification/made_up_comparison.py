@@ -7,8 +7,10 @@ from safety_harness.compiled import source_hash
 from safety_harness.recorded.apart import DelayFit, Difference, Estimate
 from safety_harness.recorded.compare import CellComparison, ClaimOfBoth, ClosestHand, WorldBeside
 from safety_harness.scenario.model import Verdict
-from tests.certification.made_up_evidence import HOSTILE
+from safety_harness.trace.system import SystemUnderTest
+from tests.certification.made_up_evidence import HOSTILE, evidence
 
+(SYSTEM,) = evidence(counterexamples=0).system.under_test
 AN_ESTIMATE = Estimate(value=0.002, low=0.001, high=0.003)
 A_DIFFERENCE = Difference(
     what="elbow_joint", unit="rad", samples=900, mean=AN_ESTIMATE, usually=0.004, largest=0.005, at_s=2.0,
@@ -16,7 +18,9 @@ A_DIFFERENCE = Difference(
 )  # fmt: skip
 
 
-def cell(simulated: Verdict = Verdict.HOLDS, *, present: bool = True) -> RecordedCell:
+def cell(
+    simulated: Verdict = Verdict.HOLDS, *, present: bool = True, system: SystemUnderTest | None = SYSTEM
+) -> RecordedCell:
     claim = ClaimOfBoth(
         sentence="hand distance never below 50 mm",
         recorded=Verdict.HOLDS,
@@ -52,5 +56,6 @@ def cell(simulated: Verdict = Verdict.HOLDS, *, present: bool = True) -> Recorde
         platform="any",
         libraries=(),
         files=(("joints.csv", "0" * 64),),
+        system=system,
     )
     return RecordedCell(comparison=found, sha256="f" * 64, present=present)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import page
 import pytest
-from made_up_comparison import cell
+from made_up_comparison import SYSTEM, cell
 from made_up_evidence import evidence
 from typer.testing import CliRunner
 
@@ -20,6 +20,14 @@ from safety_harness.certification.tools import HarnessTrials, RecordedCell, read
 from safety_harness.cli.main import app
 from safety_harness.recorded.compare import as_json
 from safety_harness.scenario.model import Verdict
+from safety_harness.trace.system import Component
+
+OTHERS = [
+    ("robot", replace(SYSTEM, robot=Component(name="UR5", sha256="5" * 64))),
+    ("avoider", replace(SYSTEM, avoider=Component(name="mc-dropout", sha256="5" * 64))),
+    ("controller", replace(SYSTEM, controller=Component(name="stop when near"))),
+    ("settings", replace(SYSTEM, settings=Component(name="settings", sha256="5" * 64))),
+]
 
 
 def with_cells(*cells: RecordedCell) -> Evidence:
@@ -45,14 +53,20 @@ def test_the_page_has_what_was_compared_and_no_longer_says_that_nothing_was() ->
         (cell(Verdict.VIOLATED), "1 of 1 verdicts of LOG.yaml differ in simulation", DOUBT),
         (cell(present=False), "held against LOG.yaml with another source", DOUBT),
         (cell(Verdict.INCONCLUSIVE), "", DOUBT),
+        (cell(system=None), "which arm, controller and settings it is of is not noted", DOUBT),
+        *(
+            (cell(system=changed), f"no cell of the tested system: {name}: ", DOUBT)
+            for name, changed in OTHERS
+        ),
     ],
-    ids=["same", "contradicted", "other source", "undecided"],
+    ids=["same", "contradicted", "other source", "undecided", "not noted", *(name for name, _ in OTHERS)],
 )
 def test_a_contradicted_verdict_and_another_source_are_open_findings(
     one: RecordedCell, found: str, state: str
 ) -> None:
     whole = with_cells(one)
-    texts = [finding.text for finding in of_worlds(whole.credibility) if finding.place == "recorded-cells"]
+    findings = of_worlds(whole.credibility, whole.system.under_test)
+    texts = [finding.text for finding in findings if finding.place == "recorded-cells"]
     assert len(texts) == bool(found)
     assert found in "".join(texts)
     leaves = [element for element in _every(argument_of(whole)) if element.text.startswith("A recorded cell")]

@@ -167,9 +167,17 @@ def test_outcomes_that_neither_trace_nor_run_gives_are_noticed(
 def test_since_an_earlier_report_what_got_worse_fails_and_nothing_else(
     report: Path, made: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    page = report.with_name("report.delta") / "delta.html"
+    for pair in ((made, report), (report, report)):
+        assert tell_delta(*pair) == BAD_INPUT
+        assert "the same runs: a comparison with itself" in words(capsys)
+    assert certify(made.parent / "plan.yaml", out=report, since=report, workers=1) == BAD_INPUT
+    assert "a comparison with itself" in words(capsys)
+    began(report, "2099-01-01T00:00:00+00:00")
+    assert tell_delta(report, made) == BAD_INPUT
+    assert "expected the earlier report first" in words(capsys)
     assert tell_delta(made, report) == AS_EXPECTED
     assert "nothing changed" in words(capsys)
-    page = report.with_name("report.delta") / "delta.html"
     assert "nothing changed" in page.read_text()
     with closing(sqlite3.connect(report / "ledger.sqlite")) as connection, connection:
         connection.execute("UPDATE judgement SET outcome = 1, margin = -0.1 WHERE claim = 1 AND stratum = 0")
@@ -178,7 +186,15 @@ def test_since_an_earlier_report_what_got_worse_fails_and_nothing_else(
     assert "WORSE joint speeds within limits, near: 0 % to " in said
     assert "paired by episode" in said
     assert "got worse since report" in page.read_text()
+    began(report, "2001-01-01T00:00:00+00:00")
     assert tell_delta(report, made) == AS_EXPECTED
+
+
+def began(report: Path, at: str) -> None:
+    """Let a report's runs have begun at another time."""
+    with closing(sqlite3.connect(report / "ledger.sqlite")) as connection, connection:
+        connection.execute("UPDATE session SET began = ?", (at,))
+    folder_module.write_manifest(report, folder_module.stored_files(report))
 
 
 def test_a_report_altered_by_hand_is_held_against_nothing(

@@ -127,13 +127,27 @@ def test_a_search_changes_no_figure_and_its_worst_questions_run_as_they_expect(f
 def test_against_a_reference_only_what_it_does_not_do_is_reported(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    (folder / "again.py").write_text(MINE)
+    (folder / "again.py").write_text(f"{MINE}# another version that answers alike\n")
     few = FEW | {"against": "again.py:Towards"}
     assert evaluate(["mine.py:Towards"], out=Path("alike"), **few) == AS_EXPECTED  # type: ignore[arg-type]
     few = FEW | {"against": "opposite pose"}
     assert evaluate(["mine.py:Towards"], out=Path("worse"), **few) == DIFFERS  # type: ignore[arg-type]
     printed = capsys.readouterr().out
+    assert "0 findings on mine.py:Towards that again.py:Towards has not" in printed
     assert "on 300 questions on which opposite pose does neither" in printed
+
+
+@pytest.mark.parametrize(
+    "named", ["mine.py:Towards", "./mine.py:Towards", "copy.py:Towards", "opposite pose"]
+)
+def test_a_comparison_with_itself_is_refused(
+    named: str, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (folder / "copy.py").write_text(MINE)
+    scored = named if named == "opposite pose" else "mine.py:Towards"
+    assert evaluate([scored], out=Path("itself"), **FEW | {"against": named}) == BAD_INPUT  # type: ignore[arg-type]
+    assert "a comparison with itself finds nothing" in capsys.readouterr().err
+    assert not (folder / "itself").exists()
 
 
 def test_several_avoiders_stand_side_by_side_and_one_that_hangs_costs_only_itself(

@@ -78,13 +78,13 @@ LOOKS: dict[str, tuple[str, int]] = {
     "verify": ("report --runs 0", AS_EXPECTED),
     "verify as it is": ("report", BAD_INPUT),  # without --execute-programs
     "history": ("log", BAD_INPUT),  # no two reports
-    "certify delta": ("report report", AS_EXPECTED),
+    "certify delta": ("report report", BAD_INPUT),  # a comparison with itself
     "certify declare": ("plan.yaml", AS_EXPECTED),
     "certify seal": ("report", AS_EXPECTED),
     "campaign status": ("report/ledger.sqlite", AS_EXPECTED),
     "campaign query": ("report/ledger.sqlite", AS_EXPECTED),
     "campaign export": ("report/ledger.sqlite table.csv --traces kept", AS_EXPECTED),
-    "campaign compare": ("report/ledger.sqlite report/ledger.sqlite", AS_EXPECTED),
+    "campaign compare": ("report/ledger.sqlite report/ledger.sqlite", BAD_INPUT),  # likewise
     "campaign attribute": ("report/ledger.sqlite", BAD_INPUT),  # without --execute-programs
     "attribute a trace": (TRACE, BAD_INPUT),
     "campaign merge": ("merged.sqlite report/ledger.sqlite", AS_EXPECTED),

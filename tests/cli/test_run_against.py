@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, DIFFERS
+from safety_harness.cli.fuzz import fuzz
 from safety_harness.cli.scenario_commands import run
 
 REACH = """\
@@ -145,3 +146,12 @@ def test_a_file_that_names_an_avoider_that_cannot_take_it_is_a_mistake(files: Pa
     paths = [files / "both.yaml", files / "elsewhere.yaml"]
     assert run(paths, Path("out"), None, "opposite pose") == BAD_INPUT
     assert not Path("out").exists()
+
+
+@pytest.mark.parametrize("reference", ["opposite pose", "mine.py:Mine"])
+def test_a_comparison_with_itself_is_refused(reference: str, capsys: pytest.CaptureFixture[str]) -> None:
+    written = f"./{reference}" if ":" in reference else reference
+    assert run([Path("any.yaml")], Path("itself"), avoider=reference, against=written) == BAD_INPUT
+    assert "such a comparison finds nothing" in capsys.readouterr().err
+    assert fuzz(Path("any.yaml"), out=Path("itself"), avoider=reference, against=written) == BAD_INPUT
+    assert "such a comparison finds nothing" in capsys.readouterr().err

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
 OPPOSITE = "opposite pose"
 ELSEWHERE = "settings:\n  avoidance: {nominal hand position: [840 mm, -900 mm, 100 mm]}\n"
 
@@ -42,8 +44,12 @@ def test_a_violation_that_the_reference_does_not_have_fails_and_says_so(run, pro
     result.stdout.fnmatch_lines(
         ["avoiders.py:Upwards violates a claim that opposite pose keeps in 1 of 1 runs;*"]
     )
-    both = run("fast.yaml", *options[:2], "--safety-against", "avoiders.py:Upwards")
+    (project / "same.py").write_text((project / "avoiders.py").read_text())
+    both = run("fast.yaml", *options[:2], "--safety-against", "same.py:Upwards")
     both.assert_outcomes(skipped=2)
+    itself = run("fast.yaml", *options[:2], "--safety-against", "./avoiders.py:Upwards")
+    assert itself.ret == pytest.ExitCode.USAGE_ERROR
+    itself.stderr.fnmatch_lines(["*expected another reference than avoiders.py:Upwards*"])
 
 
 def test_draws_that_the_reference_violates_too_skip_a_space_and_a_python_test(run, project: Path) -> None:

@@ -158,6 +158,21 @@ def test_another_avoider_takes_the_place_of_what_files_name(run, project: Path) 
     result.stdout.fnmatch_lines(["  run *avoider upwards*", "  safety-harness run fast.yaml --avoider *"])
 
 
+def test_a_violation_that_a_file_expects_of_its_own_avoider_is_marked(run, project: Path) -> None:
+    """Not so of its own avoider, and not where the file says by how much."""
+    fast = (project / "fast.yaml").read_text()
+    own = fast.replace(f"{DISTANCE}: holds", f"{DISTANCE}: violated")
+    assert own != fast
+    (project / "known.yaml").write_text(own)
+    (project / "bound.yaml").write_text(own.replace(": violated", ": violated by at most 900 mm"))
+    words = "expected of another than --avoider: it may be for another reason: "
+    files = ("known.yaml", "bound.yaml", "--junitxml=out.xml")
+    result = run(*files, "--avoider", "avoiders.py:Upwards", "-k", "distance")
+    assert [line for line in result.outlines if words in line] == [f"{words}known: {DISTANCE}"]
+    assert (project / "out.xml").read_text().count('name="expected of another than --avoider"') == 1
+    assert words not in run(*files, "-k", "distance").stdout.str()
+
+
 @pytest.mark.parametrize(
     ("avoider", "said"),
     [

@@ -46,6 +46,19 @@ def test_the_first_revision_that_turned_a_verdict_is_named_and_numbers_are_in_th
     assert found.sentence == "Of 1 claim over 4 revisions 1 turned, 1 to what is not expected."
 
 
+def test_the_order_is_that_in_which_reports_were_made_and_not_that_of_names(tmp_path: Path) -> None:
+    at = "2026-11-0{}T12:00:00+0{}:00".format
+    holds, violated = report("holds", 0.02), report("violated", -0.01)
+    reports = {"b": holds | {"made_at": at(1, 0)}, "a": violated | {"made_at": at(2, 0)}}
+    found = read_history(written(tmp_path, **reports))
+    assert [one.name for one in found.revisions] == ["b", "a"]
+    assert len(found.unlike) == 1  # by name it would have turned to what is expected
+    (tmp_path / "b" / "report.json").write_text(json.dumps(holds | {"made_at": at(3, 5)}))
+    assert [one.name for one in read_history(tmp_path).revisions] == ["a", "b"]
+    (tmp_path / "b" / "report.json").write_text(json.dumps(holds))  # of an earlier version
+    assert [one.name for one in read_history(tmp_path).revisions] == ["b", "a"]
+
+
 def test_what_turned_back_to_what_is_expected_is_told_and_no_failure(tmp_path: Path) -> None:
     found = read_history(written(tmp_path, a=report("violated", -0.01), b=report("holds", 0.02)))
     assert found.unlike == []

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import re
 import shlex
 import shutil
 from collections.abc import Callable
@@ -29,12 +30,16 @@ from safety_harness.controller.python_file import checked_controller
 from safety_harness.exceptions import InadmissibleError, Place
 from safety_harness.extras import ONNX
 from safety_harness.isolation.channel import GoneError
+from safety_harness.isolation.opened import DECLARED
 from safety_harness.isolation.python_file import source_of
 from safety_harness.scenario.files import read_bytes
 from safety_harness.scenario.references import EXEC, TCP, UNIX
+from safety_harness.whole_file import sha256_of as whole_hash
 
 LOOPBACK = ("localhost", "127.0.0.1")
 MOST_ONNX_BYTES = 256 * 2**20
+_DECLARING = re.compile(rb"^[ \t#/;%%-]*%s *[=:] *(\[[^\]]*\]|.*)$" % DECLARED.encode(), re.MULTILINE)
+_BRACKETS = str.maketrans("[](),;", "      ")
 
 
 def made_from(begun: Callable[[], Line], what: str, place: Place) -> UserController:
@@ -91,19 +96,36 @@ def refuse_no_program(reference: str, place: Place) -> None:
 
 
 def program_sha256(reference: str, place: Place) -> str:
-    """The hash of a program and of the files among its arguments; empty for one at a socket."""
+    """The hash of a program, of the files among its arguments, and of those that they declare.
+
+    Empty for a program at a socket; InadmissibleError at ``place`` for a declared file that cannot be read.
+    """
     if not reference.startswith(EXEC):
         return ""
-    return hashlib.sha256(_contents(*_command(reference, place))).hexdigest()
+    command, executable = _command(reference, place)
+    try:
+        return hashlib.sha256(_contents(command, executable)).hexdigest()
+    except (OSError, ValueError) as error:
+        expected = f"{DECLARED} to be a list of files that can be read"
+        raise InadmissibleError(place=place, expected=expected, got=str(error)) from error
 
 
 def _contents(command: list[str], executable: Path) -> bytes:
     """The bytes of the executable and of the arguments that are files, one after another.
 
-    Of a single file they are its own, so that its hash is the file's.
+    Of a single file they are its own, so that its hash is the file's.  The hash of each file that they
+    declare follows: ``HARNESS_FILES = ["weights.bin"]`` or ``HARNESS_FILES="weights.bin"`` at the beginning
+    of a line, or of a comment.
     """
     files = [executable, *(Path(word) for word in command[1:] if os.path.isfile(word))]
-    return b"".join(file.read_bytes() for file in files)
+    parts = [file.read_bytes() for file in files]
+    for file, text in zip(files, tuple(parts), strict=True):
+        for names in _DECLARING.findall(text):
+            words = shlex.split(os.fsdecode(names).translate(_BRACKETS), comments=True)
+            parts += [
+                bytes.fromhex(whole_hash(file.parent / name)) for word in words for name in word.split()
+            ]
+    return b"".join(parts)
 
 
 def _command(reference: str, place: Place) -> tuple[list[str], Path]:
