@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import shlex
 from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime
@@ -69,11 +70,13 @@ def evaluate(
     Hands and TCPs are drawn in named regions, or as the draws of a space lead to, and put to the avoider and
     to yardsticks; a search of its own looks for the worst questions, written as scenario files that run
     takes.  A Python file is executed.
-    Exit code 0: no finding; 1: findings; 2: bad input, or an avoider that does not answer; 130: interrupted.
+    Exit code 0: no finding; 1: findings, or no region with a proposal was asked about; 2: bad input, or an
+    avoider that does not answer; 130: interrupted.
     """
     from safety_harness.admission.avoiders import told_avoider
     from safety_harness.cli.progress import watching_steps
     from safety_harness.properties.tally import BASIS_OF_ANSWERS
+    from safety_harness.report.score_tables import most_towards
     from safety_harness.scenario.files import told
     from safety_harness.scoring.session import ScoringSession
 
@@ -113,7 +116,8 @@ def evaluate(
         return INTERRUPTED
     if scored.failed:
         return BAD_INPUT
-    return DIFFERS if scored.findings else AS_EXPECTED
+    nothing = any(math.isnan(most_towards(one.card)[0]) for one in scored.avoiders)
+    return DIFFERS if scored.findings or nothing else AS_EXPECTED
 
 
 def _lines(one: ScoredAvoider, against: str) -> Iterator[str]:

@@ -83,7 +83,8 @@ def monitor(
 
     robot_stream | safety-harness monitor --robot ur10 --claim "always hand distance > 50 mm"
 
-    Exit code when the stream ends 0: every claim holds; 1: one is violated or inconclusive; 2: bad input, or
+    Exit code when the stream ends 0: every claim holds; 1: one is violated, inconclusive or not watched, or
+    the stream ends within a line; 2: bad input, or
     nothing in the stream could be used; 130: interrupted. The log is kept however it ends.
     """
     from safety_harness.exceptions import Place, SettingsError
@@ -106,25 +107,36 @@ def monitor(
         say(f"taken, as no LOG.yaml says it: {words}")
     for sentence, reason in own.unwatched.items():
         say(f"not watched, which judge may tell of the log: {sentence} (expected {reason.expected})")
-    interrupted, patience_s = False, watched.joint_facts.longest_gap_s
+    interrupted, usable, patience_s = False, True, watched.joint_facts.longest_gap_s
     try:
-        follow(own, lines_of(sys.stdin.buffer, patience_s), patience_s, as_json=json_lines)
+        usable = follow(own, lines_of(sys.stdin.buffer, patience_s), patience_s, as_json=json_lines)
     except KeyboardInterrupt:
         interrupted = True
-    return _ended(own, as_json=json_lines, interrupted=interrupted)
+    code = _ended(own, as_json=json_lines, interrupted=interrupted)
+    if code != AS_EXPECTED or (usable and not own.unwatched):
+        return code
+    say(
+        "not 0, since "
+        + ("claims were not watched" if usable else "the stream ends with a line that cannot be used")
+    )
+    return DIFFERS
 
 
-def follow(own: Monitor, stream: Iterable[bytes | None], patience_s: float, *, as_json: bool) -> None:
-    """Every line of a stream; what keeps coming without joints, for ``patience_s``, is silence too."""
+def follow(own: Monitor, stream: Iterable[bytes | None], patience_s: float, *, as_json: bool) -> bool:
+    """Take every line of a stream; what keeps coming without joints, for ``patience_s``, is silence too.
+
+    Return whether the last line could be used: of a feeder that died it is cut.
+    """
     from safety_harness.exceptions import StreamError
 
-    told, ticks, since_s = 0, 0, time.monotonic()
+    told, ticks, since_s, usable = 0, 0, time.monotonic(), True
     for line in stream:
+        usable = usable or line is not None
         try:
             for change in own.take(line) if line is not None else ():
                 _say(change, as_json)
         except StreamError as error:
-            told += 1
+            told, usable = told + 1, False
             if told <= REFUSED_TOLD:
                 explain(error)
             if told == REFUSED_TOLD:
@@ -134,6 +146,7 @@ def follow(own: Monitor, stream: Iterable[bytes | None], patience_s: float, *, a
         elif line is None or time.monotonic() - since_s > patience_s:
             for change in own.silent():
                 _say(change, as_json)
+    return usable
 
 
 def _cell(

@@ -12,6 +12,7 @@ from safety_harness.exceptions import FormulaError, Place
 from safety_harness.formulas.formula import (
     Always,
     Comparison,
+    Eventually,
     Formula,
     Globally,
     Relation,
@@ -19,6 +20,7 @@ from safety_harness.formulas.formula import (
     Until,
     check_windows,
     formula_of,
+    goal_of,
     parts_of,
     shown_in,
     signals_of,
@@ -52,7 +54,7 @@ from safety_harness.properties.base import (
 )
 from safety_harness.properties.measured import not_measured
 from safety_harness.properties.unexercised import nearest_of
-from safety_harness.scenario.model import Scenario, Verdict
+from safety_harness.scenario.model import EDITION, Scenario, Verdict
 from safety_harness.trace.trace import Trace
 
 GRAVEST = (Verdict.VIOLATED, Verdict.INCONCLUSIVE, Verdict.HOLDS)
@@ -65,10 +67,12 @@ class FormulaClaim:
     It is violated if that is certain at the ticks, whatever is unknown; it holds if that is certain
     at the ticks and between them, in a run that was not cut short and put it to the test; else it
     is inconclusive, with the reason.  Of several parts the gravest verdict counts.  Where not everything
-    was measured, or not exactly, both are asked of all that may have been.
+    was measured, or not exactly, both are asked of all that may have been.  ``edition`` says what the
+    sentence meant when it was stored.
     """
 
     formula: Formula
+    edition: int = EDITION
 
     def __post_init__(self) -> None:
         parts_of(formula_of(self.formula, "claim"))
@@ -107,7 +111,7 @@ class FormulaClaim:
         problem = unreadable(trace, ())
         if problem is not None:
             return inconclusive(self, problem)
-        parts = tuple(judge_part(part, trace) for part in parts_of(self.formula))
+        parts = tuple(judge_part(part, trace, self.edition) for part in parts_of(self.formula))
         if len(parts) == 1:
             return replace(parts[0], sentence=self.sentence, close=self.close)
         return replace(
@@ -147,6 +151,7 @@ class _Asked:
     part: Formula
     trace: Trace
     sampled: dict[Signal, Sampled]
+    edition: int = EDITION
 
     @property
     def period_s(self) -> float:
@@ -221,10 +226,10 @@ class _Asked:
     def exercised(self, at_ticks: Margins, *, perhaps: bool = False) -> tuple[int, str]:
         """How often the part was certainly put to the test, and what it is that never happened if that is 0.
 
-        A trigger counts each time that it begins to hold, "until" the ticks before its second part does,
-        anything else every tick that is known and asked of.  A signal that counts its own occasions bounds
-        the number by those at such ticks, unless the trigger has set it.  ``perhaps``: as if all that is
-        unknown had been an occasion.
+        A trigger counts each time that it begins to hold, "until" and "eventually" the ticks before what they
+        wait for (before edition 3 "until" alone), anything else every tick that is known and asked of.  A signal
+        that counts its own occasions bounds the number by those at such ticks, unless the trigger has set it.
+        ``perhaps``: as if all that is unknown had been an occasion.
         """
         part, tried = self.part, set(self.sampled)
         asked = ticks_asked(at_ticks, self.period_s)
@@ -239,11 +244,13 @@ class _Asked:
             count = self.begun((trigger.high if perhaps else trigger.low) >= 0.0, trigger.high < 0.0)
             untried = f'"{part.trigger}" never holds{self.nearest(part.trigger, at_ticks.parts[0])}'
             tried -= set(signals_of(part.trigger))
-        elif isinstance(part, Until):
-            second = at_ticks.parts[1].bounds
-            ends = np.flatnonzero((second.high if self.lacking and not perhaps else second.low) >= 0.0)
+        elif (goal := goal_of(part)) is not None and (self.edition > 2 or isinstance(part, Until)):
+            met = at_ticks.parts[-1].bounds
+            if not isinstance(part, Until | Eventually):
+                met = -at_ticks.parts[0].parts[0].bounds
+            ends = np.flatnonzero((met.high if self.lacking and not perhaps else met.low) >= 0.0)
             count = min(count, int(ends[0])) if len(ends) else count
-            untried = f'"{part.second}" holds from the beginning'
+            untried = f'"{goal}" holds from the beginning'
         for signal in tried:
             one = self.sampled[signal]
             if one.tried is not None:
@@ -369,7 +376,7 @@ def near_of(part: Formula, signal: Signal) -> float:
     return occasion_m(max((one.limit.value for one in said), default=0.0))
 
 
-def judge_part(part: Formula, trace: Trace, *, finely: bool = False) -> Evaluation:
+def judge_part(part: Formula, trace: Trace, edition: int = EDITION, *, finely: bool = False) -> Evaluation:
     """The verdict on one part; ``trace`` is not empty and does not contradict itself.
 
     ``finely``: with the closer bounds of signals that have such, which are asked for where they may decide.
@@ -384,7 +391,7 @@ def judge_part(part: Formula, trace: Trace, *, finely: bool = False) -> Evaluati
             signal: (signal.finer if finely and signal.finer else signal.sample)(seen)
             for signal in signals_of(part)
         }
-    asked = _Asked(part, trace, sampled)
+    asked = _Asked(part, trace, sampled, edition)
     for signal, one in sampled.items():
         gaps = () if whole else gaps_of(trace, signal.reads)
         uncertain = () if whole else trace.known.uncertain(signal.reads)
@@ -401,7 +408,7 @@ def judge_part(part: Formula, trace: Trace, *, finely: bool = False) -> Evaluati
     )
     low, surely = between.bounds.low[0], asked.surely(at_ticks)
     if low < 0.0 <= surely and not finely and any(signal.finer for signal in sampled):
-        return judge_part(part, trace, finely=True)
+        return judge_part(part, trace, edition, finely=True)
     exercised, untried = asked.exercised(at_ticks)
     if surely < 0.0:
         exercised = max(exercised, 1)

@@ -241,6 +241,18 @@ class Globally(Formula):
         return f"whenever {self.trigger} then {response}"
 
 
+def goal_of(part: Formula) -> Formula | None:
+    """Return what has to hold at some tick from the first one on; None if ``part`` asks no such thing."""
+    match part:
+        case Until():
+            return part.second
+        case Eventually() if part.span is None or part.span.begin.value <= 0.0:
+            return part.body
+        case Not(body=Always(span=None) as always):
+            return Not(always.body)
+    return None
+
+
 TEMPORAL = (Always, Eventually, Until, Globally, Initially)
 _JOINS = (And, Or, Until)
 

@@ -105,6 +105,8 @@ class Rewards:
         for name, weight in rewards.items():
             if not (isinstance(weight, int | float) and np.isfinite(weight)):
                 raise InadmissibleError.of_option("rewards", f"a number for {name!r}", repr(weight))
+            if weight < 0.0:  # of a claim a violation would be rewarded, as its margin is negative already
+                raise InadmissibleError.of_option("rewards", f"no negative number for {name!r}", repr(weight))
             if name != PROGRESS:
                 weights[name] = float(weight)
         for sentence in (*weights, *ends):

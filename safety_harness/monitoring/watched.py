@@ -17,7 +17,7 @@ from safety_harness.formulas.formula import (
     Not,
     Relation,
     Truth,
-    Until,
+    goal_of,
     parts_of,
     reach_ticks,
     shown_in,
@@ -130,7 +130,8 @@ class WatchedPart:
 
         self._least = prefix(part, CELL, AT_TICK if single else CELL)
         self._most = self._least if single else prefix(part, AT_TICK, AT_TICK)
-        self._end = prefix(part.second, AT_TICK, AT_TICK) if isinstance(part, Until) else None
+        goal = goal_of(part)
+        self._end = None if goal is None else prefix(goal, AT_TICK, AT_TICK)
         asked = dict.fromkeys((self._least, self._most, self._end))
         self._prefixes = [prefix for prefix in asked if prefix is not None]
         self._signals = signals_of(part)
@@ -182,7 +183,7 @@ class WatchedPart:
 
     @property
     def exercised(self) -> bool:
-        """An "until" that may end at the first tick asks nothing."""
+        """An "until" or "eventually" that may be met at the first tick asks nothing."""
         if self._end is not None and self._end.most >= 0.0:
             return False
         return self._asked and not self._untried

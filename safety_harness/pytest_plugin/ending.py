@@ -24,7 +24,9 @@ class Ending:
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         """Take what a test judged."""
         sent = vars(report).get("safety_harness")
-        if sent is not None and any(sent[what] for what in ("judged", "simulated", "replayed", "not_taken")):
+        if sent is not None and any(
+            sent[what] for what in ("judged", "simulated", "swallowed", "replayed", "not_taken")
+        ):
             self._sent.append(sent)
 
     @pytest.hookimpl(optionalhook=True)
@@ -77,6 +79,9 @@ class Ending:
                 f"{self._unjudged()}; the session has failed: assert_holds(claim, trace) judges a run",
                 red=True,
             )
+        for sent in self._sent:
+            if sent["swallowed"]:
+                say(f"{sent['test']} passed, although assert_holds failed in it", red=True)
         if self._fallback():
             say(self._fallback(), red=True)
         for line in (

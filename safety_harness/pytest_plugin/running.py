@@ -57,6 +57,10 @@ def watch(item: pytest.Item) -> Iterator[None]:
         if about_scenarios and not test.judgements and _asserts(function.hypothesis.inner_test):
             count = count_words(test.examples, "draw", "draws")
             raise NotEstablished(f"assert_holds was never reached in {count}: nothing was put to the test")
+        if not (draws or test.judges_itself or test.asked) and "simulate" in _arguments(item):
+            raise NotEstablished(
+                "simulate was never called: no run was made, and nothing was put to the test"
+            )
         refuse_untested(test)
         if test.fallback is not None and ANSWERED.example not in test.worst:
             refuse_fallback(test.fallback)
@@ -122,10 +126,16 @@ def complete(
         plain or (isinstance(error, SafetyHarnessError) and isinstance(item, FileItem))
     ):
         report.longrepr = "\n".join([explained(error), *_asked_at(error, item)])
-    if report.passed and not test.draws:  # it expected the failures that did not fail it
+    swallowed = False
+    if report.passed and not test.draws:  # it expected the failures that did not fail it, or swallowed them
+        swallowed = any(j.evaluation.verdict is not j.expected for j in test.judgements)
         test.judgements = [j for j in test.judgements if j.evaluation.verdict is j.expected]
     now = session()
-    sent = payload(test) | {"failed": report.failed, "judged_runs": sorted(now.judged)}
+    sent = payload(test) | {
+        "failed": report.failed,
+        "judged_runs": sorted(now.judged),
+        "swallowed": swallowed,
+    }
     if not test.judges_itself and not isinstance(item, FileItem) and not (test.draws and test.judgements):
         sent["simulated"] = sorted(now.simulated)
     now.simulated, now.judged = set(), set()
@@ -153,6 +163,12 @@ def _hypothesis_function(item: pytest.Item) -> Any:
     function = getattr(item, "obj", None)
     function = getattr(function, "__func__", function)
     return function if getattr(function, "is_hypothesis_test", False) else None
+
+
+def _arguments(item: pytest.Item) -> tuple[str, ...]:
+    """Return the names of the fixtures that the test's own function takes."""
+    info = getattr(item, "_fixtureinfo", None)
+    return () if info is None else info.argnames
 
 
 def _is_about_scenarios(item: pytest.Item, function: Any) -> bool:
@@ -196,6 +212,7 @@ def payload(test: TestRun) -> Payload:
         "of_another": [*dict.fromkeys(test.of_another)],
         "simulated": [],
         "judged_runs": [],
+        "swallowed": False,
         "traces": [],
         "executed": list(executed.values()),
         "failed": False,

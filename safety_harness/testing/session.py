@@ -88,6 +88,7 @@ class TestRun:
     failing: set[str] = field(default_factory=set)  # those of the examples that failed
     refused: dict[str, SafetyHarnessError] = field(default_factory=dict)  # by digest
     examples: int = 0  # begun
+    asked: bool = False  # for a run, which may have been refused
     runs_since: int = 0  # simulations since the first failure
     kept: Path | None = None  # where the failing scenario was written
     replayed: list[Path] = field(default_factory=list)  # earlier failures that were tried first

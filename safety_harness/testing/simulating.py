@@ -112,7 +112,9 @@ class Simulate:
     ) -> Trace:
         """Run ``scenario``, or remember a run of the same."""
         __tracebackhide__ = True
-        frame = inspect.currentframe()
+        frame, test = inspect.currentframe(), session().test
+        if test is not None:
+            test.asked = True
         try:
             if not isinstance(scenario, Scenario):
                 path = as_path(scenario, "simulate(scenario)", of_text="parse_scenario")
@@ -125,7 +127,7 @@ class Simulate:
                 _asked_for[trace] = scenario
         except (InputError, FlakyAvoiderError) as error:
             raise error.with_traceback(None) from None
-        test, run = session().test, run_key(trace)
+        run = run_key(trace)
         if test is None or test.counts:
             session().simulated.add(run)
         if test is None or not test.counts:

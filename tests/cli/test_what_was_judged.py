@@ -110,6 +110,19 @@ def test_an_avoider_that_makes_the_rows_of_a_matrix_equal_is_refused(folder: Pat
     assert ran("rows.yaml", "--avoider", "nearest candidate").exit_code == AS_EXPECTED
 
 
+def test_rows_of_a_matrix_that_are_the_same_scenario_are_refused(folder: Path) -> None:
+    """A row named "late" would hold for a sensor that is not late; other claims make another row."""
+    for late in ("{}", "{hand sensor: {kind: ideal}}"):
+        matrix = f"matrix: {{sensor: {{ideal: {{}}, late: {late}}}}}\n"
+        (folder / "rows.yaml").write_text(matrix + REACH)
+        for result in (ran("rows.yaml"), command("validate", "rows.yaml")):
+            assert result.exit_code == BAD_INPUT
+            assert "rows[late] is the same as rows[ideal]" in result.output
+    claims = "matrix: {claim: {both: {claims: {joint positions within limits: holds}}, one: {}}}\n"
+    (folder / "rows.yaml").write_text(claims + REACH)
+    assert ran("rows.yaml").exit_code == AS_EXPECTED
+
+
 def test_every_verdict_names_avoider_shield_and_what_is_not_the_default(folder: Path) -> None:
     changed = REACH.replace("avoider: opposite pose\n", "shield: speed and separation\n")
     (folder / "shielded.yaml").write_text(changed + "settings: {avoidance: {gate: reach}}\n")

@@ -37,7 +37,7 @@ from safety_harness.formulas.signal import Measure
 from safety_harness.formulas.signals import SIGNALS
 from safety_harness.properties.base import Evaluation, Unit
 from safety_harness.properties.hand_distance import RESOLUTION_M
-from safety_harness.scenario.model import Claim, Verdict
+from safety_harness.scenario.model import EDITION, Claim, Verdict
 from safety_harness.scenario.read import read_scenario
 from safety_harness.trace.trace import Trace
 
@@ -259,7 +259,7 @@ def test_a_value_at_its_very_limit_is_judged_by_the_sign(alone: Trace) -> None:
         ("elapsed time >= 0 s", HOLDS, 0.0),
         ("elapsed time > 0 s", VIOLATED, -np.finfo(float).tiny),
     ):
-        evaluation = judged(sentence, alone)
+        evaluation = FormulaClaim(parse_formula(sentence)).evaluate(alone)
         assert (evaluation.verdict, evaluation.margin) == (verdict, margin)
         assert evaluation.reason == "elapsed time 0 s, exactly the limit"
 
@@ -329,3 +329,57 @@ def test_a_file_is_refused_at_the_line_of_the_formula(claim: str, told: str, tmp
     with pytest.raises(FormulaError, match=told) as caught:
         admit(read_scenario(file))
     assert (caught.value.place.file, caught.value.place.line) == (file, 6)
+
+
+@pytest.mark.parametrize(
+    "sentence",
+    [
+        "eventually hand distance > 50 mm",
+        "within 2 s hand distance > 50 mm",
+        "not (always hand distance < 50 mm)",
+        "eventually (always for 500 ms hand distance > 50 mm)",
+    ],
+)
+def test_what_is_met_at_the_first_tick_says_nothing_of_what_follows(visit: Trace, sentence: str) -> None:
+    """Whoever writes "eventually" for "always" gets no verdict; edition 1 held."""
+    found = judged(sentence, visit)
+    assert found.verdict is INCONCLUSIVE
+    assert found.reason.endswith("holds from the beginning")
+    stored = FormulaClaim(parse_formula(sentence), edition=1).evaluate(visit)
+    assert stored.verdict is HOLDS
+    met = judged("eventually repulsing", visit)
+    assert (met.verdict, met.exercised) == (HOLDS, int(np.argmax(visit.ticks["mode"] == 1)))
+
+
+@pytest.mark.parametrize(
+    "sentence",
+    ["TCP speed >= 0 mm/s", "always joint speed >= 0 deg/s", "spread >= 0 mm", "nearest hand to TCP > 0 mm"],
+)
+def test_a_limit_that_every_run_keeps_is_refused(sentence: str) -> None:
+    def claimed(sentence: str, edition: int = EDITION) -> Claim:
+        return Claim(sentence=sentence, expected=HOLDS, place=PLACE, edition=edition)
+
+    with pytest.raises(FormulaError, match="which every run keeps"):
+        property_of(claimed(sentence), scenario())
+    property_of(claimed(sentence, edition=1), scenario())  # stored evidence is read
+    property_of(claimed(f"whenever {sentence.removeprefix('always ')} then stopped"), scenario())
+    property_of(claimed("hand distance > 0 mm"), scenario())  # which is negative inside
+
+
+@pytest.mark.parametrize(
+    "sentence",
+    [
+        "proposals lead away to within 100 mm",
+        "proposals within 9 m of the optimum",
+        "proposals within 3 spreads and 9 m of the optimum",
+        "proposals never sure and more than 200 mm from the optimum",
+        "repulsion moves away from every hand to within 1 m",
+    ],
+)
+def test_a_tolerance_that_a_step_of_the_avoider_cannot_exceed_is_refused(sentence: str) -> None:
+    """A step of 100 mm straight into the hand would keep it."""
+    with pytest.raises(InadmissibleError, match="as far as a step of 100 mm can be off"):
+        property_of(Claim(sentence=sentence, expected=HOLDS, place=PLACE), scenario())
+    property_of(
+        Claim(sentence=sentence, expected=HOLDS, place=PLACE, edition=1), scenario()
+    )  # stored evidence is read

@@ -256,6 +256,7 @@ def test_stable_baselines_gets_fields_held_actions_and_the_last_observation() ->
         ({"space": SPACE, "ends": None}, "ends: expected a list of claims; got None"),
         ({"space": SPACE, "rewards": {"the avoider answered": 1.0}}, "claim of single ticks"),
         ({"space": SPACE, "rewards": {NEAR: float("nan")}}, "a number for"),
+        ({"space": SPACE, "rewards": {NEAR: -100.0}}, "no negative number for"),
         ({"space": SPACE, "world": "nowhere"}, "nowhere"),
     ],
 )

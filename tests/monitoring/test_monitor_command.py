@@ -195,3 +195,24 @@ def test_help_teaches() -> None:
     told = " ".join(CliRunner().invoke(app, ["monitor", "--help"]).output.split())
     for words in ("no safety function", "time_s", "Exit code", "inconclusive at once"):
         assert words in told
+
+
+def test_a_stream_that_ends_within_a_line_or_a_claim_that_nobody_watched_is_no_success(
+    a_stream: list[bytes], tmp_path: Path
+) -> None:
+    """A feeder that dies cuts its last line; what was garbage before is counted as ever."""
+    words = ("--robot", "ur10", "--claim", LOW)
+    assert monitor([*a_stream[:3], b"garbage", *a_stream[3:]], *words).exit_code == 0
+    cut = monitor([*a_stream, a_stream[-1][:30]], *words)
+    assert cut.exit_code == 1
+    assert "the stream ends with a line that cannot be used" in cut.stderr
+    file = tmp_path / "LOG.yaml"
+    file.write_text(
+        f"log: {{joints: joints.csv}}\nrobot: UR10\nclaims: [{LOW}, joint positions within limits]\n"
+    )
+    joints = [line for line in a_stream if b"hands" not in line]
+    partly = monitor(joints, str(file))
+    assert "holds  always TCP height > 0 mm" in partly.stderr
+    assert "claims were not watched" in partly.stderr
+    assert partly.exit_code == 1
+    assert monitor(joints, str(file), "--claim", LOW).exit_code == 0

@@ -391,3 +391,34 @@ def test_what_no_run_of_the_session_tried_is_named(run, project: Path) -> None:
             "untried in 1 run of *, and nothing is known of: move 2 of right hand (withdraw)",
         ]
     )
+
+
+def test_a_test_that_never_simulates_fails_and_a_swallowed_violation_is_named(run, project: Path) -> None:
+    (project / "test_it.py").write_text(
+        "import pytest\n"
+        "from safety_harness import InputError\n"
+        "from safety_harness.testing import assert_holds, hand_distance, mm\n"
+        "CLAIM = hand_distance() > mm(50)\n"
+        "def test_no_files(simulate):\n"
+        "    for file in []:\n"
+        "        assert_holds(CLAIM, simulate(file))\n"
+        "def test_refused(simulate):\n"
+        "    with pytest.raises(InputError):\n"
+        "        simulate('nowhere.yaml')\n"
+        "@pytest.mark.judges_runs_itself\n"
+        "def test_marked(simulate):\n"
+        "    assert simulate\n"
+        "def test_swallowed(simulate):\n"
+        "    try:\n"
+        "        assert_holds(CLAIM, simulate('fast.yaml'))\n"
+        "    except Exception:\n"
+        "        pass\n"
+    )
+    result = run("test_it.py")
+    result.assert_outcomes(passed=3, failed=1)
+    result.stdout.fnmatch_lines(
+        [
+            "simulate was never called: no run was made, and nothing was put to the test",
+            "*test_it.py::test_swallowed passed, although assert_holds failed in it",
+        ]
+    )
