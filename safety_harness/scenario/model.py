@@ -358,8 +358,8 @@ HAND = Below(tables=(MOVING_HAND, JOINED_HAND, RECORDED_HAND))
 HANDS = Several(of=HAND, words="list of at most eight", most=MAX_HANDS)
 
 
-# Of what sentences mean: 1 took people to come at 1.6 m/s where none is named; in 1 and 2 the arm stops from the
-# TCP's speed, however fast its other points are, and "eventually" is exercised by what holds from the first tick.
+# Of what sentences mean: 1 took people to come at 1.6 m/s where none is named; in 1 and 2 the arm stops from
+# the TCP's speed, however fast its other points are, and what holds from the start exercises "eventually".
 EDITION = 3
 
 
