@@ -226,10 +226,10 @@ class _Asked:
     def exercised(self, at_ticks: Margins, *, perhaps: bool = False) -> tuple[int, str]:
         """How often the part was certainly put to the test, and what it is that never happened if that is 0.
 
-        A trigger counts each time that it begins to hold, "until" and "eventually" the ticks before what they
-        wait for (before edition 3 "until" alone), anything else every tick that is known and asked of.  A signal
-        that counts its own occasions bounds the number by those at such ticks, unless the trigger has set it.
-        ``perhaps``: as if all that is unknown had been an occasion.
+        A trigger counts each time that it begins to hold, "until" and "eventually" the ticks before what
+        they wait for (before edition 3 "until" alone), anything else every tick that is known and asked of.
+        A signal that counts its own occasions bounds the number by those at such ticks, unless the trigger
+        has set it. ``perhaps``: as if all that is unknown had been an occasion.
         """
         part, tried = self.part, set(self.sampled)
         asked = ticks_asked(at_ticks, self.period_s)
