@@ -130,11 +130,14 @@ class Line(ABC):
 
 
 class FileLine(Line):
-    """To a process of ours that executes a Python file (``attribute``: the name in it), or an ONNX policy."""
+    """To a process of ours that executes a Python file, or an ONNX policy.
+
+    ``attribute``: the name in the one, the layout of the other.
+    """
 
     begin_s = PYTHON_S
 
-    def __init__(self, path: Path, source: bytes, attribute: str | None) -> None:
+    def __init__(self, path: Path, source: bytes, attribute: str) -> None:
         super().__init__()
         self._path, self._source, self._attribute = path, source, attribute
         self._process: Process | None = None
@@ -176,9 +179,12 @@ class FileLine(Line):
             self._process = None
 
     def _first(self) -> MakeController:
-        asked = {"path": str(self._path), "folder": os.getcwd(), "sys_path": sys.path}
-        if self._attribute is not None:
-            asked["attribute"] = self._attribute
+        asked = {
+            "path": str(self._path),
+            "folder": os.getcwd(),
+            "sys_path": sys.path,
+            "attribute": self._attribute,
+        }
         return MakeController(json.dumps(asked), self._source)
 
     def _encoded(self, message: Any) -> bytes:
