@@ -157,7 +157,8 @@ def _onnx_bytes(model: Model, metadata: str) -> bytes:
         )
     assert program is not None  # of an export with dynamo
     proto = program.model_proto
-    for part in (*proto.graph.node, *proto.graph.input, *proto.graph.output, *proto.graph.value_info):
+    proto.graph.ClearField("value_info")  # PyTorch's shapes of transposed weights contradict inferred ones
+    for part in (*proto.graph.node, *proto.graph.input, *proto.graph.output):
         part.ClearField("doc_string")
         part.ClearField("metadata_props")
     proto.graph.ClearField("metadata_props")
