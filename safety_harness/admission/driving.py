@@ -20,7 +20,6 @@ from safety_harness.controller.contract import (
     reports_of,
     sees_of,
 )
-from safety_harness.controller.driven import DrivenController
 from safety_harness.controller.named import controller_of, controller_sha256, refuse_unusable_controller
 from safety_harness.controller.python_file import checked_controller
 from safety_harness.exceptions import AvoiderError, ControllerError, InadmissibleError, Place
@@ -127,27 +126,26 @@ def named_system(scenario: Scenario) -> SystemUnderTest:
     return system_of(scenario, robot_sha256=urdf_sha256_of(scenario.robot), **own)
 
 
-def refuse_no_action(
-    scenario: Scenario, driver: MadeDriver, driven_by: Callable[[UserController], DrivenController]
-) -> None:
+def refuse_no_action(scenario: Scenario, driver: MadeDriver, driven_by: Callable[..., Any]) -> None:
     """InadmissibleError for a policy whose fixed axes do not fit arm, hands or image, or that fails.
 
-    It is asked once, before anything is seen; of a program nobody knows what asking changes.
+    It is asked once, before anything is seen, as the controller of a run that ``driven_by`` makes of it.  Of a
+    program nobody knows what asking changes.
     """
-    camera = scenario.settings.camera
-    size, rows = (camera.height_px, camera.width_px), scenario.hand_slots * TRACKS_PER_HAND
-    key = scenario.robot, rows, size
+    camera, rows = scenario.settings.camera, scenario.hand_slots * TRACKS_PER_HAND
+    key = scenario.robot, rows, camera.height_px, camera.width_px
     if not names_onnx(scenario.controller) or key in driver.tried:
         return
-    black = Image(time_s=np.nan, new=False, pixels=np.zeros((*size, 3), np.uint8))
+    black = Image(time_s=np.nan, new=False, pixels=np.zeros((*key[2:], 3), np.uint8))
     try:
         controller = driven_by(driver.controller)
         controller.sees_images_of(lambda: black)
         controller.ask()
     except ControllerError as error:
         expected = f"a policy that answers for the arm {scenario.robot.label} and {rows} rows of hands"
-        place = scenario.place("controller")
-        raise InadmissibleError(place=place, expected=expected, got=str(error)) from error
+        raise InadmissibleError(
+            place=scenario.place("controller"), expected=expected, got=str(error)
+        ) from error
     driver.tried.add(key)
 
 

@@ -62,8 +62,6 @@ from safety_harness.scenario.typed_json import of_format, parsed
 
 EXPORT_FORMAT = "safety-harness export 1"
 THRESHOLD = "spread_threshold_m"
-INTEGERS = {"tensor(int64)": "int64", "tensor(uint64)": "uint64"}
-BOOLEANS = {"tensor(bool)": "bool"}
 GIVEN = {POSITION: Quantity((3,), FLOATS), SPREAD: Quantity((3,), FLOATS)}
 
 
@@ -100,8 +98,8 @@ class OnnxAvoider:
             required = {*takes} - {SEED} | {POSITION}
             if use is not None or threshold_m is not None:
                 required |= {SPREAD}  # without it no threshold would ever be met
-            tensors = laid_out(path, session, layout_of(layout), takes, GIVEN, required)
-            avoider = cls(name, threshold_m, time_s, session, *tensors, use)
+            inputs, outputs = laid_out(path, session, layout_of(layout), takes, GIVEN, required)
+            avoider = cls(name, threshold_m, time_s, session, inputs, outputs, use)
             avoider._try(path, hand, tcp)
         except UnicodeDecodeError as error:  # of a damaged name
             raise ModelError(place=Place(file=path), expected="names in UTF-8", got=error.reason) from error
@@ -138,7 +136,7 @@ class OnnxAvoider:
         try:
             first, second = (self._answers(hand, tcp, seed=1) for _ in range(2))
         except Exception as error:  # onnxruntime's own have no common base but Exception
-            refuse(path, None, "a model that answers for one hand and one TCP", _words(error))
+            refuse(path, None, "a model that answers for one hand and one TCP", described(error))
         for name, one in first.items():
             other = second[name]
             if one.shape != (1, 3):
@@ -201,14 +199,19 @@ def _session(path: Path, data: bytes, *, optimised: bool) -> Any:
     except Exception as error:  # onnxruntime's own have no common base but Exception
         hint = "torch.onnx.export(..., external_data=False) stores the tensors in the file itself"
         hint = hint if "xternal data" in str(error) else ""
-        refuse(path, None, "an ONNX file that onnxruntime can load", _words(error), hint)
+        refuse(path, None, "an ONNX file that onnxruntime can load", described(error), hint)
 
 
 def _taken(exported: NetworkUse | None) -> dict[str, Quantity]:
     """What the inputs may hold, of a file of ``export`` its masks too."""
     masked = exported is not None and exported.dropout is not Dropout.NONE
-    masks = {MASKS: Quantity(mask_shape(exported), BOOLEANS)} if exported and masked else {}
-    return {HAND: Quantity((3,), FLOATS), TCP: Quantity((3,), FLOATS), **masks, SEED: Quantity((), INTEGERS)}
+    masks = {MASKS: Quantity(mask_shape(exported), ("bool",))} if exported and masked else {}
+    return {
+        HAND: Quantity((3,), FLOATS),
+        TCP: Quantity((3,), FLOATS),
+        **masks,
+        SEED: Quantity((), ("int64", "uint64")),
+    }
 
 
 def _number(path: Path, metadata: Mapping[str, str], key: str, most: float = inf) -> float | None:
@@ -224,8 +227,3 @@ def _number(path: Path, metadata: Mapping[str, str], key: str, most: float = inf
         kind = "a length in metres, at least 0" if key == THRESHOLD else f"a time from 0 s to {most:g} s"
         refuse(path, key, kind, repr(text[:80]))
     return number
-
-
-def _words(error: Exception) -> str:
-    words = described(error)
-    return words if len(words) <= 300 else words[:297] + "..."

@@ -22,22 +22,17 @@ from safety_harness.avoidance.model_file import refuse
 HAND, TCP, SEED, MASKS = "hand_position_in_base_m", "tcp_position_in_base_m", "seed", "masks"
 POSITION, SPREAD, UNUSED = "position_in_base_m", "spread_m", "unused"
 SHORT = {"hand": HAND, "tcp": TCP, "position": POSITION, "spread": SPREAD}
-FLOATS = {"tensor(float)": "float32", "tensor(double)": "float64", "tensor(float16)": "float16"}
+FLOATS = ("float16", "float32", "float64")
 ANY = 0  # size of an axis, and so width of what has one
 MOST_FREE, MOST_WAYS, MOST_TRIED = 6, 3, 1000  # quantities laid out by shape, layouts proposed and tried
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """``sizes`` of its axes after the first (None: any axes), and the types of onnxruntime with numpy's."""
+    """``sizes`` of its axes after the first (None: any axes), and its numbers' types as numpy names them."""
 
     sizes: tuple[int, ...] | None
-    types: Mapping[str, str]
-
-    @property
-    def width(self) -> int:
-        """How many numbers a row of it has."""
-        return ANY if self.sizes is None else prod(self.sizes)
+    types: tuple[str, ...]
 
 
 Quantities = Mapping[str, Quantity]
@@ -66,6 +61,12 @@ class Tensor:
         yield from zip(self.holds, np.split(value, ends, axis=-1) if len(ends) else [value], strict=True)
 
 
+def dtype_of(one: Any) -> str:
+    """Return numpy's name for the type of an input or output of a session, or onnxruntime's own."""
+    kind = str(one.type).removeprefix("tensor(").removesuffix(")")
+    return {"float": "float32", "double": "float64"}.get(kind, kind)
+
+
 def layout_of(text: str) -> dict[str, tuple[str, ...]]:
     """Parse a layout to the quantities in each tensor; short names stand for long ones."""
     found: dict[str, tuple[str, ...]] = {}
@@ -79,7 +80,7 @@ def layout_of(text: str) -> dict[str, tuple[str, ...]]:
 
 def laid_out(
     path: Path, session: Any, layout: Layout, takes: Quantities, gives: Quantities, required: set[str]
-) -> tuple[list[Tensor], list[Tensor]]:
+) -> list[list[Tensor]]:
     """Return the inputs, and the outputs but those unused, of the file ``path`` in a ``session``.
 
     ``takes`` and ``gives`` are all quantities that inputs and outputs may hold, of which ``required`` have to
@@ -88,81 +89,71 @@ def laid_out(
     """
     inputs, given = session.get_inputs(), session.get_outputs()
     held = {one.name: layout.get(one.name, (one.name,)) for one in (*inputs, *given)}
-    outputs = [one for one in given if held[one.name] != (UNUSED,)]
-    sides = ((inputs, takes), (outputs, gives))
-    unknown = [[one for one in some if not known.keys() >= {*held[one.name]}] for some, known in sides]
+    sides = ((inputs, takes), ([one for one in given if held[one.name] != (UNUSED,)], gives))
     used = [name for some, _ in sides for one in some for name in held[one.name]]
-    wrong = [name for name in layout if name not in held] + [one.name for some in unknown for one in some]
+    unknown = [(one, known) for some, known in sides for one in some if not known.keys() >= {*held[one.name]}]
+    wrong = [name for name in layout if name not in held] + [one.name for one, _ in unknown]
     wrong += [name for name in dict.fromkeys(used) if used.count(name) > 1]
     missing = required - {*used}
     if wrong or missing:
-        free = [{name: known[name] for name in known if name not in used} for _, known in sides]
-        ways = product(
-            _ways(unknown[0], free[0], [], missing), _ways(unknown[1], free[1], [(UNUSED,)], missing)
-        )
-        texts = [f"{path.name}:{','.join((*one, *other))}" for one, other in ways]
-        hint = f"its shapes fit {' or '.join(texts)}: if its columns have this order, name it so"
-        if not 0 < len(texts) <= MOST_WAYS or not any(unknown):
+        free = [(one, {name: known[name] for name in known if name not in used}) for one, known in unknown]
+        ways = [f"{path.name}:{way}" for way in _ways(free, missing, {one.name for one in given})]
+        hint = f"its shapes fit {' or '.join(ways)}: if its columns have this order, name it so"
+        if not (unknown and 0 < len(ways) <= MOST_WAYS):
             hint = f"a layout says what each holds: {path.name}:NAME=QUANTITY,QUANTITY,NAME=QUANTITY"
-        wanted = [", ".join(f"{name} {_shape(one)}" for name, one in known.items()) for _, known in sides]
-        there = [", ".join(f"{one.name} {one.type} {one.shape}" for one in some) for some in (inputs, given)]
+        wanted = [", ".join(f"{name} {_shape([one])}" for name, one in known.items()) for _, known in sides]
+        there = [
+            ", ".join(f"{one.name} {dtype_of(one)} {one.shape}" for one in some) for some in (inputs, given)
+        ]
         expected, got = (f"inputs {one}; outputs {other}" for one, other in (wanted, there))
         refuse(path, ", ".join(wrong or sorted(missing)), expected, got, hint)
-    return (
-        [_tensor(path, one, held[one.name], takes, shaped=True) for one in inputs],
-        [_tensor(path, one, held[one.name], gives, shaped=False) for one in outputs],
-    )
+    for one in inputs:
+        if not _fits(one.shape, wants := [takes[name] for name in held[one.name]]):
+            refuse(path, one.name, f"a shape of {_shape(wants)}", str(one.shape))
+    return [[_tensor(path, one, held[one.name], known) for one in some] for some, known in sides]
 
 
-def _tensor(path: Path, one: Any, holds: tuple[str, ...], known: Quantities, *, shaped: bool) -> Tensor:
-    quantities = [known[name] for name in holds]
-    for quantity in quantities:
-        if one.type not in quantity.types:
-            refuse(path, one.name, " or ".join(quantity.types.values()), one.type)
-    if shaped and not _fits(one.shape, quantities):
-        refuse(path, one.name, f"a shape of {_shape(*quantities)}", str(one.shape))
-    return Tensor(one.name, holds, quantities[0].types[one.type], len(one.shape))
+def _tensor(path: Path, one: Any, holds: tuple[str, ...], known: Quantities) -> Tensor:
+    for name in holds:
+        if dtype_of(one) not in known[name].types:
+            refuse(path, one.name, " or ".join(known[name].types), one.type)
+    return Tensor(one.name, holds, dtype_of(one), len(one.shape))
 
 
-def _columns(quantities: Sequence[Quantity]) -> tuple[int, ...]:
-    """The one axis after the first of what holds all of them in columns."""
-    widths = [one.width for one in quantities]
-    return (ANY if ANY in widths else sum(widths),)
+def _rests(quantities: Sequence[Quantity]) -> list[tuple[int, ...]]:
+    """The axes after the first of what holds all of them: those of one alone, or the columns of all."""
+    widths = [ANY if one.sizes is None else prod(one.sizes) for one in quantities]
+    columns = (ANY if ANY in widths else sum(widths),)
+    return [quantities[0].sizes or (), columns] if len(quantities) == 1 else [columns]
 
 
-def _shape(*quantities: Quantity) -> list[int | str]:
-    """What holds them takes, in words: the axes of one, the columns of several."""
-    sizes = quantities[0].sizes or () if len(quantities) == 1 else _columns(quantities)
-    return ["1 or n", *(size or "k" for size in sizes)]
+def _shape(quantities: Sequence[Quantity]) -> list[int | str]:
+    return ["1 or n", *(size or "k" for size in _rests(quantities)[0])]
 
 
 def _fits(shape: Sequence[int | str | None], quantities: Sequence[Quantity]) -> bool:
-    """One row or any number of them, then the axes of one quantity, or the columns of all."""
-    own = quantities[0].sizes if len(quantities) == 1 else _columns(quantities)
-    return own is None or any(
+    """One row or any number of them, and such axes."""
+    return quantities[0].sizes is None or any(
         len(shape) == 1 + len(rest)
         and all(a == b or b == ANY or not isinstance(a, int) for a, b in zip(shape, (1, *rest), strict=True))
-        for rest in (own, _columns(quantities))
+        for rest in _rests(quantities)
     )
 
 
-def _ways(
-    tensors: Sequence[Any], free: Quantities, spare: list[tuple[str, ...]], missing: set[str]
-) -> Iterator[list[str]]:
-    """Yield the layouts of the ``free`` quantities that fit the shapes, all of the ``missing`` among them.
+def _ways(free: Sequence[tuple[Any, Quantities]], missing: set[str], outputs: set[str]) -> Iterator[str]:
+    """Yield the layouts of tensors by their shapes, each with the quantities that are ``free`` for it.
 
-    ``spare``: what a tensor may hold that none of them fits.
+    All that are ``missing`` are among them; an output that nothing fits is unused.
     """
-    some = range(1, len(free) + 1 if len(free) <= MOST_FREE else 1)
-    every = [(names, [free[name] for name in names]) for n in some for names in combinations(free, n)]
-    choices = [
-        [names for names, own in every if all(one.type in q.types for q in own) and _fits(one.shape, own)]
-        or spare
-        for one in tensors
-    ]
-    short = {name: word for word, name in SHORT.items()}
+    short, choices = {name: word for word, name in SHORT.items()}, []
+    for one, known in free:
+        most = len(known) if len(known) <= MOST_FREE else 0
+        every = [names for n in range(most) for names in combinations(known, n + 1)]
+        fitting = [names for names in every if all(dtype_of(one) in known[name].types for name in names)]
+        fitting = [names for names in fitting if _fits(one.shape, [known[name] for name in names])]
+        choices.append(fitting or [(UNUSED,)][: int(one.name in outputs)])
     for way in islice(product(*choices), MOST_TRIED):
         laid = [name for names in way for name in names if name != UNUSED]
-        if len({*laid}) == len(laid) and missing & free.keys() <= {*laid}:
-            words = [",".join(short.get(name, name) for name in names) for names in way]
-            yield [f"{one.name}={text}" for one, text in zip(tensors, words, strict=True)]
+        if len({*laid}) == len(laid) and missing <= {*laid}:
+            words = (",".join(short.get(name, name) for name in names) for names in way)
+            yield ",".join(f"{one.name}={text}" for (one, _), text in zip(free, words, strict=True))

@@ -160,7 +160,7 @@ def test_a_hand_that_is_not_a_number_is_a_fault_and_no_proposal(tmp_path: Path) 
                 ],
                 INPUTS | {"hand_position_in_base_m": (T.INT32, ["n", 3])},
             ),
-            "expected float32 or float64 or float16; got tensor.int32",
+            "expected float16 or float32 or float64; got tensor.int32",
         ),
         (model(inputs=INPUTS | {"seed": (T.INT32, [1])}), "seed: expected int64 or uint64"),
         (model(inputs=INPUTS | {"seed": (T.INT64, [])}), "seed: expected a shape"),

@@ -82,7 +82,7 @@ def test_one_output_gives_position_and_spread() -> None:
 def test_all_wrong_names_come_at_once_with_the_layout_that_fits() -> None:
     error = refused(columns({"input": ["n", 6]}, {"output": 3}))
     assert error.place.field == "input, output"
-    assert error.got == "inputs input tensor(float) ['n', 6]; outputs output tensor(float) ['n', 3]"
+    assert error.got == "inputs input float32 ['n', 6]; outputs output float32 ['n', 3]"
     assert "mine.onnx:input=hand,tcp,output=position:" in error.hint
 
 

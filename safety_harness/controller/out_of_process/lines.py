@@ -179,13 +179,8 @@ class FileLine(Line):
             self._process = None
 
     def _first(self) -> MakeController:
-        asked = {
-            "path": str(self._path),
-            "folder": os.getcwd(),
-            "sys_path": sys.path,
-            "attribute": self._attribute,
-        }
-        return MakeController(json.dumps(asked), self._source)
+        asked = {"path": str(self._path), "folder": os.getcwd(), "sys_path": sys.path}
+        return MakeController(json.dumps(asked | {"attribute": self._attribute}), self._source)
 
     def _encoded(self, message: Any) -> bytes:
         return framed(as_binary(message))

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from safety_harness.avoidance.model_file import refuse
 from safety_harness.avoidance.onnx_model import open_session
-from safety_harness.avoidance.onnx_names import ANY, Quantity, laid_out, layout_of
+from safety_harness.avoidance.onnx_names import ANY, FLOATS, Quantity, dtype_of, laid_out, layout_of
 from safety_harness.controller.arrays import Arrays, observed
 from safety_harness.controller.contract import IMAGE, SIGHTS, Action, DrivenArm, Move, Seen, Start, Stop
 from safety_harness.controller.rows import SeenLayout, seen_dtype
@@ -36,18 +36,9 @@ from safety_harness.settings import Settings
 MOVES = ("tcp_velocity_mps", "tcp_angular_velocity_radps", "joint_velocity_radps")
 STOP, NEXT, NAME, TICKS = "stop", "next_", "name", "ticks"
 MOST_TICKS = 1000
-TYPES = {
-    "tensor(float)": "float32",
-    "tensor(double)": "float64",
-    "tensor(float16)": "float16",
-    "tensor(int8)": "int8",
-    "tensor(int64)": "int64",
-    "tensor(uint8)": "uint8",
-    "tensor(bool)": "bool",
-}
-GIVEN = {name: Quantity((ANY if name == MOVES[2] else 3,), TYPES) for name in MOVES} | {
-    STOP: Quantity((), TYPES)
-}
+TYPES = (*FLOATS, "int8", "int64", "uint8", "bool")
+GIVEN = {name: Quantity((ANY if name == MOVES[2] else 3,), TYPES) for name in MOVES}
+GIVEN |= {STOP: Quantity((), TYPES)}
 
 
 class OnnxPolicy:
@@ -146,7 +137,7 @@ def _zeros(path: Path, one: Any) -> NDArray[Any]:
     """A state at first; ModelError for one that does not say all its sizes."""
     if not all(isinstance(size, int) and size > 0 for size in one.shape):
         refuse(path, one.name, "a state of a fixed shape", str(one.shape))
-    return np.zeros(one.shape, TYPES[one.type])
+    return np.zeros(one.shape, dtype_of(one))
 
 
 def _ticks(path: Path, text: str) -> int:
