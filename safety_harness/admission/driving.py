@@ -129,7 +129,7 @@ def named_system(scenario: Scenario) -> SystemUnderTest:
 def refuse_no_action(scenario: Scenario, driver: MadeDriver, driven_by: Callable[..., Any]) -> None:
     """InadmissibleError for a policy whose fixed axes do not fit arm, hands or image, or that fails.
 
-    It is asked once, before anything is seen, as the controller of a run that ``driven_by`` makes of it.  Of a
+    It is asked once, before anything is seen, as the controller of a run that ``driven_by`` makes of it. Of a
     program nobody knows what asking changes.
     """
     camera, rows = scenario.settings.camera, scenario.hand_slots * TRACKS_PER_HAND
