@@ -29,6 +29,7 @@ from safety_harness.admission.driving import (
     MadeDriver,
     driver_of,
     refuse_faults_of_avoider,
+    refuse_no_action,
     refuse_no_images,
     refuse_unusable_driver,
 )
@@ -262,7 +263,9 @@ def _driven(checked: Checked, driver: MadeDriver) -> Admitted:
     if driver.sees_object:
         checked = _check(checked.scenario, sees_object=True)
     refuse_no_images(checked.scenario, driver)
-    return Admitted(**vars(checked), avoider=NOBODY, avoider_sha256="", driver=driver)
+    admitted = Admitted(**vars(checked), avoider=NOBODY, avoider_sha256="", driver=driver)
+    refuse_no_action(admitted.scenario, driver, admitted.driven_by)
+    return admitted
 
 
 def _arm_of(scenario: Scenario) -> ArmModel:

@@ -42,6 +42,7 @@ from safety_harness.scenario.references import (
     file_and_name,
     named_from,
     names_a_program,
+    names_onnx,
 )
 from safety_harness.scenario.robots import OwnRobot
 from safety_harness.settings import DEFAULTS, Settings
@@ -61,7 +62,7 @@ FORMS = f"one of: {', '.join(NAMES)}; FILE.py:NAME; FILE{MODEL_SUFFIX}; FILE{ONN
 class _Wanted:
     """What an avoider that is no program is made of; ``scenario`` has the places for messages."""
 
-    source: Path | str
+    source: tuple[Path, str] | str
     settings: Settings
     scenario: Scenario = field(compare=False)
 
@@ -80,8 +81,9 @@ class Avoiders:
     def of(self, scenario: Scenario) -> tuple[Avoider, str]:
         """The avoider that ``scenario.avoider`` names, and its file's hash; errors as ``resolve_avoider``."""
         path, name = _file_of(scenario), file_and_name(scenario.avoider)[1]
-        if path is None or not name:
-            return self._others(_Wanted(path or scenario.avoider, scenario.settings.steady, scenario))
+        if path is None or not is_a_program(scenario.avoider):
+            source = scenario.avoider if path is None else (path, name)
+            return self._others(_Wanted(source, scenario.settings.steady, scenario))
         if (path, name) not in self._programs:
             self._programs[path, name] = _made(scenario)
         return self._programs[path, name]
@@ -105,12 +107,12 @@ def resolve_avoider(scenario: Scenario, place: Place | None = None) -> Avoider:
         opposite = reference == OPPOSITE
         return OppositePose(settings.avoidance.radius_m) if opposite else NearestCandidate.of(settings)
     name = file_and_name(reference)[1]
-    if name:
-        return isolated_avoider(path, name, place)
-    if reference.endswith(ONNX_SUFFIX):
-        avoider = isolated_onnx(path, settings)
+    if names_onnx(reference):
+        avoider = isolated_onnx(path, settings, name)
         _refuse_foreign_onnx(path, settings)
         return avoider
+    if name:
+        return isolated_avoider(path, name, place)
     return _from_model_file(path, settings)
 
 
@@ -121,10 +123,10 @@ def refuse_unusable(scenario: Scenario, place: Place | None = None) -> None:
     """
     place = place or scenario.place("avoider")
     path, name = _found(scenario, place), file_and_name(scenario.avoider)[1]
-    if path is not None and name:
-        refuse_undefined(path, name, place)
-    elif path is not None and scenario.avoider.endswith(ONNX_SUFFIX):
+    if path is not None and names_onnx(scenario.avoider):
         _refuse_foreign_onnx(path, scenario.settings)
+    elif path is not None and name:
+        refuse_undefined(path, name, place)
     else:
         resolve_avoider(scenario, place)
 
@@ -252,12 +254,12 @@ def shipped_avoider(name: str, settings: Settings = DEFAULTS) -> Avoider:
 
 def is_a_program(reference: str) -> bool:
     """Does the reference name a Python file, or a program, which is executed to resolve it?"""
-    return bool(file_and_name(reference)[1]) or names_a_program(reference)
+    return file_and_name(reference)[0].endswith(".py") or names_a_program(reference)
 
 
 def is_executed(reference: str) -> bool:
     """Does a run with it execute a file: a program, or a function in ONNX, which may never end?"""
-    return is_a_program(reference) or reference.endswith(ONNX_SUFFIX)
+    return is_a_program(reference) or names_onnx(reference)
 
 
 def folder_of(scenario: Scenario) -> Path | None:

@@ -7,17 +7,28 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from safety_harness.admission.avoiders import avoider_sha256, folder_of
 from safety_harness.avoidance.avoider import Avoider, Proposal, Vector
-from safety_harness.controller.contract import DECISIONS, IMAGE, OBJECT, UserController, reports_of, sees_of
+from safety_harness.controller.contract import (
+    DECISIONS,
+    IMAGE,
+    OBJECT,
+    Image,
+    UserController,
+    reports_of,
+    sees_of,
+)
 from safety_harness.controller.named import controller_of, controller_sha256, refuse_unusable_controller
 from safety_harness.controller.python_file import checked_controller
-from safety_harness.exceptions import AvoiderError, InadmissibleError, Place
+from safety_harness.exceptions import AvoiderError, ControllerError, InadmissibleError, Place
 from safety_harness.robot.robots import urdf_sha256_of
 from safety_harness.scenario.faults import AvoiderLate, AvoiderNaN, AvoiderSilent
 from safety_harness.scenario.model import NO_AVOIDER, Scenario
-from safety_harness.scenario.references import file_and_name
+from safety_harness.scenario.references import file_and_name, names_onnx
 from safety_harness.settings import ImageSource
+from safety_harness.trace.records import TRACKS_PER_HAND
 from safety_harness.trace.system import Component, SystemUnderTest, system_of
 
 IN_PYTHON = " (an object in Python)"  # after its name: a reference that names no file, and means none
@@ -45,6 +56,7 @@ class MadeDriver:
     controller: UserController
     make: Callable[[], UserController]
     sha256: str = ""  # of its file; empty for one that ships, or without a file
+    tried: set[object] = field(default_factory=set, init=False, repr=False)
     _lanes: list[UserController] = field(default_factory=list, init=False, repr=False)
 
     @property
@@ -112,6 +124,29 @@ def named_system(scenario: Scenario) -> SystemUnderTest:
     else:
         own = {"avoider": Component(name=called, sha256=avoider_sha256(scenario))}
     return system_of(scenario, robot_sha256=urdf_sha256_of(scenario.robot), **own)
+
+
+def refuse_no_action(scenario: Scenario, driver: MadeDriver, driven_by: Callable[..., Any]) -> None:
+    """InadmissibleError for a policy whose fixed axes do not fit arm, hands or image, or that fails.
+
+    It is asked once, before anything is seen, as the controller of a run that ``driven_by`` makes of it. Of a
+    program nobody knows what asking changes.
+    """
+    camera, rows = scenario.settings.camera, scenario.hand_slots * TRACKS_PER_HAND
+    key = scenario.robot, rows, camera.height_px, camera.width_px
+    if not names_onnx(scenario.controller) or key in driver.tried:
+        return
+    black = Image(time_s=np.nan, new=False, pixels=np.zeros((*key[2:], 3), np.uint8))
+    try:
+        controller = driven_by(driver.controller)
+        controller.sees_images_of(lambda: black)
+        controller.ask()
+    except ControllerError as error:
+        expected = f"a policy that answers for the arm {scenario.robot.label} and {rows} rows of hands"
+        raise InadmissibleError(
+            place=scenario.place("controller"), expected=expected, got=str(error)
+        ) from error
+    driver.tried.add(key)
 
 
 def refuse_no_images(scenario: Scenario, driver: MadeDriver) -> None:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.avoidance.model_file import refuse
+from safety_harness.avoidance.onnx_names import dtype_of
 from safety_harness.exceptions import described
 
 RANDOM = frozenset(
@@ -104,10 +105,9 @@ def _feed(session: Any, rng: np.random.Generator) -> dict[str, NDArray[Any]] | N
     """Numbers for each input, one row; None where an input is of no numeric type."""
     feed: dict[str, NDArray[Any]] = {}
     for one in session.get_inputs():
-        kind = one.type.removeprefix("tensor(").removesuffix(")")
-        dtype = {"float": "float32", "double": "float64", "float16": "float16"}.get(kind, kind)
+        dtype = dtype_of(one)
         shape = [size if isinstance(size, int) else 1 for size in one.shape]
-        if kind == "bool":
+        if dtype == "bool":
             feed[one.name] = rng.random(shape) < 0.5
         elif dtype.startswith("float"):
             feed[one.name] = rng.uniform(-1.0, 1.0, shape).astype(dtype)

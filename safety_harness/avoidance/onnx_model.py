@@ -1,7 +1,9 @@
 """An avoider in an ONNX file: one that ``export`` wrote, or anybody's that keeps the contract below.
 
+Inputs and outputs have these names, or others that a layout explains (``onnx_names``).
+
 Inputs
-    hand_position_in_base_m, tcp_position_in_base_m: (1, 3) or (n, 3), float32 or float64, metres.
+    hand_position_in_base_m, tcp_position_in_base_m: (1, 3) or (n, 3), float16, float32 or float64, metres.
     seed, if the file wants one: (1,) or (n,), int64 or uint64; the same 64 bits either way.
 Outputs
     position_in_base_m: (1, 3), metres in the robot's base frame.
@@ -18,6 +20,7 @@ loaded and asked in a process of its own (``isolation.isolated``); what is here 
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
 from math import inf, isfinite
@@ -40,16 +43,26 @@ from safety_harness.avoidance.model_file import (
     refuse,
 )
 from safety_harness.avoidance.onnx_graph import refuse_chance, refuse_dependence
+from safety_harness.avoidance.onnx_names import (
+    FLOATS,
+    HAND,
+    MASKS,
+    POSITION,
+    SEED,
+    SPREAD,
+    TCP,
+    Quantity,
+    Tensor,
+    laid_out,
+    layout_of,
+)
 from safety_harness.exceptions import ModelError, Place, described, on_one_line
 from safety_harness.scenario.decision_times import LONGEST_S
 from safety_harness.scenario.typed_json import of_format, parsed
 
 EXPORT_FORMAT = "safety-harness export 1"
-HAND, TCP, SEED, MASKS = "hand_position_in_base_m", "tcp_position_in_base_m", "seed", "masks"
-POSITION, SPREAD, THRESHOLD = "position_in_base_m", "spread_m", "spread_threshold_m"
-FLOATS = {"tensor(float)": "float32", "tensor(double)": "float64"}
-INTEGERS = {"tensor(int64)": "int64", "tensor(uint64)": "uint64"}
-BOOLEANS = {"tensor(bool)": "bool"}
+THRESHOLD = "spread_threshold_m"
+GIVEN = {POSITION: Quantity((3,), FLOATS), SPREAD: Quantity((3,), FLOATS)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,13 +73,15 @@ class OnnxAvoider:
     spread_threshold_m: float | None
     decision_time_s: float
     _session: Any
-    _dtypes: Mapping[str, str]  # of the inputs
-    _outputs: tuple[str, ...]
+    _inputs: list[Tensor]
+    _outputs: list[Tensor]
     _exported: NetworkUse | None
 
     @classmethod
-    def of(cls, path: Path, data: bytes, *, hand: Vector, tcp: Vector) -> OnnxAvoider:
+    def of(cls, path: Path, data: bytes, *, hand: Vector, tcp: Vector, layout: str = "") -> OnnxAvoider:
         """Load, check and try the file ``path`` with the contents ``data``; ModelError says what is wrong.
+
+        ``layout`` says what inputs and outputs hold whose names do not (``onnx_names``).
 
         It is asked the same question twice, about ``hand`` and ``tcp`` (3,) [m]: what cannot answer,
         answers in another shape, or not twice the same, is refused.
@@ -76,11 +91,15 @@ class OnnxAvoider:
             own = dict(session.get_modelmeta().custom_metadata_map)
             use = _exported(path, own[KEY]) if KEY in own else None
             threshold_m = _number(path, own, THRESHOLD) if use is None else use.spread_threshold_m
-            outputs = _outputs(path, session, spread_wanted=use is not None or threshold_m is not None)
             plain_s = _number(path, own, CARD_TIME, most=LONGEST_S) or 0.0
             time_s = plain_s if use is None else use.decision_time_s
-            name = on_one_line(f"ONNX model {path.name}")
-            avoider = cls(name, threshold_m, time_s, session, _inputs(path, session, use), outputs, use)
+            name = on_one_line(f"{path.name}:{layout}" if layout else f"ONNX model {path.name}")
+            takes = _taken(use)
+            required = {*takes} - {SEED} | {POSITION}
+            if use is not None or threshold_m is not None:
+                required |= {SPREAD}  # without it no threshold would ever be met
+            inputs, outputs = laid_out(path, session, layout_of(layout), takes, GIVEN, required)
+            avoider = cls(name, threshold_m, time_s, session, inputs, outputs, use)
             avoider._try(path, hand, tcp)
         except UnicodeDecodeError as error:  # of a damaged name
             raise ModelError(place=Place(file=path), expected="names in UTF-8", got=error.reason) from error
@@ -91,28 +110,35 @@ class OnnxAvoider:
     ) -> Proposal:
         """One decision; ``seed`` is any integer from 0 to 2^64 - 1.  No spread: the file knows none."""
         answers = self._answers(hand_position_in_base_m, tcp_position_in_base_m, seed)
-        return Proposal(*(answer[0] for answer in answers))
+        return Proposal(*(answers[name][0] for name in GIVEN if name in answers))
 
-    def _answers(self, hand: Vector, tcp: Vector, seed: int) -> list[NDArray[Any]]:
+    def _answers(self, hand: Vector, tcp: Vector, seed: int) -> dict[str, NDArray[Any]]:
         """The outputs as the file gives them."""
-        feed: dict[str, NDArray[Any]] = {
-            HAND: np.asarray(hand)[None].astype(self._dtypes[HAND]),
-            TCP: np.asarray(tcp)[None].astype(self._dtypes[TCP]),
+        seeds = np.array([seed], dtype=np.uint64)
+        arrays: dict[str, NDArray[Any]] = {
+            HAND: np.asarray(hand)[None],
+            TCP: np.asarray(tcp)[None],
+            SEED: seeds,
         }
-        if SEED in self._dtypes:
-            feed[SEED] = np.array([seed], dtype=np.uint64).view(self._dtypes[SEED])
-        if self._exported is not None and MASKS in self._dtypes:
-            feed[MASKS] = drawn_masks(self._exported, np.array([seed], dtype=np.uint64))
-        answers: list[NDArray[Any]] = self._session.run(self._outputs, feed)
-        return answers
+        if self._exported is not None and self._exported.dropout is not Dropout.NONE:
+            arrays[MASKS] = drawn_masks(self._exported, seeds)
+        feed = {one.name: one.packed(arrays) for one in self._inputs}
+        values = self._session.run([one.name for one in self._outputs], feed)
+        widths = dict.fromkeys(GIVEN, 3)
+        return {
+            name: value
+            for one, found in zip(self._outputs, values, strict=True)
+            for name, value in one.split(found, widths)
+        }
 
     def _try(self, path: Path, hand: Vector, tcp: Vector) -> None:
         """The same question twice."""
         try:
             first, second = (self._answers(hand, tcp, seed=1) for _ in range(2))
         except Exception as error:  # onnxruntime's own have no common base but Exception
-            refuse(path, None, "a model that answers for one hand and one TCP", _words(error))
-        for name, one, other in zip(self._outputs, first, second, strict=True):
+            refuse(path, None, "a model that answers for one hand and one TCP", described(error))
+        for name, one in first.items():
+            other = second[name]
             if one.shape != (1, 3):
                 refuse(path, name, "a shape of (1, 3) for one hand and one TCP", str(one.shape))
             if not np.array_equal(one, other, equal_nan=True):
@@ -123,6 +149,8 @@ class OnnxAvoider:
                     f"{one[0].tolist()}, then {other[0].tolist()}",
                     hint=f"random numbers must come from the input {SEED!r}",
                 )
+        if SPREAD in first and self.spread_threshold_m is None:  # what a file writes, its user reads
+            sys.stderr.write(f"{SPREAD} without {THRESHOLD} in the metadata: no proposal can be doubted\n")
 
 
 def _exported(path: Path, text: str) -> NetworkUse:
@@ -169,48 +197,21 @@ def _session(path: Path, data: bytes, *, optimised: bool) -> Any:
     try:
         return onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
     except Exception as error:  # onnxruntime's own have no common base but Exception
-        hint = "store the tensors in the file itself" if "xternal data" in str(error) else ""
-        refuse(path, None, "an ONNX file that onnxruntime can load", _words(error), hint)
+        hint = "torch.onnx.export(..., external_data=False) stores the tensors in the file itself"
+        hint = hint if "xternal data" in str(error) else ""
+        refuse(path, None, "an ONNX file that onnxruntime can load", described(error), hint)
 
 
-def _inputs(path: Path, session: Any, exported: NetworkUse | None) -> dict[str, str]:
-    """The numpy dtype of each input; ModelError for one that is missing, unknown or of another shape."""
-    known: dict[str, tuple[tuple[int, ...], dict[str, str]]] = {HAND: ((3,), FLOATS), TCP: ((3,), FLOATS)}
-    if exported is not None and exported.dropout is not Dropout.NONE:
-        known[MASKS] = (mask_shape(exported), BOOLEANS)
-    known[SEED] = ((), INTEGERS)
-    there = {one.name: one for one in session.get_inputs()}
-    for name in known:
-        if name != SEED and name not in there:
-            refuse(path, name, "an input of this name", f"the inputs {', '.join(there) or 'none'}")
-    for name, one in there.items():
-        if name not in known:
-            refuse(path, name, f"no inputs but {', '.join(known)}", "this one too")
-        (rest, types) = known[name]
-        if one.type not in types:
-            refuse(path, name, " or ".join(types.values()), one.type)
-        if not _fits(one.shape, rest):
-            refuse(path, name, f"a shape of {['1 or n', *rest]}", str(one.shape))
-    return {name: known[name][1][one.type] for name, one in there.items()}
-
-
-def _outputs(path: Path, session: Any, *, spread_wanted: bool) -> tuple[str, ...]:
-    """The position, and the spread if there is one; without it no threshold would ever be met."""
-    there = {one.name: one for one in session.get_outputs()}
-    wanted = (POSITION, SPREAD) if spread_wanted or SPREAD in there else (POSITION,)
-    for name in wanted:
-        if name not in there:
-            refuse(path, name, "an output of this name", f"the outputs {', '.join(there)}")
-        if there[name].type not in FLOATS:
-            refuse(path, name, " or ".join(FLOATS.values()), there[name].type)
-    return wanted
-
-
-def _fits(shape: list[int | str | None], rest: tuple[int, ...]) -> bool:
-    """One row or any number of them, then exactly ``rest``."""
-    if len(shape) != 1 + len(rest) or shape[1:] != [*rest]:
-        return False
-    return shape[0] in (1, None) or isinstance(shape[0], str)
+def _taken(exported: NetworkUse | None) -> dict[str, Quantity]:
+    """What the inputs may hold, of a file of ``export`` its masks too."""
+    masked = exported is not None and exported.dropout is not Dropout.NONE
+    masks = {MASKS: Quantity(mask_shape(exported), ("bool",))} if exported and masked else {}
+    return {
+        HAND: Quantity((3,), FLOATS),
+        TCP: Quantity((3,), FLOATS),
+        **masks,
+        SEED: Quantity((), ("int64", "uint64")),
+    }
 
 
 def _number(path: Path, metadata: Mapping[str, str], key: str, most: float = inf) -> float | None:
@@ -226,8 +227,3 @@ def _number(path: Path, metadata: Mapping[str, str], key: str, most: float = inf
         kind = "a length in metres, at least 0" if key == THRESHOLD else f"a time from 0 s to {most:g} s"
         refuse(path, key, kind, repr(text[:80]))
     return number
-
-
-def _words(error: Exception) -> str:
-    words = described(error)
-    return words if len(words) <= 300 else words[:297] + "..."

@@ -21,7 +21,7 @@ from safety_harness.controller.named import LEARNED
 from safety_harness.exceptions import on_one_line
 from safety_harness.scenario.files import resolved
 from safety_harness.scenario.model import Scenario
-from safety_harness.scenario.references import ONNX_SUFFIX
+from safety_harness.scenario.references import file_and_name, names_onnx
 from safety_harness.search.counterexample import seen_of
 from safety_harness.search.coverage import AXES, SEEN
 from safety_harness.shipped.contents import located
@@ -86,7 +86,7 @@ def learned_of(plan: Plan, ledger: Ledger, stored: Sequence[Stored]) -> LearnedP
 
 def _is_network(scenario: Scenario) -> bool:
     reference = scenario.under_test
-    in_onnx = reference.endswith(ONNX_SUFFIX) or (scenario.driven and reference == LEARNED)
+    in_onnx = names_onnx(reference) or (scenario.driven and reference == LEARNED)
     return in_onnx or model_of(scenario) is not None
 
 
@@ -97,8 +97,9 @@ def _told(scenario: Scenario) -> Iterator[tuple[str, str]]:
         yield f"{reference}, whether learned", PROGRAM
     elif scenario.driven and reference == LEARNED:
         yield f"{reference}, trained", POLICY
-    elif reference.endswith(ONNX_SUFFIX):
-        file = resolved(located((folder_of(scenario) or Path()) / os.path.expanduser(reference)))
+    elif names_onnx(reference):
+        own = os.path.expanduser(file_and_name(reference)[0])
+        file = resolved(located((folder_of(scenario) or Path()) / own))
         text = onnx_metadata(file, onnx_bytes(file)).get(TRAINING, "").strip()
         yield f"{reference}, trained", on_one_line(text)[:MOST_LETTERS] if text else NOT_STATED
 

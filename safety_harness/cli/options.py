@@ -26,7 +26,7 @@ OfAvoider = Annotated[
     Option(
         help="In place of what the files name: mc-dropout, mc-dropout-full, deterministic, ensemble, "
         "optimum, student, student-ensemble, 'opposite pose', 'nearest candidate', FILE.py:NAME, "
-        "FILE.safetensors, FILE.onnx.",
+        "FILE.safetensors, FILE.onnx, FILE.onnx:LAYOUT.",
         metavar="AVOIDER",
     ),
 ]

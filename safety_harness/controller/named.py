@@ -22,7 +22,7 @@ from safety_harness.extras import ONNX
 from safety_harness.isolation.python_file import refuse_undefined
 from safety_harness.scenario.files import resolved
 from safety_harness.scenario.model import VISUAL_SERVO
-from safety_harness.scenario.references import EXEC, MODEL_SUFFIX, file_and_name, names_a_program
+from safety_harness.scenario.references import EXEC, MODEL_SUFFIX, file_and_name, names_a_program, names_onnx
 from safety_harness.shipped.contents import located
 
 Make = Callable[[], UserController]
@@ -56,7 +56,7 @@ def controller_of(reference: str, folder: Path | None, place: Place = CONTROLLER
     if names_a_program(reference):
         return of_program(reference, place)
     path, name = controller_file(reference, folder, place)
-    return of_python(path, name, place) if name else of_onnx(path, place)
+    return of_onnx(path, name, place) if names_onnx(reference) else of_python(path, name, place)
 
 
 def refuse_unusable_controller(reference: str, folder: Path | None, place: Place) -> None:
@@ -67,7 +67,7 @@ def refuse_unusable_controller(reference: str, folder: Path | None, place: Place
         refuse_no_program(reference, place)
         return
     path, name = controller_file(reference, folder, place)
-    if name:
+    if not names_onnx(reference):
         refuse_undefined(path, name, METHODS, place, HINT)
 
 

@@ -22,16 +22,8 @@ from torch import Tensor, nn
 
 from safety_harness.avoidance.learned import LearnedAvoider
 from safety_harness.avoidance.model_file import KEY, Dropout, Model, metadata_of, writing_to
-from safety_harness.avoidance.onnx_model import (
-    EXPORT_FORMAT,
-    HAND,
-    MASKS,
-    POSITION,
-    SPREAD,
-    TCP,
-    drawn_masks,
-    open_session,
-)
+from safety_harness.avoidance.onnx_model import EXPORT_FORMAT, drawn_masks, open_session
+from safety_harness.avoidance.onnx_names import HAND, MASKS, POSITION, SPREAD, TCP
 from safety_harness.exceptions import ModelError, OutputError, Place
 from safety_harness.learning.networks import Network, load_tensors, network_of
 from safety_harness.scenario.references import ONNX_SUFFIX
@@ -165,7 +157,8 @@ def _onnx_bytes(model: Model, metadata: str) -> bytes:
         )
     assert program is not None  # of an export with dynamo
     proto = program.model_proto
-    for part in (*proto.graph.node, *proto.graph.input, *proto.graph.output, *proto.graph.value_info):
+    proto.graph.ClearField("value_info")  # PyTorch's shapes of transposed weights contradict inferred ones
+    for part in (*proto.graph.node, *proto.graph.input, *proto.graph.output):
         part.ClearField("doc_string")
         part.ClearField("metadata_props")
     proto.graph.ClearField("metadata_props")

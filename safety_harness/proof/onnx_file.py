@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from safety_harness.avoidance.asking import Question
 from safety_harness.avoidance.isolation.isolated import IsolatedAvoider, isolated_onnx
 from safety_harness.avoidance.model_file import OUTPUTS, PERCEPTRON_INPUTS, onnx_bytes, refuse
-from safety_harness.avoidance.onnx_model import HAND, POSITION, TCP
+from safety_harness.avoidance.onnx_names import HAND, POSITION, TCP
 from safety_harness.extras import ONNX
 from safety_harness.proof.network import (
     QUESTION,

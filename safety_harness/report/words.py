@@ -116,7 +116,7 @@ def spread_words(spread_m: Array3, threshold_m: float) -> str:
         return "\u2013"
     largest, allowed = float(np.max(spread_m)) * 1e3, threshold_m * 1e3
     if not limited:
-        return f"{largest:.1f}"
+        return f"{largest:.1f}, no threshold"
     digits = 1
     while digits < 12 and largest != allowed and round(largest, digits) == round(allowed, digits):
         digits += 1

@@ -38,7 +38,7 @@ class FileKind(Enum):
     ONNX = "a model in ONNX", "safety-harness evaluate {file}, or run FILE --avoider {file}"
     TORCH = (
         "a model of PyTorch",
-        'torch.onnx.export(model, example, "{onnx}"), then --avoider {onnx} '
+        'torch.onnx.export(model, example, "{onnx}", external_data=False), then --avoider {onnx} '
         "(safety-harness docs avoiders#an-onnx-file)",
     )
     PYTHON = "a Python file", "safety-harness evaluate {file}:{name}, or run FILE --avoider {file}:{name}"

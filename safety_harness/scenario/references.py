@@ -13,13 +13,24 @@ EXEC, TCP, UNIX = "exec:", "tcp:", "unix:"  # of a controller: a program that is
 
 
 def file_and_name(reference: str) -> tuple[str, str]:
-    """The file of an avoider's or controller's reference, and the name within it; two empty texts if none."""
+    """The file of an avoider's or controller's reference, and the name within it; two empty texts if none.
+
+    Of an ONNX file the name is the layout of its inputs and outputs, if it has one (``onnx_names``).
+    """
     if names_a_program(reference):
         return "", ""
+    file, _, layout = reference.partition(f"{ONNX_SUFFIX}:")
+    if layout:
+        return file + ONNX_SUFFIX, layout
     file, _, name = reference.rpartition(":")
     if file.endswith(".py"):
         return file, name
     return (reference, "") if reference.endswith((MODEL_SUFFIX, ONNX_SUFFIX)) else ("", "")
+
+
+def names_onnx(reference: str) -> bool:
+    """Does it mean an ONNX file?"""
+    return file_and_name(reference)[0].endswith(ONNX_SUFFIX)
 
 
 def names_a_program(reference: str) -> bool:

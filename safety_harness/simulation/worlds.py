@@ -17,7 +17,7 @@ from safety_harness.exceptions import InstallationError, Place, ScenarioError, T
 from safety_harness.extras import IMAGES
 from safety_harness.extras import PYBULLET as PYBULLET_EXTRA
 from safety_harness.geometry.arrays import ArrayN
-from safety_harness.scenario.references import ONNX_SUFFIX
+from safety_harness.scenario.references import names_onnx
 from safety_harness.settings import DetectorKind, ImageSource
 
 if TYPE_CHECKING:
@@ -159,7 +159,7 @@ def libraries_of(world: str, scenario: Scenario) -> tuple[str, ...]:
     """What a run of ``scenario`` uses beside the libraries of every run, in the world of this ``name``."""
     engines = next((one.libraries for one in WORLDS if one.name == world), ())
     images = ("cv2",) if has_rendered_images(scenario) else ()
-    in_onnx = scenario.under_test.endswith(ONNX_SUFFIX) or scenario.controller == LEARNED
+    in_onnx = names_onnx(scenario.under_test) or scenario.controller == LEARNED
     return (*engines, *images, *(("onnxruntime",) if in_onnx else ()))
 
 

@@ -33,7 +33,7 @@ from safety_harness.avoidance.model_file import (
 from safety_harness.avoidance.shipped import SHIPPED, shipped_model
 from safety_harness.exceptions import ModelError, RegionError, near_miss
 from safety_harness.geometry.regions import Box, Region
-from safety_harness.scenario.references import MODEL_SUFFIX, ONNX_SUFFIX
+from safety_harness.scenario.references import MODEL_SUFFIX, file_and_name, names_onnx
 from safety_harness.scenario.typed_json import parsed
 from safety_harness.settings import Settings, Vector3
 from safety_harness.shipped.contents import located
@@ -73,11 +73,11 @@ def seen_by(avoider: str, *, folder: Path | None, settings: Settings) -> SeenReg
     program is run for it: what has none counts as trained on the paper's seen space, and ``source``
     says so.  ModelError for a model file that cannot be used.
     """
-    path = located((folder or Path()) / os.path.expanduser(avoider))
+    path = located((folder or Path()) / os.path.expanduser(file_and_name(avoider)[0]))
     seen: SeenSpace | None = None
     if avoider in SHIPPED or avoider.endswith(MODEL_SUFFIX):
         seen = load_model(shipped_model(avoider) if avoider in SHIPPED else path).seen
-    elif avoider.endswith(ONNX_SUFFIX):
+    elif names_onnx(avoider):
         exported = exported_use(path)
         seen = exported.seen if exported else None
     if seen is None:

@@ -10,7 +10,7 @@ from hypothesis import HealthCheck, given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 
-from safety_harness.avoidance.onnx_model import HAND
+from safety_harness.avoidance.onnx_names import HAND
 from safety_harness.exceptions import InputError, ModelError
 from tests.hostile.formats import FORMATS, Format, onnx_bytes, onnx_read
 

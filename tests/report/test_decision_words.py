@@ -60,7 +60,7 @@ def test_the_checks_that_failed_in_a_run_are_explained_and_no_others() -> None:
 def test_the_largest_axis_of_a_spread_is_shown_against_its_threshold_if_there_is_one() -> None:
     spreads = [[0.003, 0.011, 0.004], [0.011, 0.0, 0.001], [np.nan] * 3]
     rows = decision_rows(changed(proposed_spread_m=spreads, spread_threshold_m=[0.0095, np.nan, 0.02]))
-    assert [row.spread for row in rows] == ["11.0 > 9.5", "11.0", "\u2013"]
+    assert [row.spread for row in rows] == ["11.0 > 9.5", "11.0, no threshold", "\u2013"]
     rows = decision_rows(changed(proposed_spread_m=0.0, spread_threshold_m=[0.01, np.nan, np.nan]))
     assert [row.spread for row in rows] == ["0.0 \u2264 10.0", "", ""]
 

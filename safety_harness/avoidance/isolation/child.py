@@ -101,7 +101,8 @@ def _avoider(path: Path, source: bytes, asked: dict[str, Any]) -> Avoider:
         return avoider_in(path, source, asked["attribute"])
     from safety_harness.avoidance.onnx_model import OnnxAvoider  # no program waits for its runtime
 
-    return OnnxAvoider.of(path, source, hand=np.array(asked["hand"]), tcp=np.array(asked["tcp"]))
+    hand, tcp = np.array(asked["hand"]), np.array(asked["tcp"])
+    return OnnxAvoider.of(path, source, hand=hand, tcp=tcp, layout=asked["layout"])
 
 
 def _answer(avoider: Avoider, question: Question, file: str) -> Answer:

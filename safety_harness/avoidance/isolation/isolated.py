@@ -163,15 +163,17 @@ def isolated_avoider(path: Path, name: str, place: Place) -> IsolatedAvoider:
     return _of_file(path, source_of(path, place), wanted, expected, InadmissibleError, place)
 
 
-def isolated_onnx(path: Path, settings: Settings) -> IsolatedAvoider:
+def isolated_onnx(path: Path, settings: Settings, layout: str = "") -> IsolatedAvoider:
     """The avoider of an ONNX file, which may loop or fill the memory; ModelError says what is wrong.
 
     MissingPackageError without onnxruntime.  It is tried with the cell's own desired TCP and nominal hand.
+    ``layout`` says what its inputs and outputs hold (``onnx_names``).
     """
     ONNX.require(f"the avoider {path.name}")
     question = {
         "hand": settings.avoidance.nominal_hand_position_in_base_m,
         "tcp": settings.cell.desired_tcp_position_in_base_m,
+        "layout": layout,
     }
     wanted, expected = Wanted(question, ONNX_S), "an ONNX file that can be loaded and answers twice"
     return _of_file(path, onnx_bytes(path), wanted, expected, ModelError)

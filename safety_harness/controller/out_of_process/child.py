@@ -52,6 +52,7 @@ from safety_harness.controller.python_file import controller_in
 from safety_harness.controller.rows import SeenLayout
 from safety_harness.exceptions import ControllerError, InputError, Place, described, printable
 from safety_harness.isolation.child import Ends
+from safety_harness.scenario.references import ONNX_SUFFIX
 
 Another = Callable[[], UserController]
 MOST_TOLD = 1 << 30  # bytes of a message to it
@@ -67,7 +68,7 @@ def main(question_fd: int, answer_fd: int) -> None:
     path = Path(asked["path"])
     try:
         os.chdir(asked["folder"])
-        controller, another = _controller(path, made.source, asked.get("attribute"))
+        controller, another = _controller(path, made.source, asked["attribute"])
         sees, reports = sees_of(controller), reports_of(controller)
         many = another is not None and IMAGE not in sees and DECISIONS not in reports
         said = MadeController(PROTOCOL, controller.name, sees, reports, many, answers_many(controller))
@@ -75,7 +76,7 @@ def main(question_fd: int, answer_fd: int) -> None:
         ends.write(as_binary(NoController(*map(printable, (error.expected, error.got, error.hint)))))
         return
     except BaseException as error:  # a user's code may raise anything
-        what = f"{asked.get('attribute') or path.name} to be a controller"
+        what = f"{asked['attribute'] or path.name} to be a controller"
         ends.write(as_binary(NoController(what, described(error, str(path)), "")))
         return
     ends.write(as_binary(said))
@@ -84,16 +85,16 @@ def main(question_fd: int, answer_fd: int) -> None:
         ends.write(answering.answer(to_the_process.decode(ends.read(MOST_TOLD))))
 
 
-def _controller(path: Path, source: bytes, attribute: str | None) -> tuple[UserController, Another | None]:
+def _controller(path: Path, source: bytes, attribute: str) -> tuple[UserController, Another | None]:
     """What a program has under a name, or what a policy is; and what makes another, if anything."""
-    if attribute is not None:
+    if path.suffix != ONNX_SUFFIX:
         found = controller_in(path, source, attribute, Place(field="controller"))
         kind = type(found)
         named = getattr(sys.modules.get(kind.__module__), attribute, None)
         return found, kind if named is kind else None
     from safety_harness.controller.out_of_process.onnx_policy import OnnxPolicy  # no program waits for it
 
-    policy = OnnxPolicy(path, source)
+    policy = OnnxPolicy(path, source, attribute)
     return policy, policy.another
 
 

@@ -130,11 +130,14 @@ class Line(ABC):
 
 
 class FileLine(Line):
-    """To a process of ours that executes a Python file (``attribute``: the name in it), or an ONNX policy."""
+    """To a process of ours that executes a Python file, or an ONNX policy.
+
+    ``attribute``: the name in the one, the layout of the other.
+    """
 
     begin_s = PYTHON_S
 
-    def __init__(self, path: Path, source: bytes, attribute: str | None) -> None:
+    def __init__(self, path: Path, source: bytes, attribute: str) -> None:
         super().__init__()
         self._path, self._source, self._attribute = path, source, attribute
         self._process: Process | None = None
@@ -177,9 +180,7 @@ class FileLine(Line):
 
     def _first(self) -> MakeController:
         asked = {"path": str(self._path), "folder": os.getcwd(), "sys_path": sys.path}
-        if self._attribute is not None:
-            asked["attribute"] = self._attribute
-        return MakeController(json.dumps(asked), self._source)
+        return MakeController(json.dumps(asked | {"attribute": self._attribute}), self._source)
 
     def _encoded(self, message: Any) -> bytes:
         return framed(as_binary(message))

@@ -1,5 +1,7 @@
 """A policy in an ONNX file as a controller; it runs in a process of its own.
 
+Inputs and outputs have these names, or others that a layout explains (``onnx_names``).
+
 Inputs
     Any of the arrays of ``arrays.observed``, by their names, with a first axis of 1: what it takes it sees.
     ``image``: (1, height, width, 3), the pixels of the last image.
@@ -14,6 +16,7 @@ Metadata
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from copy import copy
 from pathlib import Path
 from typing import Any
@@ -23,6 +26,7 @@ from numpy.typing import NDArray
 
 from safety_harness.avoidance.model_file import refuse
 from safety_harness.avoidance.onnx_model import open_session
+from safety_harness.avoidance.onnx_names import ANY, FLOATS, Quantity, dtype_of, laid_out, layout_of
 from safety_harness.controller.arrays import Arrays, observed
 from safety_harness.controller.contract import IMAGE, SIGHTS, Action, DrivenArm, Move, Seen, Start, Stop
 from safety_harness.controller.rows import SeenLayout, seen_dtype
@@ -32,14 +36,9 @@ from safety_harness.settings import Settings
 MOVES = ("tcp_velocity_mps", "tcp_angular_velocity_radps", "joint_velocity_radps")
 STOP, NEXT, NAME, TICKS = "stop", "next_", "name", "ticks"
 MOST_TICKS = 1000
-TYPES = {
-    "tensor(float)": np.float32,
-    "tensor(double)": np.float64,
-    "tensor(int8)": np.int8,
-    "tensor(int64)": np.int64,
-    "tensor(uint8)": np.uint8,
-    "tensor(bool)": np.bool_,
-}
+TYPES = (*FLOATS, "int8", "int64", "uint8", "bool")
+GIVEN = {name: Quantity((ANY if name == MOVES[2] else 3,), TYPES) for name in MOVES}
+GIVEN |= {STOP: Quantity((), TYPES)}
 
 
 class OnnxPolicy:
@@ -47,26 +46,29 @@ class OnnxPolicy:
 
     reports = ()
 
-    def __init__(self, path: Path, data: bytes) -> None:
-        """Load and check it; ModelError for what is no policy."""
+    def __init__(self, path: Path, data: bytes, layout: str = "") -> None:
+        """Load and check it; ModelError for what is no policy.
+
+        ``layout`` says what inputs and outputs hold whose names do not (``onnx_names``).
+        """
         self._session = open_session(path, data)
         own = dict(self._session.get_modelmeta().custom_metadata_map)
-        self.name = on_one_line(own.get(NAME, f"ONNX policy {path.name}"))
+        name = on_one_line(own.get(NAME, f"ONNX policy {path.name}"))
+        self.name = f"{name}:{layout}" if layout else name
         self._hold = _ticks(path, own.get(TICKS, "1"))
-        taken = {one.name: one for one in self._session.get_inputs()}
-        given = {one.name: one for one in self._session.get_outputs()}
-        for name, one in (*taken.items(), *given.items()):
-            if one.type not in TYPES:
-                refuse(path, name, f"a type of: {', '.join(TYPES)}", one.type)
-        self._types = {name: TYPES[one.type] for name, one in taken.items()}
-        self._states = {name: _fixed(path, one) for name, one in taken.items() if NEXT + name in given}
-        self.sees = _sees(path, [name for name in taken if name not in self._states])
-        self._arrays = tuple(word for word in self.sees if word != IMAGE)
-        self._outputs = [
-            name for name in given if name in (*MOVES, STOP) or name[len(NEXT) :] in self._states
-        ]
+        laid = layout_of(layout)
+        given = {name for one in self._session.get_outputs() for name in laid.get(one.name, (one.name,))}
+        carried = [one for one in self._session.get_inputs() if NEXT + one.name in given]
+        states = {one.name: Quantity(None, TYPES) for one in carried}
+        takes = {name: kind for name, (_, kind) in _KNOWN.items()} | states
+        gives = GIVEN | {NEXT + name: kind for name, kind in states.items()}
+        self._inputs, self._outputs = laid_out(path, self._session, laid, takes, gives, set())
         if not any(name in MOVES for name in given):
             refuse(path, None, f"an output of: {', '.join(MOVES)}", f"the outputs {', '.join(given)}")
+        self._states = {one.name: _zeros(path, one) for one in carried}
+        words = {_KNOWN[name][0] for one in self._inputs for name in one.holds if name not in states}
+        self.sees = tuple(sight.word for sight in SIGHTS if sight.word in words)
+        self._arrays = tuple(word for word in self.sees if word != IMAGE)
         self._state: dict[str, NDArray[Any]] = {}
         self._joints, self._left = 0, 0
         self._action: Action = Stop()
@@ -74,7 +76,7 @@ class OnnxPolicy:
     def reset(self, *, settings: Settings, arm: DrivenArm, start: Start, seed: int) -> None:
         """Begin with a state of zeros."""
         self._joints, self._left = len(arm.joint_names), 0
-        self._state = {name: np.zeros(shape, self._types[name]) for name, shape in self._states.items()}
+        self._state = self._states
 
     def another(self) -> OnnxPolicy:
         """One more of the same file, for an episode beside."""
@@ -89,7 +91,10 @@ class OnnxPolicy:
 
     def _answer(self, seen: Seen) -> Action:
         feed = self._fed(seen)
-        found = dict(zip(self._outputs, self._session.run(self._outputs, feed), strict=True))
+        values = self._session.run([one.name for one in self._outputs], feed)
+        widths = dict.fromkeys(MOVES, 3) | {MOVES[2]: self._joints, STOP: 1}
+        pairs = zip(self._outputs, values, strict=True)
+        found = dict(pair for one, value in pairs for pair in one.split(value, widths))
         self._state = {name: found[NEXT + name] for name in self._states}
         if STOP in found and not float(found[STOP].reshape(-1)[0]) <= 0.5:
             return Stop()
@@ -104,7 +109,7 @@ class OnnxPolicy:
         if IMAGE in self.sees:
             arrays[IMAGE] = seen.image.pixels[None]
         arrays |= self._state
-        return {name: arrays[name].astype(kind, copy=False) for name, kind in self._types.items()}
+        return {one.name: one.packed(arrays) for one in self._inputs}
 
 
 def _whole(row: NDArray[np.float64], layout: SeenLayout, joints: int) -> NDArray[np.void]:
@@ -115,26 +120,24 @@ def _whole(row: NDArray[np.float64], layout: SeenLayout, joints: int) -> NDArray
     return numbers.view(dtype)
 
 
-def _sees(path: Path, inputs: list[str]) -> tuple[str, ...]:
-    """The words whose arrays are taken; ModelError for an input that is none of them."""
-    known = {IMAGE: IMAGE}
-    for sight in SIGHTS:
-        if sight.word != IMAGE:
-            arrays = observed(np.zeros(1, seen_dtype(1)), (sight.word,))
-            known |= dict.fromkeys(arrays, sight.word)
-    for name in inputs:
-        if name not in known:
-            got = f"{name}, and no output {NEXT}{name}"
-            refuse(path, name, f"no inputs but {', '.join(known)}, and states", got)
-    found = {known[name] for name in inputs}
-    return tuple(sight.word for sight in SIGHTS if sight.word in found)
+def _known() -> Iterator[tuple[str, tuple[str, Quantity]]]:
+    """Yield what can be seen, by name: its word, and its axes, of which hands and joints leave some open."""
+    yield IMAGE, (IMAGE, Quantity((ANY, ANY, 3), TYPES))
+    for word in (sight.word for sight in SIGHTS if sight.word != IMAGE):
+        few, more = (observed(np.zeros(1, seen_dtype(n, n)), (word,)) for n in (1, 2))
+        for name in few:
+            pairs = zip(few[name].shape[1:], more[name].shape[1:], strict=True)
+            yield name, (word, Quantity(tuple(a if a == b else ANY for a, b in pairs), TYPES))
 
 
-def _fixed(path: Path, one: Any) -> tuple[int, ...]:
-    """The shape of a state, which has to say all its sizes."""
+_KNOWN = dict(_known())
+
+
+def _zeros(path: Path, one: Any) -> NDArray[Any]:
+    """A state at first; ModelError for one that does not say all its sizes."""
     if not all(isinstance(size, int) and size > 0 for size in one.shape):
         refuse(path, one.name, "a state of a fixed shape", str(one.shape))
-    return tuple(one.shape)
+    return np.zeros(one.shape, dtype_of(one))
 
 
 def _ticks(path: Path, text: str) -> int:

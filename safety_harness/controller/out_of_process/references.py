@@ -66,14 +66,14 @@ def of_python(path: Path, name: str, place: Place) -> Callable[[], UserControlle
     return lambda: made_from(lambda: FileLine(path, source, name), f"{name} of {path.name}", place)
 
 
-def of_onnx(path: Path, place: Place) -> Callable[[], UserController]:
-    """What makes controllers of an ONNX file; MissingPackageError without onnxruntime."""
+def of_onnx(path: Path, layout: str, place: Place) -> Callable[[], UserController]:
+    """What makes controllers of an ONNX file of this layout; MissingPackageError without onnxruntime."""
     ONNX.require(f"the controller {path.name}")
     source = read_bytes(path, most=MOST_ONNX_BYTES, place=place, error=InadmissibleError)
     if len(source) > MOST_ONNX_BYTES:
         expected = f"an ONNX file of at most {MOST_ONNX_BYTES:,} bytes"
         raise InadmissibleError(place=place, expected=expected, got="a larger one")
-    return lambda: made_from(lambda: FileLine(path, source, None), path.name, place)
+    return lambda: made_from(lambda: FileLine(path, source, layout), path.name, place)
 
 
 def of_program(reference: str, place: Place) -> Callable[[], UserController]:
