@@ -77,7 +77,8 @@ class RegionScore:
     notice of the hand the pull is 0.05 on the diagonal.  ``wrong_and_sure``: more than ``WRONG_M`` off, with
     no spread above the avoider's own threshold; ``sure_and_unsafe``: so, and towards the hand or out of
     reach.  ``stuck``: the largest share of answers with the very same coordinate: those of an avoider
-    that clips or has collapsed.  Where answers are rounded, twice as many as at the next coordinates are not counted.
+    that clips or has collapsed.  Where answers are rounded, twice as many as at the next coordinates are not
+    counted.
     ``step_m``: what two answers in the number format of these differ by at most, 0 in double precision.
     """
 
