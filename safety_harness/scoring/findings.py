@@ -55,8 +55,7 @@ class FindingLimits:
     too_unsure: float = 0.70  # times the smaller of the two
     rank: float = 0.05  # below both mc-dropout's rank correlation and that of honest spreads
     same_m: float = 1e-9  # the order of a sum may hang on the size of a batch: 1e-16 m, or
-    same_steps: float = 4.0  # of the number format, where it is as fine as single precision's
-    fine_m: float = 1e-6
+    same_steps: float = 4.0  # of single precision
     late: int = 4  # answers after the deadline: what else this machine does may delay a few
 
 
@@ -86,7 +85,7 @@ def findings(
         ]
         found += _of_jumps(jumps, others_jumps, limits)
     step_m = max((one.step_m for one in card.regions), default=0.0)
-    same_m = max(limits.same_m, limits.same_steps * step_m if step_m <= limits.fine_m else 0.0)
+    same_m = max(limits.same_m, limits.same_steps * step_m if step_m < 1e-6 else 0.0)
     found += _of_repeats(card.repeats, same_m)
     found += _of_times(card, limits)
     return tuple(found)

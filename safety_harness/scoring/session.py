@@ -77,13 +77,13 @@ class ScoringSession:
             self._steps += 0 if other is None else 1 + of_score
         try:
             for subject, regions in subjects:
-                everybody = [subject] if other is None else [subject, other]
-                if missing := [why for one in everybody if (why := why_not_shown(one, regions))]:
-                    self.scored.failed.append(f"{subject.reference}: not applicable: {missing[0]}")
+                both = [subject] if other is None else [subject, other]
+                if missing := "".join(why_not_shown(one, regions) for one in both):
+                    self.scored.failed.append(f"{subject.reference}: not applicable: {missing}")
                     continue
-                asked = [shown(one, regions[0]) for one in everybody]
+                subject, *others = (shown(one, regions[0]) for one in both)
                 try:
-                    self._take(asked[0], regions, asked[1] if other else None)
+                    self._take(subject, regions, *others)
                 except NoAnswerError as error:
                     self.scored.failed.append(f"{subject.reference}: {error}")
         except KeyboardInterrupt:
@@ -109,7 +109,7 @@ class ScoringSession:
         wanted = self.regions or (() if self.spaces else names)
         return [one for one in named if one.name in wanted] + self._space_regions
 
-    def _take(self, subject: Subject, regions: list[QuestionRegion], other: Subject | None) -> None:
+    def _take(self, subject: Subject, regions: list[QuestionRegion], other: Subject | None = None) -> None:
         reference, counts = subject.reference, self._counts(subject, regions)
         seen = self._seen(reference).source
 

@@ -53,8 +53,8 @@ def keep_differences(trials: Trials, findings: Findings) -> list[str]:
         if flips:
             lines.append(
                 f"{goal.sentence}: {sum(one.count for one in flips)} runs; drawn again, "
-                f"{goal.against} alone keeps it in {worse} of {draws * len(groups)} pairs, and alone violates "
-                f"it in {better}"
+                f"{goal.against} alone keeps it in {worse} of {draws * len(groups)} pairs, and alone "
+                f"violates it in {better}"
             )
     return lines
 
