@@ -105,6 +105,11 @@ class OnnxAvoider:
             raise ModelError(place=Place(file=path), expected="names in UTF-8", got=error.reason) from error
         return avoider
 
+    @property
+    def exported(self) -> bool:
+        """Is it a network of this package, exported?"""
+        return self._exported is not None
+
     def propose(
         self, *, hand_position_in_base_m: Vector, tcp_position_in_base_m: Vector, seed: int
     ) -> Proposal:

@@ -27,6 +27,7 @@ from safety_harness.exceptions import OutputError
 
 if TYPE_CHECKING:
     from safety_harness.scoring.results import Scored, ScoredAvoider
+    from safety_harness.scoring.scorecard import ScoreFinding
 
 PAGE, DATA = "evaluation.html", "evaluation.json"
 commands = Typer()
@@ -50,7 +51,7 @@ def evaluate(
     ] = None,
     against: Annotated[
         str | None,
-        Option(help="A reference: only what it does not do counts as a finding.", metavar="AVOIDER"),
+        Option(help="A reference: a finding is what it does not do, or not as often.", metavar="AVOIDER"),
     ] = None,
     questions: Annotated[
         int | None,
@@ -70,6 +71,9 @@ def evaluate(
     Hands and TCPs are drawn in named regions, or as the draws of a space lead to, and put to the avoider and
     to yardsticks; a search of its own looks for the worst questions, written as scenario files that run
     takes.  A Python file is executed.
+    A finding is an answer that is wrong whatever the avoider is meant to answer (towards the hand, out of
+    reach, none, late, ...).  How it is unlike the yardsticks is reported beside it, and decides with
+    --against alone.
     Exit code 0: no finding; 1: findings, or no region with a proposal was asked about; 2: bad input, or an
     avoider that does not answer; 130: interrupted.
     """
@@ -149,8 +153,14 @@ def _lines(one: ScoredAvoider, against: str) -> Iterator[str]:
     yield towards_words(one.card)
     beside = f" that {against} has not" if against else ""
     yield f"{len(one.findings)} findings on {one.reference}{beside}" + (":" if one.findings else "")
-    for finding in one.findings:
-        yield f"  {finding.kind.value}{f' ({finding.region})' if finding.region else ''}: {finding.words}"
+    yield from map(_finding, one.findings)
+    if one.unlike:
+        yield f"unlike the reference in {len(one.unlike)} ways, which decide nothing without --against:"
+        yield from map(_finding, one.unlike)
+
+
+def _finding(one: ScoreFinding) -> str:
+    return f"  {one.kind.value}{f' ({one.region})' if one.region else ''}: {one.words}"
 
 
 def _write(scored: Scored, out: Path, again: str) -> None:

@@ -51,6 +51,7 @@ def fuzz(
     """Search a space for violations, and write each distinct one as a scenario file that run takes.
 
     With --against it searches for what the avoider violates and the reference keeps, on the same draws.
+    Each such difference is drawn again; what is none then is listed as a flip near the limit.
     Counterexamples are shrunk, confirmed in PyBullet and attributed (whose fault they are, as attribute says
     it), and so are all violations together.  A page, fuzz.html, is about them, with a map of what was
     covered, coverage.svg; Ctrl-C keeps what was found so far.

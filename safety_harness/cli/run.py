@@ -263,9 +263,12 @@ class RunSession:
             return INTERRUPTED
         if self.refused:
             return BAD_INPUT
-        good = all(verdicts) and bool(verdicts or not others) if self.against is None else self._as_good()
+        if self.against is None:
+            good = all(verdicts) and bool(verdicts or not others) and not (untested or self.skipped)
+        else:  # what cannot be compared differs in nothing
+            good = self._as_good()
         good &= self.repeated is None or not self.repeated.words
-        return AS_EXPECTED if good and not (self.failed or untested or self.skipped) else DIFFERS
+        return AS_EXPECTED if good and not self.failed else DIFFERS
 
     def _say_whose_fault(self) -> None:
         """The commands that attribute what was violated and not expected to be: one for each avoider."""

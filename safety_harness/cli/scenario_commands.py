@@ -48,8 +48,8 @@ def run(
     reason, and counted.
     Eight runs or more of what ships go to several processes (--jobs); the traces are the same, bit for bit.
     Exit code 0: every verdict as its file expects, with --against: no new or deeper violation and no verdict
-    lost; 1: otherwise, or a run failed, a scenario was skipped, or a claim that was expected to tell
-    something was never put to the test; 2: bad input, nothing was run, or with
+    lost; 1: otherwise, or a run failed, or, without --against, a scenario was skipped, or a claim that was
+    expected to tell something was never put to the test; 2: bad input, nothing was run, or with
     --keep-going only the rest; 130: interrupted, what was finished is kept.
     """
     from safety_harness.admission.avoiders import one_of

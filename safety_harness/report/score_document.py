@@ -73,6 +73,7 @@ def _of_avoider(one: ScoredAvoider) -> dict[str, Any]:
         "sha256": one.sha256 or None,
         **_of_card(one.card),
         "findings": _plain(one.findings),
+        "unlike_the_reference": _plain(one.unlike),
         "yardsticks": [_of_card(card) for card in one.yardsticks],
         "search": {
             "about": "a ledger of its own: a search chooses its questions, so these enter no figure above",

@@ -68,6 +68,20 @@ class SearchAttribution:
         changed = (replay for replay in there if replay.changes)
         return (f"whose fault: {one.words}", *(confirming_line(replay, one) for replay in changed))
 
+    def causes(self, session: SearchSession) -> dict[str, list[str]]:
+        """Which counterexamples the same change of one ingredient mends, where it mends more than one."""
+        names: dict[str, list[str]] = {}
+        for written in session.written:
+            one = self.found.get(written.path.stem)
+            if one is not None and len(one.cause) == 1:
+                names.setdefault(one.helping[0].words, []).append(written.path.name)
+        found = {change: files for change, files in names.items() if len(files) > 1}
+        for change, files in found.items():
+            session.output.say(
+                f"one cause of {len(files)} counterexamples: {change} mends {', '.join(files)}"
+            )
+        return found
+
     def of_search(self, session: SearchSession) -> FaultsOfSearch | None:
         """All violations together; None where there are none, or the search was interrupted."""
         searches = [session.findings] + ([] if session.baseline is None else [session.baseline])

@@ -87,6 +87,8 @@ def evidence_of(session: SearchSession, attribution: SearchAttribution | None = 
         repeated=session.repeated,
         baseline=session.baseline,
         against=trials.against,
+        flips=tuple(session.flips),
+        causes={} if attribution is None else attribution.causes(session),
         coverage=trials.coverage,
         violations=trials.violations,
         shown=tuple(session.written),
@@ -155,6 +157,8 @@ def as_json(trials: Trials, evidence: SearchEvidence) -> dict[str, object]:
         "confirmed_in_pybullet": evidence.confirmed,
         "not_confirmed_in_pybullet": [_of_group(trials, one.group) for one in evidence.unconfirmed],
         "counterexamples": [shown.path.name for shown in evidence.shown],
+        "flips_near_the_limit": list(evidence.flips),
+        "causes": evidence.causes,
         "attribution_of_counterexamples": {
             name: as_json_of(one) for name, one in evidence.attributed.items()
         },

@@ -82,6 +82,10 @@ class SearchEvidence:
     unconfirmable: str = ""
     faults: FaultsOfSearch | None = None  # whose fault all violations are
     attributed: Mapping[str, Attribution] = field(default_factory=dict)  # of counterexamples, by their files
+    flips: tuple[str, ...] = ()  # differences from the reference that are none
+    causes: dict[str, list[str]] = field(
+        default_factory=dict
+    )  # what mends several counterexamples, and which
     against: Against | None = None  # how the runs differ from those with a reference
 
     @property

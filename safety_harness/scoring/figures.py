@@ -22,6 +22,7 @@ ArrayN = NDArray[np.float64]  # (n,)
 Matrix = tuple[Vector3, Vector3, Vector3]
 
 WRONG_M = 0.060  # off the optimum: more than half of the repulsion radius, another direction altogether
+COARSEST_M = 0.001  # between the answers of a number format: half precision has it beyond a metre
 WITHIN = (1, 2, 3)  # spreads
 WORST = 10
 TAIL = (1.0 - LEVEL) / 2.0
@@ -77,7 +78,8 @@ def region_score(
     """Everything that is said of the answers to ``questions``; without any question every figure is None."""
     given = answers.given
     asked, said = questions[given], answers[given]
-    figures = _figures(asked, said, settings, region.robot) if given.any() else dict.fromkeys(_NAMES)
+    step_m = number_step_m(said.positions_in_base_m)
+    figures = _figures(asked, said, settings, region.robot, step_m) if given.any() else dict.fromkeys(_NAMES)
     return RegionScore(
         region=region.name,
         about=region.about
@@ -89,6 +91,7 @@ def region_score(
         answered=Proportion.of(given) if len(questions) else None,
         worst_off=_worst(region.name, questions, answers, settings, by_gained=False),
         worst_gained=_worst(region.name, questions, answers, settings, by_gained=True),
+        step_m=step_m,
         **figures,
     )
 
@@ -109,10 +112,13 @@ _NAMES = (
     "wrong_and_sure",
     "above_threshold",
     "stuck",
+    "sure_and_unsafe",
 )
 
 
-def _figures(asked: Questions, said: Answers, settings: Settings, robot: AnyRobot) -> dict[str, object]:
+def _figures(
+    asked: Questions, said: Answers, settings: Settings, robot: AnyRobot, step_m: float
+) -> dict[str, object]:
     """Those of ``_NAMES``, of answers that were given."""
     hands, tcps, proposed = asked.hands_in_base_m, asked.tcps_in_base_m, said.positions_in_base_m
     optimum = optimum_in_base_m(settings, hands, tcps)
@@ -122,9 +128,10 @@ def _figures(asked: Questions, said: Answers, settings: Settings, robot: AnyRobo
         angle = np.where(way_m > 0.0, np.arccos(np.clip(gained / way_m, -1.0, 1.0)), np.pi)
     pull, scale = _slopes(hands, tcps, error)
     sure, has_threshold = is_sure(said.spreads_m, said.thresholds_m), np.isfinite(said.thresholds_m)
+    reached = in_reach(proposed, settings, robot)
     values = (
         Proportion.of(gained >= 0.0),
-        Proportion.of(in_reach(proposed, settings, robot)),
+        Proportion.of(reached),
         (quantile(gained, 0.5), quantile(gained, 0.05)),
         float(gained.min()),
         (quantile(angle, 0.5), quantile(angle, 0.95)),
@@ -137,19 +144,41 @@ def _figures(asked: Questions, said: Answers, settings: Settings, robot: AnyRobo
         _spreads(error, asked, said.spreads_m) if said.spreads_m.any() else None,
         Proportion.of((off > WRONG_M) & sure),
         Proportion.of(~sure) if has_threshold.any() else None,
-        Proportion.of(_most_alike(proposed)),
+        _most_alike(proposed, step_m),
+        Proportion.of(sure & ~((gained >= 0.0) & reached)),
     )
     return dict(zip(_NAMES, values, strict=True))
 
 
-def _most_alike(proposed: ArrayNx3) -> NDArray[np.bool_]:
-    """(n,) which rows have the most frequent coordinate of all, on its axis."""
-    found = np.zeros(len(proposed), dtype=np.bool_)
+def number_step_m(positions: ArrayNx3) -> float:
+    """How far apart neighbours in the number format of positions (n, 3) are, the farthest of them [m].
+
+    0 in double precision, or where the steps are longer than ``COARSEST_M``: that is no number format.
+    """
+    largest = np.abs(positions).max(initial=0.0)
+    for kind in (np.float16, np.float32):
+        if largest < 1e3 and (positions.astype(kind) == positions).all():
+            step_m = float(np.spacing(kind(largest)))
+            return step_m if step_m <= COARSEST_M else 0.0
+    gaps = np.concatenate([np.diff(np.unique(column)) for column in positions.T])
+    gaps = gaps[gaps > 1e-9]  # what is less is the rounding of multiples
+    step_m = float(gaps.min(initial=np.inf))
+    if not 1e-8 < step_m <= COARSEST_M:
+        return 0.0
+    return step_m if (np.abs(gaps / step_m - np.round(gaps / step_m)) < 1e-3).all() else 0.0
+
+
+def _most_alike(proposed: ArrayNx3, step_m: float) -> Proportion:
+    """The answers with the most frequent coordinate, less what their number format explains."""
+    most = 0
     for column in proposed.T:
-        values, counts = np.unique(column, return_counts=True)
-        if counts.max() > np.count_nonzero(found):
-            found = column == values[counts.argmax()]
-    return found
+        _, counts = np.unique(column, return_counts=True)
+        usual = np.zeros_like(counts)
+        if step_m > 0.0:  # twice as many as at the most frequent of the next two on either side
+            around = np.pad(counts, 2)
+            usual = 2 * np.max([around[k : k + len(counts)] for k in (0, 1, 3, 4)], axis=0)
+        most = max(most, int((counts - usual).max()))
+    return Proportion.of(np.arange(len(proposed)) < most)
 
 
 def in_reach(positions_in_base_m: ArrayNx3, settings: Settings, robot: AnyRobot) -> NDArray[np.bool_]:

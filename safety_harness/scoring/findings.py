@@ -15,7 +15,6 @@ import numpy as np
 from safety_harness.avoidance.asking import Question
 from safety_harness.proportions import Proportion
 from safety_harness.scoring.figures import WRONG_M
-from safety_harness.scoring.jumps import JUMP_M
 from safety_harness.scoring.scorecard import (
     AskedAgain,
     Figure,
@@ -55,7 +54,8 @@ class FindingLimits:
     too_sure: float = 1.25  # error to spread, times the larger of 1 and what mc-dropout has
     too_unsure: float = 0.70  # times the smaller of the two
     rank: float = 0.05  # below both mc-dropout's rank correlation and that of honest spreads
-    same_m: float = 1e-9  # the order of a sum may hang on the size of a batch: 1e-16 m
+    same_m: float = 1e-9  # the order of a sum may hang on the size of a batch: 1e-16 m, or
+    same_steps: float = 4.0  # of single precision
     late: int = 4  # answers after the deadline: what else this machine does may delay a few
 
 
@@ -84,7 +84,9 @@ def findings(
             if (one.region, one.moved) == (jumps.region, jumps.moved)
         ]
         found += _of_jumps(jumps, others_jumps, limits)
-    found += _of_repeats(card.repeats, limits)
+    step_m = max((one.step_m for one in card.regions), default=0.0)
+    same_m = max(limits.same_m, limits.same_steps * step_m if step_m < 1e-6 else 0.0)
+    found += _of_repeats(card.repeats, same_m)
     found += _of_times(card, limits)
     return tuple(found)
 
@@ -133,6 +135,13 @@ def _shares(
             limits.wrong_and_sure,
             f"are more than {WRONG_M * MM:g} mm off the optimum with no spread above the threshold",
             score.worst_off,
+        ),
+        (
+            Kind.SURE_AND_UNSAFE,
+            lambda one: one.sure_and_unsafe,
+            limits.towards,
+            "lead towards the hand or out of reach with no spread above the threshold",
+            score.worst_gained,
         ),
         (
             Kind.UNSURE,
@@ -269,7 +278,8 @@ def _of_jumps(jumps: Jumps, others: Sequence[Jumps], limits: FindingLimits) -> I
         largest = jumps.largest
         words = (
             f"jumps by up to {largest.change_m * MM:.1f} mm where {jumps.moved.value} moves by a nanometre, "
-            f"on {jumps.jumped.count} of {jumps.segments:,} segments; the limit is {JUMP_M * MM:g} mm"
+            f"on {jumps.jumped.count} of {jumps.segments:,} segments; the limit is "
+            f"{jumps.limit_m * MM:.3g} mm"
         )
         yield ScoreFinding(Kind.JUMPS, jumps.region, words, (largest.before, largest.after))
     slope = _slope(jumps)
@@ -282,12 +292,15 @@ def _of_jumps(jumps: Jumps, others: Sequence[Jumps], limits: FindingLimits) -> I
 
 
 def _slope(jumps: Jumps) -> float:
-    return jumps.steepest.change_m / jumps.steepest.apart_m if jumps.steepest else 0.0
+    """What two steps of the number format explain is no slope."""
+    if jumps.steepest is None:
+        return 0.0
+    return max(jumps.steepest.change_m - 2.0 * jumps.step_m, 0.0) / jumps.steepest.apart_m
 
 
-def _of_repeats(repeats: Iterable[AskedAgain], limits: FindingLimits) -> Iterator[ScoreFinding]:
+def _of_repeats(repeats: Iterable[AskedAgain], same_m: float) -> Iterator[ScoreFinding]:
     for one in repeats:
-        if one.largest_m > limits.same_m:
+        if one.largest_m > same_m:
             words = (
                 f"{one.differ} of {one.questions:,} answers differ, by up to {one.largest_m * MM:.3g} mm, "
                 f"when {one.way.value}"

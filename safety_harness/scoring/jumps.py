@@ -10,7 +10,7 @@ nanometre apart.  What still differs there by more than half a millimetre is a j
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +25,6 @@ from safety_harness.scoring.scorecard import AnswerChange, Jumps, Moved
 Ask = Callable[[Questions], Answers]
 Floats = NDArray[np.float64]
 
-JUMP_M = 0.0005
 NEAR_M = 2e-9  # the end of following: a slope would have to be 250,000 to look like a jump
 STEEP_M = (0.0003, 0.003)  # between questions that are about 1 mm apart: the steepest change
 POINTS = 13  # of a segment
@@ -68,11 +67,16 @@ def jumps_of(
     answers: Answers,
     rng: np.random.Generator,
     count: int,
+    step_m: float = 0.0,
 ) -> Jumps:
     """Along ``count`` segments through the first questions, and some through those of the worst answers.
 
-    ``questions`` were drawn in the region and answered with ``answers``.
+    ``questions`` were drawn in the region and answered with ``answers``, in a number format whose steps are
+    at most ``step_m`` long.
     """
+    found = Jumps(
+        region=region.name, moved=moved, segments=0, jumped=None, largest=None, steepest=None, step_m=step_m
+    )
     segments = _segments(region, moved, questions, answers, rng, count)
     total, per = len(segments.middles), POINTS
     grid = np.linspace(-1.0, 1.0, per)
@@ -89,9 +93,9 @@ def jumps_of(
     random = first + np.argsort(-best[first:], kind="stable")[:FOLLOWED]
     chosen = np.concatenate([np.arange(first), random])
     chosen = chosen[best[chosen] > 0.0]
-    step_m = 2.0 * segments.half_m[chosen] / (per - 1)
-    start_m = -segments.half_m[chosen] + step_m * at[chosen]
-    return _followed(ask, region.name, segments, chosen, start_m, step_m)
+    length_m = 2.0 * segments.half_m[chosen] / (per - 1)
+    start_m = -segments.half_m[chosen] + length_m * at[chosen]
+    return _followed(ask, found, segments, chosen, start_m, length_m)
 
 
 def _segments(
@@ -151,9 +155,12 @@ def _nanmedian(values: Floats) -> Floats:
 
 
 def _followed(
-    ask: Ask, name: str, segments: _Segments, rows: NDArray[np.int64], start_m: Floats, step_m: Floats
+    ask: Ask, found: Jumps, segments: _Segments, rows: NDArray[np.int64], start_m: Floats, step_m: Floats
 ) -> Jumps:
-    """Divide the steps that begin at ``start_m`` (k,) and are ``step_m`` long until they are near."""
+    """Divide the steps that begin at ``start_m`` (k,) and are ``step_m`` long until they are near.
+
+    ``found``, which has the limit of a jump, comes back with what there is on the way.
+    """
     largest: AnswerChange | None = None
     steepest: AnswerChange | None = None
     count = len(segments.middles)
@@ -178,18 +185,12 @@ def _followed(
         k = int(np.argmax(slopes))
         if slopes[k] > 0.0 and (steepest is None or slopes[k] > steepest.change_m / steepest.apart_m):
             steepest = change(k)
-        done = (step_m <= NEAR_M) & (change_m > JUMP_M)
+        done = (step_m <= NEAR_M) & (change_m > found.limit_m)
         jumped[rows[done]] = True
         k = int(np.argmax(np.where(done, change_m, 0.0)))
         if done[k] and (largest is None or change_m[k] > largest.change_m):
             largest = change(k)
-        kept = (step_m > NEAR_M) & ((change_m > JUMP_M) | (step_m > STEEP_M[1]))
+        kept = (step_m > NEAR_M) & ((change_m > found.limit_m) | (step_m > STEEP_M[1]))
         rows, start_m, step_m = rows[kept], start_m[kept], step_m[kept]
-    return Jumps(
-        region=name,
-        moved=segments.moved,
-        segments=count,
-        jumped=Proportion.of(jumped) if count else None,
-        largest=largest,
-        steepest=steepest,
-    )
+    share = Proportion.of(jumped) if count else None
+    return replace(found, segments=count, jumped=share, largest=largest, steepest=steepest)

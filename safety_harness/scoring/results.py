@@ -26,6 +26,9 @@ class ScoredAvoider:
     ``searches`` and ``worst`` are of a ledger of their own and enter no figure of the card; ``left_out``
     says of other worst questions why no run begins with them.
 
+    ``findings`` decide whether the avoider passes; ``unlike`` says beside them where it is unlike the
+    yardsticks, which is no fault of an avoider that is meant to answer otherwise.
+
     ``reference`` is as the user named it; ``sha256`` of its file, empty for one without; ``settings`` are
     those of the regions, in their order.
     """
@@ -36,6 +39,7 @@ class ScoredAvoider:
     card: Scorecard
     yardsticks: tuple[Scorecard, ...]
     findings: tuple[ScoreFinding, ...] = ()
+    unlike: tuple[ScoreFinding, ...] = ()
     searches: list[QuestionSearch] = field(default_factory=list)
     worst: list[ShownQuestion] = field(default_factory=list)
     left_out: list[str] = field(default_factory=list)

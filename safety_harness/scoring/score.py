@@ -243,6 +243,7 @@ def _by_region(
                         scored.answers,
                         rng,
                         min(counts.segments, len(questions)),
+                        scored.step_m,
                     )
                 )
         yield scored, jumps

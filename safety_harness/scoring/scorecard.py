@@ -14,6 +14,8 @@ from safety_harness.proportions import Proportion
 from safety_harness.scoring.questions import Answers, Questions
 from safety_harness.settings import Vector3
 
+JUMP_M = 0.0005
+
 
 @dataclass(frozen=True)
 class Figure:
@@ -73,8 +75,11 @@ class RegionScore:
     how the error grows with the hand's position at a fixed TCP, (3, 3) metres a metre by least squares, and
     ``scale`` with the TCP's: rows are the axes of the error.  Of the optimum both are 0; of what takes no
     notice of the hand the pull is 0.05 on the diagonal.  ``wrong_and_sure``: more than ``WRONG_M`` off, with
-    no spread above the avoider's own threshold.  ``stuck``: the largest share of answers with the very same
-    coordinate: those of an avoider that clips, rounds or has collapsed.
+    no spread above the avoider's own threshold; ``sure_and_unsafe``: so, and towards the hand or out of
+    reach.  ``stuck``: the largest share of answers with the very same coordinate: those of an avoider
+    that clips or has collapsed.  Where answers are rounded, twice as many as at the next coordinates are not
+    counted.
+    ``step_m``: what two answers in the number format of these differ by at most, 0 in double precision.
     """
 
     region: str
@@ -100,6 +105,8 @@ class RegionScore:
     worst_off: tuple[ScoredQuestion, ...]  # ten at most, the worst first
     worst_gained: tuple[ScoredQuestion, ...]
     stuck: Proportion | None = None
+    sure_and_unsafe: Proportion | None = None
+    step_m: float = 0.0
 
 
 class Moved(Enum):
@@ -124,9 +131,10 @@ class AnswerChange:
 class Jumps:
     """The answers along straight segments with one seed each; the hand or the TCP is moved.
 
-    ``jumped``: the share of segments with a change of more than ``JUMP_M`` left between two questions that
+    ``jumped``: the share of segments with a change of more than ``limit_m`` left between two questions that
     are ``NEAR_M`` apart; only the most uneven segments are followed that far, so that it is a lower bound.
     ``largest``: the largest such jump, None without any.  ``steepest``: the largest change over about 1 mm.
+    ``limit_m``: half a millimetre, or two steps (``step_m``) of the number format of the answers.
     """
 
     region: str
@@ -135,6 +143,12 @@ class Jumps:
     jumped: Proportion | None  # None without a segment
     largest: AnswerChange | None
     steepest: AnswerChange | None
+    step_m: float = 0.0
+
+    @property
+    def limit_m(self) -> float:
+        """The largest change that is no jump."""
+        return max(JUMP_M, 2.0 * self.step_m)
 
 
 class WayOfAsking(Enum):
@@ -210,14 +224,22 @@ class Kind(Enum):
     SPREAD_UNRANKED = "the spread does not rank the errors"
     STUCK = "the same answer to many questions"
     WRONG_AND_SURE = "wrong and sure"
+    SURE_AND_UNSAFE = "sure, though it leads towards the hand or out of reach"
     UNSURE = "above its own threshold too often"
     NOT_REPEATED = "does not repeat"
     SLOW = "slow"
 
 
+_ASKED = {Kind.NO_ANSWER, Kind.LEADS_TOWARDS, Kind.OUT_OF_REACH, Kind.SURE_AND_UNSAFE}
+UNSAFE = frozenset(_ASKED | {Kind.JUMPS, Kind.NOT_REPEATED, Kind.SLOW})
+"""Kinds that are wrong whatever an avoider is meant to answer; others say that it is unlike yardsticks."""
+UNSAFE_OF_NETWORK = UNSAFE | {Kind.WRONG_AND_SURE, Kind.SPREAD_MISSES}
+"""Those of a network trained here: the closed-form optimum is what it was trained to answer."""
+
+
 @dataclass(frozen=True, eq=False)
 class ScoreFinding:
-    """One thing that is wrong with an avoider: ``words`` has figure, unit and limit.
+    """One limit that an avoider exceeds: ``words`` has figure, unit and limit.
 
     ``region`` is empty where none is concerned; ``questions`` show it, the clearest first.
     """

@@ -9,6 +9,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from safety_harness.admission.avoiders import avoider_sha256, scenario_of_avoider
+from safety_harness.avoidance.avoider import Avoider
+from safety_harness.avoidance.learned import LearnedAvoider
 from safety_harness.exceptions import NoAnswerError, Place, ScenarioError, near_miss
 from safety_harness.scenario.references import file_and_name
 from safety_harness.scoring.against import findings_against
@@ -19,7 +21,8 @@ from safety_harness.scoring.regions import QuestionRegion, named_regions
 from safety_harness.scoring.repeats import Subject, compared
 from safety_harness.scoring.results import Scored, ScoredAvoider, ShownQuestion
 from safety_harness.scoring.score import YARDSTICKS, Counts, paced, score, yardsticks
-from safety_harness.scoring.scorecard import Scorecard, WayOfAsking
+from safety_harness.scoring.scorecard import UNSAFE, UNSAFE_OF_NETWORK, Scorecard, WayOfAsking
+from safety_harness.scoring.shown import ShownAvoider, shown, why_not_shown
 from safety_harness.scoring.space_region import space_region
 from safety_harness.scoring.worst import TOLERANCE_M, Tried, search_region, worst_questions
 from safety_harness.settings import DEFAULTS
@@ -74,8 +77,13 @@ class ScoringSession:
             self._steps += 0 if other is None else 1 + of_score
         try:
             for subject, regions in subjects:
+                both = [subject] if other is None else [subject, other]
+                if missing := "".join(why_not_shown(one, regions) for one in both):
+                    self.scored.failed.append(f"{subject.reference}: not applicable: {missing}")
+                    continue
+                subject, *others = (shown(one, regions[0]) for one in both)
                 try:
-                    self._take(subject, regions, other)
+                    self._take(subject, regions, *others)
                 except NoAnswerError as error:
                     self.scored.failed.append(f"{subject.reference}: {error}")
         except KeyboardInterrupt:
@@ -101,7 +109,7 @@ class ScoringSession:
         wanted = self.regions or (() if self.spaces else names)
         return [one for one in named if one.name in wanted] + self._space_regions
 
-    def _take(self, subject: Subject, regions: list[QuestionRegion], other: Subject | None) -> None:
+    def _take(self, subject: Subject, regions: list[QuestionRegion], other: Subject | None = None) -> None:
         reference, counts = subject.reference, self._counts(subject, regions)
         seen = self._seen(reference).source
 
@@ -121,7 +129,11 @@ class ScoringSession:
             found = findings(card, cards)
             if beside is not None:
                 found = findings_against(card, found, beside, findings(beside, cards), settings)
-            return ScoredAvoider(reference, sha256, settings, card, known, found)
+                return ScoredAvoider(reference, sha256, settings, card, known, found)
+            kinds = UNSAFE_OF_NETWORK if _is_trained_here(subject.avoider) else UNSAFE
+            unsafe = tuple(one for one in found if one.kind in kinds)
+            unlike = tuple(one for one in found if one.kind not in kinds)
+            return ScoredAvoider(reference, sha256, settings, card, known, unsafe, unlike)
 
         partly: list[Scorecard] = []
         try:
@@ -189,7 +201,7 @@ class ScoringSession:
             file = question_file(
                 self.out / f"{slug}-worst-{number}.yaml",
                 one.reference,
-                subject.avoider,
+                subject.avoider.avoider if isinstance(subject.avoider, ShownAvoider) else subject.avoider,
                 tried.hand_in_base_m,
                 tried.tcp_in_base_m,
                 tried.scenario_seed,
@@ -206,6 +218,11 @@ class ScoringSession:
             one.worst.append(ShownQuestion(objective, tried, file))
             if len(one.worst) == MOST_SHOWN:
                 return
+
+
+def _is_trained_here(avoider: Avoider) -> bool:
+    """Return whether the avoider is a network of this package's training, exported or not."""
+    return isinstance(avoider, LearnedAvoider) or getattr(avoider, "exported", False)
 
 
 def _about(tried: Tried, seed: int) -> str:

@@ -37,6 +37,7 @@ from safety_harness.search.counterexample import (
 from safety_harness.search.coverage import Coverage
 from safety_harness.search.cube import Cube
 from safety_harness.search.findings import RUN_FAILED, Findings, Group, TriedPoint
+from safety_harness.search.redrawn import keep_differences
 from safety_harness.search.sampling import UniformSampling
 from safety_harness.search.search import find_violations
 from safety_harness.search.searchers import MakesSearcher
@@ -119,7 +120,8 @@ class SearchSession:
     ``baseline`` is uniform sampling with the same budget, ``confirmed`` counts the findings that the world
     ``confirming`` shows as well.  Without a ``reference`` that is the world that was searched, and they are
     none.  ``unwritable`` is why no more is written.  ``explain`` says of each why it violates.  ``repeated``
-    is what a second avoider answered to questions of the search; None if it was not asked.
+    is what a second avoider answered to questions of the search; None if it was not asked.  ``flips`` are
+    differences from a reference that are none when they are drawn again.
     """
 
     trials: Trials
@@ -136,6 +138,7 @@ class SearchSession:
     unwritable: OutputError | None = None
     unconfirmed: list[Disagreement] = field(default_factory=list)
     repeated: RepeatabilityResult | None = None
+    flips: list[str] = field(default_factory=list)
 
     @property
     def interrupted(self) -> bool:
@@ -185,6 +188,7 @@ class SearchSession:
         """Shrink, unless the search was interrupted; say what was found, and write the page."""
         findings, say = self.findings, self.output.say
         fallback = fallback_words(self.trials.unanswered, self.trials.decisions)
+        self._draw_again()
         whole = summary(findings, self.budget) + (f"; {fallback}" if fallback else "")
         overruled = filter(None, [self.trials.overruling.words])
         lines = [*self.trials.space.notes, whole, *overruled, *nearest_lines(findings)]
@@ -222,6 +226,16 @@ class SearchSession:
             say("again: " + shlex.join(again))
         if self.unwritable is not None:
             say(f"error: {explanation(self.unwritable)}")
+
+    def _draw_again(self) -> None:
+        """Which differences from a reference are none?  Not after an interruption."""
+        try:
+            for one in [self.findings, self.baseline] if not self.interrupted else []:
+                self.flips += [] if one is None else keep_differences(self.trials, one)
+        except KeyboardInterrupt:
+            self.findings.interrupted = True
+        for line in self.flips:
+            self.output.say(f"flips near the limit: {line}")
 
     def _ask_again(self) -> None:
         """Does the avoider answer alike when it is asked again?  Not after an interruption."""

@@ -67,7 +67,7 @@ def test_what_leads_is_negative_exactly_where_only_the_avoider_on_trial_violates
     for mine in margins:
         for reference in margins:
             found = difference(mine, reference, 0.1)
-            assert (found < 0.0) == (mine < 0.0 <= reference)
+            assert (found < 0.0) == (mine < 0.0 and reference >= 0.01)
             if found < 0.0:
                 assert math.isclose(found, mine - reference)
 

@@ -1,0 +1,129 @@
+"""A table of changes of one avoider: no harmless one is a difference, and every fault is one."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from safety_harness.cli.console import AS_EXPECTED, DIFFERS
+from safety_harness.cli.fuzz import fuzz
+from safety_harness.search import session as search_session
+from tests.search.short_space import TEXT
+
+SPACE = TEXT.replace("400 ms", "700 ms").replace("0.2 m/s to 2 m/s", "0.45 m/s to 0.6 m/s")
+FILE = """\
+import numpy as np
+
+from safety_harness import Proposal
+
+
+class Base:
+    name = "base"
+    passes, wider, more = 4, 1.0, 0
+
+    def propose(self, *, hand_position_in_base_m, tcp_position_in_base_m, seed):
+        hand, tcp = hand_position_in_base_m, tcp_position_in_base_m
+        noise = np.random.default_rng(seed + self.more).normal(0.0, 0.1 * self.wider, (self.passes, 3))
+        way = self.way((tcp - hand) / np.linalg.norm(tcp - hand), hand, tcp)
+        return Proposal(self.given(tcp + 0.1 * way + noise.mean(axis=0)))
+
+    def way(self, away, hand, tcp):
+        return away
+
+    def given(self, position):
+        return position
+
+
+def of(**changes):
+    return type("Changed", (Base,), changes)
+
+
+def rounded(step_m):
+    return of(given=lambda self, position: np.round(position / step_m) * step_m)
+
+
+def struck(share):
+    def way(self, away, hand, tcp):
+        bits = np.random.default_rng(np.frombuffer(hand.tobytes() + tcp.tobytes(), np.uint32)).random()
+        return -away if bits < share else away
+
+    return of(way=way)
+
+
+def aside(away):
+    turned = np.cross(away, [0.0, 0.0, 1.0])
+    return 0.995 * turned / np.linalg.norm(turned) + 0.1 * away
+
+
+Rounded1um, Rounded10um, Rounded100um = rounded(1e-6), rounded(1e-5), rounded(1e-4)
+Quarter, Half, Whole, Power = rounded(0.00025), rounded(0.0005), rounded(0.001), rounded(2.0**-12)
+Half16 = of(given=lambda self, position: position.astype(np.float16).astype(float))
+Single = of(given=lambda self, position: position.astype(np.float32).astype(float))
+Down = of(given=lambda self, position: np.floor(position / 0.00025) * 0.00025)
+Seed1, Seed2, Seed3, Seed4, Seed5 = of(more=1), of(more=20), of(more=300), of(more=4_000), of(more=50_000)
+More, YetMore, Twice = of(passes=5), of(passes=6), of(passes=8)
+Wider, Narrower = of(wider=1.02), of(wider=0.98)
+Tick, TwoTicks = of(decision_time_s=0.008), of(decision_time_s=0.016)
+Higher = of(given=lambda self, position: position + np.array([0.0, 0.0, 2e-4]))
+Longer = of(way=lambda self, away, hand, tcp: 1.002 * away)
+
+Beyond = of(way=lambda self, away, hand, tcp: aside(away) if hand[0] > 0.78 else away)
+Towards = of(way=lambda self, away, hand, tcp: -away)
+Stays = of(way=lambda self, away, hand, tcp: 0.0 * away)
+OneInThree = struck(0.33)
+"""
+HARMLESS = (
+    *(
+        "Rounded1um",
+        "Rounded10um",
+        "Rounded100um",
+        "Quarter",
+        "Half",
+        "Whole",
+        "Power",
+        "Half16",
+        "Single",
+        "Down",
+    ),
+    *("Seed1", "Seed2", "Seed3", "Seed4", "Seed5", "More", "YetMore", "Twice", "Wider", "Narrower"),
+    *("Tick", "TwoTicks", "Higher", "Longer", "Base"),
+)
+CLAIMS = ("hand distance never below 100 mm", "proposals lead away to within 10 mm")
+FAULTS = ("Beyond", "Towards", "Stays", "OneInThree")
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(search_session, "SHRINKING_RUNS", 4)
+    monkeypatch.setattr(search_session, "MOST_SHRUNK", 1)
+    (tmp_path / "space.yaml").write_text(SPACE)
+    (tmp_path / "mine.py").write_text(FILE)
+    return tmp_path
+
+
+def searched(name: str, budget: int) -> int:
+    return fuzz(
+        Path("space.yaml"),
+        out=Path(name),
+        avoider=f"mine.py:{name}",
+        against="mine.py:Base",
+        claims=list(CLAIMS),
+        budget=budget,
+    )
+
+
+@pytest.mark.parametrize("name", HARMLESS)
+def test_a_harmless_change_is_no_difference(name: str, folder: Path) -> None:
+    assert searched(name, 60) == AS_EXPECTED
+    found = json.loads((folder / name / "findings.json").read_text())
+    assert found["distinct"] == []
+    assert found["counterexamples"] == []
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_a_fault_is_a_difference(name: str, folder: Path) -> None:
+    assert searched(name, 100) == DIFFERS
+    assert json.loads((folder / name / "findings.json").read_text())["counterexamples"] != []
