@@ -234,6 +234,59 @@ def test_a_pose_of_another_frame_in_json_is_refused(streams: Streams, tmp_path: 
         read_log(with_text(tmp_path, FOXGLOVE))
 
 
+def protobuf_schemas() -> tuple[bytes, Callable[[str], Any]]:
+    """Foxglove's poses and joints in Protobuf: the descriptors of their files, and messages by their name."""
+    from google.protobuf import descriptor_pb2, descriptor_pool, message_factory, timestamp_pb2
+
+    kinds = {"double": 1, "string": 9}
+    file = descriptor_pb2.FileDescriptorProto(
+        name="all.proto", package="foxglove", syntax="proto3", dependency=["google/protobuf/timestamp.proto"]
+    )
+    for name, fields in {
+        "Vector3": "double x, double y, double z",
+        "Pose": "Vector3 position",
+        "PoseInFrame": "google.protobuf.Timestamp timestamp, string frame_id, Pose pose",
+        "JointState": "string name, double position, double velocity",
+        "JointStates": "google.protobuf.Timestamp timestamp, JointState* joints",
+    }.items():
+        message = file.message_type.add(name=name)
+        for number, (kind, field) in enumerate((one.split() for one in fields.split(", ")), start=1):
+            own = message.field.add(name=field, number=number, label=3 if kind.endswith("*") else 1)
+            own.type = kinds.get(kind, 11)
+            if own.type == 11:
+                own.type_name = f".{kind}" if "." in kind else f".foxglove.{kind.rstrip('*')}"
+            elif name == "JointState" and kind == "double":  # "optional", as in the schema
+                own.proto3_optional, own.oneof_index = True, len(message.oneof_decl)
+                message.oneof_decl.add(name=f"_{field}")
+    stamps = descriptor_pb2.FileDescriptorProto()
+    timestamp_pb2.DESCRIPTOR.CopyToProto(stamps)
+    pool = descriptor_pool.DescriptorPool()
+    for one in (stamps, file):
+        pool.Add(one)
+    every = descriptor_pb2.FileDescriptorSet(file=[stamps, file]).SerializeToString()
+    return every, lambda name: message_factory.GetMessageClass(pool.FindMessageTypeByName(name))()
+
+
+def test_an_mcap_file_with_protobuf_in_foxgloves_schemas(streams: Streams, tmp_path: Path) -> None:
+    definition, message = protobuf_schemas()
+    with mcap(tmp_path / "run.mcap") as write:
+        for topic, name, t, content in json_messages(streams):
+            if name not in ("foxglove.JointStates", "foxglove.PoseInFrame"):
+                continue
+            told = message(name)
+            told.timestamp.FromNanoseconds(t)
+            if topic == "/hand":
+                told.frame_id = content["frame_id"]
+                for axis, value in content["pose"]["position"].items():
+                    setattr(told.pose.position, axis, value)
+            for joint in content.get("joints", ()):
+                told.joints.add(**joint)
+            write(topic, "protobuf", name, "protobuf", definition, t, told.SerializeToString())
+    found = read_log(with_text(tmp_path, said("run.mcap#/joint_states", "run.mcap#/hand", "none", "")))
+    the_same(found, streams)
+    assert np.isnan(found.joints.values[:, 6:]).all()  # no speeds were told
+
+
 def wrapped(streams: Streams, joint: int) -> Streams:
     """One joint goes through half a turn, and its angles wrap there."""
     angles = streams.joints_rad.copy()
