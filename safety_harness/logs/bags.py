@@ -169,7 +169,13 @@ def messages(source: LogSource) -> Iterator[Message]:
         number = 0
         for connection, received_ns, content in reader.messages(connections):
             number += 1
-            yield Message(number, received_ns, *as_standard(connection.msgtype, content))
+            try:
+                message = Message(number, received_ns, *as_standard(connection.msgtype, content))
+            except AttributeError as lacking:
+                place = Place(file=source.file, field=f"message {number} of {source.topic}")
+                expected = f"the fields of a message of {connection.msgtype}"
+                raise LogError(place=place, expected=expected, got=str(lacking)) from lacking
+            yield message
         promised = sum(one.msgcount for one in connections)
         if number != promised:
             raise LogError(
@@ -194,8 +200,8 @@ def read_joints(
     ``angle`` is the unit of angles in rad.
     """
     wanted, found = tuple(names), dict[tuple[str, ...], list[int]]()
-    others: list[tuple[Message, tuple[str, ...]]] = []  # the first message of each set of other joints
-    skipped = 0
+    skipped: dict[tuple[str, ...], int] = {}  # how many messages of a gripper, or another arm
+    first: Message | None = None  # of them
     for message in messages(source):
         content = message.content
         if message.kind != JOINT_STATE and not source.path:
@@ -209,17 +215,16 @@ def read_joints(
             told = tuple(content.name)
             if told not in found:
                 source.seen.update(told)
-                if not set(wanted) & set(told):
-                    others.append((message, told))
-                    found[told] = []
-                else:
+                found[told] = []
+                if set(wanted) & set(told):
                     _refuse_lacking(wanted, told, source, message)
                     found[told] = [told.index(name) for name in wanted]
                     source.used.update(wanted)
-            if not found[told]:  # a gripper, or another arm
-                skipped += 1
-                continue
             at = found[told]
+            if not at:
+                skipped[told] = skipped.get(told, 0) + 1
+                first = first or message
+                continue
             if len(content.position) != len(told):
                 raise error(source, message, f"{len(told)} positions", str(len(content.position)))
             values = [float(content.position[k]) for k in at]
@@ -229,11 +234,11 @@ def read_joints(
         _refuse_infinite(values, source, message)
         numbers = [value * angle for value in (*values, *rates)]
         _add(collector, message, time, getattr(content, "header", None), numbers)
-    if others and not collector.seen:
-        _refuse_lacking(wanted, others[0][1], source, others[0][0])
+    if first is not None and not collector.seen:
+        _refuse_lacking(wanted, first.content.name, source, first)
     if skipped:
-        them = shown(", ".join(name for _, told in others for name in told))
-        collector.notes.append(f"{skipped} messages that name no joint of the arm are skipped: {them}")
+        count, them = sum(skipped.values()), shown(", ".join(name for told in skipped for name in told))
+        collector.notes.append(f"{count} messages that name no joint of the arm are skipped: {them}")
 
 
 def _refuse_lacking(wanted: Sequence[str], told: Sequence[str], source: LogSource, message: Message) -> None:

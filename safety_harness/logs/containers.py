@@ -13,6 +13,8 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+from safety_harness.logs.mcap import McapFile
+
 ROS1, MCAP = ".bag", ".mcap"
 Decode = Callable[[bytes], Any]
 
@@ -79,8 +81,7 @@ def _protobuf(name: str, definition: bytes) -> Decode:
     pool = descriptor_pool.DescriptorPool()
     for file in descriptor_pb2.FileDescriptorSet.FromString(definition).file:
         pool.Add(file)
-    kind = message_factory.GetMessageClass(pool.FindMessageTypeByName(name))
-    decode: Decode = kind.FromString
+    decode: Decode = message_factory.GetMessageClass(pool.FindMessageTypeByName(name)).FromString
     return decode
 
 
@@ -111,7 +112,5 @@ def _storage(file: Path) -> Any:
     if ending == MCAP:
         with file.open("rb") as data:
             if data.read(25)[17:] != b"\4\0\0\0ros2":  # its profile
-                from safety_harness.logs.mcap import McapFile
-
                 return McapFile(file)
     return Reader1(file) if ending == ROS1 else Reader2.STORAGE_PLUGINS[ending](file)

@@ -1,6 +1,6 @@
 """MCAP files of any profile but ROS 2's: their channels, and the bytes of their messages, in order.
 
-This module needs ``rosbags``, and is imported by those alone who have looked for it.
+Their pieces are read by the functions of ``rosbags``.
 """
 
 from __future__ import annotations
@@ -11,9 +11,6 @@ from io import BytesIO
 from pathlib import Path
 from struct import unpack
 from typing import Any, BinaryIO
-
-from rosbags.interfaces import Connection, ConnectionExtRosbag2, MessageDefinition, MessageDefinitionFormat
-from rosbags.rosbag2.storage_mcap import decompress, read_bytes, read_exact, read_sized, read_string
 
 MAGIC = b"\x89MCAP0\r\n"
 FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK = 0x02, 0x03, 0x04, 0x05, 0x06
@@ -37,6 +34,10 @@ class McapFile:
             raise
 
     def _read_channels(self) -> None:
+        from rosbags.interfaces import Connection, ConnectionExtRosbag2, MessageDefinition
+        from rosbags.interfaces import MessageDefinitionFormat as Format
+        from rosbags.rosbag2.storage_mcap import read_bytes, read_string
+
         begin = self._data.read(len(MAGIC))
         self._data.seek(-len(MAGIC), 2)
         if (begin, self._data.read()) != (MAGIC, MAGIC):
@@ -56,9 +57,7 @@ class McapFile:
         for number, (schema, topic, encoding) in channels.items():
             name, form, data = schemas.get(schema, ("", "", b""))
             known, named = FORMATS.get(form), name.replace("/", "/msg/") if name.count("/") == 1 else name
-            text = MessageDefinition(
-                MessageDefinitionFormat[known or "NONE"], data.decode() if known else data
-            )
+            text = MessageDefinition(Format[known or "NONE"], data.decode() if known else data)
             extra = ConnectionExtRosbag2(encoding, [])
             self.connections.append(Connection(number, topic, named, text, "", counts[number], extra, self))
 
@@ -77,6 +76,8 @@ class McapFile:
 
     def _records(self) -> Iterator[tuple[int, BinaryIO]]:
         """Yield the kind and body of each record, those of chunks too."""
+        from rosbags.rosbag2.storage_mcap import decompress, read_exact, read_sized, read_string
+
         self._data.seek(len(MAGIC))
         while (kind := read_exact(self._data, 1)[0]) != FOOTER:
             record = BytesIO(read_sized(self._data))

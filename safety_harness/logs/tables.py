@@ -27,7 +27,7 @@ ROWS_AT_ONCE = 8_192
 TIME_UNITS = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}  # in nanoseconds
 LENGTH_UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 ANGLE_UNITS = {"rad": 1.0, "deg": math.pi / 180.0}
-SEPARATORS = ("\t", ";", ",", " ")  # the first of them that the line of names has
+SEPARATORS = ("\t", ";", ",")  # or spaces, where the line of names has none of these
 RTDE_POSITIONS, RTDE_SPEEDS, RTDE_TIME = "actual_q_", "actual_qd_", "timestamp in s"
 SPEED_UNITS = {f"{unit}ps": si for unit, si in LENGTH_UNITS.items()}
 RATE_UNITS = {"radps": 1.0, "degps": math.pi / 180.0}
@@ -292,7 +292,8 @@ def _separator(path: Path) -> str:
     with path.open("rb") as data:
         names = data.readline(MOST_NAMES_BYTES).decode("utf-8-sig", "replace").strip()
     unquoted = re.sub(r'"[^"]*"', "", names)
-    return next((one for one in SEPARATORS if one in unquoted), ",")
+    by = max(SEPARATORS, key=unquoted.count)
+    return by if by in unquoted else " " if " " in unquoted else ","
 
 
 @contextmanager

@@ -234,6 +234,15 @@ def test_a_pose_of_another_frame_in_json_is_refused(streams: Streams, tmp_path: 
         read_log(with_text(tmp_path, FOXGLOVE))
 
 
+def test_a_message_that_lacks_a_field_of_its_schema_is_named(streams: Streams, tmp_path: Path) -> None:
+    with mcap(tmp_path / "run.mcap") as write:
+        for topic, name, t, content in json_messages(streams):
+            content.pop("pose", None)
+            write(topic, "json", name, "jsonschema", b"{}", t, json.dumps(content).encode())
+    with pytest.raises(LogError, match=r"message 1 of /hand.*fields of a message of foxglove\.PoseInFrame"):
+        read_log(with_text(tmp_path, FOXGLOVE))
+
+
 def protobuf_schemas() -> tuple[bytes, Callable[[str], Any]]:
     """Foxglove's poses and joints in Protobuf: the descriptors of their files, and messages by their name."""
     from google.protobuf import descriptor_pb2, descriptor_pool, message_factory, timestamp_pb2
@@ -349,6 +358,14 @@ def test_separators_of_tables(streams: Streams, tmp_path: Path, separator: str) 
     for name in ("joints", "hands"):
         text = (tmp_path / f"{name}.csv").read_text()
         (tmp_path / f"{name}.csv").write_text(text.replace(",", separator))
+    the_same(read_log(with_text(tmp_path, TABLES)), streams)
+
+
+def test_a_semicolon_in_a_name_separates_nothing(streams: Streams, tmp_path: Path) -> None:
+    write_csv(streams, tmp_path)
+    rows = (tmp_path / "joints.csv").read_text().splitlines()
+    rows = [f"{row},{'force; N or m' if k == 0 else 1.5}" for k, row in enumerate(rows)]
+    (tmp_path / "joints.csv").write_text("\n".join(rows) + "\n")
     the_same(read_log(with_text(tmp_path, TABLES)), streams)
 
 
