@@ -187,6 +187,17 @@ def test_a_ros_1_bag(streams: Streams, tmp_path: Path) -> None:
         read_log(tmp_path / "LOG.yaml")
 
 
+def test_an_mcap_file_with_ros_1_messages(streams: Streams, tmp_path: Path) -> None:
+    store = get_typestore(Stores.ROS1_NOETIC)
+    with mcap(tmp_path / "run.mcap", "ros1") as write:
+        for at, (t, topic, kind, message) in enumerate(joint_messages(streams) + poses(streams)):
+            head = store.types["std_msgs/msg/Header"](at, message.header.stamp, message.header.frame_id)
+            raw = bytes(store.serialize_ros1(replace(message, header=head), kind))
+            definition = store.generate_msgdef(kind)[0].encode()
+            write(topic, "ros1", kind.replace("/msg/", "/"), "ros1msg", definition, t, raw)
+    the_same(read_log(with_text(tmp_path, BAG.replace("run#", "run.mcap#"))), streams)
+
+
 def json_messages(streams: Streams) -> Iterator[tuple[str, str, int, dict[str, Any]]]:
     """In Foxglove's schemas."""
     stamp = lambda t: {"sec": t // 10**9, "nsec": t % 10**9}  # noqa: E731
