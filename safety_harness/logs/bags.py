@@ -9,23 +9,30 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
 from safety_harness.exceptions import LogError, Place, near_miss
 from safety_harness.extras import LOGS
+from safety_harness.logs.containers import Bag, UnreadableDefinitionError, opened
+from safety_harness.logs.foxglove import (
+    JOINT_STATE,
+    POSE_ARRAY,
+    POSE_STAMPED,
+    TF,
+    as_standard,
+    fields_of,
+    nanoseconds,
+)
 from safety_harness.logs.sample_bound import SampleBound
 from safety_harness.logs.streams import Collector, LogSource
 from safety_harness.logs.tables import as_word
 from safety_harness.scenario.units import shown
 
-JOINT_STATE = "sensor_msgs/msg/JointState"
-POSE_ARRAY = "geometry_msgs/msg/PoseArray"
-TF = "tf2_msgs/msg/TFMessage"
 POSITIONS = {  # where a position is in a message of a standard type
-    "geometry_msgs/msg/PoseStamped": "pose.position",
+    POSE_STAMPED: "pose.position",
     "geometry_msgs/msg/PoseWithCovarianceStamped": "pose.pose.position",
     "geometry_msgs/msg/PointStamped": "point",
     "geometry_msgs/msg/TransformStamped": "transform.translation",
@@ -89,7 +96,7 @@ def read_parts(
         header = getattr(content, "header", None)
         if framed is not None:
             framed(_frame_of(header), message)
-        collector.add(_time_ns(message, source, time, header), values, message.number)
+        _add(collector, message, time, header, values)
 
 
 def _of_part(
@@ -118,23 +125,28 @@ def _of_part(
 
 
 @contextmanager
-def _opened(source: LogSource) -> Iterator[Any]:
+def _opened(source: LogSource) -> Iterator[Bag]:
     """The bag of a stream; whatever its reader stumbles over becomes a LogError."""
-    with LOGS.needed("logs in MCAP files and ROS 2 bags", source.file):
-        from rosbags.highlevel import AnyReader
-        from rosbags.typesys import Stores, get_typestore
+    with LOGS.needed("logs in MCAP files and bags of ROS", source.file):
+        import rosbags.rosbag1
+        import rosbags.rosbag2  # noqa: F401
+    place, hint = Place(file=source.file, field=source.what), ""
+    error: Exception
     try:
-        with AnyReader([source.file], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
-            yield reader
+        with opened(source.file) as bag:
+            yield bag
+        return
     except LogError:
         raise
-    except Exception as error:  # of the storage, its compression, a definition: whatever damage provokes
-        raise LogError(
-            place=Place(file=source.file, field=source.what),
-            expected="a bag, whole",
-            got=" ".join(f"{type(error).__name__}: {error}".split()),
-            hint="of a recording that was cut off: mcap recover FILE.mcap, or ros2 bag reindex FOLDER",
-        ) from error
+    except UnreadableDefinitionError as unreadable:
+        expected, error = f"a definition of the messages of {source.topic} that can be read", unreadable
+    except ModuleNotFoundError as missing:
+        expected, error, hint = "a package that decodes these messages", missing, "pip install protobuf"
+    except Exception as damage:  # of the storage, its compression, a message: whatever damage provokes
+        expected, error = "a bag, whole", damage
+        hint = "of a recording that was cut off: mcap recover FILE.mcap, or ros2 bag reindex FOLDER"
+    got = " ".join(f"{type(error).__name__}: {error}".split())
+    raise LogError(place=place, expected=expected, got=got, hint=hint) from error
 
 
 def messages(source: LogSource) -> Iterator[Message]:
@@ -155,11 +167,15 @@ def messages(source: LogSource) -> Iterator[Message]:
                 hint=near_miss(source.topic, topics) or f"its topics: {shown(', '.join(topics))}",
             )
         number = 0
-        for connection, received_ns, raw in reader.messages(connections=connections):
+        for connection, received_ns, content in reader.messages(connections):
             number += 1
-            yield Message(
-                number, received_ns, connection.msgtype, reader.deserialize(raw, connection.msgtype)
-            )
+            try:
+                message = Message(number, received_ns, *as_standard(connection.msgtype, content))
+            except AttributeError as lacking:
+                place = Place(file=source.file, field=f"message {number} of {source.topic}")
+                expected = f"the fields of a message of {connection.msgtype}"
+                raise LogError(place=place, expected=expected, got=str(lacking)) from lacking
+            yield message
         promised = sum(one.msgcount for one in connections)
         if number != promised:
             raise LogError(
@@ -183,7 +199,9 @@ def read_joints(
 
     ``angle`` is the unit of angles in rad.
     """
-    wanted, found = tuple(names), {}
+    wanted, found = tuple(names), dict[tuple[str, ...], list[int]]()
+    skipped: dict[tuple[str, ...], int] = {}  # how many messages of a gripper, or another arm
+    first: Message | None = None  # of them
     for message in messages(source):
         content = message.content
         if message.kind != JOINT_STATE and not source.path:
@@ -196,15 +214,17 @@ def read_joints(
         else:
             told = tuple(content.name)
             if told not in found:
-                for name in wanted:
-                    if name not in told:
-                        hint = near_miss(name, told) or 'the key "names" says what the log calls each joint'
-                        expected = f'the joint "{name}"'
-                        raise error(source, message, expected, f"the joints {shown(', '.join(told))}", hint)
-                found[told] = [told.index(name) for name in wanted]
                 source.seen.update(told)
-                source.used.update(wanted)
+                found[told] = []
+                if set(wanted) & set(told):
+                    _refuse_lacking(wanted, told, source, message)
+                    found[told] = [told.index(name) for name in wanted]
+                    source.used.update(wanted)
             at = found[told]
+            if not at:
+                skipped[told] = skipped.get(told, 0) + 1
+                first = first or message
+                continue
             if len(content.position) != len(told):
                 raise error(source, message, f"{len(told)} positions", str(len(content.position)))
             values = [float(content.position[k]) for k in at]
@@ -213,9 +233,20 @@ def read_joints(
                 rates = [float(content.velocity[k]) for k in at]
         _refuse_infinite(values, source, message)
         numbers = [value * angle for value in (*values, *rates)]
-        collector.add(
-            _time_ns(message, source, time, getattr(content, "header", None)), numbers, message.number
-        )
+        _add(collector, message, time, getattr(content, "header", None), numbers)
+    if first is not None and not collector.seen:
+        _refuse_lacking(wanted, first.content.name, source, first)
+    if skipped:
+        count, them = sum(skipped.values()), shown(", ".join(name for told in skipped for name in told))
+        collector.notes.append(f"{count} messages that name no joint of the arm are skipped: {them}")
+
+
+def _refuse_lacking(wanted: Sequence[str], told: Sequence[str], source: LogSource, message: Message) -> None:
+    """LogError for a message that does not name all joints of the arm."""
+    for name in wanted:
+        if name not in told:
+            hint = near_miss(name, told) or 'the key "names" says what the log calls each joint'
+            raise error(source, message, f'the joint "{name}"', f"the joints {shown(', '.join(told))}", hint)
 
 
 def read_positions(
@@ -273,7 +304,7 @@ def read_positions(
             speed = _xyz(_follow(content, source, message, speeds), source, message)
             ends = moved([value * length for value in speed]), moved([0.0] * 3)
             position = [*position, *(one - other for one, other in zip(*ends, strict=True))]
-        collector.add(_time_ns(message, source, time, header), position, message.number)
+        _add(collector, message, time, header, position)
 
 
 def _bodies(source: LogSource, message: Message) -> Iterator[str]:
@@ -317,11 +348,21 @@ def _frame_of(header: Any) -> str:
     return str(getattr(header, "frame_id", ""))
 
 
+def _add(collector: Collector, message: Message, said: str, header: Any, values: Iterable[float]) -> None:
+    """Hand the sample of a message to ``collector``."""
+    try:
+        time_ns = _time_ns(message, collector.source, said, header)
+    except LogError as refused:
+        collector.unstamped(refused)
+    else:
+        collector.add(time_ns, values, message.number)
+
+
 def _time_ns(message: Message, source: LogSource, said: str, header: Any) -> int:
     if said == RECEIVED:
         return message.received_ns
     stamp = getattr(header, "stamp", None)
-    time_ns = 0 if stamp is None else int(stamp.sec) * 10**9 + int(stamp.nanosec)
+    time_ns = 0 if stamp is None else nanoseconds(stamp)
     if time_ns == 0:
         hint = 'the key "time: received" takes the time at which each was received'
         raise error(source, message, "a stamp in its header", "none", hint)
@@ -332,7 +373,7 @@ def _follow(content: Any, source: LogSource, message: Message, path: str = "") -
     """What the path of a field leads to, such as ``markers[2].pose.position``."""
     for step in (path or source.path).split("."):
         found = _STEP.fullmatch(step)
-        fields = [name for name in getattr(content, "__dataclass_fields__", ()) if not name.startswith("__")]
+        fields = fields_of(content)
         if found is None or found[1] not in fields:
             hint = near_miss(step, fields) or f"its fields: {shown(', '.join(fields))}"
             raise error(source, message, "a path of fields such as wrist.position", step, hint)

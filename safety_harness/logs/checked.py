@@ -13,6 +13,7 @@ from safety_harness.exceptions import LogError
 from safety_harness.logs.model import JointFacts
 from safety_harness.logs.sample_bound import SampleBound, refuse_unbounded
 from safety_harness.logs.streams import NS, LogSamples
+from safety_harness.robot.description import ArmModel
 
 FARTHEST_M, FARTHEST_RAD = 10.0, 8.0 * np.pi
 HARDEST_TAKEN = 40.0  # rad/s2 or m/s2, where no acceleration is said
@@ -87,6 +88,36 @@ def refuse_the_same(streams: list[LogSamples]) -> None:
             raise LogError(place=place, expected="a stream of its own of each hand and elbow", got=got)
 
 
+def the_short_way(joints: LogSamples, facts: JointFacts, arm: ArmModel) -> LogSamples:
+    """Return ``joints`` with those that have no ends going the short way where their angles wrap at a turn.
+
+    Within the longest gap that is only done where such a joint cannot have gone the long way meanwhile.
+    """
+    count, step_s = len(arm.joint_names), np.diff(joints.time_ns)[:, None] / NS
+    way = np.diff(joints.values[:, :count], axis=0)
+    endless = np.isinf(arm.position_lower_rad) & np.isinf(arm.position_upper_rad)
+    sure = step_s * facts.move_at_most_radps + 2.0 * facts.known_to_rad < np.pi
+    wraps = endless & (np.abs(way) > np.pi) & (sure | (step_s > facts.longest_gap_s))
+    if not wraps.any():
+        return joints
+    values = joints.values.copy()
+    values[1:, :count] -= 2.0 * np.pi * np.cumsum(np.where(wraps, np.round(way / (2.0 * np.pi)), 0.0), axis=0)
+    names = ", ".join(np.array(arm.joint_names)[np.any(wraps, axis=0)])
+    note = f"{names} wraps at a turn {np.count_nonzero(wraps)} times, and has no ends: taken the short way"
+    return replace(joints, values=values).noted(note)
+
+
+def noted_beyond_ends(joints: LogSamples, arm: ArmModel) -> LogSamples:
+    """Return ``joints`` with a note on those that the log has beyond their ends."""
+    angles = joints.values[:, : len(arm.joint_names)]
+    beyond = np.fmax(angles - arm.position_upper_rad, arm.position_lower_rad - angles)
+    for k in np.flatnonzero((beyond > 0.0).any(axis=0)):
+        most, count = np.degrees(beyond[:, k].max()), np.count_nonzero(beyond[:, k] > 0.0)
+        note = f"{arm.joint_names[k]} is up to {most:.3g} deg beyond its end, in {count} samples of the log"
+        joints = joints.noted(note)
+    return joints
+
+
 def refuse_jumping_joints(joints: LogSamples, facts: JointFacts, names: tuple[str, ...]) -> None:
     """LogError where a joint is faster, or speeds up or brakes harder, from sample to sample than it can."""
     step_s = np.diff(joints.time_ns) / NS
@@ -97,12 +128,16 @@ def refuse_jumping_joints(joints: LogSamples, facts: JointFacts, names: tuple[st
         joint = int(np.argmax(way[index] - allowed[index]))
         speed = np.degrees(way[index, joint] / step_s[index])
         most = np.degrees(facts.move_at_most_radps[joint])
+        hint = "another unit from here on? or joints: {move at most: ...} says how fast they can be"
+        if abs(way[index, joint] - 2.0 * np.pi) <= allowed[index, joint]:
+            hint = "its angles wrap at a turn, and a joint with ends has to be logged without the wrap: the "
+            hint += "angles alone do not say in which turn it is"
         raise joints.error(
             index + 1,
             f"{names[joint]} to turn at {most:.4g} deg/s at most, as is said",
             f"a jump of {np.degrees(way[index, joint]):.4g} deg in {step_s[index] * 1e3:.4g} ms, "
             f"{speed:.4g} deg/s",
-            "another unit from here on? or joints: {move at most: ...} says how fast they can be",
+            hint,
         )
     if facts.accelerate_at_most_radps2 is None or len(step_s) < 2:
         return

@@ -20,13 +20,14 @@ from safety_harness.scenario.units import (
     Dimension,
 )
 
+FORMAT, RATE = "format", "rate"
 OF_JOINTS = (
-    *("names", "unit", "time", "known to", "speeds known to"),
+    *("names", FORMAT, "unit", "time", "known to", "speeds known to"),
     *("move at most", "accelerate at most", "longest gap", REPEATS),
 )
 OF_HANDS = (
     *("forearm", "left out", "longest gap", "moves at most", "known to", "frame", "unit", "time"),
-    *("speeds", REPEATS),
+    *(RATE, "speeds", REPEATS),
 )
 
 

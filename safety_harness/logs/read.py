@@ -15,13 +15,15 @@ from safety_harness.exceptions import LogError, Place
 from safety_harness.logs.bags import RECEIVED, STAMP, read_joints, read_positions
 from safety_harness.logs.checked import (
     joints_checked,
+    noted_beyond_ends,
     positions_checked,
     refuse_contradicting_speeds,
     refuse_jumping_joints,
     refuse_the_same,
+    the_short_way,
     with_bounds,
 )
-from safety_harness.logs.facts import OF_HANDS, facts_of_hands, facts_of_joints, said_of_joints
+from safety_harness.logs.facts import FORMAT, OF_HANDS, RATE, facts_of_hands, facts_of_joints, said_of_joints
 from safety_harness.logs.frames import ToBase, by_given, by_header, frame_name, given_transform
 from safety_harness.logs.frozen import REPEATS, with_frozen
 from safety_harness.logs.model import Body, CellLog, JointFacts, TcpCheck
@@ -31,8 +33,12 @@ from safety_harness.logs.tables import (
     ANGLE_UNITS,
     LENGTH_UNITS,
     RATE_UNITS,
+    RTDE_POSITIONS,
+    RTDE_SPEEDS,
+    RTDE_TIME,
     SPEED_UNITS,
     Table,
+    along,
     header_of,
     only_track,
     optional_column,
@@ -52,6 +58,7 @@ from safety_harness.scenario.kinds import FileKind, refuse_other_kind
 from safety_harness.scenario.nodes import Mapping, Scalar, parse_tree
 from safety_harness.scenario.robots import AnyRobot, Robot, read_robot
 from safety_harness.scenario.units import LENGTH, SPEED, TIME
+from safety_harness.scenario.units import RATE as HERTZ
 
 TCP = "tcp"
 KEYS = (
@@ -93,7 +100,7 @@ def log_of(said: Field, *, name: str, align: bool = False) -> CellLog:
     arm = arm_model(robot)
     reading = _Reading(given, streams, arm)
     joints = reading.joints()
-    facts = reading.joint_facts(joints)
+    joints, facts = reading.with_facts(joints)
     period_ns = _period_ns(streams, joints)
     bodies: tuple[Body, ...] = ()
     hand_facts, ahead_ns, known_to_s = None, 0, 0.0
@@ -159,39 +166,45 @@ class _Reading:
         source = self._source(self.streams.required("joints"))
         said = self._said_of_joints()
         names = _names(said.optional("names"), self.arm)
+        rtde = said.optional(FORMAT)
+        if rtde is not None and (rtde.one_of({"rtde": True}) and source.is_bag):
+            raise rtde.error("a table of the UR recorder", got=source.name)
         window = [self._seconds(key) for key in ("from", "to")]
 
         def begin(first_ns: int) -> list[int | None]:
             return [None if at_s is None else first_ns + round(at_s * NS) for at_s in window]
 
-        collector = Collector(source, 2 * len(names), begin=begin)
+        collector = Collector(source, 2 * len(names), begin=begin, unstamped_before=self._from)
         unit = said.optional("unit")
         if source.is_bag:
             angle = ANGLE_UNITS[_word(unit, ANGLE_UNITS)] if unit else 1.0
             read_joints(source, collector, names, time=_time(said), angle=angle)
         else:
             header = header_of(source)
-            word = _word(unit, ANGLE_UNITS) if unit else None
-            at = [required_column(source, header, f"{source.what}{n}", ANGLE_UNITS, word) for n in names]
-            rates = [
-                optional_column(source, header, f"{source.what}{n}", RATE_UNITS, None, bare=False)
-                for n in names
-            ]
-            time = time_column(source, header, _said(said.optional("time")))
+            word, when = _word(unit, ANGLE_UNITS) if unit else None, _said(said.optional("time"))
+            columns, rate = [(f"{source.what}{name}",) * 2 for name in names], None
+            if rtde is not None:
+                word, rate, when = word or "rad", "radps", when or RTDE_TIME
+                stems = [f"{source.what}{one}" for one in (RTDE_POSITIONS, RTDE_SPEEDS)]
+                columns = [(f"{stems[0]}{k}", f"{stems[1]}{k}") for k in range(len(names))]
+            at = [required_column(source, header, one, ANGLE_UNITS, word) for one, _ in columns]
+            rates = [optional_column(source, header, one, RATE_UNITS, rate, bare=False) for _, one in columns]
+            time = time_column(source, header, when)
             read_table(Table(*time, (*at, *rates)), collector)
         samples = collector.samples()
         samples = with_frozen(samples, list(samples.values.T[: len(names), :, None]), said)
         return joints_checked(samples, names)
 
-    def joint_facts(self, joints: LogSamples) -> JointFacts:
-        """What is said of the joints, and by how much a slip would show."""
+    def with_facts(self, joints: LogSamples) -> tuple[LogSamples, JointFacts]:
+        """Check the joints against what is said of them; return both, the joints without wraps."""
         facts = facts_of_joints(self._said_of_joints(), self.arm)
+        joints = noted_beyond_ends(the_short_way(joints, facts, self.arm), self.arm)
         refuse_jumping_joints(joints, facts, self.arm.joint_names)
         if facts.speeds_known_to_radps is not None:
             angles, speeds = np.split(joints.values, 2, axis=1)
             known, hard = (facts.known_to_rad, facts.speeds_known_to_radps), facts.accelerate_at_most_radps2
             refuse_contradicting_speeds(joints, angles, speeds, known, hard, self.arm.joint_names, DEG)
-        return facts
+        return joints, facts
 
     def bodies(
         self, joints: LogSamples, of_hands: Fields, ahead_ns: int, slack_ns: int | None
@@ -281,7 +294,7 @@ class _Reading:
         """Of a body, in the base frame; ``keep`` those samples in which it is nowhere."""
         source = self._source(field)
         width = 3 + (bound is not None) + 3 * (speeds is not None)
-        collector = Collector(source, width, *window, least=2 - keep)
+        collector = Collector(source, width, *window, least=2 - keep, unstamped_before=self._from)
         read = self._read_bag if source.is_bag else self._read_table
         return positions_checked(read(collector, said, keep, bound, speeds), keep)
 
@@ -311,19 +324,21 @@ class _Reading:
             raise said.whole.error(expected, got=f"none, and {source.name} is a table that cannot say it")
         header = header_of(source)
         track = source.what or only_track(source, header)
-        at = [required_column(source, header, f"{track}_{axis}", LENGTH_UNITS, word) for axis in "xyz"]
+        at = [required_column(source, header, along(track, axis), LENGTH_UNITS, word) for axis in "xyz"]
         self._saw(source, track, set() if keep else tracks_of(header, bare=word is not None))
-        time = time_column(source, header, _said(said.optional("time")))
+        rate = said.optional(RATE)
+        rate_hz = None if rate is None else rate.quantity(HERTZ, above=0.0)
+        time = time_column(source, header, _said(said.optional("time")), rate_hz)
         if bound is not None:
-            self._saw(source, f"{track}_{bound.field}", set())
-            stem = f"{track}_{bound.field}"
+            stem = along(track, bound.field)
+            self._saw(source, stem, set())
             box = [optional_column(source, header, f"{stem}_{axis}", LENGTH_UNITS, word) for axis in "xyz"]
             sides = [side for side in box if side is not None]
             at += sides if len(sides) == 3 else [required_column(source, header, stem, LENGTH_UNITS, word)]
         if speeds is not None:
             name = speeds.optional("field")
-            stem = track if name is None else f"{track}_{name.sentence(FIELD)}"
-            at += [required_column(source, header, f"{stem}_{axis}", SPEED_UNITS, None) for axis in "xyz"]
+            stem = track if name is None else along(track, name.sentence(FIELD))
+            at += [required_column(source, header, along(stem, axis), SPEED_UNITS, None) for axis in "xyz"]
         into.width = len(at)
         read_table(Table(*time, tuple(at)), into)
         found = with_bounds(into.samples(), bound, speeds=speeds is not None)
@@ -386,6 +401,11 @@ class _Reading:
         source = read_source(field)
         self.sources.append(source)
         return source
+
+    @property
+    def _from(self) -> bool:
+        """Does the file choose where the log begins?"""
+        return "from" in self.streams
 
     def _seconds(self, key: str) -> float | None:
         field = self.streams.optional(key)

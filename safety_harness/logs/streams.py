@@ -1,7 +1,7 @@
 """One stream of a log: which file and what of it, and the samples that stand there, with their places.
 
 A stream is written ``FILE`` or ``FILE#WHAT``: in a table (CSV, Parquet) WHAT is what its columns begin with,
-in a bag (MCAP, ROS 2) a topic, ``/poses``, with ``[2]`` for one of several and ``:path`` for a field within.
+in a bag (MCAP, ROS) a topic, ``/poses``, with ``[2]`` for one of several and ``:path`` for a field within.
 Times are kept to the nanosecond on the stream's own clock; nothing is sorted, left out or mended.
 """
 
@@ -26,7 +26,7 @@ SHORTEST_STEP_NS = 1_000
 NS = 1e9
 LATEST_S = 3e9  # of a clock, or a time that is said: nanoseconds have room for three of them
 _TOPIC = re.compile(r"(?P<topic>/[^\[\]:]*)(?:\[(?P<index>[0-9]{1,4})\])?(?::(?P<path>.+))?")
-TABLES, BAGS = (".csv", ".parquet"), (".mcap", ".db3")
+TABLES, BAGS = (".csv", ".parquet"), (".mcap", ".db3", ".bag")
 
 
 @dataclass(frozen=True)
@@ -51,14 +51,19 @@ class LogSource:
         return f"{self.file.name}#{self.what}" if self.what else self.file.name
 
     @property
+    def ending(self) -> str:
+        """Of the file's name, in small letters."""
+        return self.file.suffix.lower()
+
+    @property
     def is_bag(self) -> bool:
-        """MCAP or ROS 2, and no table?"""
+        """MCAP or a bag of ROS, and no table?"""
         return bool(self.topic)
 
     @property
     def counts(self) -> str:
         """What its places are counted in."""
-        return "message" if self.is_bag else "line" if self.file.suffix == ".csv" else "row"
+        return "message" if self.is_bag else "line" if self.ending == ".csv" else "row"
 
     @property
     def files(self) -> tuple[Path, ...]:
@@ -71,15 +76,20 @@ class LogSource:
 def read_source(said: Field) -> LogSource:
     """The stream that a text names; LogError for a file of no kind that can be read, or that is not there."""
     text = said.scalar("a stream: FILE.csv, FILE.parquet#right_hand or FILE.mcap#/topic").strip()
-    name, _, what = text.partition("#")
-    file = located((said.file.parent if said.file else Path()) / name, said.place)
-    folder = file.is_dir()
-    if not name or (not folder and file.suffix not in (*TABLES, *BAGS)):
+    parent = said.file.parent if said.file else Path()
+    ends = [at for at, one in enumerate(text) if one == "#"]
+    splits = [(text[:at], text[at + 1 :]) for at in ends] or [(text, "")]
+    # a file whose own name has a "#" counts as that file, where it is there
+    there = [pair for pair in ((text, ""), *reversed(splits)) if pair[0] and (parent / pair[0]).exists()]
+    name, what = (there or splits)[0]
+    file = located(parent / name, said.place)
+    folder, ending = file.is_dir(), file.suffix.lower()
+    if not name or (not folder and ending not in (*TABLES, *BAGS)):
         expected = f"a file that ends in {', '.join((*TABLES, *BAGS))}, or the folder of a ROS 2 bag"
         raise LogError(place=said.place, expected=expected, got=name or "no name")
     if not folder and not file.is_file():
         raise LogError(place=said.place, expected="a file that can be read", got=f"no such file: {file}")
-    if not folder and file.suffix in TABLES:
+    if not folder and ending in TABLES:
         return LogSource(file=file, what=what, place=said.place)
     found = _TOPIC.fullmatch(what)
     if found is None:
@@ -161,6 +171,8 @@ class Collector:
     end_ns: int | None = None
     begin: Callable[[int], list[int | None]] | None = None  # the window, by the first time
     least: int = 2
+    unstamped_before: bool = False  # may samples before the window lack a valid time?
+    notes: list[str] = field(default_factory=list)  # on what was left out
     bodies: set[str] = field(default_factory=set)  # all that its messages show, as streams name them
     _time: array[int] = field(default_factory=lambda: array("q"))
     _values: array[float] = field(default_factory=lambda: array("d"))
@@ -168,6 +180,13 @@ class Collector:
     _first_ns: float = inf
     _last_ns: float = -inf
     seen: int = 0
+    _unstamped: int = 0
+
+    def unstamped(self, refused: LogError) -> None:
+        """Count a sample without a valid time; raise ``refused`` unless it may stand before the window."""
+        if not self.unstamped_before or self._time:
+            raise refused
+        self._unstamped += 1
 
     def add(self, time_ns: int, values: Iterable[float], at: int) -> None:
         """One more."""
@@ -206,6 +225,10 @@ class Collector:
             expected = f"{words} at least of {self.source.name}"
             raise LogError(place=self.source.place, expected=expected, got=got, hint=self._elsewhere())
         refuse_disorder(found)
+        if self._unstamped:
+            self.notes.append(f'{self._unstamped} samples before "from" have no valid time, and are left out')
+        for note in self.notes:
+            found = found.noted(note)
         return found if n == 0 else replace(found, span_ns=(int(self._first_ns), int(self._last_ns)))
 
     def _elsewhere(self) -> str:

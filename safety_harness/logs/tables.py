@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import csv
 import math
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -21,13 +22,16 @@ from safety_harness.extras import LOGS
 from safety_harness.logs.streams import LATEST_S, NS, Collector, LogSource
 from safety_harness.scenario.units import shown
 
-MOST_COLUMNS = 10_000
+MOST_COLUMNS, MOST_NAMES_BYTES = 10_000, 1_000_000
 ROWS_AT_ONCE = 8_192
 TIME_UNITS = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}  # in nanoseconds
 LENGTH_UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 ANGLE_UNITS = {"rad": 1.0, "deg": math.pi / 180.0}
+SEPARATORS = ("\t", ";", ",")  # or spaces, where the line of names has none of these
+RTDE_POSITIONS, RTDE_SPEEDS, RTDE_TIME = "actual_q_", "actual_qd_", "timestamp in s"
 SPEED_UNITS = {f"{unit}ps": si for unit, si in LENGTH_UNITS.items()}
 RATE_UNITS = {"radps": 1.0, "degps": math.pi / 180.0}
+_TIME_HINT = 'another one by the key "time", such as: stamp in ns; none by hands: {rate: 120 Hz}'
 _EXACT_BELOW = 1e6  # in a unit of time, up to which a float has enough digits for a nanosecond
 
 
@@ -42,16 +46,19 @@ class TableColumn:
 
 @dataclass(frozen=True)
 class Table:
-    """Which columns a stream is made of, and its time column with how many nanoseconds one of it is."""
+    """Which columns a stream is made of, and its time column with how many nanoseconds one of it is.
+
+    Without a time column, ``time`` is empty, and each line or row is ``time_ns`` after the one before.
+    """
 
     time: str
-    time_ns: int
+    time_ns: float
     columns: tuple[TableColumn | None, ...]
 
 
 def header_of(source: LogSource) -> tuple[str, ...]:
     """The names of the columns of a table; LogError for a file that has none."""
-    if source.file.suffix == ".parquet":
+    if source.ending == ".parquet":
         with _parquet(source) as file:
             names = tuple(file.schema_arrow.names)
     else:
@@ -66,8 +73,18 @@ def header_of(source: LogSource) -> tuple[str, ...]:
     return names
 
 
-def time_column(source: LogSource, names: Sequence[str], said: str | None) -> tuple[str, int]:
-    """The time column, with nanoseconds in one of it: what is ``said``, or ``time_s`` and the like."""
+def time_column(
+    source: LogSource, names: Sequence[str], said: str | None, rate_hz: float | None = None
+) -> tuple[str, float]:
+    """The time column, with nanoseconds in one of it: what is ``said``, or ``time_s`` and the like.
+
+    With the rate of a table that has no such column: none, with nanoseconds from row to row.
+    """
+    if rate_hz is not None:
+        got = said or next((name for unit in TIME_UNITS if (name := f"time_{unit}") in names), None)
+        if got is not None:
+            raise _error(source, 'no column of times, where the file says a "rate"', got, line=1)
+        return "", NS / rate_hz
     if said is not None:
         name, _, unit = said.partition(" in ")
         unit = unit or name.rpartition("_")[2]
@@ -87,7 +104,7 @@ def time_column(source: LogSource, names: Sequence[str], said: str | None) -> tu
     if len(found) != 1:
         expected = "one column time_s, time_ms, time_us or time_ns"
         got = " and ".join(name for name, _ in found) or f"the columns {shown(', '.join(names))}"
-        raise _error(source, expected, got, 'or another one by the key "time", such as: stamp in ns', line=1)
+        raise _error(source, expected, got, _TIME_HINT, line=1)
     return found[0][0], TIME_UNITS[found[0][1]]
 
 
@@ -127,11 +144,20 @@ def required_column(
     return found
 
 
+def along(track: str, axis: str) -> str:
+    """What a column of a track begins with; of a track without a name it is the axis."""
+    return f"{track}_{axis}" if track else axis
+
+
 def tracks_of(header: tuple[str, ...], *, bare: bool) -> set[str]:
-    """The names of all tracks of a table: x, y and z in a unit of length, or in none if ``bare``."""
+    """The names of all tracks of a table: x, y and z in a unit of length, or in none if ``bare``.
+
+    That of columns x, y and z alone is empty.
+    """
     ends = (*(f"_{unit}" for unit in LENGTH_UNITS), *[""] * bare)
     found = {(name[: -len(f"_x{end}")], end) for name in header for end in ends if name.endswith(f"_x{end}")}
-    return {stem for stem, end in found if {f"{stem}_y{end}", f"{stem}_z{end}"} <= set(header)}
+    found |= {("", end) for end in ends if f"x{end}" in header}
+    return {stem for stem, end in found if {along(stem, f"{axis}{end}") for axis in "yz"} <= set(header)}
 
 
 def only_track(source: LogSource, header: tuple[str, ...]) -> str:
@@ -147,12 +173,19 @@ def only_track(source: LogSource, header: tuple[str, ...]) -> str:
 def read_table(table: Table, collector: Collector) -> None:
     """Hand every row to ``collector``; LogError with line or row for a cell that is no number."""
     source = collector.source
-    wanted = (table.time, *(one.name for one in table.columns if one is not None))
+    wanted = tuple(one.name for one in table.columns if one is not None)
+    wanted = (table.time, *wanted) if table.time else wanted
     source.seen.update(header_of(source))
     source.used.update(wanted)
-    parquet = source.file.suffix == ".parquet"
+    parquet, first = source.ending == ".parquet", None
     for at, cells in _parquet_cells(source, table, wanted) if parquet else _csv_cells(source, wanted):
-        time_ns, rest = _time(cells[0], table, source, at), iter(cells[1:])
+        rest, first = iter(cells), at if first is None else first
+        try:
+            since = round((at - first) * table.time_ns)  # a line without cells is a sample that was lost
+            time_ns = _time(next(rest), table, source, at) if table.time else since
+        except LogError as refused:
+            collector.unstamped(refused)
+            continue
         values = [math.nan if one is None else _cell(next(rest), one, source, at) for one in table.columns]
         collector.add(time_ns, values, at)
 
@@ -195,7 +228,8 @@ def _parquet_cells(
 
 def _refuse_types(source: LogSource, schema: Any, table: Table) -> None:
     """LogError for a column of a Parquet file that would be taken for numbers, and has none."""
-    for name in [table.time, *(one.name for one in table.columns if one is not None and one.words is None)]:
+    columns = [one.name for one in table.columns if one is not None and one.words is None]
+    for name in [*[table.time] * bool(table.time), *columns]:
         kind = str(schema.field(name).type)
         if kind == "bool" or kind.startswith(("timestamp", "duration", "date", "time")):
             hint = 'whole nanoseconds, in a copy: column.cast("timestamp[ns]").cast("int64") of pyarrow'
@@ -220,10 +254,10 @@ def _time(cell: Any, table: Table, source: LogSource, at: int) -> int:
             got, hint = f"{value * table.time_ns / NS:.6g} s", 'its unit? the key "time" says it: stamp in ns'
             raise _error(source, expected, got, hint, field=table.time, line=at)
         if isinstance(cell, int):
-            return cell * table.time_ns
+            return cell * int(table.time_ns)
         if abs(value) < _EXACT_BELOW or not isinstance(cell, str):
             return round(value * table.time_ns)
-        return int((Decimal(cell.strip()) * table.time_ns).to_integral_value())
+        return int((Decimal(cell.strip()) * int(table.time_ns)).to_integral_value())
     except (TypeError, ValueError, OverflowError, InvalidOperation):
         raise _error(
             source, "a time", shown(str(cell)) or "an empty cell", field=table.time, line=at
@@ -253,12 +287,23 @@ def _cell(cell: Any, one: TableColumn, source: LogSource, at: int) -> float:
     return value * one.si
 
 
+def _separator(path: Path) -> str:
+    """What stands between the cells of a CSV file, by its line of names; several spaces count as one."""
+    with path.open("rb") as data:
+        names = data.readline(MOST_NAMES_BYTES).decode("utf-8-sig", "replace").strip()
+    unquoted = re.sub(r'"[^"]*"', "", names)
+    by = max(SEPARATORS, key=unquoted.count)
+    return by if by in unquoted else " " if " " in unquoted else ","
+
+
 @contextmanager
 def _rows(path: Path) -> Iterator[Iterator[tuple[int, list[str]]]]:
     """The rows of a CSV file with their lines, as they are asked for."""
     try:
         with path.open(encoding="utf-8-sig", newline="") as text:
-            reader = csv.reader(text, strict=True)
+            by = _separator(path)
+            lines = (f"{line.strip()}\n" for line in text) if by == " " else text
+            reader = csv.reader(lines, strict=True, delimiter=by, skipinitialspace=by == " ")
 
             def rows() -> Iterator[tuple[int, list[str]]]:
                 while True:
@@ -269,7 +314,7 @@ def _rows(path: Path) -> Iterator[Iterator[tuple[int, list[str]]]]:
                     except csv.Error as error:
                         place = Place(file=path, line=reader.line_num)
                         raise LogError(
-                            place=place, expected="a table of cells with commas", got=str(error)
+                            place=place, expected=f"a table of cells with {by!r} between them", got=str(error)
                         ) from error
                     except UnicodeDecodeError as error:
                         place = Place(file=path, line=reader.line_num + 1)
@@ -307,7 +352,7 @@ def _error(
     line: int | None = None,
 ) -> LogError:
     """At a line of a CSV; a Parquet file has rows."""
-    if source.file.suffix == ".parquet":
+    if source.ending == ".parquet":
         field = f"row {line}" + (f": {field}" if field else "") if line else field
         line = None
     place = Place(file=source.file, line=line, field=field)

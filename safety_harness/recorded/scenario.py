@@ -20,6 +20,7 @@ from safety_harness.logs.certain import trace_of
 from safety_harness.logs.model import CellLog
 from safety_harness.logs.read import log_of, said_in
 from safety_harness.recorded.hands import HandFile, hand_file
+from safety_harness.robot.robots import arm_model
 from safety_harness.scenario.codec import Tree, scalar_text
 from safety_harness.scenario.compose import merged
 from safety_harness.scenario.model import JoinedHand, JointStart, Scenario, Verdict
@@ -29,6 +30,8 @@ from safety_harness.scenario.write import text_of, tree_of
 from safety_harness.settings import Vector3
 from safety_harness.trace.trace import Trace
 from safety_harness.whole_file import writing
+
+SLIGHTLY_BEYOND_RAD = math.radians(1.0)  # of an encoder's zero position and its noise
 
 WIDTH = 108
 AXES = ("x", "y", "z")
@@ -99,7 +102,9 @@ def scenario_from(log: CellLog, cell: Scenario, *, elbow_towards_in_base_m: Vect
         )
         for body in log.hands
     )
-    joints = log.joints.values[0, : log.joints.values.shape[1] // 2].tolist()
+    arm, told = arm_model(log.robot), log.joints.values[0, : log.joints.values.shape[1] // 2]
+    ends = np.clip(told, arm.position_lower_rad, arm.position_upper_rad)
+    start_rad = np.where(np.abs(told - ends) <= SLIGHTLY_BEYOND_RAD, ends, told)  # a note of the log says it
     own = found.trace.scenario
     claims = own.claims or cell.claims
     scenario = replace(
@@ -108,7 +113,7 @@ def scenario_from(log: CellLog, cell: Scenario, *, elbow_towards_in_base_m: Vect
         title=f"what happened in {log.name}: {own.title}",
         about=own.about,
         duration_s=(log.ticks - 1) * log.period_s,
-        start=JointStart(joint_position_rad=tuple(joints)),
+        start=JointStart(joint_position_rad=tuple(start_rad.tolist())),
         hands=tuple(one.hand for one in hands),
         claims=tuple(replace(claim, expected=Verdict.HOLDS) for claim in claims),
         places={},

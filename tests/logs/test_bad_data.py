@@ -241,7 +241,7 @@ def test_what_has_to_be_said_is_asked_for(log: Path, line: str, instead: str, ex
 
 
 def test_without_the_extra_a_line_says_what_to_install(log: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(__import__("sys").modules, "rosbags.highlevel", None)
+    monkeypatch.setitem(__import__("sys").modules, "rosbags.rosbag2", None)
     log.with_name("run.mcap").write_bytes(b"\x89MCAP0\r\n")
     log.write_text(said("run.mcap#/joint_states", "hands.csv#hand", "none"))
     with pytest.raises(Exception, match=r"safety-harness\[logs\]"):
