@@ -1,83 +1,150 @@
-"""A run as an MCAP file of ROS 2 messages, for Foxglove, RViz and our own reader of logs.
+"""A run as an MCAP file of ROS 2 messages, for Foxglove, RViz and our own reader of logs, with its LOG.yaml.
 
-Hands, arm and obstacles are drawn in Foxglove's schemas; joints, transforms and places are the usual messages.
+Hands, arm and obstacles are drawn in Foxglove's schemas; joints, transforms and places are usual messages.
+The instants are those of the run, a second later, since a stamp of zero is none.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
+from jinja2 import StrictUndefined, Template
 from numpy.typing import NDArray
 
+from safety_harness.admission.avoiders import as_seen_from
 from safety_harness.admission.claims import property_of
+from safety_harness.exceptions import OutputError, Place, TraceError
 from safety_harness.extras import LOGS
-from safety_harness.properties.base import Evaluation, Property
+from safety_harness.properties.base import SI_UNITS, Evaluation
 from safety_harness.properties.hand_distance import HandDistance
 from safety_harness.properties.limits import TcpSpeedLimit
-from safety_harness.properties.true_motion import HandPaths, capsules_of, finer_paths, true_motion
+from safety_harness.properties.true_motion import capsules_of, finer_paths, true_motion
 from safety_harness.robot.kinematics import links_in_base
 from safety_harness.robot.robots import arm_model
 from safety_harness.scenario.model import Verdict
+from safety_harness.scenario.write import text_of, tree_of
 from safety_harness.trace.records import DecisionOutcome, Limit, Mode, Trigger
 from safety_harness.trace.trace import Trace
-from safety_harness.whole_file import replacing, writing
+from safety_harness.trace.unmeasured import decided, measured
+from safety_harness.whole_file import replacing, write_text, writing
 
-BEGIN_NS, NS = 10**9, 10**9  # a stamp of zero is none
-BASE = "base"
-OURS, FOXGLOVE = "safety_harness_msgs/msg/", "foxglove_msgs/msg/"
-TYPES = Path(__file__).with_name("templates") / "mcap_types.txt"
-INFO, WARNING, ERROR = 2, 3, 4  # levels of a Log
+LOG_FILE, NS = "LOG.yaml", 10**9
+OURS, FOXGLOVE, GEOMETRY = "safety_harness_msgs/msg/", "foxglove_msgs/msg/", "geometry_msgs/msg/"
+JOINTS, TF, SCENE = "sensor_msgs/msg/JointState", "tf2_msgs/msg/TFMessage", f"{FOXGLOVE}SceneUpdate"
+TEMPLATES = Path(__file__).with_name("templates")
+INFO, ERROR = 2, 4  # levels of a Log
 HAND_COLOUR, ARM_COLOUR, BOX_COLOUR = (0.9, 0.5, 0.2, 0.9), (0.5, 0.6, 0.7, 0.6), (0.5, 0.5, 0.5, 0.5)
-NOWHERE = [np.nan] * 3
+NONE, NOWHERE, UPRIGHT = np.zeros(0), (np.nan,) * 3, (0.0, 0.0, 0.0, 1.0)
+PLACES = ("hand", "tcp", "proposed", "chosen", "opposite")  # of a decision
+PRIMITIVES = ("arrows", "cubes", "spheres", "cylinders", "lines", "triangles", "texts", "models")
+TOLD = ("mode", "limits", "demanded_joint_velocity_radps", "predicted_hand_in_base_m")
+FROM_SCENARIO = ("about", "robot", "obstacles", "camera", "settings", "claims")
 
-Told = tuple[int, str, str, Any]  # when [ns], topic, type, message
+Message = tuple[int, str, str, Any]  # when [ns], topic, type, content
 
 
 def write_mcap(trace: Trace, evaluations: Sequence[Evaluation], path: Path) -> None:
-    """Write ``trace`` and the ``evaluations`` of its scenario's claims to ``path``.
+    """Write ``trace`` and the ``evaluations`` of its claims to ``path``, and LOG.yaml beside it.
 
-    MissingPackageError without the extra "logs"; OutputError if the file cannot be written.
+    TraceError for a trace that was not simulated, MissingPackageError without the extra "logs", OutputError
+    if a file cannot be written, or LOG.yaml is there and describes another file.
     """
+    log = path.with_name(LOG_FILE)
+    if not trace.known.simulated:
+        got = "that of a log, whose own files are there"
+        raise TraceError(place=Place(field="known"), expected="the trace of a simulated run", got=got)
+    if log.exists() and f" {path.name}#" not in log.read_text(errors="replace"):
+        raise OutputError(
+            place=Place(file=log), expected="no file, or one that an export wrote", got="another"
+        )
     with LOGS.needed("runs as MCAP files", path):
         from rosbags.rosbag2 import StoragePlugin, Writer
-    messages = _Messages(trace)
-    told = sorted(messages.all_of(evaluations), key=lambda one: one[0])
-    with writing(path), replacing(path) as part, TemporaryDirectory(dir=path.parent) as folder:
-        with Writer(Path(folder) / "run", version=9, storage_plugin=StoragePlugin.MCAP) as bag:
-            topics: dict[str, Any] = {}
-            for at_ns, topic, kind, message in told:
+    messages, topics = _Messages(trace), dict[str, Any]()
+    with writing(path), replacing(path) as part, TemporaryDirectory(dir=part.parent) as folder:
+        with Writer(Path(folder, "run"), version=9, storage_plugin=StoragePlugin.MCAP) as bag:
+            for at_ns, topic, kind, content in sorted(messages.all_of(evaluations), key=lambda one: one[0]):
                 if topic not in topics:
                     topics[topic] = bag.add_connection(topic, kind, typestore=messages.store)
-                bag.write(topics[topic], at_ns, messages.store.serialize_cdr(message, kind))
-        (Path(folder) / "run" / "run.mcap").replace(part)
+                bag.write(topics[topic], at_ns, messages.store.serialize_cdr(content, kind))
+        Path(folder, "run", "run.mcap").replace(part)
+    write_text(log, _log_text(trace, path))
 
 
-def stamp_ns(time_s: float) -> int:
-    """The stamp [ns] of a time in the run."""
-    return BEGIN_NS + round(time_s * NS)
+def _stamps(at_s: Any) -> Any:
+    """(n,) [ns] of times in the run."""
+    return NS + np.round(np.asarray(at_s) * NS).astype(np.int64)
 
 
-def hand_samples(trace: Trace, paths: HandPaths, hand: int) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+def _hand_samples(trace: Trace, hand: int) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     """(n,) stamps [ns] and (n, 2, 3) places of a hand and its elbow in the base frame [m].
 
     At the ticks, where it turns between them, and in parts of a tick, so that little is left open between.
     """
-    own, period_s = paths.corner_hand == hand, trace.scenario.settings.clock.control_period_s
-    ticks = np.arange(len(trace.ticks))
-    at = np.concatenate([ticks, paths.corner_at[own]]) * period_s
-    places = np.concatenate([paths.positions_in_base_m[:, hand], paths.corners_in_base_m[own]])
-    stamps, first = np.unique(BEGIN_NS + np.round(at * NS).astype(np.int64), return_index=True)
-    return stamps, places[first]
+    paths, period_s = finer_paths(trace), trace.scenario.settings.clock.control_period_s
+    own = paths.corner_hand == hand
+    at = np.concatenate([np.arange(len(trace.ticks)), paths.corner_at[own]])
+    stamps, first = np.unique(_stamps(at * period_s), return_index=True)
+    return stamps, np.concatenate([paths.positions_in_base_m[:, hand], paths.corners_in_base_m[own]])[first]
 
 
-def joined(flags: int) -> str:
-    """The words for limits, as LOG.yaml has them."""
-    names = [one.name or "" for one in Limit if one and one & flags]
-    return " and ".join(name.lower().replace("_", " ") for name in names) or "none"
+def _limit_words(flags: int) -> str:
+    """The limits that acted, as LOG.yaml has them: "tcp speed and braking"."""
+    return " and ".join(_words(one.name) for one in Limit if one & flags) or "none"
+
+
+def _words(name: str | None) -> str:
+    return str(name).lower().replace("_", " ")
+
+
+def _most(values: Any) -> float:
+    return float(np.abs(values).max(initial=0.0))
+
+
+def _log_text(trace: Trace, path: Path) -> str:
+    """What LOG.yaml says of the file ``path``.
+
+    Streams that the controller does not report are not mapped; nor are decisions that count later than they
+    were asked for, since a log has one time for both.
+    """
+    tree, decisions = tree_of(as_seen_from(path.parent, trace.scenario)), trace.decisions
+    told = [name for name in TOLD if measured(trace, name).all()]
+    if decided(trace) and len(decisions) and (decisions["asked_tick"] == decisions["tick"]).all():
+        told.append("decisions")
+    if isinstance(below := tree.get("settings", {}), Mapping):
+        tree["settings"] = {key: one for key, one in below.items() if key != "clock"}
+    kept = {"title": tree["scenario"]} | {key: tree[key] for key in FROM_SCENARIO if tree.get(key)}
+    limits = [_limit_words(int(flags)) for flags in np.unique(trace.ticks["limits"])]
+    template = Template((TEMPLATES / "mcap_log.yaml").read_text(), undefined=StrictUndefined)
+    bounds = dict(zip(("radps", "radps2", "mps"), _bounds(trace), strict=True))
+    said = template.render(trace=trace, file=path.name, told=told, limits=limits, most=bounds)
+    return f"{said}\n{text_of(kept)}"
+
+
+def _bounds(trace: Trace) -> tuple[float, float, float]:
+    """The most that a joint moves [rad/s] and accelerates [rad/s2], and that a hand or elbow moves [m/s].
+
+    Within a tick a joint's speed may change at any moment: twice its change in a period is what it may do.
+    A hand may be faster than from sample to sample by as much as that speed changes.
+    """
+    true, period_s = true_motion(trace), trace.scenario.settings.clock.control_period_s
+    means, beyond, hands_mps = (
+        np.diff(true.joints_rad, axis=0) / period_s,
+        2.0 * _most(trace.overshoot_radps),
+        1e-3,
+    )
+    change = max(_most(np.diff(speeds, axis=0)) for speeds in (true.rates_radps, means)) + beyond
+    fastest = max(_most(means), _most(true.rates_radps)) * (1.0 + 1e-9) + beyond
+    for hand in range(len(trace.scenario.hands)):
+        stamps, places_m = _hand_samples(trace, hand)
+        speeds = np.diff(places_m, axis=0) / (np.diff(stamps) / NS)[:, None, None]
+        changes = np.linalg.norm(np.diff(speeds, axis=0), axis=2)
+        hands_mps = max(hands_mps, (_most(np.linalg.norm(speeds, axis=2)) + _most(changes)) * (1.0 + 1e-9))
+    limit = _most(arm_model(trace.scenario.robot).velocity_limit_radps)
+    return max(fastest, limit), max(2.0 * change / period_s, 1e-6), hands_mps
 
 
 class _Messages:
@@ -87,25 +154,31 @@ class _Messages:
         from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
         self.trace, self.store = trace, get_typestore(Stores.ROS2_HUMBLE)
-        self.store.register(get_types_from_msg(TYPES.read_text(), OURS + "State"))
+        self.store.register(get_types_from_msg((TEMPLATES / "mcap_types.txt").read_text(), f"{OURS}State"))
         self.arm = arm_model(trace.scenario.robot)
-        seated = not np.array_equal(self.arm.transform_seat, np.eye(4))
-        self.base = BASE if seated else self.arm.link_names[0]
-        self.stamps = [stamp_ns(float(at)) for at in trace.time_s]
+        upright = np.array_equal(self.arm.transform_seat, np.eye(4))
+        self.base = self.arm.link_names[0] if upright else "base"
+        self.frames = (*self.arm.link_names, "tcp")  # of forward kinematics
+        self.stamps = _stamps(trace.time_s).tolist()
 
-    def all_of(self, evaluations: Sequence[Evaluation]) -> Iterator[Told]:
-        """Every message, topic by topic."""
-        yield from self._joints()
-        yield from self._transforms()
-        yield from self._hands()
-        yield from self._scene()
-        yield from self._states()
+    def all_of(self, evaluations: Sequence[Evaluation]) -> Iterator[Message]:
+        """Every message, in no order of time."""
+        yield self._still_scene()
+        for at_ns, tick in zip(self.stamps, self.trace.ticks, strict=True):
+            yield from self._tick(at_ns, tick)
+        for hand in range(len(self.trace.scenario.hands)):
+            for at_ns, places in zip(*_hand_samples(self.trace, hand), strict=True):
+                for body, place in zip(("hand", "elbow"), places, strict=True):
+                    yield self._point(int(at_ns), f"/{body}_{hand + 1}", place)
         yield from self._decisions()
         for number, one in enumerate(evaluations):
             yield from self._claim(number, one)
 
-    def _of(self, kind: str, *fields: object) -> Any:
+    def _of(self, kind: str, *fields: Any) -> Any:
         return self.store.types[kind](*fields)
+
+    def _of_numbers(self, kind: str, values: Any) -> Any:
+        return self._of(f"{GEOMETRY}{kind}", *map(float, values))
 
     def _time(self, at_ns: int) -> Any:
         return self._of("builtin_interfaces/msg/Time", *divmod(at_ns, NS))
@@ -113,174 +186,117 @@ class _Messages:
     def _header(self, at_ns: int) -> Any:
         return self._of("std_msgs/msg/Header", self._time(at_ns), self.base)
 
-    def _xyz(self, values: Sequence[float] | NDArray[np.float64], kind: str = "Point") -> Any:
-        return self._of(f"geometry_msgs/msg/{kind}", *(float(value) for value in values))
+    def _stamped(self, at_ns: int, topic: str, kind: str, *fields: object) -> Message:
+        return at_ns, topic, kind, self._of(kind, self._header(at_ns), *fields)
 
-    def _joints(self) -> Iterator[Told]:
-        kind, names = "sensor_msgs/msg/JointState", list(self.arm.joint_names)
-        for at_ns, tick in zip(self.stamps, self.trace.ticks, strict=True):
-            for topic, angles, rates in (
-                ("/joint_states", tick["joint_position_rad"], tick["joint_velocity_radps"]),
-                ("/commands", np.zeros(0), tick["demanded_joint_velocity_radps"]),
-            ):
-                state = self._of(kind, self._header(at_ns), names, angles, rates, np.zeros(0))
-                yield at_ns, topic, kind, state
+    def _point(self, at_ns: int, topic: str, place: Any) -> Message:
+        return self._stamped(at_ns, topic, f"{GEOMETRY}PointStamped", self._of_numbers("Point", place))
 
-    def _transforms(self) -> Iterator[Told]:
-        from scipy.spatial.transform import Rotation
-
-        kind = "tf2_msgs/msg/TFMessage"
-        for at_ns, joints_rad in zip(self.stamps, true_motion(self.trace).joints_rad, strict=True):
-            poses = links_in_base(self.arm, np.ascontiguousarray(joints_rad))
-            turns = Rotation.from_matrix(poses[:, :3, :3]).as_quat()
-            of_links = [
-                self._of(
-                    "geometry_msgs/msg/TransformStamped",
-                    self._header(at_ns),
-                    self.frame(link),
-                    self._of(
-                        "geometry_msgs/msg/Transform",
-                        self._xyz(poses[link, :3, 3], "Vector3"),
-                        self._xyz(turns[link], "Quaternion"),
-                    ),
-                )
-                for link in range(len(poses))
-                if self.frame(link) != self.base
-            ]
-            yield at_ns, "/tf", kind, self._of(kind, of_links)
-
-    def frame(self, link: int) -> str:
-        """The name of a frame of forward kinematics: a link's, or last the TCP's."""
-        names = self.arm.link_names
-        return names[link] if link < len(names) else "tcp"
-
-    def _hands(self) -> Iterator[Told]:
-        """Where hands and elbows truly are, and where the controller takes them to be."""
-        kind, trace = "geometry_msgs/msg/PointStamped", self.trace
-        paths = finer_paths(trace)
-        for hand in range(len(trace.scenario.hands)):
-            for at_ns, places in zip(*hand_samples(trace, paths, hand), strict=True):
-                for body, place in zip(("hand", "elbow"), places, strict=True):
-                    point = self._of(kind, self._header(int(at_ns)), self._xyz(place))
-                    yield int(at_ns), f"/{body}_{hand + 1}", kind, point
-        for at_ns, tick in zip(self.stamps, trace.ticks, strict=True):
-            tracks = zip(tick["track_valid"], tick["predicted_hand_in_base_m"], strict=True)
-            for track, (valid, place) in enumerate(tracks, start=1):
-                point = self._of(kind, self._header(at_ns), self._xyz(place if valid else NOWHERE))
-                yield at_ns, f"/tracked_{track}", kind, point
-
-    def _scene(self) -> Iterator[Told]:
-        """The arm's capsules, which follow /tf, and obstacles once; the hands at every tick."""
-        scenario, size = self.trace.scenario, self.trace.scenario.settings.hand
-        capsules, kind = capsules_of(self.trace), f"{FOXGLOVE}SceneUpdate"
-        still = []
-        for name, link, start, end, radius_m in zip(
-            capsules.names,
-            capsules.link_index.tolist(),
-            capsules.start_in_link,
-            capsules.end_in_link,
-            capsules.radius_m,
-            strict=True,
-        ):
-            shapes = self._capsule(start, end, (radius_m, radius_m), ARM_COLOUR)
-            still.append(self._entity(self.stamps[0], self.frame(link), f"arm: {name}", *shapes))
-        for number, box in enumerate(scenario.obstacles, start=1):
-            turn = 0.0, 0.0, np.sin(box.yaw_rad / 2.0), np.cos(box.yaw_rad / 2.0)
-            cube = self._shape("Cube", box.position_in_base_m, turn, box.size_m, BOX_COLOUR)
-            still.append(self._entity(self.stamps[0], self.base, f"obstacle {number}", cubes=[cube]))
-        yield self.stamps[0], "/scene", kind, self._of(kind, [], still)
-        for at_ns, places in zip(self.stamps, true_motion(self.trace).hands_m, strict=True):
-            entities = [
-                self._entity(
-                    at_ns,
-                    self.base,
-                    hand.name,
-                    *self._capsule(*places[index], (size.radius_m, size.forearm_radius_m), HAND_COLOUR),
-                )
-                for index, hand in enumerate(scenario.hands)
-            ]
-            yield at_ns, "/hands", kind, self._of(kind, [], entities)
-
-    def _shape(self, kind: str, at: Any, turn: Any, size: Any, colour: Any, *scales: float) -> Any:
-        pose = self._of("geometry_msgs/msg/Pose", self._xyz(at), self._xyz(turn, "Quaternion"))
-        of_colour = self._of(f"{FOXGLOVE}Color", *colour)
-        return self._of(f"{FOXGLOVE}{kind}Primitive", pose, self._xyz(size, "Vector3"), *scales, of_colour)
-
-    def _capsule(self, start: Any, end: Any, radii_m: tuple[float, float], colour: Any) -> tuple[Any, Any]:
-        """A sphere of the first radius at the start, one of the second at the end, a cylinder between."""
-        along, upright = end - start, (0.0, 0.0, 0.0, 1.0)
-        length_m = float(np.linalg.norm(along))
-        unit = along / length_m if length_m > 0.0 else np.array([0.0, 0.0, 1.0])
-        turn = np.array([-unit[1], unit[0], 0.0, 1.0 + unit[2]])  # from z to the axis
-        norm = float(np.linalg.norm(turn))
-        turn = turn / norm if norm > 1e-9 else np.array([1.0, 0.0, 0.0, 0.0])
-        ends = zip((start, end), radii_m, strict=True)
-        spheres = [self._shape("Sphere", at, upright, [2.0 * r] * 3, colour) for at, r in ends]
-        size = 2.0 * radii_m[1], 2.0 * radii_m[1], length_m
-        return spheres, [self._shape("Cylinder", (start + end) / 2.0, turn, size, colour, 1.0, 1.0)]
-
-    def _entity(
-        self, at_ns: int, frame: str, name: str, spheres: Any = (), cylinders: Any = (), cubes: Any = ()
-    ) -> Any:
-        forever = self._of("builtin_interfaces/msg/Duration", 0, 0)
-        shapes = [], list(cubes), list(spheres), list(cylinders), [], [], [], []
-        kind, when = f"{FOXGLOVE}SceneEntity", self._time(at_ns)
-        return self._of(kind, when, frame, name, forever, True, [], *shapes)
-
-    def _states(self) -> Iterator[Told]:
-        """What the controller does and how near a hand is, and each change of its mode as an event."""
-        kind, before, nearest_m = f"{OURS}State", None, true_motion(self.trace).nearest_m
-        for at_ns, tick, near_m in zip(self.stamps, self.trace.ticks, nearest_m.tolist(), strict=True):
-            mode = Mode(tick["mode"]).name.lower()
-            numbers = near_m, float(tick["predicted_distance_m"]), float(tick["tcp_speed_mps"])
-            state = self._of(kind, self._header(at_ns), mode, joined(int(tick["limits"])), *numbers)
-            yield at_ns, "/state", kind, state
-            if mode != before:
-                yield self._event(at_ns, INFO, mode.replace("_", " "), "mode")
-            before = mode
-
-    def _event(self, at_ns: int, level: int, words: str, name: str) -> Told:
+    def _event(self, at_ns: int, level: int, words: str, name: str) -> Message:
         kind = f"{FOXGLOVE}Log"
         return at_ns, "/events", kind, self._of(kind, self._time(at_ns), level, words, name, "", 0)
 
-    def _decisions(self) -> Iterator[Told]:
-        kind, points = f"{OURS}Decision", ("hand", "tcp", "proposed", "chosen", "opposite")
-        for one in self.trace.decisions:
-            at_ns, outcome = stamp_ns(float(one["time_s"])), DecisionOutcome(one["outcome"])
-            places = [self._xyz(one[f"{name}_position_in_base_m"]) for name in points]
-            spread = self._xyz(one["proposed_spread_m"], "Vector3"), float(one["spread_threshold_m"])
-            trigger, fault = Trigger(one["trigger"]).name.lower(), str(one["fault"])
-            words = (outcome.name.lower(), trigger.replace("_", " "), fault)
-            yield at_ns, "/decisions", kind, self._of(kind, self._header(at_ns), *places, *spread, *words)
-            level = INFO if outcome is DecisionOutcome.PROPOSED else WARNING
-            yield self._event(at_ns, level, ", ".join(filter(None, words)), "decision")
+    def _tick(self, at_ns: int, tick: Any) -> Iterator[Message]:
+        """Joints, transforms, what the controller does and sees, and the hands as they are drawn."""
+        names, joints_rad = list(self.arm.joint_names), tick["joint_position_rad"]
+        yield self._stamped(
+            at_ns, "/joint_states", JOINTS, names, joints_rad, tick["joint_velocity_radps"], NONE
+        )
+        yield self._stamped(
+            at_ns, "/commands", JOINTS, names, NONE, tick["demanded_joint_velocity_radps"], NONE
+        )
+        poses = zip(self.frames, links_in_base(self.arm, np.ascontiguousarray(joints_rad)), strict=True)
+        moved = [self._transform(at_ns, frame, pose) for frame, pose in poses if frame != self.base]
+        yield at_ns, "/tf", TF, self._of(TF, moved)
+        near_m = np.where(tick["hand_present"], tick["hand_distance_m"], np.inf).min()
+        numbers = map(float, (near_m, tick["predicted_distance_m"], tick["tcp_speed_mps"]))
+        mode, limits = Mode(tick["mode"]).name.lower(), _limit_words(int(tick["limits"]))
+        yield self._stamped(at_ns, "/state", f"{OURS}State", mode, limits, *numbers)
+        for track, place in enumerate(tick["predicted_hand_in_base_m"]):
+            yield self._point(
+                at_ns, f"/tracked_{track + 1}", place if tick["track_valid"][track] else NOWHERE
+            )
+        size, drawn = self.trace.scenario.settings.hand, []
+        for k, hand in enumerate(self.trace.scenario.hands):
+            ends = tick["hand_position_in_base_m"][k], tick["elbow_position_in_base_m"][k]
+            radii_m = size.radius_m, size.forearm_radius_m
+            drawn.append(self._capsule(at_ns, self.base, hand.name, ends, radii_m, HAND_COLOUR))
+        yield at_ns, "/hands", SCENE, self._of(SCENE, [], drawn)
 
-    def _claim(self, number: int, one: Evaluation) -> Iterator[Told]:
-        """The value that a claim limits at every tick, its margin at the worst moment, its verdict at the end.
+    def _transform(self, at_ns: int, frame: str, pose: NDArray[np.float64]) -> Any:
+        from scipy.spatial.transform import Rotation
 
-        Only claims on the distance of hands and on the TCP's speed have a value at every tick.
+        turn = self._of_numbers("Quaternion", Rotation.from_matrix(pose[:3, :3]).as_quat())
+        moved = self._of(f"{GEOMETRY}Transform", self._of_numbers("Vector3", pose[:3, 3]), turn)
+        return self._of(f"{GEOMETRY}TransformStamped", self._header(at_ns), frame, moved)
+
+    def _still_scene(self) -> Message:
+        """The arm's capsules, which follow /tf, and the obstacles."""
+        capsules, at_ns, drawn = capsules_of(self.trace), self.stamps[0], []
+        for k, name in enumerate(capsules.names):
+            ends, radii_m = (capsules.start_in_link[k], capsules.end_in_link[k]), [capsules.radius_m[k]] * 2
+            frame = self.frames[capsules.link_index[k]]
+            drawn.append(self._capsule(at_ns, frame, f"arm: {name}", ends, radii_m, ARM_COLOUR))
+        for k, box in enumerate(self.trace.scenario.obstacles):
+            turn = 0.0, 0.0, np.sin(box.yaw_rad / 2.0), np.cos(box.yaw_rad / 2.0)
+            cube = self._shape("Cube", box.position_in_base_m, turn, box.size_m, BOX_COLOUR)
+            drawn.append(self._entity(at_ns, self.base, f"obstacle {k + 1}", cubes=[cube]))
+        return at_ns, "/scene", SCENE, self._of(SCENE, [], drawn)
+
+    def _pose(self, at: Any, turn: Any = UPRIGHT) -> Any:
+        return self._of(
+            f"{GEOMETRY}Pose", self._of_numbers("Point", at), self._of_numbers("Quaternion", turn)
+        )
+
+    def _shape(self, kind: str, at: Any, turn: Any, size_m: Any, colour: Any) -> Any:
+        painted = self._of_numbers("Vector3", size_m), self._of(f"{FOXGLOVE}Color", *colour)
+        return self._of(f"{FOXGLOVE}{kind}Primitive", self._pose(at, turn), *painted)
+
+    def _capsule(self, at_ns: int, frame: str, name: str, ends: Any, radii_m: Any, colour: Any) -> Any:
+        """A sphere of a radius of its own at each end, and a line as thick as the second."""
+        balls = [self._shape("Sphere", ends[k], UPRIGHT, [2.0 * radii_m[k]] * 3, colour) for k in range(2)]
+        points, paint = [self._of_numbers("Point", at) for at in ends], self._of(f"{FOXGLOVE}Color", *colour)
+        at, thick_m, none = self._pose((0.0,) * 3), 2.0 * float(radii_m[1]), np.zeros(0, np.uint32)
+        line = self._of(f"{FOXGLOVE}LinePrimitive", 0, at, thick_m, False, points, paint, [], none)
+        return self._entity(at_ns, frame, name, spheres=balls, lines=[line])
+
+    def _entity(self, at_ns: int, frame: str, name: str, **shapes: Any) -> Any:
+        forever, drawn = (
+            self._of("builtin_interfaces/msg/Duration", 0, 0),
+            (shapes.get(k, []) for k in PRIMITIVES),
+        )
+        return self._of(f"{FOXGLOVE}SceneEntity", self._time(at_ns), frame, name, forever, True, [], *drawn)
+
+    def _decisions(self) -> Iterator[Message]:
+        for at_ns, one in zip(
+            _stamps(self.trace.decisions["time_s"]).tolist(), self.trace.decisions, strict=True
+        ):
+            places = [self._of_numbers("Point", one[f"{name}_position_in_base_m"]) for name in PLACES]
+            spread = self._of_numbers("Vector3", one["proposed_spread_m"]), float(one["spread_threshold_m"])
+            named = DecisionOutcome(one["outcome"]).name, Trigger(one["trigger"]).name
+            words = [*map(_words, named), str(one["fault"])]
+            yield self._stamped(at_ns, "/decisions", f"{OURS}Decision", *places, *spread, *words)
+            yield self._event(at_ns, INFO, ", ".join(filter(None, words)), "decision")
+
+    def _claim(self, number: int, one: Evaluation) -> Iterator[Message]:
+        """What a claim limits at every tick, an event at its worst moment, its verdict and margin at the end.
+
+        Only the distance of hands and the TCP's speed have a value at every tick.
         """
-        kind, topic = f"{OURS}Claim", f"/claims/claim_{number + 1}"
         prop = property_of(self.trace.scenario.claims[number], self.trace.scenario)
-        final = one.sentence, one.verdict.value, one.unit.symbol, np.nan, np.nan
-        for at_ns, value, limit, margin in zip(self.stamps, *self._series(prop), strict=True):
-            numbers = float(value), float(limit), float(margin)
-            words = one.sentence, "", one.unit.symbol
-            yield at_ns, topic, kind, self._of(kind, self._header(at_ns), *words, *numbers)
-        worst_ns = self.stamps[-1] if one.worst_time_s is None else stamp_ns(one.worst_time_s)
-        margin = np.nan if one.margin is None else one.margin
-        for at_ns in sorted({worst_ns, self.stamps[-1]}):
-            yield at_ns, f"{topic}/verdict", kind, self._of(kind, self._header(at_ns), *final, float(margin))
-        level = ERROR if one.verdict is Verdict.VIOLATED else INFO
-        yield self._event(worst_ns, level, f"{one.verdict.value}: {one.sentence} ({one.reason})", "claim")
-
-    def _series(self, prop: Property) -> tuple[NDArray[np.float64], ...]:
-        """(n,) value, limit and margin of a property, SI; NaN where it has none from tick to tick."""
-        count = len(self.trace.ticks)
+        topic, kind, rows, limit, sign = f"/claim_{number + 1}", f"{OURS}Claim", NONE, np.nan, 1.0
         if isinstance(prop, HandDistance):
-            value = true_motion(self.trace).nearest_m
-            return value, np.full(count, prop.minimum_m), value - prop.minimum_m
-        if isinstance(prop, TcpSpeedLimit):
-            value = self.trace.ticks["tcp_speed_mps"]
-            return value, np.full(count, prop.maximum_mps), prop.maximum_mps - value
-        return (np.full(count, np.nan),) * 3
+            rows, limit = true_motion(self.trace).nearest_m, prop.minimum_m
+        elif isinstance(prop, TcpSpeedLimit):
+            rows, limit, sign = self.trace.ticks["tcp_speed_mps"], prop.maximum_mps, -1.0
+        for at_ns, value in zip(self.stamps, rows.tolist(), strict=False):
+            numbers = value, limit, sign * (value - limit)
+            yield self._stamped(at_ns, topic, kind, one.sentence, "", SI_UNITS[one.unit], *numbers)
+        margin, verdict = np.nan if one.margin is None else float(one.margin), one.verdict.value
+        numbers, end_ns = (np.nan, limit, margin), self.stamps[-1]
+        yield self._stamped(
+            end_ns, f"{topic}/verdict", kind, one.sentence, verdict, SI_UNITS[one.unit], *numbers
+        )
+        worst_ns = end_ns if one.worst_time_s is None else int(_stamps(one.worst_time_s))
+        level = ERROR if one.verdict is Verdict.VIOLATED else INFO
+        yield self._event(worst_ns, level, f"{verdict}: {one.sentence} ({one.reason})", "claim")
