@@ -53,7 +53,7 @@ def contents(folder: Path, topic: str) -> list[tuple[int, Any]]:
 
 
 def _comes_back(name: str, folder: Path) -> None:
-    """Equal verdicts or inconclusive ones; what is certain of a distance or speed is near the run's margin."""
+    """Equal or inconclusive verdicts; what is certain of a distance or speed is near the run's margin."""
     trace, back = trace_of(name), recorded(exported(name, folder)).trace
     assert np.array_equal(back.time_s, trace.time_s)
     pairs = list(zip(judge(trace), judge(back), strict=True))
