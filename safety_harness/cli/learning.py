@@ -293,19 +293,35 @@ def time_avoider(
 @command(commands, interrupted="interrupted: nothing was exported")
 def export(
     model: Annotated[
-        str, Argument(help="A model file (*.safetensors), or a shipped model's name.", metavar="MODEL")
+        str,
+        Argument(
+            help="A model file (*.safetensors), or a shipped model's name; of a run its trace.",
+            metavar="MODEL|TRACE",
+        ),
     ],
-    out: Annotated[Path, Option(help="The file to write.")],
+    out: Annotated[Path, Option(help="The file to write; of a trace FILE.mcap.")],
     seed: Seed = 0,
 ) -> int:
-    """Write a model as ONNX, and try the file against the original on random questions.
+    """Write a model as ONNX, and try the file against the original on random questions; or a run as MCAP.
 
-    Needs PyTorch, the extra "learning" of this package.
+    A model needs PyTorch, the extra "learning" of this package.
+    With --out FILE.mcap it is a trace, and needs the extra "logs": joints, transforms, hands, decisions and
+    verdicts as ROS 2 messages and in Foxglove's schemas, with a LOG.yaml beside it for "judge".
     Exit code 0; 2: bad input, or the file answers otherwise (then it is not kept); 130: interrupted.
     """
     from safety_harness.avoidance.model_file import load_model
     from safety_harness.avoidance.shipped import model_file
 
+    if out.suffix == ".mcap":
+        from safety_harness.admission.trial import judge
+        from safety_harness.report.mcap import LOG_FILE, write_mcap
+        from safety_harness.trace.store import load_trace
+
+        trace = load_trace(model)
+        write_mcap(trace, judge(trace, file=Path(model)), out)
+        document(mcap=out, log=out.with_name(LOG_FILE))
+        result(f"mcap: {out}, described by {out.with_name(LOG_FILE)}")
+        return AS_EXPECTED
     path = model_file(str(model))
     if seed < 0:
         raise ModelError.of_option("--seed", "a seed of at least 0", str(seed))

@@ -63,7 +63,7 @@ HAND, ELBOW, PRESENT = "hand_position_in_base_m", "elbow_position_in_base_m", "h
 RECORDERS_APART_S = 0.25  # of two recorders that are started and stopped together
 UNUSED_NAMED = 12  # columns, topics and joints
 _LONGEST_STEP_S = 5.0  # between rows of a stored path
-_PASSED_ON = ("robot", "obstacles")
+_PASSED_ON = ("robot", "obstacles", "camera")
 _HAND_FILTER, _HORIZON = "hand filter", "prediction horizon"
 
 

@@ -63,7 +63,7 @@ from safety_harness.scenario.units import RATE as HERTZ
 TCP = "tcp"
 KEYS = (
     *("log", "title", "about", "clock", "joints", "hands", TCP, *STREAMS),
-    *("robot", "obstacles", "settings", "claims"),
+    *("robot", "obstacles", "camera", "settings", "claims"),
 )
 OF_LOG = ("joints", "hands", TCP, *STREAMS, "from", "to", "period")
 OF_CLOCK = ("hands are ahead by", "known to")

@@ -1,0 +1,302 @@
+"""A run as an MCAP file of ROS 2 messages, for Foxglove, RViz and our own reader of logs, with its LOG.yaml.
+
+Hands, arm and obstacles are drawn in Foxglove's schemas; joints, transforms and places are usual messages.
+The instants are those of the run, a second later, since a stamp of zero is none.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+from jinja2 import StrictUndefined, Template
+from numpy.typing import NDArray
+
+from safety_harness.admission.avoiders import as_seen_from
+from safety_harness.admission.claims import property_of
+from safety_harness.exceptions import OutputError, Place, TraceError
+from safety_harness.extras import LOGS
+from safety_harness.properties.base import SI_UNITS, Evaluation
+from safety_harness.properties.hand_distance import HandDistance
+from safety_harness.properties.limits import TcpSpeedLimit
+from safety_harness.properties.true_motion import capsules_of, finer_paths, true_motion
+from safety_harness.robot.kinematics import links_in_base
+from safety_harness.robot.robots import arm_model
+from safety_harness.scenario.model import Verdict
+from safety_harness.scenario.write import text_of, tree_of
+from safety_harness.trace.records import DecisionOutcome, Limit, Mode, Trigger
+from safety_harness.trace.trace import Trace
+from safety_harness.trace.unmeasured import decided, measured
+from safety_harness.whole_file import replacing, write_text, writing
+
+LOG_FILE, NS = "LOG.yaml", 10**9
+OURS, FOXGLOVE, GEOMETRY = "safety_harness_msgs/msg/", "foxglove_msgs/msg/", "geometry_msgs/msg/"
+JOINTS, TF, SCENE = "sensor_msgs/msg/JointState", "tf2_msgs/msg/TFMessage", f"{FOXGLOVE}SceneUpdate"
+TEMPLATES = Path(__file__).with_name("templates")
+INFO, ERROR = 2, 4  # levels of a Log
+HAND_COLOUR, ARM_COLOUR, BOX_COLOUR = (0.9, 0.5, 0.2, 0.9), (0.5, 0.6, 0.7, 0.6), (0.5, 0.5, 0.5, 0.5)
+NONE, NOWHERE, UPRIGHT = np.zeros(0), (np.nan,) * 3, (0.0, 0.0, 0.0, 1.0)
+PLACES = ("hand", "tcp", "proposed", "chosen", "opposite")  # of a decision
+PRIMITIVES = ("arrows", "cubes", "spheres", "cylinders", "lines", "triangles", "texts", "models")
+TOLD = ("mode", "limits", "demanded_joint_velocity_radps", "predicted_hand_in_base_m")
+FROM_SCENARIO = ("about", "robot", "obstacles", "camera", "settings", "claims")
+
+Message = tuple[int, str, str, Any]  # when [ns], topic, type, content
+
+
+def write_mcap(trace: Trace, evaluations: Sequence[Evaluation], path: Path) -> None:
+    """Write ``trace`` and the ``evaluations`` of its claims to ``path``, and LOG.yaml beside it.
+
+    TraceError for a trace that was not simulated, MissingPackageError without the extra "logs", OutputError
+    if a file cannot be written, or LOG.yaml is there and describes another file.
+    """
+    log = path.with_name(LOG_FILE)
+    if not trace.known.simulated:
+        got = "that of a log, whose own files are there"
+        raise TraceError(place=Place(field="known"), expected="the trace of a simulated run", got=got)
+    if log.exists() and f" {path.name}#" not in log.read_text(errors="replace"):
+        raise OutputError(
+            place=Place(file=log), expected="no file, or one that an export wrote", got="another"
+        )
+    with LOGS.needed("runs as MCAP files", path):
+        from rosbags.rosbag2 import StoragePlugin, Writer
+    messages, topics = _Messages(trace), dict[str, Any]()
+    with writing(path), replacing(path) as part, TemporaryDirectory(dir=part.parent) as folder:
+        with Writer(Path(folder, "run"), version=9, storage_plugin=StoragePlugin.MCAP) as bag:
+            for at_ns, topic, kind, content in sorted(messages.all_of(evaluations), key=lambda one: one[0]):
+                if topic not in topics:
+                    topics[topic] = bag.add_connection(topic, kind, typestore=messages.store)
+                bag.write(topics[topic], at_ns, messages.store.serialize_cdr(content, kind))
+        Path(folder, "run", "run.mcap").replace(part)
+    write_text(log, _log_text(trace, path))
+
+
+def _stamps(at_s: Any) -> Any:
+    """(n,) [ns] of times in the run."""
+    return NS + np.round(np.asarray(at_s) * NS).astype(np.int64)
+
+
+def _hand_samples(trace: Trace, hand: int) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """(n,) stamps [ns] and (n, 2, 3) places of a hand and its elbow in the base frame [m].
+
+    At the ticks, where it turns between them, and in parts of a tick, so that little is left open between.
+    """
+    paths, period_s = finer_paths(trace), trace.scenario.settings.clock.control_period_s
+    own = paths.corner_hand == hand
+    at = np.concatenate([np.arange(len(trace.ticks)), paths.corner_at[own]])
+    stamps, first = np.unique(_stamps(at * period_s), return_index=True)
+    return stamps, np.concatenate([paths.positions_in_base_m[:, hand], paths.corners_in_base_m[own]])[first]
+
+
+def _limit_words(flags: int) -> str:
+    """The limits that acted, as LOG.yaml has them: "tcp speed and braking"."""
+    return " and ".join(_words(one.name) for one in Limit if one & flags) or "none"
+
+
+def _words(name: str | None) -> str:
+    return str(name).lower().replace("_", " ")
+
+
+def _most(values: Any) -> float:
+    return float(np.abs(values).max(initial=0.0))
+
+
+def _log_text(trace: Trace, path: Path) -> str:
+    """What LOG.yaml says of the file ``path``.
+
+    Streams that the controller does not report are not mapped; nor are decisions that count later than they
+    were asked for, since a log has one time for both.
+    """
+    tree, decisions = tree_of(as_seen_from(path.parent, trace.scenario)), trace.decisions
+    told = [name for name in TOLD if measured(trace, name).all()]
+    if decided(trace) and len(decisions) and (decisions["asked_tick"] == decisions["tick"]).all():
+        told.append("decisions")
+    if isinstance(below := tree.get("settings", {}), Mapping):
+        tree["settings"] = {key: one for key, one in below.items() if key != "clock"}
+    kept = {"title": tree["scenario"]} | {key: tree[key] for key in FROM_SCENARIO if tree.get(key)}
+    limits = [_limit_words(int(flags)) for flags in np.unique(trace.ticks["limits"])]
+    template = Template((TEMPLATES / "mcap_log.yaml").read_text(), undefined=StrictUndefined)
+    bounds = dict(zip(("radps", "radps2", "mps"), _bounds(trace), strict=True))
+    said = template.render(trace=trace, file=path.name, told=told, limits=limits, most=bounds)
+    return f"{said}\n{text_of(kept)}"
+
+
+def _bounds(trace: Trace) -> tuple[float, float, float]:
+    """The most that a joint moves [rad/s] and accelerates [rad/s2], and that a hand or elbow moves [m/s].
+
+    Within a tick a joint's speed may change at any moment: twice its change in a period is what it may do.
+    A hand may be faster than from sample to sample by as much as that speed changes.
+    """
+    true, period_s = true_motion(trace), trace.scenario.settings.clock.control_period_s
+    means, beyond, hands_mps = (
+        np.diff(true.joints_rad, axis=0) / period_s,
+        2.0 * _most(trace.overshoot_radps),
+        1e-3,
+    )
+    change = max(_most(np.diff(speeds, axis=0)) for speeds in (true.rates_radps, means)) + beyond
+    fastest = max(_most(means), _most(true.rates_radps)) * (1.0 + 1e-9) + beyond
+    for hand in range(len(trace.scenario.hands)):
+        stamps, places_m = _hand_samples(trace, hand)
+        speeds = np.diff(places_m, axis=0) / (np.diff(stamps) / NS)[:, None, None]
+        changes = np.linalg.norm(np.diff(speeds, axis=0), axis=2)
+        hands_mps = max(hands_mps, (_most(np.linalg.norm(speeds, axis=2)) + _most(changes)) * (1.0 + 1e-9))
+    limit = _most(arm_model(trace.scenario.robot).velocity_limit_radps)
+    return max(fastest, limit), max(2.0 * change / period_s, 1e-6), hands_mps
+
+
+class _Messages:
+    """Makes the messages of a trace."""
+
+    def __init__(self, trace: Trace) -> None:
+        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+        self.trace, self.store = trace, get_typestore(Stores.ROS2_HUMBLE)
+        self.store.register(get_types_from_msg((TEMPLATES / "mcap_types.txt").read_text(), f"{OURS}State"))
+        self.arm = arm_model(trace.scenario.robot)
+        upright = np.array_equal(self.arm.transform_seat, np.eye(4))
+        self.base = self.arm.link_names[0] if upright else "base"
+        self.frames = (*self.arm.link_names, "tcp")  # of forward kinematics
+        self.stamps = _stamps(trace.time_s).tolist()
+
+    def all_of(self, evaluations: Sequence[Evaluation]) -> Iterator[Message]:
+        """Every message, in no order of time."""
+        yield self._still_scene()
+        for at_ns, tick in zip(self.stamps, self.trace.ticks, strict=True):
+            yield from self._tick(at_ns, tick)
+        for hand in range(len(self.trace.scenario.hands)):
+            for at_ns, places in zip(*_hand_samples(self.trace, hand), strict=True):
+                for body, place in zip(("hand", "elbow"), places, strict=True):
+                    yield self._point(int(at_ns), f"/{body}_{hand + 1}", place)
+        yield from self._decisions()
+        for number, one in enumerate(evaluations):
+            yield from self._claim(number, one)
+
+    def _of(self, kind: str, *fields: Any) -> Any:
+        return self.store.types[kind](*fields)
+
+    def _of_numbers(self, kind: str, values: Any) -> Any:
+        return self._of(f"{GEOMETRY}{kind}", *map(float, values))
+
+    def _time(self, at_ns: int) -> Any:
+        return self._of("builtin_interfaces/msg/Time", *divmod(at_ns, NS))
+
+    def _header(self, at_ns: int) -> Any:
+        return self._of("std_msgs/msg/Header", self._time(at_ns), self.base)
+
+    def _stamped(self, at_ns: int, topic: str, kind: str, *fields: object) -> Message:
+        return at_ns, topic, kind, self._of(kind, self._header(at_ns), *fields)
+
+    def _point(self, at_ns: int, topic: str, place: Any) -> Message:
+        return self._stamped(at_ns, topic, f"{GEOMETRY}PointStamped", self._of_numbers("Point", place))
+
+    def _event(self, at_ns: int, level: int, words: str, name: str) -> Message:
+        kind = f"{FOXGLOVE}Log"
+        return at_ns, "/events", kind, self._of(kind, self._time(at_ns), level, words, name, "", 0)
+
+    def _tick(self, at_ns: int, tick: Any) -> Iterator[Message]:
+        """Joints, transforms, what the controller does and sees, and the hands as they are drawn."""
+        names, joints_rad = list(self.arm.joint_names), tick["joint_position_rad"]
+        yield self._stamped(
+            at_ns, "/joint_states", JOINTS, names, joints_rad, tick["joint_velocity_radps"], NONE
+        )
+        yield self._stamped(
+            at_ns, "/commands", JOINTS, names, NONE, tick["demanded_joint_velocity_radps"], NONE
+        )
+        poses = zip(self.frames, links_in_base(self.arm, np.ascontiguousarray(joints_rad)), strict=True)
+        moved = [self._transform(at_ns, frame, pose) for frame, pose in poses if frame != self.base]
+        yield at_ns, "/tf", TF, self._of(TF, moved)
+        near_m = np.where(tick["hand_present"], tick["hand_distance_m"], np.inf).min()
+        numbers = map(float, (near_m, tick["predicted_distance_m"], tick["tcp_speed_mps"]))
+        mode, limits = Mode(tick["mode"]).name.lower(), _limit_words(int(tick["limits"]))
+        yield self._stamped(at_ns, "/state", f"{OURS}State", mode, limits, *numbers)
+        for track, place in enumerate(tick["predicted_hand_in_base_m"]):
+            yield self._point(
+                at_ns, f"/tracked_{track + 1}", place if tick["track_valid"][track] else NOWHERE
+            )
+        size, drawn = self.trace.scenario.settings.hand, []
+        for k, hand in enumerate(self.trace.scenario.hands):
+            ends = tick["hand_position_in_base_m"][k], tick["elbow_position_in_base_m"][k]
+            radii_m = size.radius_m, size.forearm_radius_m
+            drawn.append(self._capsule(at_ns, self.base, hand.name, ends, radii_m, HAND_COLOUR))
+        yield at_ns, "/hands", SCENE, self._of(SCENE, [], drawn)
+
+    def _transform(self, at_ns: int, frame: str, pose: NDArray[np.float64]) -> Any:
+        from scipy.spatial.transform import Rotation
+
+        turn = self._of_numbers("Quaternion", Rotation.from_matrix(pose[:3, :3]).as_quat())
+        moved = self._of(f"{GEOMETRY}Transform", self._of_numbers("Vector3", pose[:3, 3]), turn)
+        return self._of(f"{GEOMETRY}TransformStamped", self._header(at_ns), frame, moved)
+
+    def _still_scene(self) -> Message:
+        """The arm's capsules, which follow /tf, and the obstacles."""
+        capsules, at_ns, drawn = capsules_of(self.trace), self.stamps[0], []
+        for k, name in enumerate(capsules.names):
+            ends, radii_m = (capsules.start_in_link[k], capsules.end_in_link[k]), [capsules.radius_m[k]] * 2
+            frame = self.frames[capsules.link_index[k]]
+            drawn.append(self._capsule(at_ns, frame, f"arm: {name}", ends, radii_m, ARM_COLOUR))
+        for k, box in enumerate(self.trace.scenario.obstacles):
+            turn = 0.0, 0.0, np.sin(box.yaw_rad / 2.0), np.cos(box.yaw_rad / 2.0)
+            cube = self._shape("Cube", box.position_in_base_m, turn, box.size_m, BOX_COLOUR)
+            drawn.append(self._entity(at_ns, self.base, f"obstacle {k + 1}", cubes=[cube]))
+        return at_ns, "/scene", SCENE, self._of(SCENE, [], drawn)
+
+    def _pose(self, at: Any, turn: Any = UPRIGHT) -> Any:
+        return self._of(
+            f"{GEOMETRY}Pose", self._of_numbers("Point", at), self._of_numbers("Quaternion", turn)
+        )
+
+    def _shape(self, kind: str, at: Any, turn: Any, size_m: Any, colour: Any) -> Any:
+        painted = self._of_numbers("Vector3", size_m), self._of(f"{FOXGLOVE}Color", *colour)
+        return self._of(f"{FOXGLOVE}{kind}Primitive", self._pose(at, turn), *painted)
+
+    def _capsule(self, at_ns: int, frame: str, name: str, ends: Any, radii_m: Any, colour: Any) -> Any:
+        """A sphere of a radius of its own at each end, and a line as thick as the second."""
+        balls = [self._shape("Sphere", ends[k], UPRIGHT, [2.0 * radii_m[k]] * 3, colour) for k in range(2)]
+        points, paint = [self._of_numbers("Point", at) for at in ends], self._of(f"{FOXGLOVE}Color", *colour)
+        at, thick_m, none = self._pose((0.0,) * 3), 2.0 * float(radii_m[1]), np.zeros(0, np.uint32)
+        line = self._of(f"{FOXGLOVE}LinePrimitive", 0, at, thick_m, False, points, paint, [], none)
+        return self._entity(at_ns, frame, name, spheres=balls, lines=[line])
+
+    def _entity(self, at_ns: int, frame: str, name: str, **shapes: Any) -> Any:
+        forever, drawn = (
+            self._of("builtin_interfaces/msg/Duration", 0, 0),
+            (shapes.get(k, []) for k in PRIMITIVES),
+        )
+        return self._of(f"{FOXGLOVE}SceneEntity", self._time(at_ns), frame, name, forever, True, [], *drawn)
+
+    def _decisions(self) -> Iterator[Message]:
+        for at_ns, one in zip(
+            _stamps(self.trace.decisions["time_s"]).tolist(), self.trace.decisions, strict=True
+        ):
+            places = [self._of_numbers("Point", one[f"{name}_position_in_base_m"]) for name in PLACES]
+            spread = self._of_numbers("Vector3", one["proposed_spread_m"]), float(one["spread_threshold_m"])
+            named = DecisionOutcome(one["outcome"]).name, Trigger(one["trigger"]).name
+            words = [*map(_words, named), str(one["fault"])]
+            yield self._stamped(at_ns, "/decisions", f"{OURS}Decision", *places, *spread, *words)
+            yield self._event(at_ns, INFO, ", ".join(filter(None, words)), "decision")
+
+    def _claim(self, number: int, one: Evaluation) -> Iterator[Message]:
+        """What a claim limits at every tick, an event at its worst moment, its verdict and margin at the end.
+
+        Only the distance of hands and the TCP's speed have a value at every tick.
+        """
+        prop = property_of(self.trace.scenario.claims[number], self.trace.scenario)
+        topic, kind, rows, limit, sign = f"/claim_{number + 1}", f"{OURS}Claim", NONE, np.nan, 1.0
+        if isinstance(prop, HandDistance):
+            rows, limit = true_motion(self.trace).nearest_m, prop.minimum_m
+        elif isinstance(prop, TcpSpeedLimit):
+            rows, limit, sign = self.trace.ticks["tcp_speed_mps"], prop.maximum_mps, -1.0
+        for at_ns, value in zip(self.stamps, rows.tolist(), strict=False):
+            numbers = value, limit, sign * (value - limit)
+            yield self._stamped(at_ns, topic, kind, one.sentence, "", SI_UNITS[one.unit], *numbers)
+        margin, verdict = np.nan if one.margin is None else float(one.margin), one.verdict.value
+        numbers, end_ns = (np.nan, limit, margin), self.stamps[-1]
+        yield self._stamped(
+            end_ns, f"{topic}/verdict", kind, one.sentence, verdict, SI_UNITS[one.unit], *numbers
+        )
+        worst_ns = end_ns if one.worst_time_s is None else int(_stamps(one.worst_time_s))
+        level = ERROR if one.verdict is Verdict.VIOLATED else INFO
+        yield self._event(worst_ns, level, f"{verdict}: {one.sentence} ({one.reason})", "claim")

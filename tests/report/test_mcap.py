@@ -1,0 +1,186 @@
+"""A run goes out as MCAP and comes back as a log: no verdict that the log gives contradicts the run's."""
+
+from __future__ import annotations
+
+import json
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from rosbags.highlevel import AnyReader
+from typer.testing import CliRunner
+
+from safety_harness import admit, judge, run_trial
+from safety_harness.cli.main import app
+from safety_harness.exceptions import OutputError, TraceError
+from safety_harness.logs.judging import recorded
+from safety_harness.properties.base import Unit
+from safety_harness.properties.true_motion import true_motion
+from safety_harness.report import mcap
+from safety_harness.report.mcap import LOG_FILE, write_mcap
+from safety_harness.scenario.expand import read_all_scenarios
+from safety_harness.scenario.model import Verdict
+from safety_harness.simulation.worlds import world_named
+from safety_harness.trace.store import save_trace
+from safety_harness.trace.trace import Trace
+
+ROOT = Path(__file__).parents[2]
+SHIPPED = {one.name: one for one in read_all_scenarios(ROOT / "scenarios")}
+QUICK = ("fast-reach", "recorded-handover-two-hands", "robot-panda", "overhead-camera", "box-beside-the-way")
+KINEMATIC = world_named("kinematic", "--world")
+SPEEDS = (Unit.SPEED, Unit.ANGULAR_SPEED)
+
+
+@lru_cache
+def trace_of(name: str) -> Trace:
+    return run_trial(admit(SHIPPED[name]), world=KINEMATIC)
+
+
+def exported(name: str, folder: Path) -> Path:
+    trace = trace_of(name)
+    write_mcap(trace, judge(trace), folder / "run.mcap")
+    return folder / LOG_FILE
+
+
+def contents(folder: Path, topic: str) -> list[tuple[int, Any]]:
+    with AnyReader([folder / "run.mcap"]) as bag:
+        of_topic = [one for one in bag.connections if one.topic == topic]
+        assert of_topic, topic
+        found = bag.messages(connections=of_topic)
+        return [(at, bag.deserialize(raw, one.msgtype)) for one, at, raw in found]
+
+
+def _comes_back(name: str, folder: Path) -> None:
+    """Equal or inconclusive verdicts; what is certain of a distance or speed is near the run's margin."""
+    trace, back = trace_of(name), recorded(exported(name, folder)).trace
+    assert np.array_equal(back.time_s, trace.time_s)
+    pairs = list(zip(judge(trace), judge(back), strict=True))
+    for run, log in pairs:
+        assert log.verdict in (run.verdict, Verdict.INCONCLUSIVE), (name, run, log)
+        if run.sentence.startswith("hand distance never below") and log.margin is not None:
+            assert run.margin is not None
+            off_m = float(back.known.within("hand_distance_m", len(back.ticks))[:-1].max()) + 2.0 * 1e-4
+            bent_m = abs(log.margin - run.margin)
+            assert bent_m <= 2.0 * off_m, (name, run, log)
+        elif run.unit in SPEEDS and log.margin is not None and run.margin is not None:
+            assert log.margin <= run.margin + 1e-6 or log.verdict is Verdict.VIOLATED, (name, run, log)
+
+
+@pytest.mark.parametrize("name", QUICK)
+def test_a_run_comes_back_without_a_contradiction(name: str, tmp_path: Path) -> None:
+    _comes_back(name, tmp_path)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", [one for one in SHIPPED if one not in QUICK])
+def test_every_shipped_run_comes_back_without_a_contradiction(name: str, tmp_path: Path) -> None:
+    _comes_back(name, tmp_path)
+
+
+def test_the_log_has_the_joints_and_hands_of_the_run(tmp_path: Path) -> None:
+    trace = trace_of("fast-reach")
+    back = recorded(exported("fast-reach", tmp_path)).trace
+    for name in ("joint_position_rad", "hand_position_in_base_m", "elbow_position_in_base_m"):
+        assert np.allclose(back.ticks[name][:, :1], trace.ticks[name][:, :1], rtol=0.0, atol=2e-6), name
+    assert np.array_equal(back.ticks["mode"], trace.ticks["mode"])
+    assert np.array_equal(back.ticks["limits"], trace.ticks["limits"])
+    assert np.array_equal(back.decisions["tick"], trace.decisions["tick"])
+
+
+def test_a_violation_is_certain_in_the_log_too(tmp_path: Path) -> None:
+    """The run is 126.5 mm inside the limit, and its hand moves 0.5 ms x 2 m/s at most between two samples."""
+    trace = trace_of("fast-reach")
+    run, log = judge(trace)[0], judge(recorded(exported("fast-reach", tmp_path)).trace)[0]
+    assert log.verdict is Verdict.VIOLATED
+    assert run.margin is not None
+    assert log.margin == pytest.approx(run.margin, abs=2e-3)
+    assert log.worst_time_s == pytest.approx(run.worst_time_s, abs=0.008)
+
+
+def test_margins_have_their_limits_and_decisions_are_events(tmp_path: Path) -> None:
+    trace = trace_of("fast-reach")
+    exported("fast-reach", tmp_path)
+    rows = contents(tmp_path, "/claim_1")
+    nearest_m = true_motion(trace).nearest_m
+    assert [at for at, _ in rows] == [10**9 + round(t * 1e9) for t in trace.time_s]
+    assert [one.margin for _, one in rows] == pytest.approx((nearest_m - 0.05).tolist())
+    assert {one.limit for _, one in rows} == {0.05}
+    ((end_ns, last),) = contents(tmp_path, "/claim_1/verdict")
+    assert (last.verdict, last.unit, end_ns) == ("violated", "m", rows[-1][0])
+    events = contents(tmp_path, "/events")
+    assert [at for at, one in events if one.name == "decision"] == [
+        10**9 + round(t * 1e9) for t in trace.decisions["time_s"]
+    ]
+    assert any(one.name == "claim" and one.level == 4 and "hand distance" in one.message for _, one in events)
+
+
+def test_the_drawn_arm_and_hands_are_where_they_were(tmp_path: Path) -> None:
+    trace = trace_of("fast-reach")
+    exported("fast-reach", tmp_path)
+    _, tf = contents(tmp_path, "/tf")[-1]
+    (tcp,) = [one for one in tf.transforms if one.child_frame_id == "tcp"]
+    at, turn = tcp.transform.translation, tcp.transform.rotation
+    pose = trace.ticks["transform_tcp_to_base"][-1]
+    assert [at.x, at.y, at.z] == pytest.approx(pose[:3, 3].tolist())
+    x, y, z, w = turn.x, turn.y, turn.z, turn.w
+    axis = [2 * (x * z + y * w), 2 * (y * z - x * w), 1 - 2 * (x * x + y * y)]  # of the tool
+    assert axis == pytest.approx(pose[:3, 2].tolist(), abs=1e-9)
+    _, scene = contents(tmp_path, "/hands")[100]
+    (hand,) = scene.entities
+    ball = hand.spheres[0]
+    assert hand.id == "right hand"
+    assert ball.size.x == pytest.approx(0.12)
+    where = trace.ticks["hand_position_in_base_m"][100, 0]
+    assert [ball.pose.position.x, ball.pose.position.y, ball.pose.position.z] == pytest.approx(where.tolist())
+    ((_, still),) = contents(tmp_path, "/scene")
+    frames = {one.frame_id for one in still.entities}
+    assert frames <= {"base_link", *(one.child_frame_id for one in tf.transforms)}
+
+
+def test_the_command_writes_both_files_and_judge_reads_them(tmp_path: Path) -> None:
+    save_trace(trace_of("fast-reach"), tmp_path / "fast.trace")
+    out = tmp_path / "out" / "run.mcap"
+    found = CliRunner().invoke(app, ["export", str(tmp_path / "fast.trace"), "--out", str(out)])
+    assert found.exit_code == 0, found.output
+    claim = "hand distance never below 50 mm"
+    judged = CliRunner().invoke(app, ["judge", str(out.parent / LOG_FILE), "--claim", claim])
+    assert judged.exit_code == 1, judged.output
+    assert "violated         -125.7 mm at   1.952 s  LOG: hand distance never below 50 mm" in judged.output
+
+
+def test_a_log_and_a_foreign_description_are_refused(tmp_path: Path) -> None:
+    log = exported("fast-reach", tmp_path)
+    back = recorded(log).trace
+    with pytest.raises(TraceError, match="simulated run"):
+        write_mcap(back, judge(back), tmp_path / "again.mcap")
+    with pytest.raises(OutputError, match="one that an export wrote"):
+        write_mcap(trace_of("fast-reach"), (), tmp_path / "other.mcap")
+    assert not (tmp_path / "other.mcap").exists()
+
+
+def test_the_layout_shows_topics_and_fields_that_an_export_has(tmp_path: Path) -> None:
+    layout = json.loads((ROOT / "examples" / "foxglove-layout.json").read_text())
+    exported("fast-reach", tmp_path)
+    with AnyReader([tmp_path / "run.mcap"]) as bag:
+        fields = {
+            one.topic: [n for n, _ in bag.typestore.fielddefs[one.msgtype][1]] for one in bag.connections
+        }
+    plots = [p for key, one in layout["configById"].items() if key.startswith("Plot!") for p in one["paths"]]
+    assert plots
+    for path in plots:
+        topic, _, rest = path["value"].partition(".")
+        assert rest.partition("[")[0] in fields[topic], path
+    for key, one in layout["configById"].items():
+        assert set(one.get("topics", {})) <= set(fields), key
+        assert one.get("topicToRender", "/events") in fields
+
+
+def test_faster_hands_than_said_would_be_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The bounds that LOG.yaml states are held against the samples when it is read."""
+    from safety_harness.exceptions import LogError
+
+    monkeypatch.setattr(mcap, "_bounds", lambda trace: (3.2, 1e3, 0.1))
+    with pytest.raises(LogError, match=r"possible at 0\.1 m/s"):
+        recorded(exported("fast-reach", tmp_path))
