@@ -51,7 +51,7 @@ from safety_harness.avoidance.onnx_names import (
     SEED,
     SPREAD,
     TCP,
-    Quantity,
+    NamedQuantity,
     Tensor,
     laid_out,
     layout_of,
@@ -62,7 +62,7 @@ from safety_harness.scenario.typed_json import of_format, parsed
 
 EXPORT_FORMAT = "safety-harness export 1"
 THRESHOLD = "spread_threshold_m"
-GIVEN = {POSITION: Quantity((3,), FLOATS), SPREAD: Quantity((3,), FLOATS)}
+GIVEN = {POSITION: NamedQuantity((3,), FLOATS), SPREAD: NamedQuantity((3,), FLOATS)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,15 +207,15 @@ def _session(path: Path, data: bytes, *, optimised: bool) -> Any:
         refuse(path, None, "an ONNX file that onnxruntime can load", described(error), hint)
 
 
-def _taken(exported: NetworkUse | None) -> dict[str, Quantity]:
+def _taken(exported: NetworkUse | None) -> dict[str, NamedQuantity]:
     """What the inputs may hold, of a file of ``export`` its masks too."""
     masked = exported is not None and exported.dropout is not Dropout.NONE
-    masks = {MASKS: Quantity(mask_shape(exported), ("bool",))} if exported and masked else {}
+    masks = {MASKS: NamedQuantity(mask_shape(exported), ("bool",))} if exported and masked else {}
     return {
-        HAND: Quantity((3,), FLOATS),
-        TCP: Quantity((3,), FLOATS),
+        HAND: NamedQuantity((3,), FLOATS),
+        TCP: NamedQuantity((3,), FLOATS),
         **masks,
-        SEED: Quantity((), ("int64", "uint64")),
+        SEED: NamedQuantity((), ("int64", "uint64")),
     }
 
 

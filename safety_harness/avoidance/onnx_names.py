@@ -28,14 +28,14 @@ MOST_FREE, MOST_WAYS, MOST_TRIED = 6, 3, 1000  # quantities laid out by shape, l
 
 
 @dataclass(frozen=True)
-class Quantity:
+class NamedQuantity:
     """``sizes`` of its axes after the first (None: any axes), and its numbers' types as numpy names them."""
 
     sizes: tuple[int, ...] | None
     types: tuple[str, ...]
 
 
-Quantities = Mapping[str, Quantity]
+Quantities = Mapping[str, NamedQuantity]
 Layout = Mapping[str, tuple[str, ...]]  # the quantities in each tensor
 
 
@@ -120,18 +120,18 @@ def _tensor(path: Path, one: Any, holds: tuple[str, ...], known: Quantities) -> 
     return Tensor(one.name, holds, dtype_of(one), len(one.shape))
 
 
-def _rests(quantities: Sequence[Quantity]) -> list[tuple[int, ...]]:
+def _rests(quantities: Sequence[NamedQuantity]) -> list[tuple[int, ...]]:
     """The axes after the first of what holds all of them: those of one alone, or the columns of all."""
     widths = [ANY if one.sizes is None else prod(one.sizes) for one in quantities]
     columns = (ANY if ANY in widths else sum(widths),)
     return [quantities[0].sizes or (), columns] if len(quantities) == 1 else [columns]
 
 
-def _shape(quantities: Sequence[Quantity]) -> list[int | str]:
+def _shape(quantities: Sequence[NamedQuantity]) -> list[int | str]:
     return ["1 or n", *(size or "k" for size in _rests(quantities)[0])]
 
 
-def _fits(shape: Sequence[int | str | None], quantities: Sequence[Quantity]) -> bool:
+def _fits(shape: Sequence[int | str | None], quantities: Sequence[NamedQuantity]) -> bool:
     """One row or any number of them, and such axes."""
     return quantities[0].sizes is None or any(
         len(shape) == 1 + len(rest)

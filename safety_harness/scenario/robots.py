@@ -319,7 +319,7 @@ class OwnRobot:
             most=8,
         ),
         "where the URDF's efforts are 0 or missing, for drives with a torque limit and for PyBullet",
-        "[87 N m, 87 N m, 87 N m, 87 N m, 12 N m, 12 N m, 12 N m]",
+        "[87 Nm, 87 Nm, 87 Nm, 87 Nm, 12 Nm, 12 Nm, 12 Nm]",
         default=None,
     )
     soft_limits: YesNo | None = key(

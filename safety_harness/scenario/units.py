@@ -93,7 +93,7 @@ _PER_LENGTHS: dict[str, _Factor] = {"/m": Fraction(1), "/cm": Fraction(100), "/m
 PER_LENGTH = Dimension("number per length", "0.0025 /m", "/m", _PER_LENGTHS, "_per_m", 1e-5, 1.0)
 TIME_PER_SPEED = Dimension("time per speed", "0.1 s2/m", "s2/m", {"s2/m": Fraction(1)}, "_s2pm", 1e-3, 10.0)
 MASS = Dimension("mass", "2 kg", "kg", {"kg": Fraction(1), "g": Fraction(1, 1000)}, "_kg", 1e-3, 1000.0)
-TORQUE = Dimension("torque", "87 N m", "N m", {"Nm": Fraction(1)}, "_nm", 1e-2, 1e5)
+TORQUE = Dimension("torque", "87 Nm", "Nm", {"Nm": Fraction(1)}, "_nm", 1e-2, 1e5)
 DIMENSIONS = tuple(one for one in tuple(globals().values()) if isinstance(one, Dimension))
 
 

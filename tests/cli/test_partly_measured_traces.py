@@ -56,8 +56,9 @@ def test_of_a_run_that_was_all_simulated_nothing_more_is_said(
     save_trace(visit, tmp_path / "whole.trace")
     assert judge_again([tmp_path / "whole.trace"], [KNOWN]) == AS_EXPECTED
     out, err = capsys.readouterr()
-    assert (len(out.splitlines()), len(err.splitlines())) == (1, 1)
+    assert (len(out.splitlines()), len(err.splitlines())) == (1, 2)
     assert err.startswith("tested in ")
+    assert err.splitlines()[1].startswith("Basis: ")
 
 
 def test_on_a_narrow_terminal_every_line_fits(

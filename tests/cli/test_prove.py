@@ -55,7 +55,7 @@ def test_a_false_claim_is_refuted_with_a_question_that_is_a_scenario(
         lambda plan, proof, path: written.append((path.name, proof.planned.sentence)),
     )
     assert prove(plan_file(folder, FALSE + QUESTIONS), out=folder / "out", halvings=4) == DIFFERS
-    *_, columns, row, _, _ = capsys.readouterr().out.splitlines()
+    *_, columns, row, _, _, _ = capsys.readouterr().out.splitlines()
     assert columns.split()[2:6] == ["wrong", "at", "most", "at"]
     assert float(row.split()[6]) > 0.9
     assert written == [("refuted-1.yaml", "steps at most 60 mm (seen)")]

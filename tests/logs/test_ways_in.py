@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -334,11 +335,13 @@ def test_a_joint_without_ends_goes_the_short_way(streams: Streams, tmp_path: Pat
 def endless(tmp_path_factory: pytest.TempPathFactory) -> str:
     """A UR10e whose last joint has no ends."""
     folder = tmp_path_factory.mktemp("arm")
-    for file in (Path(__file__).parents[2] / "robots").glob("ur10e*"):
-        text = file.read_text()
-        if file.suffix == ".urdf":
-            text = text.replace('"wrist_3_joint" type="revolute"', '"wrist_3_joint" type="continuous"')
-            assert "continuous" in text
+    robots = Path(__file__).parents[2] / "robots"
+    old = (robots / "ur10e.urdf").read_text()
+    new = old.replace('"wrist_3_joint" type="revolute"', '"wrist_3_joint" type="continuous"')
+    assert new != old
+    before, after = (hashlib.sha256(text.encode()).hexdigest() for text in (old, new))
+    for file in robots.glob("ur10e*"):
+        text = new if file.suffix == ".urdf" else file.read_text().replace(before, after)
         (folder / file.name).write_text(text)
     return str(folder / "ur10e.yaml")
 

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from safety_harness.avoidance.model_file import refuse
 from safety_harness.avoidance.onnx_model import open_session
-from safety_harness.avoidance.onnx_names import ANY, FLOATS, Quantity, dtype_of, laid_out, layout_of
+from safety_harness.avoidance.onnx_names import ANY, FLOATS, NamedQuantity, dtype_of, laid_out, layout_of
 from safety_harness.controller.arrays import Arrays, observed
 from safety_harness.controller.contract import IMAGE, SIGHTS, Action, DrivenArm, Move, Seen, Start, Stop
 from safety_harness.controller.rows import SeenLayout, seen_dtype
@@ -37,8 +37,8 @@ MOVES = ("tcp_velocity_mps", "tcp_angular_velocity_radps", "joint_velocity_radps
 STOP, NEXT, NAME, TICKS = "stop", "next_", "name", "ticks"
 MOST_TICKS = 1000
 TYPES = (*FLOATS, "int8", "int64", "uint8", "bool")
-GIVEN = {name: Quantity((ANY if name == MOVES[2] else 3,), TYPES) for name in MOVES}
-GIVEN |= {STOP: Quantity((), TYPES)}
+GIVEN = {name: NamedQuantity((ANY if name == MOVES[2] else 3,), TYPES) for name in MOVES}
+GIVEN |= {STOP: NamedQuantity((), TYPES)}
 
 
 class OnnxPolicy:
@@ -59,7 +59,7 @@ class OnnxPolicy:
         laid = layout_of(layout)
         given = {name for one in self._session.get_outputs() for name in laid.get(one.name, (one.name,))}
         carried = [one for one in self._session.get_inputs() if NEXT + one.name in given]
-        states = {one.name: Quantity(None, TYPES) for one in carried}
+        states = {one.name: NamedQuantity(None, TYPES) for one in carried}
         takes = {name: kind for name, (_, kind) in _KNOWN.items()} | states
         gives = GIVEN | {NEXT + name: kind for name, kind in states.items()}
         self._inputs, self._outputs = laid_out(path, self._session, laid, takes, gives, set())
@@ -120,14 +120,14 @@ def _whole(row: NDArray[np.float64], layout: SeenLayout, joints: int) -> NDArray
     return numbers.view(dtype)
 
 
-def _known() -> Iterator[tuple[str, tuple[str, Quantity]]]:
+def _known() -> Iterator[tuple[str, tuple[str, NamedQuantity]]]:
     """Yield what can be seen, by name: its word, and its axes, of which hands and joints leave some open."""
-    yield IMAGE, (IMAGE, Quantity((ANY, ANY, 3), TYPES))
+    yield IMAGE, (IMAGE, NamedQuantity((ANY, ANY, 3), TYPES))
     for word in (sight.word for sight in SIGHTS if sight.word != IMAGE):
         few, more = (observed(np.zeros(1, seen_dtype(n, n)), (word,)) for n in (1, 2))
         for name in few:
             pairs = zip(few[name].shape[1:], more[name].shape[1:], strict=True)
-            yield name, (word, Quantity(tuple(a if a == b else ANY for a, b in pairs), TYPES))
+            yield name, (word, NamedQuantity(tuple(a if a == b else ANY for a, b in pairs), TYPES))
 
 
 _KNOWN = dict(_known())
