@@ -59,7 +59,7 @@ def report_elsewhere(folder: Path) -> Path:
 def test_small_weights_are_carried_and_large_ones_are_asked_for(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(folder_module, "write_page", lambda path, *_: path.write_text("the page"))
+    monkeypatch.setattr(folder_module, "drawn", lambda evidence, *_: ("the page", evidence))
     monkeypatch.setattr(verify_report, "render", lambda *_: "the page")
     report = report_elsewhere(tmp_path)
     (packed,) = (report / OPENED).iterdir()

@@ -24,6 +24,7 @@ from safety_harness.certification.counterexamples import (
 )
 from safety_harness.certification.evidence import read_evidence
 from safety_harness.certification.findings import of_searches
+from safety_harness.certification.guard import ReportGuard
 from safety_harness.certification.tools import HarnessTrials
 from safety_harness.cli.certify import certify
 from safety_harness.cli.console import INTERRUPTED
@@ -163,11 +164,12 @@ def test_a_search_that_fails_or_was_interrupted_is_made_anew_and_the_others_are_
     monkeypatch.setattr(certify_module, "search_space", searching(answers, asked))
     job = Certification(plan, tmp_path, HarnessTrials(), "certify")
     output = SearchOutput(print, print, nullcontext)  # type: ignore[arg-type]
-    assert not job.search(output)  # the first fails, the second is interrupted
+    guard = ReportGuard()
+    assert not job.search(output, guard)  # the first fails, the second is interrupted
     stale = asked[1] / "as-found.yaml"
     stale.write_text("of the search that was interrupted")
-    assert job.search(output)
-    assert job.search(output)
+    assert job.search(output, guard)
+    assert job.search(output, guard)
     assert [folder.name for folder in asked] == ["1-near", "2-nearer", "1-near", "2-nearer"]
     assert not stale.exists()
     assert "no world" in capsys.readouterr().out

@@ -70,6 +70,7 @@ LOOKS: dict[str, tuple[str, int]] = {
     "scenario from": ("log/LOG.yaml --scenario scenario.yaml --around 50 mm --out from", AS_EXPECTED),
     "hands fit": ("scenario.yaml --out hands.yaml", BAD_INPUT),
     "prove": ("plan.yaml", BAD_INPUT),
+    "log check": ("log/LOG.yaml", AS_EXPECTED),
     "log align": ("scenario.yaml --body hand", BAD_INPUT),
     "monitor": ("scenario.yaml", BAD_INPUT),
     "robot show": ("scenario.yaml", BAD_INPUT),

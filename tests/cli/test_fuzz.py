@@ -147,10 +147,13 @@ def test_how_long_answers_take_changes_nothing_that_is_found(space: Path, tmp_pa
     for seconds in ("0", "0.12"):
         (tmp_path / "mine.s").write_text(seconds)
         fuzz(space, out=tmp_path / seconds, avoider=str(tmp_path / "mine.py") + ":Crashing", budget=2)
-    quick, slow = ((tmp_path / seconds / "findings.json").read_text() for seconds in ("0", "0.12"))
+    quick, slow = (
+        json.loads((tmp_path / seconds / "findings.json").read_text()) for seconds in ("0", "0.12")
+    )
+    quick.pop("computing_time")  # of this machine, and it may be busy
+    assert "2 of 2 answers (100 %) took longer than the 8 ms" in slow.pop("computing_time")
     assert quick == slow
-    assert json.loads(quick)["computing_time"] == "computing time not modelled"
-    assert "computing time not modelled" in (tmp_path / "0" / "fuzz.html").read_text()
+    assert "it was tested as if it answered in time" in (tmp_path / "0.12" / "fuzz.html").read_text()
 
 
 def test_ctrl_c_keeps_what_was_found(

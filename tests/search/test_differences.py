@@ -88,7 +88,7 @@ HARMLESS = (
         "Down",
     ),
     *("Seed1", "Seed2", "Seed3", "Seed4", "Seed5", "More", "YetMore", "Twice", "Wider", "Narrower"),
-    *("Tick", "TwoTicks", "Higher", "Longer", "Base"),
+    *("Tick", "TwoTicks", "Higher", "Longer"),
 )
 CLAIMS = ("hand distance never below 100 mm", "proposals lead away to within 10 mm")
 FAULTS = ("Beyond", "Towards", "Stays", "OneInThree")
