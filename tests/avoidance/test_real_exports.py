@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import runpy
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -79,7 +80,12 @@ def test_a_network_in_float16_answers_to_its_own_digits(tmp_path: Path) -> None:
 @pytest.mark.parametrize("ours", [True, False])
 def test_a_quantised_network_answers_to_its_own_digits(tmp_path: Path, ours: bool) -> None:
     """Of ``export`` too, whose shapes agree with those that the quantiser infers."""
+    before = [*sys.path], {*sys.modules}
     from onnxruntime.quantization import QuantType, quantize_dynamic
+
+    sys.path[:] = before[0]  # it adds a folder with modules of plain names, "onnx_model" among them
+    for name in {"onnx_model", "fusion_utils", "onnx_utils"} - before[1]:
+        sys.modules.pop(name, None)
 
     from safety_harness.learning.export import write_export
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner, Result
 
-from safety_harness.cli.console import AS_EXPECTED, DIFFERS
+from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, DIFFERS
 from safety_harness.cli.main import app
 from safety_harness.search import session as search_session
 from tests.campaign.plans import PLAN
@@ -77,7 +77,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ),
         (
             "campaign compare report/ledger.sqlite --controller ../controllers/drift.py:Drift --workers 1",
-            AS_EXPECTED,
+            BAD_INPUT,  # found, and refused: it is the ledger's own
             "",
         ),
         ("certify ../plans/plan.yaml --out report --workers 1", DIFFERS, "refuted"),
