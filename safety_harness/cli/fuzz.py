@@ -36,7 +36,7 @@ def fuzz(
         "reports/fuzz"
     ),
     searcher: Annotated[
-        str, Option(help="default, uniform, quasi-random, cma-es, hypothesis, or diverse, which fills holes.")
+        str, Option(help="default, uniform, quasi-random, cma-es, or diverse, which fills holes.")
     ] = "default",
     claims: Annotated[
         list[str] | None,

@@ -9,7 +9,6 @@ from safety_harness.search.cma_es import CmaEs
 from safety_harness.search.cube import Cube
 from safety_harness.search.default import Default
 from safety_harness.search.diverse import Diverse
-from safety_harness.search.hypothesis_search import HypothesisSearch
 from safety_harness.search.sampling import QuasiRandom, UniformSampling
 from safety_harness.search.search import Searcher
 
@@ -28,7 +27,6 @@ SEARCHERS: tuple[MakesSearcher, ...] = (
     UniformSampling,
     QuasiRandom,
     CmaEs,
-    HypothesisSearch,
     Diverse,
 )
 

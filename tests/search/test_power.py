@@ -11,7 +11,7 @@ from tests.search.planted import BUGS, BY_LOT, CUBE, FLAT, GOALS, SMOOTH, Bug, s
 
 SEEDS = range(3)
 DEFAULT = SEARCHERS[0]
-WRONG_OCTANT, UNSEEN = SMOOTH[0], SMOOTH[2]
+WRONG_OCTANT = SMOOTH[0]
 # Chance needs more than 1,000 draws, the default search at most a fifth; docs/search.md has the others.
 HARD = (SMOOTH[4], FLAT[0], BY_LOT[2])
 
@@ -62,11 +62,7 @@ def test_chance_needs_more_than_five_times_as_many(bug: Bug) -> None:
     assert 5.0 * np.median([needed(DEFAULT, bug, seed, 2000) for seed in range(5)]) < chance
 
 
-@pytest.mark.parametrize(
-    ("make", "bug", "budget"),
-    [(make, UNSEEN, 400) if make.name == "hypothesis" else (make, WRONG_OCTANT, 6000) for make in SEARCHERS],
-    ids=lambda value: getattr(value, "name", getattr(value, "__name__", str(value))),
-)
-def test_every_searcher_finds_a_bug_within_its_budget(make: MakesSearcher, bug: Bug, budget: int) -> None:
-    """Of one run in 1,700, with slopes; Hypothesis, which is slow, begins at an end of everything."""
-    assert all(needed(make, bug, seed, budget) <= budget for seed in range(2))
+@pytest.mark.parametrize("make", SEARCHERS, ids=lambda make: make.name)
+def test_every_searcher_finds_a_bug_of_one_run_in_1700_within_6000(make: MakesSearcher) -> None:
+    """The bug has slopes: the margin grows towards it."""
+    assert all(needed(make, WRONG_OCTANT, seed, 6000) <= 6000 for seed in range(2))

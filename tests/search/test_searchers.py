@@ -46,7 +46,7 @@ def test_the_same_seed_gives_the_same_points_whatever_the_global_generator_did(m
     assert not np.array_equal(tried(make, bowl, 100, seed=2), first)
 
 
-@pytest.mark.parametrize("make", [make for make in SEARCHERS if make.name != "hypothesis"], ids=NAME)
+@every
 def test_the_global_generator_is_left_alone(make: MakesSearcher) -> None:
     before = np.random.get_state()[1].copy()  # noqa: NPY002
     tried(make, bowl, 100)
