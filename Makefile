@@ -7,7 +7,7 @@ BIN := $(VENV)/bin
 INSTALL := -m pip install --quiet --disable-pip-version-check
 HERE := $(BIN)/python $(INSTALL) --constraint requirements.lock
 
-.PHONY: demo test suite long shield-all warm check accessibility sample paper bench bench-all others docs wheel oracles mutation mutants bounds release setup clean
+.PHONY: demo bits test suite long shield-all warm check accessibility sample paper bench bench-all others docs wheel oracles mutation mutants bounds release setup clean
 
 demo: $(VENV)/installed
 	$(BIN)/safety-harness run scenarios --out reports/demo
@@ -60,6 +60,10 @@ LONG := agreement altered_rows arms big_pages both_ends broken_programs busy cam
 	kinematics_of_arms logs loop monitor overhead pages parts proof proof_decisions proof_questions public_urdfs rare_in_kinematic rates scenario_files search_power seam shield \
 	shipped_controllers soak spaces start_up student_in_spaces training \
 	whose_fault
+
+# What differs in results from the revision BASE; all of it with WHOLE=--whole
+bits: $(VENV)/benchmarks
+	$(BIN)/python benchmarks/bits.py $(BASE) $(WHOLE)
 
 bench-all: $(LONG:%=bench-%)
 
