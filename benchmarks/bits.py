@@ -56,7 +56,7 @@ SPACES: Final = (
     "recorded-variations",
 )
 ITEMS: Final = (
-    Item("scenarios, kinematic", "run scenarios --world kinematic --jobs 2 --out {out}", True),
+    Item("scenarios, kinematic", "run scenarios --world kinematic --keep-going --jobs 2 --out {out}", True),
     Item("scenarios, PyBullet", "run scenarios --jobs 2 --out {out}", False),
     *(
         Item(
