@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled, njit_no_nrt
 from safety_harness.exceptions import Place, TraceError
-from safety_harness.robot.capsules import Arm, CapsuleSet, arm_with
+from safety_harness.robot.capsules import Arm, CapsuleSet, arm_with, tcp_alone
 from safety_harness.robot.robots import arm_capsules, arm_model
 from safety_harness.scenario.model import MovingHand, RecordedHand
 from safety_harness.scenario.moves import FollowTcp, ReachForTcp
@@ -139,6 +139,11 @@ def arm_of(trace: Trace) -> Arm:
     return arm_with(arm_model(trace.scenario.robot), capsules_of(trace))
 
 
+def tcp_of(trace: Trace) -> Arm:
+    """Its TCP alone."""
+    return tcp_alone(arm_model(trace.scenario.robot))
+
+
 @dataclass(frozen=True, eq=False)
 class HandPaths:
     """What the scenario's hands do along the arm's true way.
@@ -244,8 +249,8 @@ def tcp_velocity_moved_mps(trace: Trace) -> NDArray[np.float64]:
     return np.asarray(faster_radps * reach_m.sum() + turned_rad * (rates_radps @ farther_m))
 
 
-def hand_bend_m(trace: Trace, paths: HandPaths, hand: int) -> NDArray[np.float64]:
-    """(n-1,) how far a hand or its elbow may leave its chord within each tick.
+def hand_bend_m(trace: Trace, paths: HandPaths, hand: int, *, centre: bool = False) -> NDArray[np.float64]:
+    """(n-1,) how far a hand or its elbow, or its ``centre`` alone, may leave its chord within a tick.
 
     A way whose second derivative is at most b leaves its chord by at most b dt^2/8.  For a hand that
     is its acceleration a, its tremor's included.  The elbow is a forearm's length L from the hand
@@ -270,6 +275,7 @@ def hand_bend_m(trace: Trace, paths: HandPaths, hand: int) -> NDArray[np.float64
             fastest += leader.tremor.max_speed_mps
             hardest += leader.tremor.max_acceleration_mps2
     towards, size = np.array(trajectory.elbow_towards_in_base_m), scenario.settings.hand
+    length_m = 0.0 if centre else size.forearm_length_m
     return _hand_bends(
         paths.positions_in_base_m[:, hand, 0],
         towards,
@@ -277,8 +283,8 @@ def hand_bend_m(trace: Trace, paths: HandPaths, hand: int) -> NDArray[np.float64
         paths.parts[:, hand],
         fastest,
         hardest,
-        size.forearm_length_m,
-        max(size.forearm_length_m + size.forearm_radius_m - size.radius_m, 0.0),
+        length_m,
+        0.0 if centre else max(length_m + size.forearm_radius_m - size.radius_m, 0.0),
         period_s,
     )
 
