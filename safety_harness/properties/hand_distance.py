@@ -154,11 +154,10 @@ def followed_hands(trace: Trace) -> tuple[HandPaths | None, str]:
         return None, f"never exercised: {no_hand(trace)}"
     if _farthest_turn_rad(true_motion(trace).joints_rad) > TURNED_RAD:
         return None, "a joint has turned further than any arm can"
-    paths = hand_paths(trace)
-    stray = first_stray(trace, paths)
+    stray = first_stray(trace)
     if stray is not None:
         return None, f"at tick {stray} a hand is not where the scenario moves it"
-    return paths, ""
+    return hand_paths(trace), ""
 
 
 @compiled
