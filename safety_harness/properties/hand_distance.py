@@ -242,15 +242,12 @@ def ends_between(trace: Trace, paths: HandPaths, hand: int, *, from_tcp: bool = 
 
     From the arm, surface to surface, or ``from_tcp``: of the hand's centre.
     """
-    seen, size, arm = (
-        instants(trace, paths, hand, from_tcp=from_tcp),
-        trace.scenario.settings.hand,
-        arm_of(trace),
-    )
+    seen = instants(trace, paths, hand, from_tcp=from_tcp)
+    at, joints_rad, hand_m, elbow_m, distance_m, slack_m = seen
+    arm, size, ends_m = arm_of(trace), trace.scenario.settings.hand, np.empty((2, len(slack_m)))
     if from_tcp:
-        size, arm = replace(size, radius_m=0.0, forearm_radius_m=0.0), tcp_of(trace)
-    at, ends_m = seen[0], np.empty((2, len(seen[0]) - 1))
-    closest_between(arm, *seen, size, paths, ends_m)
+        arm, size = tcp_of(trace), replace(size, radius_m=0.0, forearm_radius_m=0.0)
+    closest_between(arm, at, joints_rad, hand_m, elbow_m, distance_m, slack_m, size, paths, ends_m)
     least_m = np.full((2, max(len(trace.ticks) - 1, 0)), np.inf)
     tick = np.minimum(at[:-1].astype(int), max(least_m.shape[1] - 1, 0))
     for least, ends in zip(least_m, ends_m, strict=True):

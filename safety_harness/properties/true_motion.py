@@ -198,8 +198,8 @@ def first_stray(trace: Trace) -> int | None:
             same = ~known.measured(name, trace.ticks)[:, : off_m.shape[1]]
             same |= off_m <= known.of(name).uncertainty + SAME_M
             stored_m[:, :, body][same] = moved_m[:, :, body][same]
-    same = np.isclose(stored_m, moved_m, rtol=0.0, atol=SAME_M, equal_nan=True).all(axis=(1, 2, 3))
-    return None if same.all() else int(np.argmin(same))
+    stray = ~np.isclose(stored_m, moved_m, rtol=0.0, atol=SAME_M, equal_nan=True)
+    return int(np.argmax(stray.any(axis=(1, 2, 3)))) if stray.any() else None
 
 
 def follows_unknown(trace: Trace) -> bool:
