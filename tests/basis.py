@@ -6,7 +6,7 @@ import re
 
 from safety_harness.properties.tally import UNWATCHED
 
-EXERCISED = re.compile(r"claims? exercised in \d+ of \d+ runs")
+EXERCISED = re.compile(r"claims? exercised in (\d+ (of \d+ )?to )?\d+ of \d+ runs")
 
 
 def rests_on(text: str, world: str, *, unwatched: tuple[str, ...] = UNWATCHED) -> bool:

@@ -132,13 +132,14 @@ def too_few(plan: Plan, tally: CampaignTally) -> Iterator[ClaimForecast]:
 class PlanPilot:
     """What the runs of a pilot say of a plan; ``run_s`` is how long one took, by stratum.
 
-    ``remarks``: why they are not of the plan's avoider, as ``AvoiderWatch`` has it.
+    ``remarks``: why they are not of the plan's avoider, and ``slow_answers``, as ``AvoiderWatch`` has them.
     """
 
     forecasts: tuple[ClaimForecast, ...]
     run_s: tuple[float, ...]
     failures: tuple[str, ...]
     remarks: tuple[str, ...]
+    slow_answers: list[str]
 
     @property
     def enough(self) -> bool:
@@ -178,6 +179,7 @@ def pilot(plan: Plan, runs: int, on_progress: Callable[[int], None] = lambda don
         run_s=tuple(run_s),
         failures=tuple(failures),
         remarks=tuple(watch.remarks(plan)),
+        slow_answers=watch.time_lines,
     )
 
 

@@ -130,7 +130,7 @@ def pilot_runs(
     document(**plain(found), seconds=seconds, workers=cores, enough=found.enough)
     result(*(f"{'ok  ' if one.enough else 'WARN'} {one.line}" for one in found.forecasts))
     result(*(f"WARN a run failed: {one}" for one in found.failures))
-    result(*(f"WARN {one}" for one in found.remarks))
+    result(*(f"WARN {one}" for one in found.remarks), *found.slow_answers)
     result(basis([str(read.world)], ((one.tested, one.tried) for one in found.forecasts)))
     result(
         f"{read.runs} runs: about {time_words(seconds)} with {cores} processes on this machine, alone on it"
@@ -519,8 +519,8 @@ def rare_violations(
             )
     remarks = list(watch.remarks(read))
     rests_on = basis([str(read.world)], "every draw counts, whether it exercised the claim or not")
-    result(*remarks, rests_on)
-    document(remarks=remarks, basis=rests_on)
+    result(*remarks, *watch.time_lines, rests_on)
+    document(remarks=remarks, slow_answers=watch.time_lines, basis=rests_on)
     return DIFFERS if unlike or remarks else AS_EXPECTED
 
 

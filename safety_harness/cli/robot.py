@@ -79,9 +79,9 @@ def show(
         arm = arm_model(robot)
     degrees = [np.degrees(arm.position_lower_rad), np.degrees(arm.position_upper_rad)]
     degrees.append(np.degrees(arm.velocity_limit_radps))
-    rows = zip(arm.joint_names, *(map("{:.1f}".format, column) for column in degrees), strict=True)
-    joints = [(*row, f"{effort:g}") for row, effort in zip(rows, arm.effort_limit, strict=True)]
-    joints = [tuple(cell.replace("nan", "unknown") for cell in row) for row in joints]
+    cells = [*(map("{:.1f}".format, column) for column in degrees), map("{:g}".format, arm.effort_limit)]
+    rows = zip(arm.joint_names, *cells, strict=True)
+    joints = [(name, *("unknown" if cell == "nan" else cell for cell in row)) for name, *row in rows]
     result(
         f"arm         {arm.name}: {len(joints)} joints, {arm.link_names[0]} to {arm.tcp_link}",
         f"reach       at most {1e3 * arm.farthest_reach_m:.0f} mm from the second joint",
@@ -97,10 +97,10 @@ def show(
     )
     _show_what_it_lacks(arm)
     names = [[shape.uri or shape.kind for shape in (*one.collision, *one.visual)] for one in arm.links]
-    cells = [
+    shapes = [
         (one.link, ", ".join(dict.fromkeys(of)) or "none") for one, of in zip(arm.links, names, strict=True)
     ]
-    result(*table(("link", "shapes"), cells, columns_of(sys.stdout), named_by=1))
+    result(*table(("link", "shapes"), shapes, columns_of(sys.stdout), named_by=1))
     document(
         arm=arm.name,
         base=arm.link_names[0],

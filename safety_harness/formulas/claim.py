@@ -44,6 +44,7 @@ from safety_harness.formulas.semantics import (
 from safety_harness.formulas.signal import Interpolation, Measure, Sampled, Signal
 from safety_harness.formulas.signals import MODES
 from safety_harness.properties.base import (
+    MAY_SATURATE,
     NEAR_M,
     Evaluation,
     Unit,
@@ -319,6 +320,9 @@ class _Asked:
         if uncertain and np.isfinite(ends).all():
             why = f"between {least} and {most}, as {', '.join(uncertain)} may be that far off: {told.reason}"
             return replace(inconclusive(self, why, exercised=exercised), unmeasured=uncertain)
+        if not self.lacking and holds and ends[0] == -np.inf:
+            why = f"{MAY_SATURATE}; at the ticks {most} ({told.reason})"
+            return inconclusive(self, why, exercised=exercised)
         if not self.lacking and (holds or np.isfinite(ends).all()):
             why = "it holds at the ticks, perhaps not between them" if holds else "it is not known so closely"
             return replace(told, reason=f"{why}: between {least} and {most} ({told.reason})")

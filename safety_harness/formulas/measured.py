@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from safety_harness.formulas.signal import Interpolation, Sampled, Signal
 from safety_harness.properties.hand_distance import distance_moved_m
-from safety_harness.properties.true_motion import follows_unknown
+from safety_harness.properties.true_motion import follows_unknown, tcp_of
 from safety_harness.trace.trace import Trace, once_a_trace
 from safety_harness.trace.unmeasured import as_measured
 
@@ -124,12 +124,15 @@ def of_place(trace: Trace) -> tuple[float, float, float]:
 
 
 def of_nearest_hand(trace: Trace) -> tuple[float, float, float]:
-    """Of the TCP from a hand: both places, and half of both ways."""
+    """Of the TCP from a hand: both places; below by joints and their bend, above by half of both ways."""
     if follows_unknown(trace):
         return np.inf, np.inf, np.inf
     tcp, between, _ = of_place(trace)
-    hand = trace.known.of(HANDS).uncertainty
-    return tcp + hand, between + 2.0 * hand, between + 2.0 * hand
+    columns = ("joint_position_rad", "joint_velocity_radps", HANDS)
+    turned_rad, faster_radps, hand = (trace.known.of(name).uncertainty for name in columns)
+    turned_rad += 0.5 * trace.scenario.settings.clock.control_period_s * faster_radps
+    low = max(tcp, turned_rad * float(tcp_of(trace).reach_m.sum()))
+    return tcp + hand, low + hand, between + 2.0 * hand
 
 
 def of_hand_distance(trace: Trace) -> tuple[Bound, Bound, Bound]:

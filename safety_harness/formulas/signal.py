@@ -123,10 +123,14 @@ class Measure(Signal):
         return self.lowest, self.dimension.most_of_limits
 
     def impossible(self, sampled: Sampled) -> tuple[int, float] | None:
-        """The first tick with a value, or a bound of one, that no run has, and what it is; NaN is unknown."""
-        least = self.least
-        for side in (sampled.value, sampled.low, sampled.high):
+        """The first tick with a value, or a bound of one, that no run has, and what it is; NaN is unknown.
+
+        So is what has no lower bound: motors that may saturate leave none between two ticks.
+        """
+        least, unbounded = self.least, np.isneginf(sampled.low)
+        for side, unknown in ((sampled.value, np.nan), (sampled.low, -np.inf), (sampled.high, np.inf)):
             endless = (np.abs(side) >= ENDLESS) & ~(self.endless & np.isposinf(side))
+            endless &= ~(unbounded & (side == unknown))
             wrong = (side < least) | endless
             if wrong.any():
                 tick = int(np.argmax(wrong))

@@ -140,60 +140,56 @@ def truth(true: NDArray[np.bool_] | np.bool_) -> Sampled:
         PRESENCE,
     ],
     off=of_hand_distance,
-    finer=lambda trace: _hand_distance(trace, finely=True),
+    finer=lambda trace: _from_hands(trace, finely=True),
 )
 @lru_cache(maxsize=4)
 def hand_distance(trace: Trace) -> Sampled:
     """Of any hand or forearm from any link, surface to surface, with the bounds of the catalogue's claim.
 
-    Between two ticks its least value lies between both ends of ``HandDistance``, and it is not above what
-    both ticks and the ways of arm and hand allow.  Occasions: a hand comes near to
-    the arm's surface.
+    Occasions: a hand comes near to the arm's surface.
     """
-    return _hand_distance(trace)
-
-
-def _hand_distance(trace: Trace, *, finely: bool = False) -> Sampled:
-    """As ``hand_distance`` has it; ``finely``: with the hands followed in parts of a tick."""
-    paths, why = followed_hands(trace)
-    if paths is None:
-        return replace(absent(trace, why), lost=np.full(len(trace.ticks), bool(trace.scenario.hands)))
-    paths = finer_paths(trace) if finely else paths
-    hands = len(trace.scenario.hands)
-    value, present = trace.ticks["hand_distance_m"][:, :hands], trace.ticks["hand_present"][:, :hands]
-    value = np.where(present & np.isinf(value), np.nan, value)  # else the other hand would hide it
-    low, high, surely = value.copy(), value.copy(), value.copy()
-    for hand in range(value.shape[1]):
-        way_m, slack_m = _ways(trace, paths, hand)
-        for side, least_m in zip((low, surely), ends_between(trace, paths, hand), strict=True):
-            side[:-1, hand] = np.minimum(side[:-1, hand], least_m)
-        high[:-1, hand] = tent(value[:, hand], way_m, slack_m)[1]
-    found = _nearest(hand_distance, trace, value, low, high, "the arm's surface")
-    return replace(found, surely=surely.min(axis=1))
+    return _from_hands(trace)
 
 
 @measure(
     "nearest hand to TCP",
     LENGTH,
     "from the TCP to the centre of the nearest true hand",
-    reads=["joint_position_rad", TCP, TCP_SPEED, HANDS, PRESENCE],
+    reads=["joint_position_rad", "joint_velocity_radps", TCP, TCP_SPEED, HANDS, PRESENCE],
     off=of_nearest_hand,
+    finer=lambda trace: _from_hands(trace, from_tcp=True, finely=True),
 )
 @lru_cache(maxsize=4)
 def nearest_hand_to_tcp(trace: Trace) -> Sampled:
-    """From the TCP to the nearest hand's centre; bounded between ticks by the ways of both."""
+    """From the TCP to the nearest hand's centre, with bounds as of the hand distance."""
+    return _from_hands(trace, from_tcp=True)
+
+
+def _from_hands(trace: Trace, *, from_tcp: bool = False, finely: bool = False) -> Sampled:
+    """The distance of the nearest hand; ``finely``: with the hands followed in parts of a tick.
+
+    Between two ticks its least value lies between both ends of ``ends_between``, and it is not above what
+    both ticks and the ways of arm and hand allow.
+    """
     paths, why = followed_hands(trace)
     if paths is None:
         return replace(absent(trace, why), lost=np.full(len(trace.ticks), bool(trace.scenario.hands)))
-    tcp = trace.ticks["transform_tcp_to_base"][:, None, :3, 3]
-    hands = trace.ticks["hand_position_in_base_m"][:, : len(trace.scenario.hands)]
-    value = np.linalg.norm(hands - tcp, axis=2)  # (n, hands)
-    low, high = value.copy(), value.copy()
-    for hand in range(value.shape[1]):
-        way_m = tcp_way_m(trace) + _path_m(trace, paths, hand)[0]
-        slack_m = hand_bend_m(trace, paths, hand)
-        low[:-1, hand], high[:-1, hand] = tent(value[:, hand], way_m, slack_m)
-    return _nearest(nearest_hand_to_tcp, trace, value, low, high, "the TCP")
+    paths = finer_paths(trace) if finely else paths
+    hands = len(trace.scenario.hands)
+    if from_tcp:
+        value = np.linalg.norm(trace.ticks[HANDS][:, :hands] - trace.ticks[TCP][:, None, :3, 3], axis=2)
+    else:
+        value, present = trace.ticks["hand_distance_m"][:, :hands], trace.ticks["hand_present"][:, :hands]
+        value = np.where(present & np.isinf(value), np.nan, value)  # else the other hand would hide it
+    low, high, surely = value.copy(), value.copy(), value.copy()
+    for hand in range(hands):
+        ends_m = ends_between(trace, paths, hand, from_tcp=from_tcp)
+        for side, least_m in zip((low, surely), ends_m, strict=True):
+            side[:-1, hand] = np.minimum(side[:-1, hand], least_m)
+        way_m, slack_m = _ways(trace, paths, hand, from_tcp=from_tcp)
+        high[:-1, hand] = tent(value[:, hand], way_m, slack_m)[1]
+    signal, what = (nearest_hand_to_tcp, "the TCP") if from_tcp else (hand_distance, "the arm's surface")
+    return replace(_nearest(signal, trace, value, low, high, what), surely=surely.min(axis=1))
 
 
 @measure(
@@ -449,10 +445,14 @@ def _path_m(trace: Trace, paths: HandPaths, hand: int) -> tuple[NDArray[np.float
     return ways[0], ways[1]
 
 
-def _ways(trace: Trace, paths: HandPaths, hand: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _ways(
+    trace: Trace, paths: HandPaths, hand: int, *, from_tcp: bool
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """(n-1,) how far arm and hand can go to or from each other within a tick, and by how much they bend."""
-    turned = np.abs(np.diff(trace.ticks["joint_position_rad"], axis=0))
     hand_m, elbow_m = _path_m(trace, paths, hand)
+    if from_tcp:
+        return tcp_way_m(trace) + hand_m, hand_bend_m(trace, paths, hand, centre=True)
+    turned = np.abs(np.diff(trace.ticks["joint_position_rad"], axis=0))
     way_m = turned @ arm_of(trace).reach_m + np.maximum(hand_m, elbow_m)
     return way_m, joint_bend_m(trace) + hand_bend_m(trace, paths, hand)
 

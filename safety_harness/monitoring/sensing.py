@@ -28,7 +28,7 @@ from safety_harness.formulas.signals import (
 from safety_harness.monitoring.cell import WatchedCell
 from safety_harness.monitoring.tracks import BodyTrack
 from safety_harness.properties.true_motion import RESOLUTION_M
-from safety_harness.robot.capsules import Arm, arm_with
+from safety_harness.robot.capsules import Arm, arm_with, tcp_alone
 from safety_harness.robot.closest_approach import MAX_BISECTIONS, closest_approach_between
 from safety_harness.robot.distance import hand_distance as distance_between
 from safety_harness.robot.distance import place_capsules
@@ -83,6 +83,7 @@ class Sensing:
         settings, self._hands = cell.scenario.settings, hands
         self._period_ns, self._nowhere = cell.period_ns, np.full((len(hands), 2), nan)
         self._arm = arm_with(cell.arm, cell_capsules(arm_capsules(cell.scenario.robot), settings))
+        self._tcp = tcp_alone(cell.arm)
         count = len(self._arm.capsules)
         self._room = np.empty((MAX_BISECTIONS + 1, count, 2, 3))
         self._sizes = settings.hand.radius_m, settings.hand.forearm_radius_m, cell.period_s
@@ -101,6 +102,7 @@ class Sensing:
         found = np.empty((len(moments), len(MEASURED), 6))
         _sense(
             self._arm,
+            self._tcp,
             self._room,
             np.array([one.elapsed_s for one in moments]),
             np.array([one.joints_rad for one in moments]),
@@ -152,6 +154,7 @@ class Sensing:
 @compiled
 def _sense(
     arm: Arm,
+    tcp: Arm,
     room: NDArray[np.float64],  # (MAX_BISECTIONS + 1, c, 2, 3), overwritten
     elapsed_s: NDArray[np.float64],  # (m,)
     joints_rad: NDArray[np.float64],  # (m, n)
@@ -171,7 +174,7 @@ def _sense(
     count, hands, n = joints_rad.shape[0], bodies_m.shape[1], joints_rad.shape[1]
     reach_m = arm.reach_m.sum()
     transforms = np.empty((n + 2, 4, 4))
-    ends_m = np.empty((arm.capsules.shape[0], 2, 3))
+    ends_m, tcp_room = np.empty((arm.capsules.shape[0], 2, 3)), np.empty((MAX_BISECTIONS + 1, 1, 2, 3))
     tcp_m, speed_mps = np.empty((count, 3)), np.empty(count)
     off_m, off_mps = off[:, 0] * reach_m, np.empty(count)
     to_tcp_m, apart_m = np.empty((count, hands)), np.full((count, hands), np.nan)
@@ -230,14 +233,16 @@ def _sense(
         by_radps = _speed_between(off[:, 1], off[:, 0], k, k + 1, period_s)
         step_m = _distance_m(tcp_m[k], tcp_m[k + 1])
         way_m, mean_mps = max(max(speed_mps[k], speed_mps[k + 1]) * period_s, step_m), step_m / period_s
-        slowest, fastest, mean, bend_m, turned_m = 0.0, 0.0, 0.0, 0.0, 0.0
+        slowest, fastest, mean, bend_m, turned_m = 0.0, 0.0, 0.0, np.zeros(2), 0.0
         for j in range(n):
             step = abs(joints_rad[k + 1, j] - joints_rad[k, j])
             one, other = abs(rates_radps[k, j]), abs(rates_radps[k + 1, j])
             slowest = max(slowest, min(one, other, step / period_s))
             fastest, mean = max(fastest, one, other, step / period_s), max(mean, step / period_s)
             turned_m += step * arm.reach_m[j]
-            bend_m += abs(rates_radps[k + 1, j] - rates_radps[k, j]) * arm.reach_m[j] * period_s / 4.0
+            bend_rad = abs(rates_radps[k + 1, j] - rates_radps[k, j]) * period_s / 4.0
+            bend_m[APART] += bend_rad * arm.reach_m[j]
+            bend_m[NEAR] += bend_rad * tcp.reach_m[j]
         _set_cell(known[JOINT_SPEED], slowest - by_radps, fastest + by_radps, mean - MOVING > by_radps)
         low, high = (
             min(speed_mps[k], speed_mps[k + 1], mean_mps),
@@ -252,7 +257,7 @@ def _sense(
                 least_m[:] = -np.inf
                 continue
             measured = not (np.isnan(apart_m[k, h]) or np.isnan(apart_m[k + 1, h]))
-            bound_m, hand_m, elbow_m = np.inf, 0.0, 0.0
+            bound_m, hand_m, elbow_m = np.full(2, np.inf), 0.0, 0.0
             before, begin = bodies_m[k, h], joints_rad[k]
             for c in range(corner.shape[0] + 1):
                 if c == corner.shape[0]:
@@ -264,26 +269,31 @@ def _sense(
                     continue
                 hand_m += _distance_m(before[0], after[0])
                 elbow_m += _distance_m(before[1], after[1])
-                if measured:
-                    own_m, _, _, _ = closest_approach_between(
-                        arm,
-                        room,
-                        begin,
-                        end,
-                        before[0],
-                        after[0],
-                        before[1],
-                        after[1],
-                        radius_m,
-                        forearm_radius_m,
-                        RESOLUTION_M,
-                        np.inf,
-                    )
-                    bound_m = min(bound_m, own_m)
+                for signal in (APART, NEAR):
+                    near = signal == NEAR
+                    if near or measured:
+                        own_m, _, _, _ = closest_approach_between(
+                            tcp if near else arm,
+                            tcp_room if near else room,
+                            begin,
+                            end,
+                            before[0],
+                            after[0],
+                            before[0 if near else 1],
+                            after[0 if near else 1],
+                            0.0 if near else radius_m,
+                            0.0 if near else forearm_radius_m,
+                            RESOLUTION_M,
+                            np.inf,
+                        )
+                        bound_m[signal] = min(bound_m[signal], own_m - bend_m[signal])
                 before, begin = after, end
-            low, high = _tent(to_tcp_m[k, h], to_tcp_m[k + 1, h], way_m + hand_m)
-            by_m = between_m + 2.0 * max(bodies_off_m[k, h, 0], bodies_off_m[k + 1, h, 0])
-            least_m[NEAR], most_m[NEAR] = min(least_m[NEAR], low - by_m), min(most_m[NEAR], high + by_m)
+            _, high = _tent(to_tcp_m[k, h], to_tcp_m[k + 1, h], way_m + hand_m)
+            hand_off_m = max(bodies_off_m[k, h, 0], bodies_off_m[k + 1, h, 0])
+            by_rad = max(off[k, 0], off[k + 1, 0]) + 0.5 * period_s * max(off[k, 1], off[k + 1, 1])
+            by_m = max(off_m[k], off_m[k + 1], by_rad * tcp.reach_m.sum()) + hand_off_m
+            least_m[NEAR] = min(least_m[NEAR], min(to_tcp_m[k, h], bound_m[NEAR]) - by_m)
+            most_m[NEAR] = min(most_m[NEAR], high + between_m + 2.0 * hand_off_m)
             if not measured:
                 least_m[APART] = -np.inf
                 continue
@@ -295,10 +305,10 @@ def _sense(
                 beside_m = max(
                     beside_m, own_m + max(bodies_off_m[at, h, 0], bodies_off_m[at, h, 1]) + off_m[at]
                 )
-            low = min(apart_m[k, h], bound_m - bend_m) - moved_m
+            low = min(apart_m[k, h], bound_m[APART]) - moved_m
             least_m[APART], most_m[APART] = (
                 min(least_m[APART], low),
-                min(most_m[APART], far_m + bend_m + beside_m),
+                min(most_m[APART], far_m + bend_m[APART] + beside_m),
             )
         if hands:
             for signal in (APART, NEAR):

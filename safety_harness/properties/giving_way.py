@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from math import sqrt
 from typing import NamedTuple
 
@@ -82,9 +83,8 @@ def _ends(prop: MovesAway, trace: Trace) -> tuple[float, float, bool]:
     for number, decision in enumerate(trace.decisions):
         if decision["outcome"] == DecisionOutcome.STOP:
             continue
-        if decision["trigger"] == Trigger.ANOTHER_HAND or not is_somewhere(
-            decision["chosen_position_in_base_m"]
-        ):
+        somewhere = is_somewhere(decision["chosen_position_in_base_m"])
+        if decision["trigger"] == Trigger.ANOTHER_HAND or not somewhere:
             return -np.inf, np.inf, False
         found, done = _ends_of(prop, trace, number)
         ends += found
@@ -104,10 +104,8 @@ def _ends_of(prop: MovesAway, trace: Trace, number: int) -> tuple[list[_End], bo
     about = slice(*next((gap for gap in gaps if gap[0] <= first < gap[1]), (max(first - 1, 0), first + 2)))
     run, period_s = slice(first, last + 1), trace.scenario.settings.clock.control_period_s
     tcp_m, hands_m = trace.ticks["transform_tcp_to_base"][:, :3, 3], trace.ticks["hand_position_in_base_m"]
-    off_m, hand_off_m = (
-        known.within("transform_tcp_to_base", count),
-        known.within("hand_position_in_base_m", count),
-    )
+    columns = "transform_tcp_to_base", "hand_position_in_base_m"
+    off_m, hand_off_m = (known.within(name, count) for name in columns)
     start_off_m = float(off_m[about].max() + np.linalg.norm(tcp_m[about] - tcp_m[first], axis=1).max())
     way_m, moved_m = decision["chosen_position_in_base_m"] - tcp_m[first], tcp_m[run] - tcp_m[first]
     length_m = float(np.linalg.norm(way_m))
@@ -132,12 +130,10 @@ def _ends_of(prop: MovesAway, trace: Trace, number: int) -> tuple[list[_End], bo
         turned = min(2.0, 2.0 * (start_off_m + u_m) / max(distance_m, 1e-9))
         planned_m, planned_off_m = float(way_m @ away) + prop.tolerance_m, start_off_m + length_m * turned
         ends.append(_End(planned_m - planned_off_m, planned_m + planned_off_m if sure else np.inf, sure))
-        towards = np.maximum(
-            0.0, np.array([(-velocities @ away).min() - dv_mps, (-velocities @ away).max() + dv_mps])
-        )
-        unavoidable_m = (
-            towards**2 / (2.0 * braking_mps2) + 2.0 * towards * period_s + DIP_M + prop.tolerance_m
-        )
+        towards = -velocities @ away
+        towards = np.maximum(0.0, np.array([towards.min() - dv_mps, towards.max() + dv_mps]))
+        unavoidable_m = towards**2 / (2.0 * braking_mps2) + 2.0 * towards * period_s
+        unavoidable_m += DIP_M + prop.tolerance_m
         nearer_m = np.linalg.norm(tcp_m[run] - hands_m[first, hand], axis=1) - distance_m
         least_m = max(distance_m - u_m - start_off_m, 1e-9)
         nearer_off_m = off_m[run] + start_off_m
@@ -261,15 +257,8 @@ class MovesAway:
             return unexercised(self, far if made else no_position(trace))
         worst = worst_of(findings)
         reason = worst.what + (f", worst of {made}" if made > 1 else "")
-        return judged(
-            self,
-            trace,
-            worst.margin_m,
-            worst.time_s,
-            reason,
-            exercised,
-            lambda: no_time(longest_m, LEAST_WAY_M),
-        )
+        lacked = partial(no_time, longest_m, LEAST_WAY_M)
+        return judged(self, trace, worst.margin_m, worst.time_s, reason, exercised, lacked)
 
 
 def last_tick(trace: Trace, number: int) -> int:
@@ -428,9 +417,9 @@ def _followed(
     window = trace.ticks[first : last + 1]
     tcp_in_base = np.ascontiguousarray(window["transform_tcp_to_base"][:, :3, 3])
     earlier = trace.ticks["transform_tcp_to_base"][max(first - 1, 0), :3, 3]
-    velocity = (tcp_in_base[0] - earlier) / settings.clock.control_period_s + faster_mps
-    tcp_in_base[0] += off_m
     period_s = settings.clock.control_period_s
+    velocity = (tcp_in_base[0] - earlier) / period_s + faster_mps
+    tcp_in_base[0] += off_m
     excused = excused_in(trace, first, last)
     behind_m, due_m = _behind(
         tcp_in_base,

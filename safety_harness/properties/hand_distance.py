@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -25,6 +25,7 @@ from safety_harness.properties.true_motion import (
     follows_unknown,
     hand_bend_m,
     hand_paths,
+    tcp_of,
     true_motion,
 )
 from safety_harness.properties.unexercised import nearest_of, no_hand
@@ -35,7 +36,7 @@ from safety_harness.robot.kinematics import forward_kinematics
 from safety_harness.scenario.units import LENGTH
 from safety_harness.settings import Hand
 from safety_harness.simulation.worlds import WORLDS
-from safety_harness.trace.trace import Trace, once_a_trace
+from safety_harness.trace.trace import Trace
 
 NONE_M = np.empty((2, 0))
 FASTEST_RADPS = 1e4  # no joint turns so fast: such a speed says nothing
@@ -153,11 +154,10 @@ def followed_hands(trace: Trace) -> tuple[HandPaths | None, str]:
         return None, f"never exercised: {no_hand(trace)}"
     if _farthest_turn_rad(true_motion(trace).joints_rad) > TURNED_RAD:
         return None, "a joint has turned further than any arm can"
-    paths = hand_paths(trace)
-    stray = first_stray(trace, paths)
+    stray = first_stray(trace)
     if stray is not None:
         return None, f"at tick {stray} a hand is not where the scenario moves it"
-    return paths, ""
+    return hand_paths(trace), ""
 
 
 @compiled
@@ -237,11 +237,17 @@ def closest_between(
     return (low_m, high_m), float(at[index] + fraction * (later - at[index]))
 
 
-def ends_between(trace: Trace, paths: HandPaths, hand: int) -> NDArray[np.float64]:
-    """(2, n-1) both ends of one hand's least distance [m] from each tick to the next; NaN where not known."""
-    at, joints_rad, hand_m, elbow_m, distance_m, slack_m = instants(trace, paths, hand)
-    size, ends_m = trace.scenario.settings.hand, np.empty((2, len(slack_m)))
-    closest_between(arm_of(trace), at, joints_rad, hand_m, elbow_m, distance_m, slack_m, size, paths, ends_m)
+def ends_between(trace: Trace, paths: HandPaths, hand: int, *, from_tcp: bool = False) -> NDArray[np.float64]:
+    """(2, n-1) both ends of one hand's least distance [m] from each tick to the next; NaN where not known.
+
+    From the arm, surface to surface, or ``from_tcp``: of the hand's centre.
+    """
+    seen = instants(trace, paths, hand, from_tcp=from_tcp)
+    at, joints_rad, hand_m, elbow_m, distance_m, slack_m = seen
+    arm, size, ends_m = arm_of(trace), trace.scenario.settings.hand, np.empty((2, len(slack_m)))
+    if from_tcp:
+        arm, size = tcp_of(trace), replace(size, radius_m=0.0, forearm_radius_m=0.0)
+    closest_between(arm, at, joints_rad, hand_m, elbow_m, distance_m, slack_m, size, paths, ends_m)
     least_m = np.full((2, max(len(trace.ticks) - 1, 0)), np.inf)
     tick = np.minimum(at[:-1].astype(int), max(least_m.shape[1] - 1, 0))
     for least, ends in zip(least_m, ends_m, strict=True):
@@ -249,16 +255,20 @@ def ends_between(trace: Trace, paths: HandPaths, hand: int) -> NDArray[np.float6
     return least_m
 
 
-def instants(trace: Trace, paths: HandPaths, hand: int) -> tuple[NDArray[np.float64], ...]:
+def instants(
+    trace: Trace, paths: HandPaths, hand: int, *, from_tcp: bool = False
+) -> tuple[NDArray[np.float64], ...]:
     """Ticks and the hand's corners between them, in order of time.
 
     (n,) instants in ticks, (n, 6) joints, (n, 3) hand, (n, 3) elbow, (n,) distance or, at a corner,
-    inf, and (n - 1,) how far the distance may be below that of straight ways after each [m].
+    inf, and (n - 1,) how far the distance may be below that of straight ways after each [m].  ``from_tcp``:
+    the elbow is where the hand is, and no distance is known.
     """
-    true = true_motion(trace)
-    joints_rad, hand_m, elbow_m = true.joints_rad, true.hands_m[:, hand, 0], true.hands_m[:, hand, 1]
-    distance_m = trace.ticks["hand_distance_m"][:, hand]
-    slack_m = joint_bend_m(trace) + hand_bend_m(trace, paths, hand)
+    true, body = true_motion(trace), 0 if from_tcp else 1
+    joints_rad, hand_m, elbow_m = true.joints_rad, true.hands_m[:, hand, 0], true.hands_m[:, hand, body]
+    distance_m = np.full(len(hand_m), np.inf) if from_tcp else trace.ticks["hand_distance_m"][:, hand]
+    slack_m = joint_bend_m(trace, tcp_of(trace)) if from_tcp else joint_bend_m(trace)
+    slack_m = slack_m + hand_bend_m(trace, paths, hand, centre=from_tcp)
     ticks = np.arange(len(joints_rad), dtype=np.float64)
     own = paths.corner_hand == hand
     if not own.any():
@@ -272,14 +282,13 @@ def instants(trace: Trace, paths: HandPaths, hand: int) -> tuple[NDArray[np.floa
         at,
         np.column_stack([np.interp(at, ticks, column) for column in joints_rad.T]),
         np.insert(hand_m, after, corners[:, 0], axis=0),
-        np.insert(elbow_m, after, corners[:, 1], axis=0),
+        np.insert(elbow_m, after, corners[:, body], axis=0),
         np.insert(distance_m, after, np.inf),
         np.insert(slack_m, after - 1, slack_m[after - 1]) if len(slack_m) else slack_m,
     )
 
 
-@once_a_trace
-def joint_bend_m(trace: Trace) -> NDArray[np.float64]:
+def joint_bend_m(trace: Trace, arm: Arm | None = None) -> NDArray[np.float64]:
     """(n-1,) how far any point of the arm may leave the way of joints that move linearly, within each tick.
 
     A joint whose speed changes by at most dv, between the values at the two ticks, leaves the
@@ -293,7 +302,7 @@ def joint_bend_m(trace: Trace) -> NDArray[np.float64]:
     true, world = true_motion(trace), trace.provenance.world
     period_s, known = trace.scenario.settings.clock.control_period_s, trace.known
     return _joint_bends(
-        arm_of(trace),
+        arm or arm_of(trace),
         true.joints_rad,
         true.rates_radps,
         trace.overshoot_radps,

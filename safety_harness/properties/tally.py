@@ -56,8 +56,11 @@ def basis(
     """
     if not isinstance(exercised, str):
         counts = sorted(exercised, key=lambda one: (one[0] / max(one[1], 1), one))
-        ends = dict.fromkeys(f"{tested} of {runs} runs" for tested, runs in (*counts[:1], *counts[-1:]))
-        exercised = f"claims exercised in {' to '.join(ends)}" if counts else "no claim was exercised"
+        exercised = "no claim was exercised"
+        if counts:
+            (least, of), (most, runs) = counts[0], counts[-1]
+            least_words = f"{least} to " if of == runs else f"{least} of {of} to "
+            exercised = f"claims exercised in {least_words * (counts[0] != counts[-1])}{most} of {runs} runs"
     places = " and in ".join(dict.fromkeys(worlds))
     names = ", ".join(dict.fromkeys(one.partition(":")[0] for one in unwatched))
     return f"Basis: in {places}; {exercised}; nothing watched: {names}"

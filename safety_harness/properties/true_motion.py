@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from safety_harness.compiled import compiled, njit_no_nrt
 from safety_harness.exceptions import Place, TraceError
-from safety_harness.robot.capsules import Arm, CapsuleSet, arm_with
+from safety_harness.robot.capsules import Arm, CapsuleSet, arm_with, tcp_alone
 from safety_harness.robot.robots import arm_capsules, arm_model
 from safety_harness.scenario.model import MovingHand, RecordedHand
 from safety_harness.scenario.moves import FollowTcp, ReachForTcp
@@ -102,29 +102,8 @@ def true_motion(trace: Trace) -> TrueMotion:
 def nearest_hand_m(trace: Trace) -> NDArray[np.float64]:
     """(n,) distance of the nearest true hand's centre from the TCP; infinite without one."""
     true = true_motion(trace)
-    return _nearest_m(true.tcp_m, true.hands_m, true.present)
-
-
-@compiled
-def _nearest_m(
-    tcp_m: NDArray[np.float64],  # (n, 3)
-    hands_m: NDArray[np.float64],  # (n, hands, 2, 3)
-    present: NDArray[np.bool_],  # (n, hands)
-) -> NDArray[np.float64]:
-    """(n,) least over the hands that are there of |hand - tcp| [m]; NaN if one is."""
-    nearest = np.full(tcp_m.shape[0], np.inf)
-    for k in range(tcp_m.shape[0]):
-        for hand in range(present.shape[1]):
-            if not present[k, hand]:
-                continue
-            total = 0.0
-            for i in range(3):
-                total += (hands_m[k, hand, 0, i] - tcp_m[k, i]) ** 2
-            if not sqrt(total) >= nearest[k]:
-                nearest[k] = sqrt(total)
-            if np.isnan(total):
-                break
-    return nearest
+    apart_m = np.linalg.norm(np.ascontiguousarray(true.hands_m[:, :, 0]) - true.tcp_m[:, None], axis=2)
+    return np.asarray(np.where(true.present, apart_m, np.inf).min(axis=1))
 
 
 @once_a_trace
@@ -137,6 +116,11 @@ def capsules_of(trace: Trace) -> CapsuleSet:
 def arm_of(trace: Trace) -> Arm:
     """The arm of a trace with its capsules and the camera's, for compiled code."""
     return arm_with(arm_model(trace.scenario.robot), capsules_of(trace))
+
+
+def tcp_of(trace: Trace) -> Arm:
+    """Its TCP alone."""
+    return tcp_alone(arm_model(trace.scenario.robot))
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,24 +181,25 @@ def _paths(trace: Trace, most_parts: int) -> HandPaths:
     return HandPaths(positions, moving, whose[:found], at[:found], corners[:found], parts, resolution_m)
 
 
-def first_stray(trace: Trace, paths: HandPaths) -> int | None:
+@once_a_trace
+def first_stray(trace: Trace) -> int | None:
     """The first tick at which a hand or elbow of the trace is not where its scenario moves it.
 
     Within their uncertainty, and where they were measured; nothing is said of hands that follow a TCP of
     which not all is known.
     """
-    stored_m, moved_m, known = true_motion(trace).hands_m, paths.positions_in_base_m, trace.known
+    moved_m, known = hand_paths(trace).positions_in_base_m, trace.known
+    stored_m = true_motion(trace).hands_m[:, : moved_m.shape[1]].copy()
     if not known.whole:
         if follows_unknown(trace):
             return None
-        stored_m = stored_m[:, : moved_m.shape[1]].copy()
         for body, name in enumerate(BODIES):
             off_m = np.linalg.norm(stored_m[:, :, body] - moved_m[:, :, body], axis=2)
             same = ~known.measured(name, trace.ticks)[:, : off_m.shape[1]]
             same |= off_m <= known.of(name).uncertainty + SAME_M
             stored_m[:, :, body][same] = moved_m[:, :, body][same]
-    stray = _first_stray(stored_m, moved_m)
-    return stray if stray >= 0 else None
+    stray = ~np.isclose(stored_m, moved_m, rtol=0.0, atol=SAME_M, equal_nan=True)
+    return int(np.argmax(stray.any(axis=(1, 2, 3)))) if stray.any() else None
 
 
 def follows_unknown(trace: Trace) -> bool:
@@ -244,8 +229,8 @@ def tcp_velocity_moved_mps(trace: Trace) -> NDArray[np.float64]:
     return np.asarray(faster_radps * reach_m.sum() + turned_rad * (rates_radps @ farther_m))
 
 
-def hand_bend_m(trace: Trace, paths: HandPaths, hand: int) -> NDArray[np.float64]:
-    """(n-1,) how far a hand or its elbow may leave its chord within each tick.
+def hand_bend_m(trace: Trace, paths: HandPaths, hand: int, *, centre: bool = False) -> NDArray[np.float64]:
+    """(n-1,) how far a hand or its elbow, or its ``centre`` alone, may leave its chord within a tick.
 
     A way whose second derivative is at most b leaves its chord by at most b dt^2/8.  For a hand that
     is its acceleration a, its tremor's included.  The elbow is a forearm's length L from the hand
@@ -270,6 +255,7 @@ def hand_bend_m(trace: Trace, paths: HandPaths, hand: int) -> NDArray[np.float64
             fastest += leader.tremor.max_speed_mps
             hardest += leader.tremor.max_acceleration_mps2
     towards, size = np.array(trajectory.elbow_towards_in_base_m), scenario.settings.hand
+    length_m = 0.0 if centre else size.forearm_length_m
     return _hand_bends(
         paths.positions_in_base_m[:, hand, 0],
         towards,
@@ -277,8 +263,8 @@ def hand_bend_m(trace: Trace, paths: HandPaths, hand: int) -> NDArray[np.float64
         paths.parts[:, hand],
         fastest,
         hardest,
-        size.forearm_length_m,
-        max(size.forearm_length_m + size.forearm_radius_m - size.radius_m, 0.0),
+        length_m,
+        0.0 if centre else max(length_m + size.forearm_radius_m - size.radius_m, 0.0),
         period_s,
     )
 
@@ -316,23 +302,6 @@ def _hand_bends(
 
 
 @compiled
-def _first_stray(
-    stored_m: NDArray[np.float64],  # (n, hands or more, 2, 3)
-    moved_m: NDArray[np.float64],  # (n, hands, 2, 3)
-) -> int:
-    """The first row in which two positions are not the same, NaN or not, or -1."""
-    for k in range(moved_m.shape[0]):
-        for hand in range(moved_m.shape[1]):
-            for body in range(2):
-                for i in range(3):
-                    a, b = stored_m[k, hand, body, i], moved_m[k, hand, body, i]
-                    same = a == b or abs(a - b) <= SAME_M or (np.isnan(a) and np.isnan(b))
-                    if not same:
-                        return k
-    return -1
-
-
-@compiled
 def _follow(
     hands: NDArray[np.void],  # (slots,) HAND at the start
     moves: NDArray[np.void],  # (m,) MOVE
@@ -341,15 +310,12 @@ def _follow(
     period_s: float,
     positions: NDArray[np.float64],  # (n, hands, 2, 3), written
     moving: NDArray[np.bool_],  # (n - 1, hands), written
-    corner_hand: NDArray[np.int64],  # written, as the next two
+    corner_hand: NDArray[np.int64],  # (c,), written, as the next two
     corner_at: NDArray[np.float64],  # (c,)
     corners: NDArray[np.float64],  # (c, 2, 3)
     parts: NDArray[np.int64],  # (n - 1, hands) wanted; 1 is written where the way is not known in parts
 ) -> int:
-    """Positions at the ticks and corners between them; returns the number of corners.
-
-    ``corner_hand`` (c,), as the next two.
-    """
+    """Positions at the ticks and corners between them; returns the number of corners."""
     found = 0
     before, even = hands.copy(), np.zeros(positions.shape[1], np.bool_)
     for k in range(positions.shape[0]):
@@ -468,7 +434,7 @@ def first_untruth(trace: Trace) -> Inconsistency | None:
     beyond = (part >= parts) & known.measured("hand_distance_capsule", trace.ticks)
     for wrong in at_first(beyond, "hand_distance_capsule", "tick", f"one of {parts} parts", part):
         return wrong
-    stray = first_stray(trace, hand_paths(trace)) if len(trace.ticks) else None
+    stray = first_stray(trace) if len(trace.ticks) else None
     if stray is None:
         return None
     hands = trace.ticks["hand_position_in_base_m"][stray]

@@ -6,6 +6,7 @@ The instants are those of the run, a second later, since a stamp of zero is none
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -57,7 +58,7 @@ def write_mcap(trace: Trace, evaluations: Sequence[Evaluation], path: Path) -> N
     if not trace.known.simulated:
         got = "that of a log, whose own files are there"
         raise TraceError(place=Place(field="known"), expected="the trace of a simulated run", got=got)
-    if log.exists() and f" {path.name}#" not in log.read_text(errors="replace"):
+    if log.exists() and f'"{_quoted(path)}#' not in log.read_text(errors="replace"):
         raise OutputError(
             place=Place(file=log), expected="no file, or one that an export wrote", got="another"
         )
@@ -104,6 +105,11 @@ def _most(values: Any) -> float:
     return float(np.abs(values).max(initial=0.0))
 
 
+def _quoted(path: Path) -> str:
+    """The file's name as it stands between double quotes, in JSON and YAML."""
+    return json.dumps(path.name, ensure_ascii=False)[1:-1]
+
+
 def _log_text(trace: Trace, path: Path) -> str:
     """What LOG.yaml says of the file ``path``.
 
@@ -120,7 +126,7 @@ def _log_text(trace: Trace, path: Path) -> str:
     limits = [_limit_words(int(flags)) for flags in np.unique(trace.ticks["limits"])]
     template = Template((TEMPLATES / "mcap_log.yaml").read_text(), undefined=StrictUndefined)
     bounds = dict(zip(("radps", "radps2", "mps"), _bounds(trace), strict=True))
-    said = template.render(trace=trace, file=path.name, told=told, limits=limits, most=bounds)
+    said = template.render(trace=trace, file=_quoted(path), told=told, limits=limits, most=bounds)
     return f"{said}\n{text_of(kept)}"
 
 

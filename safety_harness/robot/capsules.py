@@ -242,3 +242,12 @@ class Arm(NamedTuple):
 def arm_with(arm: ArmModel, capsules: CapsuleSet) -> Arm:
     """``arm`` and the capsules on it."""
     return Arm(arm.chain, capsules.records, chain_lengths(arm.chain, capsules.records))
+
+
+@lru_cache(maxsize=16)
+def tcp_alone(arm: ArmModel) -> Arm:
+    """``arm`` without a body, but for a capsule that is a point at its TCP."""
+    point = np.zeros(1, CAPSULE)
+    point["link_index"] = len(arm.joint_names) + 1
+    point.setflags(write=False)
+    return Arm(arm.chain, point, chain_lengths(arm.chain, point))

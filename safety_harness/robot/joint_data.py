@@ -14,7 +14,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.robot.urdf import Urdf
+from safety_harness.robot.urdf import LARGEST, Urdf
 
 NO_LIMIT = 1e3  # rad, rad/s: exporters write such numbers for "none"
 DEGREES = (90.0, 180.0, 270.0, 360.0)  # as position limits they are degrees, beside a speed above ...
@@ -102,13 +102,13 @@ def _known(urdf: Urdf, limit: Element, key: str) -> float:
 
 
 def _ends(urdf: Urdf, limit: Element) -> tuple[float, float]:
-    """Lower and upper position limit [rad]; -inf and inf if both lie beyond ``NO_LIMIT``."""
+    """Lower and upper position limit [rad], to ``LARGEST``; -inf and inf if both are beyond ``NO_LIMIT``."""
     lower, upper = (float(urdf.numbers(limit, key, 1, "0", LARGEST_LIMIT)[0]) for key in ("lower", "upper"))
     if not lower < upper:
         raise urdf.error(limit, "a lower limit below the upper one", f"{lower:g} and {upper:g}")
     if lower < -NO_LIMIT and upper > NO_LIMIT:
         return -np.inf, np.inf
-    return urdf.number(limit, "lower", "0"), urdf.number(limit, "upper", "0")
+    return max(lower, -LARGEST), min(upper, LARGEST)
 
 
 def _soft_limits(urdf: Urdf, joint: Element) -> tuple[float, float]:

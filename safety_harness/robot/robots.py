@@ -156,10 +156,8 @@ def refuse_unenclosed(robot: AnyRobot) -> None:
     accepted: Sequence[str] = ()
     place = Place(field="robot")
     if isinstance(robot, OwnRobot):
-        accepted, place = (
-            robot.without_geometry or (),
-            Place(file=(robot.files or (None,))[-1], field="robot"),
-        )
+        accepted = robot.without_geometry or ()
+        place = Place(file=(robot.files or (None,))[-1], field="robot")
     beyond_mm = 1e3 * tcp_beyond(arm, capsules)
     most_mm = 1e3 * (TCP_BEYOND_M if robot.tcp_beyond_m is None else robot.tcp_beyond_m)
     if links := ", ".join(unenclosed_links(arm, capsules.link_index.tolist(), accepted)):
@@ -167,8 +165,8 @@ def refuse_unenclosed(robot: AnyRobot) -> None:
         hint = f"without geometry: [{links}] accepts that no distance knows of them"
     elif beyond_mm > most_mm:
         expected = f"a TCP within {most_mm:g} mm of a capsule of the arm, its tool or its part"
-        got, hint = f"one {beyond_mm:.1f} mm away", f"tcp beyond capsules: {np.ceil(beyond_mm):.0f} mm"
-        hint = f"capsules of the whole tool; {hint} where nothing solid reaches the TCP"
+        got, accepts = f"one {beyond_mm:.1f} mm away", f"tcp beyond capsules: {np.ceil(beyond_mm):.0f} mm"
+        hint = f"capsules of the whole tool; {accepts} where nothing solid reaches the TCP"
     else:
         return
     raise ArmFileError(place=place, expected=expected, got=got, hint=hint)

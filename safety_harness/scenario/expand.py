@@ -26,7 +26,6 @@ from safety_harness.scenario.ours import files_of, yaml_files
 from safety_harness.scenario.read import scenario_of_variant
 from safety_harness.scenario.reference_tables import SUITE as SUITE_TABLE
 from safety_harness.scenario.reference_tables import TOP
-from safety_harness.scenario.write import write_scenario
 from safety_harness.shipped.contents import located
 
 DEEPEST_SUITE = 8
@@ -83,7 +82,7 @@ class Gathered:
             if isinstance(tree, Mapping) and any(key.text == SUITE for key, _ in tree.entries):
                 self._add_suite(Field(tree, file, path="", line=1), file, place, suites)
                 return
-            rows: dict[str, str] = {}
+            rows: dict[Scenario, str] = {}
             for variant in variants(file, self._library):
                 if self._spaces_too and is_space(variant.tree):
                     self.spaces.append((variant, file))
@@ -94,7 +93,7 @@ class Gathered:
                     self.errors += mistakes_of(variant, file, first)
                     return
                 if scenario.name.endswith("]"):
-                    same = rows.setdefault(write_scenario(scenario), scenario.name)
+                    same = rows.setdefault(replace(scenario, name=""), scenario.name)
                     if same != scenario.name:  # it would hold under a name that says otherwise
                         place, got = (
                             Place(file=file, field="matrix"),

@@ -241,6 +241,9 @@ class RecordedMotion:
             return NotImplemented
         return all(map(np.array_equal, vars(self).values(), vars(other).values()))
 
+    def __hash__(self) -> int:
+        return hash(self.sha256)
+
 
 _NOTHING: NDArray[np.float64] = np.zeros((0, 3))
 NOT_LOADED = RecordedMotion(_NOTHING[:, 0], _NOTHING, _NOTHING, (), "")  # of a hand until its file is read

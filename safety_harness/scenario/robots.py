@@ -225,6 +225,12 @@ _LINK = Text(words="name", expected="the name of a link")
 _EXAMPLE_SHA256 = "0123456789abcdef" * 4
 
 
+def _one_a_joint(what: str, of: QuantityValue) -> Several:
+    """A list of so many numbers, ``what`` in words."""
+    expected = f"a list of {what}, one a joint, from the base"
+    return Several(of=of, words=f"list of {what}", expected=expected, least=3, most=8)
+
+
 @declared
 class OwnRobot:
     """An arm of the user's own.  ``urdf_text`` and ``capsules_text`` are the bytes of its files.
@@ -298,26 +304,14 @@ class OwnRobot:
     )
     joint_speed_limits_radps: tuple[float, ...] | None = key(
         "joint speed limits",
-        Several(
-            of=QuantityValue(ANGULAR_SPEED, least=0.001, most=20.0),
-            words="list of angular speeds",
-            expected="a list of angular speeds, one a joint, from the base",
-            least=3,
-            most=8,
-        ),
+        _one_a_joint("angular speeds", QuantityValue(ANGULAR_SPEED, least=0.001, most=20.0)),
         "where the URDF's are not the maker's",
         "[85 deg/s, 85 deg/s, 100 deg/s, 75 deg/s, 130 deg/s, 135 deg/s, 135 deg/s]",
         default=None,
     )
     joint_torque_limits_nm: tuple[float, ...] | None = key(
         "joint torque limits",
-        Several(
-            of=QuantityValue(TORQUE, least=0.01, most=1e5),
-            words="list of torques",
-            expected="a list of torques, one a joint, from the base",
-            least=3,
-            most=8,
-        ),
+        _one_a_joint("torques", QuantityValue(TORQUE, least=0.01, most=1e5)),
         "where the URDF's efforts are 0 or missing, for drives with a torque limit and for PyBullet",
         "[87 Nm, 87 Nm, 87 Nm, 87 Nm, 12 Nm, 12 Nm, 12 Nm]",
         default=None,

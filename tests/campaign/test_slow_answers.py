@@ -15,11 +15,13 @@ from typer.testing import CliRunner
 from safety_harness.admission.admit import Admitter
 from safety_harness.admission.avoiders import with_avoider
 from safety_harness.admission.trial import run_all
+from safety_harness.campaign import rare
 from safety_harness.campaign.episodes import EpisodeRunner
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.merging import merge
 from safety_harness.campaign.plan import Plan
 from safety_harness.campaign.summary import fingerprint_of, root_of
+from safety_harness.campaign.watch import AvoiderWatch
 from safety_harness.certification import whose_fault
 from safety_harness.certification.evidence import read_evidence
 from safety_harness.cli.console import DIFFERS
@@ -182,6 +184,18 @@ def test_fuzz_says_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert f"computing time: {said}" in result.output
     assert said in json.loads((tmp_path / "found" / "findings.json").read_text())["computing_time"]
     assert said in (tmp_path / "found" / "fuzz.html").read_text()
+
+
+def test_pilot_and_rare_say_it(tmp_path: Path) -> None:
+    plan = small(tmp_path)
+    result = CliRunner().invoke(app, ["campaign", "pilot", str(tmp_path / "plan.yaml"), "--runs", "1"])
+    said = f"on this machine {2 * TICKS} of {2 * TICKS} answers (100 %) took longer than the 8 ms"
+    assert f"\ncomputing time: {said}" in result.output
+    watch = AvoiderWatch()
+    draws = rare._Draws(plan, plan.strata[0], plan.claims[0], 1, watch=watch)
+    draws(np.full((1, plan.strata[0].space.dimension), 0.5))
+    (said,) = watch.time_lines
+    assert said.startswith(f"computing time: on this machine {TICKS} of {TICKS} answers (100 %)")
 
 
 def test_an_avoider_is_held_against_what_its_decisions_cost(tmp_path: Path) -> None:

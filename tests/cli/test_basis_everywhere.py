@@ -43,7 +43,16 @@ def _here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_the_sentence_has_the_least_and_the_most_exercised_claim() -> None:
     said = basis(["PyBullet"], [(3, 12), (12, 12), (5, 12)])
-    assert said.startswith("Basis: in PyBullet; claims exercised in 3 of 12 runs to 12 of 12 runs; nothing")
+    for counts, words in (
+        ([(3, 12), (12, 12), (5, 12)], "claims exercised in 3 to 12 of 12 runs"),
+        ([(0, 1), (1, 1)], "claims exercised in 0 to 1 of 1 runs"),
+        ([(2, 2), (0, 1)], "claims exercised in 0 of 1 to 2 of 2 runs"),
+        ([(1, 1), (1, 2)], "claims exercised in 1 of 2 to 1 of 1 runs"),
+        ([(1, 1), (2, 2)], "claims exercised in 1 of 1 to 2 of 2 runs"),
+        ([(7, 7), (7, 7)], "claims exercised in 7 of 7 runs"),
+        ([], "no claim was exercised"),
+    ):
+        assert basis(["PyBullet"], counts).startswith(f"Basis: in PyBullet; {words}; nothing watched: ")
     assert rests_on(said, "PyBullet")
     assert not rests_on(said, "the kinematic world")
     assert not rests_on(said.replace("how the arm brakes", ""), "PyBullet")

@@ -20,6 +20,7 @@ from safety_harness.campaign.episodes import failed_row
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.rows import ClaimJudgement, Row
 from safety_harness.campaign.summary import fingerprint_of, tally_of
+from safety_harness.campaign.watch import AvoiderWatch
 from safety_harness.certification.folder import write_manifest
 from safety_harness.cli.campaign import (
     RareWay,
@@ -323,10 +324,12 @@ def test_how_often_it_is_violated_is_estimated_or_it_is_said_why_not(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("safety_harness.campaign.rare.ADMITTED_OF", 50)
+    monkeypatch.setattr(AvoiderWatch, "time_lines", ["computing time: too long"])
     plan_in(tmp_path, SMALL.replace("150 mm", "50 mm"))
     plan = tmp_path / "plan.yaml"
     assert rare_violations(plan, pilot=40, runs=240, replications=6) == DIFFERS
-    *lines, last = capsys.readouterr().out.splitlines()
+    *lines, slow, last = capsys.readouterr().out.splitlines()
+    assert slow == "computing time: too long"
     assert last.startswith("Basis: in ")
     for line in lines:
         if "joint speeds" in line:  # which are never violated

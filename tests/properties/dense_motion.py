@@ -52,14 +52,18 @@ def ran(seed: int) -> Trace:
     return run_kinematic(admit(what), controller=controller)
 
 
-def least_m(trace: Trace, joints_rad: NDArray[np.float64] | None = None) -> float:
+def least_m(trace: Trace, joints_rad: NDArray[np.float64] | None = None, *, from_tcp: bool = False) -> float:
     """The least distance of the hand from the arm, followed in PARTS of each tick that may hold it.
 
     ``joints_rad`` (s (n - 1) + 1, joints): where an engine's s steps a tick left them; else the trace's.
+    ``from_tcp``: of the hand's centre from the TCP.
     """
     settings = trace.scenario.settings
     joints_rad = trace.ticks["joint_position_rad"] if joints_rad is None else joints_rad
     hands, distance_m = hands_at_start(trace.scenario), trace.ticks["hand_distance_m"][:, 0].copy()
+    if from_tcp:
+        tcp_m = trace.ticks["transform_tcp_to_base"][:, :3, 3]
+        distance_m = np.linalg.norm(trace.ticks["hand_position_in_base_m"][:, 0] - tcp_m, axis=1)
     return float(
         _least(
             arm_of(trace),
@@ -71,6 +75,7 @@ def least_m(trace: Trace, joints_rad: NDArray[np.float64] | None = None) -> floa
             settings.clock.control_period_s,
             settings.hand.radius_m,
             settings.hand.forearm_radius_m,
+            from_tcp,
         )
     )
 
@@ -86,6 +91,7 @@ def _least(
     period_s: float,
     radius_m: float,
     forearm_radius_m: float,
+    from_tcp: bool,
 ) -> float:
     """The moves one after the other, in steps of a part; joints go straight from one row to the next."""
     least, tcp = distance_m.min(), np.zeros(3)
@@ -105,6 +111,10 @@ def _least(
                 for i in range(joints.shape[0]):
                     joints[i] = joints_rad[row, i] + share * (joints_rad[row + 1, i] - joints_rad[row, i])
                 forward_kinematics(arm.chain[0], joints, transforms)
+                if from_tcp:
+                    way = hands[0].position_in_base_m - transforms[frames - 1, :3, 3]
+                    least = min(least, np.sqrt((way**2).sum()))
+                    continue
                 place_capsules(arm.capsules, transforms, ends)
                 found, _ = hand_distance(
                     arm.capsules,

@@ -12,6 +12,8 @@ from examples import ConstantSpeed, hand, run, scenario
 from safety_harness import load_trace, save_trace
 from safety_harness.controller.records import parameters_dtype
 from safety_harness.controller.stack import clip_joints
+from safety_harness.formulas.claim import FormulaClaim
+from safety_harness.formulas.language import always, hand_distance, m
 from safety_harness.properties.base import Unit, judged
 from safety_harness.properties.clear_ways import least_along
 from safety_harness.properties.hand_distance import (
@@ -180,8 +182,13 @@ def test_where_nobody_recorded_sub_steps_a_mean_speed_that_is_not_the_last_decid
     ticks = trace.ticks.copy()
     ticks["joint_velocity_radps"][21, 5] += 0.1
     late = replace(trace, ticks=ticks)
-    assert said(late, near_m - 1e-3) is Verdict.INCONCLUSIVE
-    assert said(late, near_m + 1e-3) is Verdict.VIOLATED
+    for below_m, verdict in ((1e-3, Verdict.INCONCLUSIVE), (-1e-3, Verdict.VIOLATED)):
+        assert said(late, near_m - below_m) is verdict
+        formula = FormulaClaim(always(hand_distance() >= m(near_m - below_m))).evaluate(late)
+        assert formula.verdict is verdict
+        assert formula.reason.startswith(
+            "between the ticks nothing is known, as motors" if below_m > 0 else "hand"
+        )
 
 
 def test_an_engine_records_what_its_sub_steps_went_beyond(tmp_path: Path) -> None:

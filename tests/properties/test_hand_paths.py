@@ -50,7 +50,7 @@ def test_between_ticks_a_hand_leaves_its_chord_by_no_more_than_its_bend(
     """Oracle: the same hand on a clock of 1 ms."""
     coarse, fine = with_period(period_s, who, HOLDS), with_period(0.001, who, HOLDS)
     paths = hand_paths(coarse)
-    assert first_stray(coarse, paths) is None
+    assert first_stray(coarse) is None
     assert len(paths.corner_at) == 0
     ratio = round(period_s / 0.001)
     at = np.arange(len(fine.ticks)) / ratio
@@ -112,7 +112,7 @@ def test_the_samples_of_a_recording_between_two_ticks_are_corners() -> None:
     recorded = replace(read_scenario(SHIPPED / "recorded-giving.yaml"), duration_s=0.4)
     trace = run_trial(admit(recorded))
     paths = hand_paths(trace)
-    assert first_stray(trace, paths) is None
+    assert first_stray(trace) is None
     samples_s = recorded.hands[0].motion.time_s  # type: ignore[union-attr]
     between = (samples_s < 0.4) & ~np.isclose(samples_s / 0.008, np.round(samples_s / 0.008))
     assert between.any()
@@ -140,7 +140,7 @@ def test_a_hand_that_is_joined_to_a_recording_has_its_corners_too() -> None:
     held = replace(HOLDS, joined_to=recorded.hands[0].name)
     trace = run_trial(admit(replace(recorded, hands=(*recorded.hands, held))))
     paths = hand_paths(trace)
-    assert first_stray(trace, paths) is None
+    assert first_stray(trace) is None
     leads, follows = (paths.corner_hand == number for number in range(2))
     assert np.array_equal(paths.corner_at[leads], paths.corner_at[follows])
     apart = paths.corners_in_base_m[follows, 0] - paths.corners_in_base_m[leads, 0]

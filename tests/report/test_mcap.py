@@ -141,9 +141,10 @@ def test_the_drawn_arm_and_hands_are_where_they_were(tmp_path: Path) -> None:
 
 def test_the_command_writes_both_files_and_judge_reads_them(tmp_path: Path) -> None:
     save_trace(trace_of("fast-reach"), tmp_path / "fast.trace")
-    out = tmp_path / "out" / "run.mcap"
-    found = CliRunner().invoke(app, ["export", str(tmp_path / "fast.trace"), "--out", str(out)])
-    assert found.exit_code == 0, found.output
+    out = tmp_path / "out" / "run: 1, [a] {b} #c 'd' \u00e9.mcap"  # which YAML has to quote
+    for _ in range(2):  # the second one takes the place of the first
+        found = CliRunner().invoke(app, ["export", str(tmp_path / "fast.trace"), "--out", str(out)])
+        assert found.exit_code == 0, found.output
     claim = "hand distance never below 50 mm"
     judged = CliRunner().invoke(app, ["judge", str(out.parent / LOG_FILE), "--claim", claim])
     assert judged.exit_code == 1, judged.output

@@ -56,6 +56,18 @@ def test_each_finding_says_what_where_and_by_how_much(page: Node) -> None:
     ]
 
 
+def test_what_is_unlike_the_yardsticks_has_a_heading_of_its_own() -> None:
+    """Below "Findings: None." it would read as a finding."""
+    scored = score_cards.scored()
+    one = scored.avoiders[0]
+    one.findings, one.unlike = (), one.findings
+    headed = {h.text: section for section in parse(written(scored)).all("section") for h in section.all("h2")}
+    assert "None." in headed["Findings"].text
+    assert headed["Findings"].all("table") == []
+    (table,) = headed["Unlike the yardsticks"].all("table")
+    assert "unlike the yardsticks in 2 ways" in table.text
+
+
 def test_yardsticks_stand_below_the_avoider_region_by_region(page: Node) -> None:
     table = page.all("table", "scores")[0]
     rows = [[cell.text for cell in row.all("th") + row.all("td")][:2] for row in table.all("tr")[1:]]

@@ -121,6 +121,8 @@ def test_what_the_format_makes_optional_has_its_default(tmp_path: Path) -> None:
 def test_position_limits_beyond_a_thousand_are_none(tmp_path: Path) -> None:
     arm = arm_in(tmp_path, second('<limit lower="-1e16" upper="1e16" velocity="2" effort="50"/>'))
     assert (arm.position_lower_rad[1], arm.position_upper_rad[1]) == (-np.inf, np.inf)
+    arm = arm_in(tmp_path, second('<limit lower="-2" upper="1e16" velocity="2" effort="50"/>'))
+    assert (arm.position_lower_rad[1], arm.position_upper_rad[1]) == (-2.0, 1e9)
 
 
 @pytest.mark.parametrize(
@@ -195,11 +197,16 @@ def test_limits_that_look_like_degrees_are_refused_by_a_run(
 def test_robot_show_says_what_the_urdf_lacks_and_for_which_use(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    (tmp_path / "arm.urdf").write_text(urdf(*second(LIMIT.replace(' effort="50"', ""))))
+    text = urdf(*second(LIMIT.replace(' effort="50"', "")))
+    (tmp_path / "arm.urdf").write_text(text.replace("j1", "finance").replace("j3", "nan"))
     assert show(tmp_path / "arm.urdf") == AS_EXPECTED
-    row = next(line for line in capsys.readouterr().out.splitlines() if "the effort of j2" in line)
+    lines = capsys.readouterr().out.splitlines()
+    row = next(line for line in lines if "the effort of j2" in line)
     assert "drives with a torque limit, PyBullet" in row
     assert "`joint torque limits`" in row
+    cells = [line.split() for line in lines]
+    assert [row[0] for row in cells if row[-1:] == ["50"]] == ["finance", "nan"]  # names are no numbers
+    assert ["j2", "-114.6", "114.6", "114.6", "unknown"] in cells
 
 
 def test_a_file_for_xacro_is_refused_with_the_command_that_expands_it(tmp_path: Path) -> None:
