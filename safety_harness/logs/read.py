@@ -17,6 +17,7 @@ from safety_harness.logs.checked import (
     joints_checked,
     noted_beyond_ends,
     positions_checked,
+    refuse_another_unit,
     refuse_contradicting_speeds,
     refuse_jumping_joints,
     refuse_the_same,
@@ -200,7 +201,9 @@ class _Reading:
         facts = facts_of_joints(self._said_of_joints(), self.arm)
         joints = noted_beyond_ends(the_short_way(joints, facts, self.arm), self.arm)
         refuse_jumping_joints(joints, facts, self.arm.joint_names)
-        if facts.speeds_known_to_radps is not None:
+        if facts.speeds_known_to_radps is None:
+            refuse_another_unit(joints)
+        else:
             angles, speeds = np.split(joints.values, 2, axis=1)
             known, hard = (facts.known_to_rad, facts.speeds_known_to_radps), facts.accelerate_at_most_radps2
             refuse_contradicting_speeds(joints, angles, speeds, known, hard, self.arm.joint_names, DEG)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from safety_harness.logs.model import JointFacts, TcpCheck
 from safety_harness.logs.reach import joint_off_rad
@@ -50,9 +51,12 @@ def checked_tcp(
             HINT,
         )
     some, turns = np.linspace(0, len(poses) - 1, POSES_TURNED).astype(int), np.eye(len(arm.joint_names))
-    unseen = []
-    for name, turn in zip(arm.joint_names, turns * TURNED_RAD, strict=True):
-        away = [links_in_base(arm, poses[k] + turn)[-1, :3, 3] - places[k] for k in some]
-        if (np.linalg.norm(away, axis=1) <= apart_m[some] + off_m[some]).all():
-            unseen.append(name)
-    return TcpCheck(tcp, float(apart_m.max()), float(off_m.max()), tuple(unseen))
+
+    def seen(others: NDArray[np.float64]) -> bool:
+        away = [links_in_base(arm, pose)[-1, :3, 3] for pose in others] - places[some]
+        return bool((np.linalg.norm(away, axis=1) > apart_m[some] + off_m[some]).any())
+
+    turned = zip(arm.joint_names, turns * TURNED_RAD, strict=True)
+    unseen = tuple(name for name, turn in turned if not seen(poses[some] + turn))
+    unit = seen(np.degrees(poses[some])) and seen(np.radians(poses[some]))
+    return TcpCheck(tcp, float(apart_m.max()), float(off_m.max()), unseen, unit)

@@ -88,7 +88,7 @@ class Monitor:
 
     def __post_init__(self) -> None:
         cell = self.cell
-        self._joints = JointTrack(cell.joint_facts, cell.period_ns)
+        self._joints = JointTrack(cell.joint_facts, cell.period_ns, cell.arm)
         self._hands: dict[str, HandTracks] = {}
         for hand in cell.hands:
             own, elbow = (BodyTrack(cell.hand_facts, cell.clock_known_to_s, cell.period_ns) for _ in range(2))
@@ -276,8 +276,7 @@ class Monitor:
         if track.last is not None and time_ns - track.last[0] < SHORTEST_STEP_NS:
             self._count_late(time_ns - track.last[0])
             return
-        position = np.array(position_rad)
-        track.refuse_jump(time_ns, position)
+        position = track.unwrapped(time_ns, np.array(position_rad))
         before_ns = track.last[0] if track.last is not None else time_ns
         rates = None
         if self.cell.joint_facts.speeds_known_to_radps is not None:
