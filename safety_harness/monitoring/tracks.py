@@ -117,9 +117,8 @@ class JointTrack:
         step_s, facts = (time_ns - before[0]) / NS, self._facts
         most, hard = facts.move_at_most_radps, facts.accelerate_at_most_radps2
         slope = (position_rad - before[1])[None] / step_s
-        steps = (
-            np.array([step_s]) if hard is None else step_s
-        )  # of one step, by numbers: it is the quicker way
+        # of one step, by numbers: it is the quicker way
+        steps = np.array([step_s]) if hard is None else step_s
         off = joint_off_rad(slope, steps, most=most, hardest=hard, sample_rad=facts.known_to_rad)
         self._within.add(begin_ns, time_ns, off.item(), lost=frozen)
         if facts.speeds_known_to_radps is None:
@@ -144,10 +143,9 @@ class JointTrack:
         time_ns, position_rad, rates_radps = self.last
         if self._before is None or self.slope is None:
             return position_rad, rates_radps if rates_radps is not None else np.zeros_like(position_rad)
-        share = (tick_ns - self._before[0]) / (time_ns - self._before[0])
-        position = (
-            position_rad if share == 1.0 else self._before[1] + share * (position_rad - self._before[1])
-        )
+        before_ns, before_rad, _ = self._before
+        share = (tick_ns - before_ns) / (time_ns - before_ns)
+        position = position_rad if share == 1.0 else before_rad + share * (position_rad - before_rad)
         if self._facts.speeds_known_to_radps is None:
             return position, self.slope
         assert rates_radps is not None
