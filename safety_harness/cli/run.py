@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 import sys
+import time
 import traceback
 from collections.abc import Sequence
 from contextlib import suppress
@@ -64,7 +65,7 @@ from safety_harness.trace.store import save_trace
 from safety_harness.whole_file import writing
 
 REPORT, DATA = "report.html", "report.json"
-TRACES, OF_REFERENCE = "traces", "traces-against"
+TRACES, OF_REFERENCE, EARLIER = "traces", "traces-against", ".earlier"
 
 
 def read_all(
@@ -164,6 +165,7 @@ class RunSession:
     unwritable: OutputError | None = None
     repeatability: Repeatability = field(default_factory=Repeatability)
     repeated: RepeatabilityResult | None = None  # None: not asked again
+    begun_s: float = field(default_factory=lambda: time.time() - 0.1)  # clocks of disks are coarse
 
     def run_all(self, admitted: Sequence[Sequence[Admitted]], jobs: int | None = 1) -> None:
         """In their order, each with the reference too, until Ctrl-C or a disk that takes no more."""
@@ -230,6 +232,7 @@ class RunSession:
         if self.interrupted or self.unwritable is not None:
             kept = f"the results of {len(self.runs)} of {self.planned} scenarios are kept"
             say(f"stopped before the end: {kept}")
+        self._rename_earlier()
         self._ask_again()
         if self.runs and not self._report():
             return INTERRUPTED if self.interrupted else BAD_INPUT
@@ -269,6 +272,15 @@ class RunSession:
             good = self._as_good()
         good &= self.repeated is None or not self.repeated.words
         return AS_EXPECTED if good and not self.failed else DIFFERS
+
+    def _rename_earlier(self) -> None:
+        """Traces of earlier runs stay, by names that no folder or pattern takes for evidence of this one."""
+        own = [run.trace_file for run in self.runs]
+        for file in sorted(self.out.glob("traces*/*.trace")):
+            if file not in own and file.stat().st_mtime < self.begun_s:
+                say(f"of an earlier run: {file}, from now on {file.name}{EARLIER}")
+                with writing(file):
+                    file.rename(f"{file}{EARLIER}")
 
     def _say_whose_fault(self) -> None:
         """The commands that attribute what was violated and not expected to be: one for each avoider."""

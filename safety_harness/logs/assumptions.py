@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from safety_harness.logs.model import CellLog
 from safety_harness.scenario.nodes import Scalar
 
 A_TCP = "a track of the TCP: log: {tcp: FILE#TRACK}"
 LIKELY = ("tcp", "tool", "flange", "effector", "eef")  # in the name of a column or topic that has the TCP
-A_FRAME = "a bag whose headers name it, with frame: {tf: FILE#/tf}; or a marker on the tool, by log align"
+A_MARKER = "a marker on the tool, by log align"
+A_FRAME = f"a bag whose headers name it, with frame: {{tf: FILE#/tf}}; or {A_MARKER}"
 
 
 @dataclass(frozen=True)
@@ -35,6 +38,10 @@ def assumptions_of(log: CellLog) -> tuple[Assumption, ...]:
         "where its tool ends",
     )
     found = [Assumption(what, by, would) for what in of_arm]
+    angles = log.joints.values[:, : log.joints.values.shape[1] // 2]
+    most = np.degrees(np.ptp(angles, axis=0).max())
+    what = f"the unit of its angles, in which no joint turns by more than {most:.3g} deg"
+    found.append(Assumption(what, by * (tcp is not None and tcp.unit), would))
     if tcp is not None and tcp.unseen:
         what = f"the zero positions of {', '.join(tcp.unseen)}, to within 5 deg: they hardly move the TCP"
         found.append(Assumption(what, "", "a column of the tool's orientation, which is not read yet"))
@@ -48,6 +55,7 @@ def assumptions_of(log: CellLog) -> tuple[Assumption, ...]:
         by = f"the frames that headers of {source.name} name" * (source.is_bag and not stated)
         for what in ("the direction of the axes", "the origin of the heights"):
             found.append(Assumption(f"{what} of {body.name}", by, A_FRAME))
+        found.append(Assumption(f"the unit of length for {body.name}", "", A_MARKER))
     return tuple(found)
 
 

@@ -16,6 +16,7 @@ from safety_harness.logs.streams import NS, LogSamples
 from safety_harness.robot.description import ArmModel
 
 FARTHEST_M, FARTHEST_RAD = 10.0, 8.0 * np.pi
+MOST_APART = 0.3  # of the way, of speeds that lead along it in another unit
 HARDEST_TAKEN = 40.0  # rad/s2 or m/s2, where no acceleration is said
 
 
@@ -89,22 +90,29 @@ def refuse_the_same(streams: list[LogSamples]) -> None:
 
 
 def the_short_way(joints: LogSamples, facts: JointFacts, arm: ArmModel) -> LogSamples:
-    """Return ``joints`` with those that have no ends going the short way where their angles wrap at a turn.
-
-    Within the longest gap that is only done where such a joint cannot have gone the long way meanwhile.
-    """
+    """Return ``joints`` whose joints without ends go the short way where their angles wrap at a turn."""
     count, step_s = len(arm.joint_names), np.diff(joints.time_ns)[:, None] / NS
-    way = np.diff(joints.values[:, :count], axis=0)
-    endless = np.isinf(arm.position_lower_rad) & np.isinf(arm.position_upper_rad)
-    sure = step_s * facts.move_at_most_radps + 2.0 * facts.known_to_rad < np.pi
-    wraps = endless & (np.abs(way) > np.pi) & (sure | (step_s > facts.longest_gap_s))
-    if not wraps.any():
+    turned_rad = wrapped_rad(np.diff(joints.values[:, :count], axis=0), step_s, facts, arm)
+    if not (wraps := turned_rad != 0.0).any():
         return joints
     values = joints.values.copy()
-    values[1:, :count] -= 2.0 * np.pi * np.cumsum(np.where(wraps, np.round(way / (2.0 * np.pi)), 0.0), axis=0)
+    values[1:, :count] -= np.cumsum(turned_rad, axis=0)
     names = ", ".join(np.array(arm.joint_names)[np.any(wraps, axis=0)])
     note = f"{names} wraps at a turn {np.count_nonzero(wraps)} times, and has no ends: taken the short way"
     return replace(joints, values=values).noted(note)
+
+
+def wrapped_rad(
+    way: NDArray[np.float64], step_s: NDArray[np.float64] | float, facts: JointFacts, arm: ArmModel
+) -> NDArray[np.float64]:
+    """Return the whole turns by which steps ``way`` (..., n) of joints that have no ends wrap.
+
+    Within the longest gap only of those that cannot have gone the long way meanwhile.
+    """
+    endless = np.isinf(arm.position_lower_rad) & np.isinf(arm.position_upper_rad)
+    sure = step_s * facts.move_at_most_radps + 2.0 * facts.known_to_rad < np.pi
+    wraps = endless & (np.abs(way) > np.pi) & (sure | (step_s > facts.longest_gap_s))
+    return 2.0 * np.pi * np.where(wraps, np.round(way / (2.0 * np.pi)), 0.0)
 
 
 def noted_beyond_ends(joints: LogSamples, arm: ArmModel) -> LogSamples:
@@ -154,6 +162,19 @@ def refuse_jumping_joints(joints: LogSamples, facts: JointFacts, names: tuple[st
             f"{hard[index]:.4g} rad/s2 at least, by three samples known to {facts.known_to_rad:.4g} rad",
             "joints: {accelerate at most: ..., known to: ...}, which has to hold what their stamps are off",
         )
+
+
+def refuse_another_unit(joints: LogSamples) -> None:
+    """Raise LogError where speeds (n, j), beside angles (n, j), lead along these if 1 rad were 1 deg."""
+    angles, speeds = np.split(joints.values, 2, axis=1)
+    told = (speeds[1:] + speeds[:-1]) / 2.0 * np.diff(joints.time_ns)[:, None] / NS
+    way = np.diff(angles, axis=0)
+    way, told = (one[np.isfinite(way + told)] for one in (way, told))
+    for times in (np.degrees(1.0), np.radians(1.0)):
+        if np.linalg.norm(told - times * way) < MOST_APART * np.linalg.norm(told):
+            expected, got = "joint speeds that lead along the angles", f"{times:.3g} times their way"
+            hint = 'degrees and radians are exchanged: the ends of the columns\' names, or the key "unit"'
+            raise LogError(place=joints.source.place, expected=expected, got=got, hint=hint)
 
 
 def refuse_contradicting_speeds(

@@ -60,13 +60,14 @@ class Body:
 class TcpCheck:
     """The TCP's own samples, at most ``apart_m`` from where the joints have it, of ``within_m`` allowed.
 
-    Of the ``unseen`` joints another zero position would not have shown.
+    Of the ``unseen`` joints another zero position would not have shown; ``unit``: another one would have.
     """
 
     samples: LogSamples
     apart_m: float
     within_m: float
     unseen: tuple[str, ...]
+    unit: bool
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -17,6 +17,7 @@ from safety_harness.logs.checked import (
     joints_checked,
     noted_beyond_ends,
     positions_checked,
+    refuse_another_unit,
     refuse_contradicting_speeds,
     refuse_jumping_joints,
     refuse_the_same,
@@ -164,7 +165,7 @@ class _Reading:
     def joints(self) -> LogSamples:
         """(n, 2 j) positions and velocities."""
         source = self._source(self.streams.required("joints"))
-        said = self._said_of_joints()
+        said = said_of_joints(self.given)
         names = _names(said.optional("names"), self.arm)
         rtde = said.optional(FORMAT)
         if rtde is not None and (rtde.one_of({"rtde": True}) and source.is_bag):
@@ -192,15 +193,16 @@ class _Reading:
             time = time_column(source, header, when)
             read_table(Table(*time, (*at, *rates)), collector)
         samples = collector.samples()
-        samples = with_frozen(samples, list(samples.values.T[: len(names), :, None]), said)
-        return joints_checked(samples, names)
+        return joints_checked(with_frozen(samples, [*samples.values.T[: len(names), :, None]], said), names)
 
     def with_facts(self, joints: LogSamples) -> tuple[LogSamples, JointFacts]:
         """Check the joints against what is said of them; return both, the joints without wraps."""
-        facts = facts_of_joints(self._said_of_joints(), self.arm)
+        facts = facts_of_joints(said_of_joints(self.given), self.arm)
         joints = noted_beyond_ends(the_short_way(joints, facts, self.arm), self.arm)
         refuse_jumping_joints(joints, facts, self.arm.joint_names)
-        if facts.speeds_known_to_radps is not None:
+        if facts.speeds_known_to_radps is None:
+            refuse_another_unit(joints)
+        else:
             angles, speeds = np.split(joints.values, 2, axis=1)
             known, hard = (facts.known_to_rad, facts.speeds_known_to_radps), facts.accelerate_at_most_radps2
             refuse_contradicting_speeds(joints, angles, speeds, known, hard, self.arm.joint_names, DEG)
@@ -267,7 +269,7 @@ class _Reading:
 
     def told(self, clock: ToldClock) -> Told:
         """What the controller said."""
-        names = _names(self._said_of_joints().optional("names"), self.arm)
+        names = _names(said_of_joints(self.given).optional("names"), self.arm)
 
         def placed(frame: Field, samples: LogSamples, first: int) -> LogSamples:
             transform, values = given_transform(frame), samples.values.copy()
@@ -393,9 +395,6 @@ class _Reading:
         """By the frame that is said, which no header may contradict."""
         base = self.arm.link_names[0] if np.array_equal(self.arm.transform_seat, np.eye(4)) else BASE
         return by_given(given_transform(frame), frame_name(frame, base), base, source)
-
-    def _said_of_joints(self) -> Fields:
-        return said_of_joints(self.given)
 
     def _source(self, field: Field) -> LogSource:
         source = read_source(field)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from safety_harness.logs.model import JointFacts, TcpCheck
 from safety_harness.logs.reach import joint_off_rad
@@ -28,11 +29,8 @@ def checked_tcp(
     time_s, tcp_s = ((one.time_ns - joints.time_ns[0]) / NS for one in (joints, tcp))
     angles = joints.values[:, : len(arm.joint_names)]
     step_s = np.diff(time_s)
-    slope, most, hard = (
-        np.diff(angles, axis=0) / step_s[:, None],
-        facts.move_at_most_radps,
-        facts.accelerate_at_most_radps2,
-    )
+    slope, hard = np.diff(angles, axis=0) / step_s[:, None], facts.accelerate_at_most_radps2
+    most = facts.move_at_most_radps
     off_rad = joint_off_rad(slope, step_s, most=most, hardest=hard, sample_rad=facts.known_to_rad)
     which = np.clip(np.searchsorted(time_s, tcp_s, side="right") - 1, 0, len(step_s) - 1)
     off_rad = np.where(np.isin(tcp.time_ns, joints.time_ns), facts.known_to_rad, off_rad[which])
@@ -50,9 +48,12 @@ def checked_tcp(
             HINT,
         )
     some, turns = np.linspace(0, len(poses) - 1, POSES_TURNED).astype(int), np.eye(len(arm.joint_names))
-    unseen = []
-    for name, turn in zip(arm.joint_names, turns * TURNED_RAD, strict=True):
-        away = [links_in_base(arm, poses[k] + turn)[-1, :3, 3] - places[k] for k in some]
-        if (np.linalg.norm(away, axis=1) <= apart_m[some] + off_m[some]).all():
-            unseen.append(name)
-    return TcpCheck(tcp, float(apart_m.max()), float(off_m.max()), tuple(unseen))
+
+    def seen(others: NDArray[np.float64]) -> bool:
+        away = [links_in_base(arm, pose)[-1, :3, 3] for pose in others] - places[some]
+        return bool((np.linalg.norm(away, axis=1) > apart_m[some] + off_m[some]).any())
+
+    turned = zip(arm.joint_names, turns * TURNED_RAD, strict=True)
+    unseen = tuple(name for name, turn in turned if not seen(poses[some] + turn))
+    unit = seen(np.degrees(poses[some])) and seen(np.radians(poses[some]))
+    return TcpCheck(tcp, float(apart_m.max()), float(off_m.max()), unseen, unit)

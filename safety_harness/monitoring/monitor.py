@@ -88,7 +88,8 @@ class Monitor:
 
     def __post_init__(self) -> None:
         cell = self.cell
-        self._joints = JointTrack(cell.joint_facts, cell.period_ns)
+        self._joints = JointTrack(cell.joint_facts, cell.period_ns, cell.arm)
+        self._with_speeds = cell.joint_facts.speeds_known_to_radps is not None
         self._hands: dict[str, HandTracks] = {}
         for hand in cell.hands:
             own, elbow = (BodyTrack(cell.hand_facts, cell.clock_known_to_s, cell.period_ns) for _ in range(2))
@@ -137,10 +138,8 @@ class Monitor:
         self._unused += 1
         number = self.counts.lines
         try:
-            names, speeds = self._hands.keys(), self.cell.joint_facts.speeds_known_to_radps is not None
-            sample = read_sample(
-                line, number, joints=len(self.cell.arm.joint_names), hands=names, speeds=speeds
-            )
+            count, speeds = len(self.cell.arm.joint_names), self._with_speeds
+            sample = read_sample(line, number, joints=count, hands=self._hands.keys(), speeds=speeds)
             time_s = sample.time_s - self._ahead_s(sample)
             if -inf < self._newest_s + FARTHEST_AHEAD_S < time_s:
                 expected = f"a time within {FARTHEST_AHEAD_S:g} s of the latest one, {self._newest_s:.10g} s"
@@ -239,12 +238,8 @@ class Monitor:
                 ("elbow", tracks.elbow, hand.elbow_position_in_base_m),
             ):
                 used.append(False)
-                if (
-                    track is None
-                    or place is None
-                    or not any(place)
-                    or (body == "elbow" and track is tracks.hand)
-                ):
+                again = body == "elbow" and track is tracks.hand
+                if track is None or place is None or again or not any(place):
                     continue
                 position_m = np.array(place)
                 try:
@@ -276,12 +271,9 @@ class Monitor:
         if track.last is not None and time_ns - track.last[0] < SHORTEST_STEP_NS:
             self._count_late(time_ns - track.last[0])
             return
-        position = np.array(position_rad)
-        track.refuse_jump(time_ns, position)
+        position = track.unwrapped(time_ns, np.array(position_rad))
         before_ns = track.last[0] if track.last is not None else time_ns
-        rates = None
-        if self.cell.joint_facts.speeds_known_to_radps is not None:
-            rates = np.array(sample.joint_velocity_radps)
+        rates = np.array(sample.joint_velocity_radps) if self._with_speeds else None
         frozen_ns = track.add(time_ns, position, rates)
         if self.journal is not None:
             assert self._origin_ns is not None

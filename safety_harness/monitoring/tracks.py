@@ -12,6 +12,7 @@ from collections import deque
 import numpy as np
 from numpy.typing import NDArray
 
+from safety_harness.logs.checked import wrapped_rad
 from safety_harness.logs.frozen import Repeats
 from safety_harness.logs.model import HandFacts, JointFacts
 from safety_harness.logs.reach import (
@@ -23,6 +24,7 @@ from safety_harness.logs.reach import (
     rate_off,
 )
 from safety_harness.logs.streams import NS, SHORTEST_STEP_NS
+from safety_harness.robot.description import ArmModel
 
 Values = NDArray[np.float64]
 
@@ -69,8 +71,9 @@ class WithinByTick:
 class JointTrack:
     """The joints: their position, speed and what both may be off, at ticks that a sample has come for."""
 
-    def __init__(self, facts: JointFacts, period_ns: int) -> None:
-        self._facts, self._period_ns = facts, period_ns
+    def __init__(self, facts: JointFacts, period_ns: int, arm: ArmModel) -> None:
+        self._facts, self._period_ns, self._arm = facts, period_ns, arm
+        self._turned_rad = np.zeros(len(arm.joint_names))  # by which what comes is wrapped
         longest_ns = round(facts.longest_gap_s * NS)
         self._within, self._rate_within = (WithinByTick(longest_ns, period_ns) for _ in range(2))
         self._bends: dict[int, float] = {}
@@ -79,11 +82,14 @@ class JointTrack:
         self.slope: Values | None = None  # from the sample before to the last
         self._repeats = [Repeats() for _ in facts.move_at_most_radps]
 
-    def refuse_jump(self, time_ns: int, position_rad: Values) -> None:
-        """Jump if a joint cannot have got there since the last sample; ``position_rad`` (n,)."""
+    def unwrapped(self, time_ns: int, position_rad: Values) -> Values:
+        """Return the next ``position_rad`` (n,) without wraps; Jump if a joint cannot have got there."""
+        turned_rad = self._turned_rad
         if self.last is not None:
             step_s = (time_ns - self.last[0]) / NS
-            way, most = np.abs(position_rad - self.last[1]), self._facts.move_at_most_radps
+            way, most = position_rad - turned_rad - self.last[1], self._facts.move_at_most_radps
+            wrapped = wrapped_rad(way, step_s, self._facts, self._arm)
+            turned_rad, way = turned_rad + wrapped, np.abs(way - wrapped)
             fast = way - step_s * most - 2.0 * self._facts.known_to_rad
             if fast.max() > 0.0:
                 joint = int(fast.argmax())
@@ -91,6 +97,8 @@ class JointTrack:
                     f"joint {joint + 1} turn {np.degrees(way[joint]):.4g} deg in {step_s * 1e3:.4g} ms, "
                     f"which can {np.degrees(most[joint]):.4g} deg/s"
                 )
+        self._turned_rad = turned_rad
+        return position_rad - turned_rad
 
     def add(self, time_ns: int, position_rad: Values, rates_radps: Values | None) -> int | None:
         """Take a sample that is later than the last one: ``position_rad`` (n,), ``rates_radps`` (n,).
@@ -109,9 +117,8 @@ class JointTrack:
         step_s, facts = (time_ns - before[0]) / NS, self._facts
         most, hard = facts.move_at_most_radps, facts.accelerate_at_most_radps2
         slope = (position_rad - before[1])[None] / step_s
-        steps = (
-            np.array([step_s]) if hard is None else step_s
-        )  # of one step, by numbers: it is the quicker way
+        # of one step, by numbers: it is the quicker way
+        steps = np.array([step_s]) if hard is None else step_s
         off = joint_off_rad(slope, steps, most=most, hardest=hard, sample_rad=facts.known_to_rad)
         self._within.add(begin_ns, time_ns, off.item(), lost=frozen)
         if facts.speeds_known_to_radps is None:
@@ -136,10 +143,9 @@ class JointTrack:
         time_ns, position_rad, rates_radps = self.last
         if self._before is None or self.slope is None:
             return position_rad, rates_radps if rates_radps is not None else np.zeros_like(position_rad)
-        share = (tick_ns - self._before[0]) / (time_ns - self._before[0])
-        position = (
-            position_rad if share == 1.0 else self._before[1] + share * (position_rad - self._before[1])
-        )
+        before_ns, before_rad, _ = self._before
+        share = (tick_ns - before_ns) / (time_ns - before_ns)
+        position = position_rad if share == 1.0 else before_rad + share * (position_rad - before_rad)
         if self._facts.speeds_known_to_radps is None:
             return position, self.slope
         assert rates_radps is not None

@@ -168,6 +168,9 @@ def read_proof_plan(path: str | Path) -> ProofPlan:
         if proof in proofs:
             raise item.error("each claim once in a region", got=proof.sentence)
         proofs.append(proof)
+    if idle := regions.keys() - {SEEN, *(proof.region.name for proof in proofs)}:
+        expected = f"a claim in each region; claims without in: are of {SEEN}"
+        raise given.required("regions").error(expected, got=f"none in {', '.join(sorted(idle))}")
     at = given.optional("distribution")
     questions = None if at is None else _questions(at, [proof.region for proof in proofs])
     return ProofPlan(title, name, file, network, asked, tuple(proofs), questions)

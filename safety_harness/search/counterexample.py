@@ -243,7 +243,7 @@ def _evidence(trace: Trace) -> list[str]:
         f"libraries: {libraries}",
         f"source {made.source_hash}",
         f"{trace.system.words}, file {trace.system.tested.sha256 or 'none'}",
-        f"URDF {trace.system.robot.sha256}",
+        f"robot {trace.system.robot.sha256}",
         f"claims {hashlib.sha256(claims.encode()).hexdigest()}",
         f"seed {scenario.seed} (hands and sensors); seeds of the decisions: {seeds}",
     ]

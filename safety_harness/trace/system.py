@@ -12,7 +12,7 @@ from typing import Annotated, Any
 from msgspec import Meta
 
 from safety_harness.scenario.model import VISUAL_SERVO, Scenario
-from safety_harness.scenario.robots import EquippedArm, OwnRobot
+from safety_harness.scenario.robots import OwnRobot, Robot
 from safety_harness.scenario.shield import Shield
 from safety_harness.settings import GateKind, HandSensorKind, ImageSource, Settings
 
@@ -37,8 +37,9 @@ class Component:
 class SystemUnderTest:
     """What drives the arm in a run, and what it drives and sees by; traces, ledgers and pages carry it.
 
-    Only the visual servo has ``avoider`` and ``gate``.  ``robot`` has the hash of its URDF, ``gate``,
-    ``perception`` and ``settings`` of their settings.  ``shield`` is None where there is none.
+    Only the visual servo has ``avoider`` and ``gate``.  ``robot`` has the hash of its URDF and
+    of all that its files say, ``gate``, ``perception`` and ``settings`` of their settings.  ``shield`` is
+    None where there is none.
     """
 
     controller: Component
@@ -100,10 +101,9 @@ def system_of(
 ) -> SystemUnderTest:
     """The system of a run: of a ``controller``, or of the visual servo that asks ``avoider``."""
     settings, robot = scenario.settings, scenario.robot
-    if isinstance(robot, OwnRobot):
-        robot_sha256 = str(robot.urdf_sha256)
-    elif isinstance(robot, EquippedArm):
-        robot_sha256 = hashlib.sha256(f"{robot_sha256} {_text(robot)}".encode()).hexdigest()
+    mounted = replace(robot, **_NAMES) if isinstance(robot, OwnRobot) else robot
+    if not isinstance(mounted, Robot):
+        robot_sha256 = hashlib.sha256(f"{robot_sha256} {_text(mounted)}".encode()).hexdigest()
     servo, gate, perception, whole = _parts(settings)
     if scenario.gate is not None:
         gate = replace(gate, name=", ".join([gate.name, *scenario.gate.words]))
@@ -127,6 +127,8 @@ def _shield(shield: Shield | None) -> Component | None:
     return Component(name=shield.kind.value, sha256=hashlib.sha256(text.encode()).hexdigest())
 
 
+# of an own arm, whose files count by their hashes, never by where they lie
+_NAMES: Any = dict.fromkeys(("urdf", "package", "capsules", "files", "urdf_text", "capsules_text"), "")
 _UNKNOWN = Component(name="not noted")
 NOT_NOTED = SystemUnderTest(
     controller=_UNKNOWN, avoider=_UNKNOWN, perception=_UNKNOWN, robot=_UNKNOWN, settings=_UNKNOWN

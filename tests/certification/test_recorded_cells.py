@@ -11,6 +11,7 @@ from made_up_comparison import SYSTEM, cell
 from made_up_evidence import evidence
 from typer.testing import CliRunner
 
+from safety_harness.admission.driving import named_system
 from safety_harness.certification.argument import DONE, DOUBT, argument_of
 from safety_harness.certification.credibility import NO_CELL, credibility_of
 from safety_harness.certification.evidence import Evidence
@@ -20,6 +21,9 @@ from safety_harness.certification.tools import HarnessTrials, RecordedCell, read
 from safety_harness.cli.main import app
 from safety_harness.recorded.compare import as_json
 from safety_harness.scenario.model import Verdict
+from safety_harness.scenario.read import read_scenario
+from safety_harness.scenario.robots import OwnRobot, Seat, StopTimes, YesNo
+from safety_harness.shipped.contents import located
 from safety_harness.trace.system import Component
 
 OTHERS = [
@@ -71,6 +75,27 @@ def test_a_contradicted_verdict_and_another_source_are_open_findings(
     assert found in "".join(texts)
     leaves = [element for element in _every(argument_of(whole)) if element.text.startswith("A recorded cell")]
     assert [element.state for element in leaves] == [state]
+
+
+SAID = [  # of the same URDF: all but where its files lie makes another arm
+    ({"tool": None}, "robot: "),
+    ({"seat": Seat(yaw_rad=0.1)}, "robot: "),
+    ({"soft_limits": YesNo.YES}, "robot: "),
+    ({"braking": StopTimes(reaction_time_s=0.1, stop_time_s=0.9)}, "robot: "),
+    ({"capsules_sha256": "5" * 64}, "robot: "),
+    ({"capsules": "elsewhere/iiwa14.capsules.json", "files": ()}, ""),
+]
+
+
+@pytest.mark.parametrize(("said", "found"), SAID, ids=[next(iter(one)) for one, _ in SAID])
+def test_an_own_arm_is_the_same_with_its_tool_seat_limits_and_capsules_only(
+    said: dict[str, object], found: str
+) -> None:
+    scenario = read_scenario(located("shipped:robot-iiwa14"))
+    assert isinstance(scenario.robot, OwnRobot)
+    other = replace(scenario, robot=replace(scenario.robot, **said))  # type: ignore[arg-type]
+    foreign = cell(system=named_system(other)).foreign_to([named_system(scenario)])
+    assert foreign[: len("robot: ")] == found
 
 
 def _every(element: object) -> list[object]:

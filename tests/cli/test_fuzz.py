@@ -50,7 +50,7 @@ def test_a_violation_becomes_a_file_that_runs_and_replays_as_it_says(
     assert str(file) in shown.out
     assert "joint speeds within limits: violated 0 of 12" in shown.err
     text = file.read_text()
-    for evidence in ("VIOLATED", "in SI", "seed", "source ", "URDF ", "claims ", "world pybullet", "numpy"):
+    for evidence in ("VIOLATED", "in SI", "seed", "source ", "robot ", "claims ", "world pybullet", "numpy"):
         assert evidence in text.partition("\nscenario:")[0]
     assert run([file], tmp_path / "again") == AS_EXPECTED
     assert replay(file.with_suffix(".trace")) == AS_EXPECTED

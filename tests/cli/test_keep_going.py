@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
+from time import sleep
 
 import pytest
 
@@ -103,3 +104,21 @@ def test_traces_that_can_be_judged_are_judged(folder: Path, tmp_path: Path, caps
     out, err = capsys.readouterr()
     assert out.startswith("ok   holds")
     assert "1 of 2 traces judged" in err
+
+
+def test_a_trace_of_an_earlier_run_stays_but_no_pattern_takes_it_for_one_of_this_run(
+    folder: Path, tmp_path: Path, capsys: Captured
+) -> None:
+    run([folder / "b-good.yaml"], tmp_path / "out")
+    traces = tmp_path / "out" / "traces"
+    bytes_then = (traces / "b-good.trace").read_bytes()
+    (folder / "b-good.yaml").rename(folder / "renamed.yaml")
+    (traces / "notes.txt").write_text("mine")
+    sleep(0.2)
+    assert run([folder / "renamed.yaml"], tmp_path / "out") == AS_EXPECTED
+    assert sorted(one.name for one in traces.iterdir()) == [
+        *("b-good.trace.earlier", "notes.txt", "renamed.trace")
+    ]
+    assert (traces / "b-good.trace.earlier").read_bytes() == bytes_then
+    assert f"of an earlier run: {traces / 'b-good.trace'}" in capsys.readouterr().err
+    assert judge([traces / "b-good.trace.earlier"]) == AS_EXPECTED  # whoever names it may

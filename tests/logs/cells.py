@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import hashlib
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -268,3 +269,25 @@ def said(
         told=TOLD.format(frame=f", {told_frame}" if told_frame else "") if told else "",
     )
     return text + TOLD_CLAIMS if told else text
+
+
+def wrapped(streams: Streams, joint: int) -> Streams:
+    """One joint goes through half a turn, and its angles wrap there."""
+    angles = streams.joints_rad.copy()
+    angles[:, joint] += np.pi - angles[len(angles) // 2, joint]
+    angles[:, joint] = (angles[:, joint] + np.pi) % (2.0 * np.pi) - np.pi
+    assert np.abs(np.diff(angles[:, joint])).max() > 6.0
+    return replace(streams, joints_rad=angles)
+
+
+def endless_arm(folder: Path) -> str:
+    """Return the file of a UR10e whose last joint has no ends."""
+    robots = Path(__file__).parents[2] / "robots"
+    old = (robots / "ur10e.urdf").read_text()
+    new = old.replace('"wrist_3_joint" type="revolute"', '"wrist_3_joint" type="continuous"')
+    assert new != old
+    before, after = (hashlib.sha256(text.encode()).hexdigest() for text in (old, new))
+    for file in robots.glob("ur10e*"):
+        text = new if file.suffix == ".urdf" else file.read_text().replace(before, after)
+        (folder / file.name).write_text(text)
+    return str(folder / "ur10e.yaml")

@@ -313,6 +313,56 @@ def test_a_joint_that_freezes_leaves_claims_on_the_arm_open(log: Path, streams: 
     assert verdict_of(log, claim) is Verdict.HOLDS
 
 
+def with_columns(
+    streams: Streams, folder: Path, unit: str, rate: str, factor: float, of_speeds: float
+) -> Path:
+    """Angles in rad times ``factor`` in columns that end in ``unit``, beside speeds in ``rate``."""
+    write_csv(streams, folder)
+    log = with_text(folder, said("joints.csv", "hands.csv#hand", "hands.csv#elbow"))
+    table, angles = folder / "joints.csv", streams.joints_rad * factor
+    times = [row.split(",")[0] for row in table.read_text().splitlines()]
+    names = [times[0], *(f"{name}_{unit}" for name in NAMES)]
+    rows = [",".join([time, *map(repr, row)]) for time, row in zip(times[1:], angles.tolist(), strict=True)]
+    table.write_text("\n".join([",".join(names), *rows]) + "\n")
+    speeds = np.gradient(streams.joints_rad, streams.joint_ns / 1e9, axis=0) * of_speeds
+    add_columns(table, [f"{name}_{rate}" for name in NAMES], speeds)
+    return log
+
+
+DEG = 180.0 / np.pi
+
+
+@pytest.mark.parametrize(
+    ("unit", "rate", "factor", "of_speeds", "refused"),
+    [
+        ("deg", "radps", 1.0, 1.0, "57.3 times their way"),
+        ("rad", "degps", 1.0, 1.0, "0.0175 times their way"),
+        ("deg", "radps", DEG, 1.0, ""),
+        ("deg", "degps", DEG, 0.0, ""),  # a column that nobody fills
+        ("deg", "degps", 1.0, 1.0, ""),  # one mistake in both: nothing in the log shows it
+    ],
+)
+def test_speeds_in_another_unit_than_the_angles_are_refused_and_the_unit_is_named(
+    streams: Streams, tmp_path: Path, unit: str, rate: str, factor: float, of_speeds: float, refused: str
+) -> None:
+    log = with_columns(streams, tmp_path, unit, rate, factor, of_speeds)
+    if refused:
+        with pytest.raises(LogError, match=refused):
+            read_log(log)
+        return
+    words = [note for note in judged_log(log).notes if note.startswith("nothing in the log confirms")]
+    most = np.degrees(np.ptp(streams.joints_rad, axis=0).max()) * factor / DEG
+    assert f"the unit of its angles, in which no joint turns by more than {most:.3g} deg" in words[0]
+    assert "the unit of length for hand" in words[0]
+
+
+def test_a_tcp_confirms_the_unit_of_the_angles(log: Path, streams: Streams) -> None:
+    units = [
+        one for one in assumptions_of(read_log(with_tcp(log, streams))) if one.what.startswith("the unit")
+    ]
+    assert [bool(one.confirmed_by) for one in units] == [True, False]
+
+
 def test_what_nothing_reads_is_told_beside_the_verdict(log: Path, streams: Streams) -> None:
     names = ["actual_tcp_x_m", "payload_kg"]
     add_columns(log.with_name("joints.csv"), names, np.zeros((len(streams.joint_ns), 2)))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -14,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from cells import NAMES, Streams, cell, recorded, said, write_csv
+from cells import NAMES, Streams, cell, endless_arm, recorded, said, wrapped, write_csv
 from log_formats import STORE, frames, header, joint_messages, of, poses, write_bag
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import StoragePlugin
@@ -308,15 +307,6 @@ def test_an_mcap_file_with_protobuf_in_foxgloves_schemas(streams: Streams, tmp_p
     assert np.isnan(found.joints.values[:, 6:]).all()  # no speeds were told
 
 
-def wrapped(streams: Streams, joint: int) -> Streams:
-    """One joint goes through half a turn, and its angles wrap there."""
-    angles = streams.joints_rad.copy()
-    angles[:, joint] += np.pi - angles[len(angles) // 2, joint]
-    angles[:, joint] = (angles[:, joint] + np.pi) % (2.0 * np.pi) - np.pi
-    assert np.abs(np.diff(angles[:, joint])).max() > 6.0
-    return replace(streams, joints_rad=angles)
-
-
 def test_a_wrap_of_a_joint_with_ends_is_named(streams: Streams, tmp_path: Path) -> None:
     write_csv(wrapped(streams, 5), tmp_path)
     with pytest.raises(LogError, match="a jump of 3") as refused:
@@ -333,17 +323,7 @@ def test_a_joint_without_ends_goes_the_short_way(streams: Streams, tmp_path: Pat
 
 @pytest.fixture(scope="module")
 def endless(tmp_path_factory: pytest.TempPathFactory) -> str:
-    """A UR10e whose last joint has no ends."""
-    folder = tmp_path_factory.mktemp("arm")
-    robots = Path(__file__).parents[2] / "robots"
-    old = (robots / "ur10e.urdf").read_text()
-    new = old.replace('"wrist_3_joint" type="revolute"', '"wrist_3_joint" type="continuous"')
-    assert new != old
-    before, after = (hashlib.sha256(text.encode()).hexdigest() for text in (old, new))
-    for file in robots.glob("ur10e*"):
-        text = new if file.suffix == ".urdf" else file.read_text().replace(before, after)
-        (folder / file.name).write_text(text)
-    return str(folder / "ur10e.yaml")
+    return endless_arm(tmp_path_factory.mktemp("arm"))
 
 
 @pytest.mark.parametrize("late", [False, True])

@@ -8,7 +8,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
-from cells import Cell, cell, recorded, said
+from cells import Cell, cell, endless_arm, recorded, said, wrapped
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from stream_lines import lines
@@ -112,6 +112,27 @@ def test_monitor_and_judge_agree_where_a_stream_begins_and_wherever_it_is_cut_of
     found, judged, watched = disagreements(seed, ends=True)
     assert not found
     assert watched >= judged
+
+
+@pytest.mark.parametrize("wraps", [False, True])
+def test_a_joint_without_ends_that_wraps_goes_the_short_way_here_as_for_judge(
+    tmp_path: Path, wraps: bool
+) -> None:
+    streams = wrapped(recorded(cell(rng := np.random.default_rng(3)), rng, seconds=0.8), 5)
+    if not wraps:
+        streams = replace(streams, joints_rad=np.unwrap(streams.joints_rad, axis=0))
+    text = said("joints.csv", "hand.csv", "elbow").replace("UR10", f"{{arm: {endless_arm(tmp_path)}}}")
+    (tmp_path / "CELL.yaml").write_text(text)
+    claims = ["always joint speed < 60 deg/s", "always TCP height > 50 mm"]
+    own = Monitor(cell=read_cell(tmp_path / "CELL.yaml", claims))
+    own.journal = Journal(cell=own.cell, claims=claims, folder=tmp_path / "log", most_bytes=10**9, keep=2)
+    for line in [*lines(streams)]:
+        list(own.take(line))
+    list(own.end())
+    own.journal.close()
+    assert own.counts.refused == 0
+    offline = judge(recorded_log(own.journal.latest).trace)
+    assert [one.verdict for one in own.verdicts()] == [one.verdict for one in offline] == [Verdict.HOLDS] * 2
 
 
 @pytest.mark.long

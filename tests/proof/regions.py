@@ -18,7 +18,6 @@ regions:
   corner:
     hand: {from: [600 mm, -500 mm, -200 mm], to: [700 mm, -400 mm, -100 mm]}
     tcp: {from: [650 mm, -140 mm, 260 mm], to: [700 mm, -90 mm, 300 mm]}
-  close: {apart: [100 mm, 400 mm]}
 claims:
   - claim: steps at most 150 mm
   - claim: within 40 mm of the optimum
