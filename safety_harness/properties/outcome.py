@@ -23,6 +23,7 @@ from safety_harness.trace.trace import Trace
 HELD_S = 1.0  # that long within the limit of one place, and an arm holds it
 HALF = 0.5  # of its speed: what an arm has to lose, or to gain away from the hand, to have reacted
 BEFORE_S = 0.5  # an arm that reacted so shortly before a hand came near has reacted to it
+STARTED_S = 0.1  # a run begins with an arm that stands, and gets up to speed
 HALVED_S = 0.25  # in which an arm that reacts has lost half of its speed
 TINY_MPS = 1e-6  # nothing moves so slowly
 STOOD = "each time that a hand came near the TCP stood, or had reacted to it"
@@ -132,8 +133,8 @@ class ReactsWithin:
         velocity, braking = np.diff(tcp_m, axis=0) / period_s, ticks["limits"] & int(Limit.BRAKING) != 0
         speed = np.maximum(np.linalg.norm(velocity, axis=1), TINY_MPS)
         for first, end in np.transpose(runs_of(near)).tolist():
-            before, was = first - 1, max(first - 1 - round(BEFORE_S / period_s), 0)
-            if before < 0 or first == last or speed[before] <= MOVES or braking[before]:
+            before, was = first - 1, max(first - 1 - round(BEFORE_S / period_s), round(STARTED_S / period_s))
+            if before < was or first == last or speed[before] <= MOVES or braking[before]:
                 continue
             leads = velocity @ (from_hand_m[first] / max(apart_m[first], TINY_MPS))
             now, away = speed[before], leads[before]
