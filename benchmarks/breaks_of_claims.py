@@ -12,6 +12,7 @@ from broken import gate_of, passing
 from examples import VISIT, Displaced, Slow, hand, scenario
 from harmless import CERTAIN, IN_DOUBT, Astray
 from planted_breaks import STAYS, Break, NowAndThen, Numberless, Proposes
+from planted_controllers import Drifts, StopsLate
 from test_fallback_resolution import BUILT_IN, gone
 
 from safety_harness import read_scenario

@@ -22,7 +22,6 @@ from examples import (
     scenario,
     ur10_gate,
 )
-
 from planted_controllers import Drifts, StopsLate, alone
 
 from safety_harness.admission.admit import admit

@@ -1,4 +1,4 @@
-"""Claims on what comes of a whole controller: planted faults are noticed, sound ones and harmless changes not."""
+"""Claims on what comes of a controller: planted faults are noticed, sound ones and harmless changes are not."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from safety_harness.admission.admit import admit
 from safety_harness.admission.claims import property_of
 from safety_harness.admission.trial import run_kinematic, run_trial
 from safety_harness.controller.contract import UserController
-from safety_harness.exceptions import InadmissibleError
+from safety_harness.exceptions import InputError
 from safety_harness.properties.base import Evaluation
 from safety_harness.properties.outcome import KeepsItsPlace, ReactsWithin
 from safety_harness.properties.servoing import Converged
@@ -146,9 +146,9 @@ def test_nor_does_it_in_pybullet(change: str, system: str, tmp_path: Path) -> No
 def test_a_hand_that_leaves_before_it_could_be_answered_is_no_evidence() -> None:
     """It passes within the critical distance for about 60 ms."""
     trace = visited(StopsLate(200))
-    near = np.flatnonzero(trace.ticks["hand_present"][:, 0])
-    ticks, first = trace.ticks.copy(), 64
-    assert len(near) == len(ticks)
+    ticks = trace.ticks.copy()
+    apart_m = ticks["hand_position_in_base_m"][:, 0] - ticks["transform_tcp_to_base"][:, :3, 3]
+    first = int(np.argmax(np.linalg.norm(apart_m, axis=1) < 0.4))
     ticks["hand_position_in_base_m"][first + 8 :, 0] += (2.0, 0.0, 0.0)
     found = REACTS.evaluate(replace(trace, ticks=ticks))
     assert (found.verdict, found.exercised) == (Verdict.INCONCLUSIVE, 0), found
@@ -192,7 +192,7 @@ class Slower(Sound):
         self._gain = 0.1
 
 
-@pytest.mark.parametrize("off_m", [0.0, 1e-3, 5e-3])
+@pytest.mark.parametrize("off_m", [0.0, 1e-4, 5e-3])
 def test_uncertain_poses_leave_a_verdict_only_where_every_one_of_them_gives_it(off_m: float) -> None:
     uncertain = Measurement(source=Source.LOG, uncertainty=off_m)
 
@@ -201,7 +201,7 @@ def test_uncertain_poses_leave_a_verdict_only_where_every_one_of_them_gives_it(o
 
     drifted, kept = settled(Drifts()), settled(Sound())
     assert said(drifted, PLACE).verdict is (Verdict.VIOLATED if off_m < 5e-3 else Verdict.INCONCLUSIVE)
-    assert said(kept, PLACE).verdict is (Verdict.HOLDS if off_m < 2.5e-3 else Verdict.INCONCLUSIVE)
+    assert said(kept, PLACE).verdict is (Verdict.HOLDS if off_m < 5e-3 else Verdict.INCONCLUSIVE)
     assert said(stood_for_a_minute(), Converged()).verdict is Verdict.VIOLATED
 
 
@@ -217,7 +217,7 @@ def test_uncertain_poses_leave_a_verdict_only_where_every_one_of_them_gives_it(o
     ],
 )
 def test_a_limit_of_no_sense_is_refused(sentence: str) -> None:
-    with pytest.raises(InadmissibleError):
+    with pytest.raises(InputError):
         property_of(Claim(sentence=sentence, expected=Verdict.HOLDS), NEAR)
 
 
