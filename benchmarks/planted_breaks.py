@@ -16,7 +16,6 @@ from broken import gate_of
 from examples import VISIT, ConstantSpeed, hand, scenario, ungated, ur10_gate
 from harmless import setting
 from numpy.typing import NDArray
-
 from planted_controllers import alone
 
 from safety_harness.admission.admit import admit

@@ -1,4 +1,4 @@
-"""Claims on what comes of a controller: planted faults are noticed, sound ones and harmless changes are not."""
+"""Claims on what comes of a controller: faults are noticed, sound ones and harmless changes are not."""
 
 from __future__ import annotations
 
