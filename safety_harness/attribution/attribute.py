@@ -17,7 +17,7 @@ from typing import Protocol
 from safety_harness.admission.admit import Admitted
 from safety_harness.admission.claims import property_of
 from safety_harness.admission.trial import run_all
-from safety_harness.attribution.ingredients import CHOSEN, Altered, Change, Ingredient, changes_for
+from safety_harness.attribution.ingredients import Altered, Change, Ingredient, changes_for
 from safety_harness.attribution.unavoidable import why_unavoidable
 from safety_harness.exceptions import described
 from safety_harness.properties.answered import NOT_MODELLED
@@ -26,6 +26,8 @@ from safety_harness.scenario.model import Claim, Verdict
 from safety_harness.simulation.simulate import INTERRUPTED
 from safety_harness.simulation.worlds import KINEMATIC, PYBULLET, WorldEntry
 from safety_harness.trace.trace import Trace
+
+ABOUT_PROPOSALS = "propos"  # in the sentence of a claim: it judges proposals, or what was proposed
 
 Changes = tuple[Change, ...]
 
@@ -103,6 +105,14 @@ class Attribution:
     def cause(self) -> tuple[Ingredient, ...]:
         """The least set that is blamed; empty if there is none."""
         return self.helping[0].ingredients if self.helping else ()
+
+    @property
+    def mending(self) -> tuple[str, ...]:
+        """Every change of the one ingredient that is blamed which helps; none where two are blamed."""
+        alone = len(self.cause) == 1
+        return tuple(
+            one.words for one in self.replays if one.helps and one.ingredients == self.cause and alone
+        )
 
     @property
     def group(self) -> str:
@@ -239,16 +249,21 @@ class _Told:
         return property_of(self.trials.system.scenario.claims[self.number], run.scenario).evaluate(run)
 
     def attributed(self, margin: float | None, changes: Sequence[Change]) -> Attribution:
-        """The bound, then single changes, then all pairs: of each ingredient what came nearest to help."""
+        """The bound, then single changes, then all pairs: of each ingredient what came nearest to help.
+
+        A claim about proposals judges an answer before gate and fallback rule on it, which make it no better;
+        nor do prediction and distance, which only ask something else: none of them is tried.
+        """
         why = why_unavoidable(self.trials.system, self.prop)
         if why:
             return self.made(AttributionAnswer.UNAVOIDABLE, margin, why)
-        replays = self.replays((change,) for change in changes)
-        helping = _least(replays)
+        judged_before = ABOUT_PROPOSALS in self.prop.sentence
+        replays = self.replays((one,) for one in changes if not (judged_before and one.chosen))
+        helping = _least(replays, self.prop.sentence)
         if not helping:
             pairs = combinations(sorted(_best(replays), key=lambda one: _rank(one.ingredients)), 2)
             paired = self.replays(one.changes + other.changes for one, other in pairs)
-            replays, helping = replays + paired, _least(paired)
+            replays, helping = replays + paired, _least(paired, self.prop.sentence)
         answer = AttributionAnswer.ATTRIBUTED if helping else AttributionAnswer.NOTHING_HELPED
         return self.made(answer, margin, "", replays, helping)
 
@@ -306,34 +321,40 @@ def _best(replays: Iterable[Replay]) -> list[Replay]:
     return [max(group, key=_gain) for group in _by_ingredients(replays)]
 
 
-def _least(replays: Iterable[Replay]) -> tuple[Replay, ...]:
+def _least(replays: Iterable[Replay], sentence: str) -> tuple[Replay, ...]:
     """For every set of ingredients that helps, its first change that does; the one that is blamed first.
 
-    The system is blamed before the hand; what keeps the claim before what takes the occasion away; what can
-    be broken before what a designer chose; those of which more changes help before others; then in the order
-    of ``Ingredient``.
+    After ``_last_resort``: what can be broken before what a designer chose; those of which more changes help
+    before others, each setting counting as all; then in the order of ``Ingredient``.
     """
     found = []
     for group in _by_ingredients(replays):
         helping = [replay for replay in group if replay.helps]
         if helping:
             first = min(helping, key=lambda one: one.outcome is not Outcome.KEPT)
-            chosen = not CHOSEN.isdisjoint(first.ingredients)
-            often = len(helping) / len(group)
-            found.append((*_last_resort(first), chosen, -often, _rank(first.ingredients), first))
+            chosen = any(change.chosen for change in first.changes)
+            often = 1.0 if Ingredient.SETTINGS in first.ingredients else len(helping) / len(group)
+            found.append((*_last_resort(first, sentence), chosen, -often, _rank(first.ingredients), first))
     return tuple(replay for *_, replay in sorted(found, key=lambda one: one[:-1]))
 
 
-def _last_resort(replay: Replay) -> tuple[bool, bool]:
-    return Ingredient.HAND in replay.ingredients, replay.outcome is not Outcome.KEPT
+def _last_resort(replay: Replay, sentence: str, helped: int = 0) -> tuple[bool, bool, int, bool]:
+    """The system is blamed before the hand; what keeps the claim before what takes the occasion away.
+
+    Settings lead a claim about proposals to other questions: they are blamed after who answered.
+    """
+    led = ABOUT_PROPOSALS in sentence and Ingredient.SETTINGS in replay.ingredients
+    return Ingredient.HAND in replay.ingredients, led, -helped, replay.outcome is not Outcome.KEPT
 
 
 def _jointly(found: Sequence[Attribution]) -> tuple[Attribution, ...]:
     """One cause of many effects: what helps most of the violations of a run is blamed first for each."""
     helped = Counter(replay.ingredients for one in found for replay in one.helping)
 
-    def order(replay: Replay) -> tuple[bool, int, bool]:
-        hand, idle = _last_resort(replay)
-        return hand, -helped[replay.ingredients], idle
+    def ordered(one: Attribution) -> tuple[Replay, ...]:
+        sentence = one.claim.sentence
+        return tuple(
+            sorted(one.helping, key=lambda each: _last_resort(each, sentence, helped[each.ingredients]))
+        )
 
-    return tuple(replace(one, helping=tuple(sorted(one.helping, key=order))) for one in found)
+    return tuple(replace(one, helping=ordered(one)) for one in found)

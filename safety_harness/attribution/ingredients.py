@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, fields, replace
 from enum import Enum
+from functools import reduce
 from types import UnionType
 from typing import Any
 
@@ -25,7 +26,7 @@ from safety_harness.avoidance.avoider import (
     decision_time_of,
 )
 from safety_harness.avoidance.measures import optimum_in_base_m
-from safety_harness.avoidance.simple import AnswersNaN, OppositePose
+from safety_harness.avoidance.simple import AnswersNaN, NearestCandidate, OppositePose
 from safety_harness.controller.controller import AvoidingServo
 from safety_harness.exceptions import InputError
 from safety_harness.properties.protective_separation import ProtectiveSeparation
@@ -40,7 +41,9 @@ from safety_harness.scenario.faults import (
 from safety_harness.scenario.model import HandTrajectory, MovingHand, RecordedHand, Scenario
 from safety_harness.scenario.moves import FollowTcp, HandMove, Wander
 from safety_harness.scenario.robots import OwnRobot
+from safety_harness.scenario.settings_keys import setting_keys
 from safety_harness.settings import (
+    DEFAULTS,
     Braking,
     Camera,
     DecisionCost,
@@ -58,13 +61,13 @@ FARTHEST_M = 3.0  # a critical distance that a scenario may have
 class Ingredient(Enum):
     """What a run is made of.
 
-    In the order in which they are blamed where everything else is equal: what can be broken, then what a
-    designer chose (``CHOSEN``), and last the person.
+    In the order in which they are blamed where everything else is equal; the person comes last.
     """
 
     AVOIDER = "avoider"
     DEADLINE = "deadline"
     PERCEPTION = "perception"
+    SETTINGS = "settings"
     DRIVES = "drives and brakes"
     SERVOING = "servoing"
     GATE = "gate"
@@ -74,7 +77,6 @@ class Ingredient(Enum):
     HAND = "hand"
 
 
-CHOSEN = frozenset({Ingredient.PREDICTION, Ingredient.FALLBACK, Ingredient.DISTANCE})
 OF_THE_SERVO = frozenset({Ingredient.AVOIDER, Ingredient.DEADLINE, Ingredient.GATE, Ingredient.FALLBACK})
 
 
@@ -114,11 +116,15 @@ class Altered(Admitted):
 
 @dataclass(frozen=True, eq=False)
 class Change:
-    """One way of changing an ingredient; ``alter`` gives back what it got if there is nothing to change."""
+    """One way of changing an ingredient; ``alter`` gives back what it got if there is nothing to change.
+
+    ``chosen``: it undoes nothing that can be broken, but what a designer chose.
+    """
 
     ingredient: Ingredient
     words: str
     alter: Callable[[Altered], Altered]
+    chosen: bool = False
 
     def __str__(self) -> str:
         return f"{self.ingredient.value} ({self.words})"
@@ -296,6 +302,39 @@ def _avoiding_from(distance_m: Callable[[Settings], float]) -> Callable[[Altered
     return lambda system: system.with_settings(alter)
 
 
+def _at_default(group: str, name: str) -> Callable[[Altered], Altered]:
+    """A setting as it is where no file changes it; an avoider made of settings is made anew."""
+    default = getattr(getattr(DEFAULTS, group), name)
+
+    def alter(system: Altered) -> Altered:
+        before, avoider = system.scenario.settings, system.avoider
+        own = getattr(before, group)
+        if getattr(own, name) == default:
+            return system
+        settings = replace(before, **{group: replace(own, **{name: default})})
+        if isinstance(avoider, OppositePose):
+            avoider = OppositePose(settings.avoidance.radius_m)
+        elif isinstance(avoider, NearestCandidate):
+            avoider = NearestCandidate.of(settings)
+        return replace(system.with_scenario(replace(system.scenario, settings=settings)), avoider=avoider)
+
+    return alter
+
+
+def _without_gate_rule(system: Altered) -> Altered:
+    return system.with_scenario(replace(system.scenario, gate=None))
+
+
+def _all_at_default(system: Altered) -> Altered:
+    """Several at once; where only one was changed there is nothing left to try."""
+    changed = [change for change in AT_DEFAULT if change.on(system) is not None]
+    return reduce(lambda done, change: change.alter(done), changed, system) if len(changed) > 1 else system
+
+
+def _times(factor: float) -> Callable[[Settings], float]:
+    return lambda settings: factor * settings.avoidance.critical_distance_m
+
+
 def _separation_m(settings: Settings) -> float:
     """The protective separation for an arm at its speed limit, from the TCP to the hand's centre."""
     return ProtectiveSeparation().largest_m(settings) + settings.hand.radius_m
@@ -327,20 +366,33 @@ def _slower_move(move: HandMove) -> HandMove:
     return replace(move, **{key: by * getattr(move, key) for key, by in slower.items() if hasattr(move, key)})
 
 
+# What describes arm, cell, person and sensors is no choice, and some have an ingredient of their own.
+ELSEWHERE = ("gate", "critical_distance_m", "decision_time", "decision_deadline_s")
+AT_DEFAULT = (
+    *(
+        Change(Ingredient.SETTINGS, f"{key.name} at its default", _at_default(group, key.attribute))
+        for group in ("hand_filter", "servo", "motion", "avoidance")
+        for key in setting_keys(type(getattr(DEFAULTS, group)))
+        if key.attribute not in ELSEWHERE
+    ),
+    Change(Ingredient.SETTINGS, "no rule for the gate", _without_gate_rule),
+)
 CHANGES: tuple[Change, ...] = (
     Change(Ingredient.AVOIDER, "exact optimum", _optimum),
     Change(Ingredient.AVOIDER, "opposite pose", _opposite),
     Change(Ingredient.DEADLINE, "answers within a tick", _in_a_tick),
     Change(Ingredient.PERCEPTION, "ideal", _exact_hands),
+    *AT_DEFAULT,
+    Change(Ingredient.SETTINGS, "all at their defaults", _all_at_default),
     Change(Ingredient.DRIVES, "ideal", _sound_drives),
     Change(Ingredient.SERVOING, "ideal camera", _exact_camera),
-    Change(Ingredient.GATE, "the other kind", _other_gate),
-    Change(Ingredient.PREDICTION, "none", _predicting(lambda settings: 0.0)),
-    Change(Ingredient.PREDICTION, "as far as a stop takes", _predicting(_time_to_stop_s)),
-    Change(Ingredient.FALLBACK, "protective stop", _stops),
-    Change(Ingredient.DISTANCE, "x 1.5", _avoiding_from(lambda s: 1.5 * s.avoidance.critical_distance_m)),
-    Change(Ingredient.DISTANCE, "x 2", _avoiding_from(lambda s: 2.0 * s.avoidance.critical_distance_m)),
-    Change(Ingredient.DISTANCE, "protective separation", _avoiding_from(_separation_m)),
+    Change(Ingredient.GATE, "the other kind", _other_gate, True),
+    Change(Ingredient.PREDICTION, "none", _predicting(lambda settings: 0.0), True),
+    Change(Ingredient.PREDICTION, "as far as a stop takes", _predicting(_time_to_stop_s), True),
+    Change(Ingredient.FALLBACK, "protective stop", _stops, True),
+    Change(Ingredient.DISTANCE, "x 1.5", _avoiding_from(_times(1.5)), True),
+    Change(Ingredient.DISTANCE, "x 2", _avoiding_from(_times(2.0)), True),
+    Change(Ingredient.DISTANCE, "protective separation", _avoiding_from(_separation_m), True),
     Change(Ingredient.HAND, "half as fast", _half_as_fast),
 )
 

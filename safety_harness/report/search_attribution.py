@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from safety_harness.admission.admit import Admitter
@@ -21,6 +22,11 @@ def confirming_line(replay: Replay, attribution: Attribution) -> str:
     """What the reference world says of a violation, as it is or with something changed."""
     margin = attribution.unit.margin_text(replay.margin)
     return f"in {PYBULLET.label}, {replay.words or 'as it is'}: {replay.outcome.value}, {margin}"
+
+
+def findings_of(counterexamples: int, causes: Mapping[str, Sequence[str]]) -> int:
+    """How many there are where those that one change mends are one."""
+    return counterexamples - sum(len(files) - 1 for files in causes.values())
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,13 +75,23 @@ class SearchAttribution:
         return (f"whose fault: {one.words}", *(confirming_line(replay, one) for replay in changed))
 
     def causes(self, session: SearchSession) -> dict[str, list[str]]:
-        """Which counterexamples the same change of one ingredient mends, where it mends more than one."""
-        names: dict[str, list[str]] = {}
-        for written in session.written:
-            one = self.found.get(written.path.stem)
-            if one is not None and len(one.cause) == 1:
-                names.setdefault(one.helping[0].words, []).append(written.path.name)
-        found = {change: files for change, files in names.items() if len(files) > 1}
+        """Which counterexamples the same change of one ingredient mends, where it mends more than one.
+
+        Each once, under the change that mends most.
+        """
+        paths = [one.path for one in session.written if one.path.stem in self.found]
+        left = [(change, path.name) for path in paths for change in self.found[path.stem].mending]
+        found: dict[str, list[str]] = {}
+        while left:
+            change, count = Counter(change for change, _ in left).most_common(1)[0]
+            if count == 1:
+                break
+            found[change] = [name for one, name in left if one == change]
+            left = [(one, name) for one, name in left if name not in found[change]]
+        if found:
+            count = findings_of(len(session.written), found)
+            told = "1 finding" if count == 1 else f"{count} findings"
+            session.output.say(f"{told} in {len(session.written)} counterexamples")
         for change, files in found.items():
             session.output.say(
                 f"one cause of {len(files)} counterexamples: {change} mends {', '.join(files)}"

@@ -25,7 +25,7 @@ from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.page_parts import MOST_OPEN, render_page
 from safety_harness.report.path_views import path_views, shown_moment
 from safety_harness.report.replay import Replays
-from safety_harness.report.search_attribution import FaultsOfSearch
+from safety_harness.report.search_attribution import FaultsOfSearch, findings_of
 from safety_harness.report.svg import DASHES, Ink, plain
 from safety_harness.report.words import margin_words, with_minus
 from safety_harness.scenario.files import told
@@ -83,9 +83,7 @@ class SearchEvidence:
     faults: FaultsOfSearch | None = None  # whose fault all violations are
     attributed: Mapping[str, Attribution] = field(default_factory=dict)  # of counterexamples, by their files
     flips: tuple[str, ...] = ()  # differences from the reference that are none
-    causes: dict[str, list[str]] = field(
-        default_factory=dict
-    )  # what mends several counterexamples, and which
+    causes: dict[str, list[str]] = field(default_factory=dict)  # what mends several, and which files
     against: Against | None = None  # how the runs differ from those with a reference
 
     @property
@@ -111,6 +109,7 @@ def render(evidence: SearchEvidence) -> str:
             (goal.sentence, [_claim_line(one, k) for one in searches])
             for k, goal in enumerate(findings.goals)
         ],
+        findings=findings_of(len(evidence.shown), evidence.causes),
         always=[g.sentence for k, g in enumerate(findings.goals) if findings.always_violated(k)],
         untested=[
             g.sentence for k, g in enumerate(findings.goals) if findings.tried and not findings.evidence[k]

@@ -86,6 +86,25 @@ def test_a_fault_of_the_avoider_is_told_wherever_fuzz_says_something(
     assert "Would have helped" in page
 
 
+def test_one_planted_cause_is_one_finding_in_the_terminal_and_on_the_page(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    Path("mine.py").write_text(TOWARDS)
+    Path("space.yaml").write_text(TEXT)
+    claims = [AWAY, "proposals within 60 mm of the optimum", "at most 50 % of proposals overruled"]
+    fuzz(Path("space.yaml"), out=Path("out"), claims=claims, budget=8, avoider="mine.py:Towards")
+    files = json.loads(Path("out/findings.json").read_text())["counterexamples"]
+    assert len(files) == 3
+    ((change, mended),) = json.loads(Path("out/findings.json").read_text())["causes"].items()
+    assert sorted(mended) == sorted(files)
+    err = capsys.readouterr().err
+    assert "1 finding in 3 counterexamples\n" in err
+    assert f"one cause of 3 counterexamples: {change} mends {', '.join(mended)}" in err
+    page = Path("out/fuzz.html").read_text()
+    assert "1 finding in 3 distinct counterexamples" in page
+    assert f"One cause of 3 of them: <strong>{change}</strong> mends {', '.join(mended)}." in page
+
+
 def test_a_hand_that_pursues_the_arm_is_called_unavoidable(capsys: pytest.CaptureFixture[str]) -> None:
     data = found(PURSUES, DISTANCE, 4)
     assert "whose fault: unavoidable" in capsys.readouterr().out

@@ -6,26 +6,39 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-from safety_harness.attribution.ingredients import Ingredient
-from safety_harness.report.search_attribution import SearchAttribution
+from safety_harness.report.search_attribution import SearchAttribution, findings_of
 
 
-def attribution(words: str, *cause: Ingredient) -> Any:
-    return SimpleNamespace(cause=cause, helping=(SimpleNamespace(words=words),) if cause else ())
+def attribution(*mending: str) -> Any:
+    return SimpleNamespace(mending=mending)
 
 
-def test_what_one_change_mends_is_told_once() -> None:
-    first, second, *_ = Ingredient
-    found: dict[str, Any] = {
-        "a": attribution("the first made sound", first),
-        "b": attribution("the second made sound", second),
-        "c": attribution("the first made sound", first),
-        "d": attribution("both made sound", first, second),
-        "e": attribution("both made sound", first, second),
-        "f": attribution("nothing"),
-    }
+def causes(**found: Any) -> tuple[dict[str, list[str]], list[str]]:
+    """Of counterexamples with these names, and one that nothing is said of; and what is told."""
     said: list[str] = []
     written = [SimpleNamespace(path=Path(f"out/{name}.yaml")) for name in (*found, "not attributed")]
     session: Any = SimpleNamespace(written=written, output=SimpleNamespace(say=said.append))
-    assert SearchAttribution(found).causes(session) == {"the first made sound": ["a.yaml", "c.yaml"]}
-    assert said == ["one cause of 2 counterexamples: the first made sound mends a.yaml, c.yaml"]
+    return SearchAttribution(found).causes(session), said
+
+
+def test_what_one_change_mends_is_told_once_and_is_one_finding() -> None:
+    found, said = causes(
+        a=attribution("the first made sound"),
+        b=attribution("the second made sound"),
+        c=attribution("the first made sound"),
+        d=attribution(),
+    )
+    assert found == {"the first made sound": ["a.yaml", "c.yaml"]}
+    assert said == [
+        "4 findings in 5 counterexamples",
+        "one cause of 2 counterexamples: the first made sound mends a.yaml, c.yaml",
+    ]
+
+
+def test_a_change_that_mends_two_merges_them_although_another_mends_the_one_as_well() -> None:
+    found, _ = causes(
+        a=attribution("another", "the same"), b=attribution("the same"), c=attribution("another")
+    )
+    assert sorted(map(len, found.values())) == [2]
+    assert findings_of(3, found) == 2
+    assert causes(a=attribution("one"), b=attribution("other")) == ({}, [])

@@ -208,6 +208,18 @@ def test_the_drawings_show_the_worst_moment_of_the_claim_in_the_heading() -> Non
         assert all(f"Hands are drawn in full at {moment_s:.2f} s" in words for words in drawn)
 
 
+def test_counterexamples_of_one_cause_are_counted_as_one_finding() -> None:
+    three = tuple(replace(shown(), path=Path(f"out/{name}.yaml")) for name in "abc")
+    causes = {"avoider (exact optimum)": ["a.yaml", "c.yaml"]}
+    page = parse(render(evidence(shown=three, causes=causes)))
+    assert "2 findings in 3 distinct counterexamples" in page.text
+    assert "One cause of 2 of them: avoider (exact optimum) mends a.yaml, c.yaml." in page.text
+    assert "findings2in 3 counterexamples" in page.all("dl", "counts")[0].text
+    alone = parse(render(evidence(shown=three)))
+    assert "3 distinct counterexamples" in alone.text
+    assert "finding in" not in alone.text
+
+
 def test_what_pybullet_does_not_confirm_is_listed_and_called_no_violation(page: Node) -> None:
     assert "Not confirmed." in banners(page)
     assert "TCP speed never above 250 mm/s" in page.text
