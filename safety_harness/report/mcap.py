@@ -197,12 +197,9 @@ class _Messages:
     def _tick(self, at_ns: int, tick: Any) -> Iterator[Message]:
         """Joints, transforms, what the controller does and sees, and the hands as they are drawn."""
         names, joints_rad = list(self.arm.joint_names), tick["joint_position_rad"]
-        yield self._stamped(
-            at_ns, "/joint_states", JOINTS, names, joints_rad, tick["joint_velocity_radps"], NONE
-        )
-        yield self._stamped(
-            at_ns, "/commands", JOINTS, names, NONE, tick["demanded_joint_velocity_radps"], NONE
-        )
+        turning, demanded = tick["joint_velocity_radps"], tick["demanded_joint_velocity_radps"]
+        yield self._stamped(at_ns, "/joint_states", JOINTS, names, joints_rad, turning, NONE)
+        yield self._stamped(at_ns, "/commands", JOINTS, names, NONE, demanded, NONE)
         poses = zip(self.frames, links_in_base(self.arm, np.ascontiguousarray(joints_rad)), strict=True)
         moved = [self._transform(at_ns, frame, pose) for frame, pose in poses if frame != self.base]
         yield at_ns, "/tf", TF, self._of(TF, moved)
@@ -211,9 +208,8 @@ class _Messages:
         mode, limits = Mode(tick["mode"]).name.lower(), _limit_words(int(tick["limits"]))
         yield self._stamped(at_ns, "/state", f"{OURS}State", mode, limits, *numbers)
         for track, place in enumerate(tick["predicted_hand_in_base_m"]):
-            yield self._point(
-                at_ns, f"/tracked_{track + 1}", place if tick["track_valid"][track] else NOWHERE
-            )
+            where = place if tick["track_valid"][track] else NOWHERE
+            yield self._point(at_ns, f"/tracked_{track + 1}", where)
         size, drawn = self.trace.scenario.settings.hand, []
         for k, hand in enumerate(self.trace.scenario.hands):
             ends = tick["hand_position_in_base_m"][k], tick["elbow_position_in_base_m"][k]
@@ -300,10 +296,8 @@ class _Messages:
             numbers = value, limit, sign * (value - limit)
             yield self._stamped(at_ns, topic, kind, one.sentence, "", SI_UNITS[one.unit], *numbers)
         margin, verdict = np.nan if one.margin is None else float(one.margin), one.verdict.value
-        numbers, end_ns = (np.nan, limit, margin), self.stamps[-1]
-        yield self._stamped(
-            end_ns, f"{topic}/verdict", kind, one.sentence, verdict, SI_UNITS[one.unit], *numbers
-        )
+        said, end_ns = (one.sentence, verdict, SI_UNITS[one.unit], np.nan, limit, margin), self.stamps[-1]
+        yield self._stamped(end_ns, f"{topic}/verdict", kind, *said)
         worst_ns = end_ns if one.worst_time_s is None else int(_stamps(one.worst_time_s))
         level = ERROR if one.verdict is Verdict.VIOLATED else INFO
         yield self._event(worst_ns, level, f"{verdict}: {one.sentence} ({one.reason})", "claim")
