@@ -71,7 +71,7 @@ def layout_of(text: str) -> dict[str, tuple[str, ...]]:
     """Parse a layout to the quantities in each tensor; short names stand for long ones."""
     found: dict[str, tuple[str, ...]] = {}
     name = ""
-    for word in text.split(",") if text else ():
+    for word in map(str.strip, text.split(",")) if text else ():
         before, equals, quantity = word.rpartition("=")
         name = before if equals else name
         found[name] = (*found.get(name, ()), SHORT.get(quantity, quantity))

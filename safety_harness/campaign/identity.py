@@ -183,11 +183,12 @@ def _packed(data: bytes, path: Path, names: dict[Path, str]) -> bytes:
     folder = Path(names[path]).parent
 
     def relative(found: re.Match[bytes]) -> bytes:
-        file, colon, name = found[0].decode("utf-8", "replace").partition(".py:")
-        target = next(_existing([file + colon[:3]], Path()), None)
+        text = found[0].decode("utf-8", "replace")
+        file, name = file_and_name(text)
+        target = next(_existing([file or text], Path()), None)
         if target not in names:
             return found[0]
-        return (os.path.relpath(names[target], folder) + colon[3:] + name).encode()
+        return (os.path.relpath(names[target], folder) + f":{name}" * bool(name)).encode()
 
     return _ABSOLUTE.sub(relative, data)
 

@@ -30,7 +30,7 @@ from safety_harness.campaign.identity import (
 from safety_harness.campaign.plan_keys import CLAIM, KEPT, LEAST_TARGET, PLAN, SEARCH, STRATUM
 from safety_harness.exceptions import InadmissibleError, InputError, Place, ScenarioError
 from safety_harness.properties.base import Unit
-from safety_harness.scenario.compose import Library
+from safety_harness.scenario.compose import Library, only_variant, with_relative_paths
 from safety_harness.scenario.fields import Field, Fields
 from safety_harness.scenario.files import as_path
 from safety_harness.scenario.kinds import FileKind, kind_of, refuse_other_kind
@@ -49,7 +49,7 @@ from safety_harness.scenario.references import file_and_name
 from safety_harness.scenario.units import FRACTION
 from safety_harness.shipped.contents import located
 from safety_harness.simulation.worlds import REFERENCE, WorldEntry, worlds_by_label
-from safety_harness.space.read import read_space
+from safety_harness.space.read import space_of
 from safety_harness.space.space import ScenarioSpace
 from safety_harness.trace.system import SystemUnderTest
 
@@ -293,7 +293,9 @@ def _strata(at: Field, folder: Path, library: Library) -> tuple[Stratum, ...]:
             raise space.error(expected, got=f"no such file: {file}")
         if (kind := kind_of(file)) not in (None, FileKind.SPACE):
             raise space.error(expected, got=f"{kind.words}: {file}")
-        strata.append(Stratum(name, read_space(file, library), runs))
+        found = only_variant(file, library, "one scenario space")
+        tree = with_relative_paths(found.tree, file.parent)  # as a report names them, wherever it lies
+        strata.append(Stratum(name, space_of(tree, file, name=found.name), runs))
     return tuple(strata)
 
 

@@ -40,6 +40,7 @@ from safety_harness.cli.console import (
 from safety_harness.cli.progress import RunsShown, watching_runs
 from safety_harness.cli.run_processes import RunProcesses, run_processes
 from safety_harness.exceptions import InputError, OutputError, SafetyHarnessError
+from safety_harness.extras import LOGS
 from safety_harness.interrupts import one_more_ctrl_c
 from safety_harness.properties.against import Against, RunDifference
 from safety_harness.properties.tally import far_lines, table_lines, untested_lines
@@ -106,6 +107,7 @@ def run(
     world: WorldEntry = REFERENCE,
     keep_going: bool = False,
     jobs: int | None = None,
+    mcap: bool = False,
 ) -> int:
     """Run in ``world``, judge, print, save and report; returns the exit code.
 
@@ -113,6 +115,8 @@ def run(
     counted, and the rest is run.  ``jobs``: as of ``run_processes``.
     """
     say_shared_modules()
+    if mcap:
+        LOGS.require("--mcap")
     try:
         admitted, skipped, errors = read_all(paths, avoider, against, world)
     except KeyboardInterrupt:
@@ -130,10 +134,10 @@ def run(
             (out / folder).mkdir(parents=True, exist_ok=True)
     again = ["safety-harness", "run", *(str(told(path)) for path in paths), "--out", str(told(out))]
     named = {option_of(avoider or ""): avoider, "--against": against}
-    again += ["--keep-going"] * keep_going
+    again += ["--keep-going"] * keep_going + ["--mcap"] * mcap
     again += [word for option, one in named.items() if one for word in (option, told_avoider(one))]
     again += [] if world is REFERENCE else ["--world", world.label]
-    session = RunSession(out, shlex.join(again), len(admitted), skipped, refused, world)
+    session = RunSession(out, shlex.join(again), len(admitted), skipped, refused, world, mcap=mcap)
     if against is not None:
         mine = "what each file names" if avoider is None else told_avoider(avoider)
         session.against = Against(mine=mine, reference=told_avoider(against), runs=session.differences)
@@ -156,6 +160,7 @@ class RunSession:
     refused: Sequence[InputError] = ()  # of inputs that did not keep the others from running
     world: WorldEntry = REFERENCE
     against: Against | None = None
+    mcap: bool = False
     differences: list[RunDifference] = field(default_factory=list)
     runs: list[JudgedRun] = field(default_factory=list)
     failed: list[str] = field(default_factory=list)  # scenarios that could not be simulated, and why
@@ -175,10 +180,10 @@ class RunSession:
             for number, (one, *others) in enumerate(admitted):
                 progress.begin(number * (1 + len(others)))
                 try:
-                    self._take(_run_one(one, apart, self.out / TRACES, progress))
+                    self._take(self._run_one(one, apart, TRACES, progress))
                     for other in others[: not self.interrupted]:
                         progress.begin(2 * number + 1)
-                        self._compare(_run_one(other, apart, self.out / OF_REFERENCE, progress))
+                        self._compare(self._run_one(other, apart, OF_REFERENCE, progress))
                 except KeyboardInterrupt:
                     self._take_finished(admitted[number:], apart, progress)
                     self.interrupted = True
@@ -189,6 +194,25 @@ class RunSession:
                 if self.interrupted or self.unwritable is not None:
                     return
 
+    def _run_one(self, one: Admitted, apart: RunProcesses, folder: str, progress: RunsShown) -> JudgedRun:
+        """Simulate, here or in another process, save, judge."""
+        trace = apart.trace(one) or run_trial(one, world=apart.world, on_tick=progress.tick)
+        file = self.out / folder / f"{one.scenario.name}.trace"
+        with writing(file):
+            save_trace(trace, file)
+        evaluations = tuple(prop.evaluate(trace) for prop in one.properties)
+        if self.mcap:
+            from safety_harness.report.mcap import write_mcap
+
+            write_mcap(trace, evaluations, file.with_name(one.scenario.name) / "run.mcap")
+        return JudgedRun(
+            trace=trace,
+            evaluations=evaluations,
+            replay_command=replay_command(one.scenario, file),
+            trace_file=file,
+            notes=notes_of(one.scenario),
+        )
+
     def _take_finished(
         self, left: Sequence[Sequence[Admitted]], apart: RunProcesses, progress: RunsShown
     ) -> None:
@@ -196,7 +220,7 @@ class RunSession:
         for one, *_ in left if self.against is None else ():
             if apart.is_done(one):
                 with suppress(Exception):
-                    self._take(_run_one(one, apart, self.out / TRACES, progress))
+                    self._take(self._run_one(one, apart, TRACES, progress))
 
     def _take(self, judged: JudgedRun) -> None:
         self.runs.append(judged)
@@ -350,21 +374,6 @@ class RunSession:
             return False
         self.interrupted = self.interrupted or asked()
         return True
-
-
-def _run_one(admitted: Admitted, apart: RunProcesses, traces: Path, progress: RunsShown) -> JudgedRun:
-    """Simulate, here or in another process, save, judge."""
-    trace = apart.trace(admitted) or run_trial(admitted, world=apart.world, on_tick=progress.tick)
-    file = traces / f"{admitted.scenario.name}.trace"
-    with writing(file):
-        save_trace(trace, file)
-    return JudgedRun(
-        trace=trace,
-        evaluations=tuple(prop.evaluate(trace) for prop in admitted.properties),
-        replay_command=replay_command(admitted.scenario, file),
-        trace_file=file,
-        notes=notes_of(admitted.scenario),
-    )
 
 
 def say_results(run: JudgedRun) -> None:

@@ -37,6 +37,10 @@ def run(
     keep_going: KeepGoing = False,
     controller: OfController = None,
     jobs: Workers = None,
+    mcap: Annotated[
+        bool,
+        Option("--mcap", help="Write each run as MCAP too, into a folder beside its trace, as export does."),
+    ] = False,
 ) -> int:
     """Run scenario files in PyBullet or another world, judge their claims and write a report.
 
@@ -59,7 +63,7 @@ def run(
     chosen = world_named(world, "--world")
     tested = one_of(avoider, controller)
     reference = reference_for(tested, against)
-    return run_files(files, out, tested, reference, world=chosen, keep_going=keep_going, jobs=jobs)
+    return run_files(files, out, tested, reference, world=chosen, keep_going=keep_going, jobs=jobs, mcap=mcap)
 
 
 @command(commands)

@@ -278,7 +278,8 @@ def read_positions(
                     where, header = transform.transform.translation, transform.header
                     break
             else:
-                continue  # of other frames
+                collector.frames.update(one.child_frame_id.lstrip("/") for one in content.transforms)
+                continue
         elif message.kind == POSE_ARRAY and not source.path:
             if source.index is None:
                 raise error(source, message, "which of the poses, such as /poses[0]", "none")

@@ -34,8 +34,9 @@ from safety_harness.logs.tables import (
     ANGLE_UNITS,
     LENGTH_UNITS,
     RATE_UNITS,
-    RTDE_POSITIONS,
-    RTDE_SPEEDS,
+    RTDE_BASE,
+    RTDE_JOINTS,
+    RTDE_TCP,
     RTDE_TIME,
     SPEED_UNITS,
     Table,
@@ -68,7 +69,7 @@ KEYS = (
 )
 OF_LOG = ("joints", "hands", TCP, *STREAMS, "from", "to", "period")
 OF_CLOCK = ("hands are ahead by", "known to")
-OF_TCP = ("known to", "frame", "unit", "time", REPEATS)
+OF_TCP = ("known to", FORMAT, "frame", "unit", "time", REPEATS)
 NOT_MEASURED, NO_FOREARM, BASE, ELBOW = "not measured", "none", "base", "elbow"
 DEG, MM = ("deg", 180.0 / np.pi), ("mm", 1e3)
 FIELD = "a column after the track's name, or the path of a field"
@@ -167,9 +168,7 @@ class _Reading:
         source = self._source(self.streams.required("joints"))
         said = said_of_joints(self.given)
         names = _names(said.optional("names"), self.arm)
-        rtde = said.optional(FORMAT)
-        if rtde is not None and (rtde.one_of({"rtde": True}) and source.is_bag):
-            raise rtde.error("a table of the UR recorder", got=source.name)
+        rtde = _is_of_rtde(said, source)
         window = [self._seconds(key) for key in ("from", "to")]
 
         def begin(first_ns: int) -> list[int | None]:
@@ -184,9 +183,9 @@ class _Reading:
             header = header_of(source)
             word, when = _word(unit, ANGLE_UNITS) if unit else None, _said(said.optional("time"))
             columns, rate = [(f"{source.what}{name}",) * 2 for name in names], None
-            if rtde is not None:
+            if rtde:
                 word, rate, when = word or "rad", "radps", when or RTDE_TIME
-                stems = [f"{source.what}{one}" for one in (RTDE_POSITIONS, RTDE_SPEEDS)]
+                stems = [f"{source.what}{one}" for one in RTDE_JOINTS]
                 columns = [(f"{stems[0]}{k}", f"{stems[1]}{k}") for k in range(len(names))]
             at = [required_column(source, header, one, ANGLE_UNITS, word) for one, _ in columns]
             rates = [optional_column(source, header, one, RATE_UNITS, rate, bare=False) for _, one in columns]
@@ -305,6 +304,7 @@ class _Reading:
     ) -> LogSamples:
         """As ``_positions``, from the messages of a topic."""
         source, unit = into.source, said.optional("unit")
+        _is_of_rtde(said, source)
         length = LENGTH_UNITS[_word(unit, LENGTH_UNITS) if unit else "m"]
         to_base = self._to_base(source, said.optional("frame"))
         path = None if speeds is None else speeds.required("field").sentence(FIELD)
@@ -320,17 +320,20 @@ class _Reading:
     ) -> LogSamples:
         """As ``_positions``, from the columns of a table."""
         source, unit, frame = into.source, said.optional("unit"), said.optional("frame")
-        word = _word(unit, LENGTH_UNITS) if unit else None
-        if frame is None:
+        word, when = _word(unit, LENGTH_UNITS) if unit else None, _said(said.optional("time"))
+        track, axes, transform = source.what, "xyz", self.arm.transform_seat @ RTDE_BASE
+        if _is_of_rtde(said, source):
+            track, axes, word, when = track or RTDE_TCP, "012", word or "m", when or RTDE_TIME
+        elif frame is None:
             expected = 'the key "frame": base, or {at: ..., turned: ...} of the frame in which positions are'
             raise said.whole.error(expected, got=f"none, and {source.name} is a table that cannot say it")
         header = header_of(source)
-        track = source.what or only_track(source, header)
-        at = [required_column(source, header, along(track, axis), LENGTH_UNITS, word) for axis in "xyz"]
+        track = track or only_track(source, header)
+        at = [required_column(source, header, along(track, axis), LENGTH_UNITS, word) for axis in axes]
         self._saw(source, track, set() if keep else tracks_of(header, bare=word is not None))
         rate = said.optional(RATE)
         rate_hz = None if rate is None else rate.quantity(HERTZ, above=0.0)
-        time = time_column(source, header, _said(said.optional("time")), rate_hz)
+        time = time_column(source, header, when, rate_hz)
         if bound is not None:
             stem = along(track, bound.field)
             self._saw(source, stem, set())
@@ -352,7 +355,7 @@ class _Reading:
             raise found.error(int(np.argmax(half)), expected, str(found.values[half][0].tolist()))
         if not keep:
             found = with_frozen(found, [found.values], said)
-        transform = given_transform(frame)
+        transform = transform if frame is None else given_transform(frame)
         if found.speeds_mps is not None:
             found = replace(found, speeds_mps=found.speeds_mps @ transform[:3, :3].T)
         return replace(found, values=found.values @ transform[:3, :3].T + transform[:3, 3])
@@ -435,6 +438,14 @@ def _period_ns(streams: Fields, joints: LogSamples) -> int:
     apart_ns = float(np.median(np.diff(joints.time_ns)))
     rounded = round(apart_ns / PERIOD_STEP_NS) * PERIOD_STEP_NS
     return min(max(rounded, SHORTEST_PERIOD_NS), LONGEST_PERIOD_NS)
+
+
+def _is_of_rtde(said: Fields, source: LogSource) -> bool:
+    """Is it the table that UR's recorder writes?  LogError for a bag, which is none."""
+    field = said.optional(FORMAT)
+    if field is not None and field.one_of({"rtde": True}) and source.is_bag:
+        raise field.error("a table of the UR recorder", got=source.name)
+    return field is not None
 
 
 def _word(field: Field, words: dict[str, float]) -> str:

@@ -17,8 +17,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.exceptions import LogError, Place
+from safety_harness.exceptions import LogError, Place, near_miss
 from safety_harness.scenario.fields import Field
+from safety_harness.scenario.units import shown
 from safety_harness.shipped.contents import located
 
 MOST_SAMPLES = 4_000_000  # of one stream within the window: 400 MB of joints
@@ -174,6 +175,7 @@ class Collector:
     unstamped_before: bool = False  # may samples before the window lack a valid time?
     notes: list[str] = field(default_factory=list)  # on what was left out
     bodies: set[str] = field(default_factory=set)  # all that its messages show, as streams name them
+    frames: set[str] = field(default_factory=set)  # of its messages in which the stream's is not
     _time: array[int] = field(default_factory=lambda: array("q"))
     _values: array[float] = field(default_factory=lambda: array("d"))
     _at: array[int] = field(default_factory=lambda: array("q"))
@@ -232,7 +234,11 @@ class Collector:
         return found if n == 0 else replace(found, span_ns=(int(self._first_ns), int(self._last_ns)))
 
     def _elsewhere(self) -> str:
-        """Where the samples are, if none was in the window."""
+        """Where the samples are, if none was in the window, or which frames, if none was of the stream's."""
+        if not self.seen and self.frames:
+            names = sorted(self.frames)
+            meant = near_miss(self.source.path.lstrip("/"), names)
+            return f"{meant} its messages have the frames {shown(', '.join(names))}".strip()
         if not self.seen or self.begin_ns is None or self.end_ns is None:
             return ""
         own, asked = (

@@ -17,6 +17,8 @@ from os import SEEK_END
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from safety_harness.exceptions import LogError, Place, near_miss
 from safety_harness.extras import LOGS
 from safety_harness.logs.streams import LATEST_S, NS, Collector, LogSource
@@ -28,7 +30,8 @@ TIME_UNITS = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}  # in nanoseconds
 LENGTH_UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 ANGLE_UNITS = {"rad": 1.0, "deg": math.pi / 180.0}
 SEPARATORS = ("\t", ";", ",")  # or spaces, where the line of names has none of these
-RTDE_POSITIONS, RTDE_SPEEDS, RTDE_TIME = "actual_q_", "actual_qd_", "timestamp in s"
+RTDE_JOINTS, RTDE_TIME = ("actual_q_", "actual_qd_"), "timestamp in s"
+RTDE_TCP, RTDE_BASE = "actual_TCP_pose", np.diag([-1.0, -1.0, 1.0, 1.0])  # UR's base frame, in base_link's
 SPEED_UNITS = {f"{unit}ps": si for unit, si in LENGTH_UNITS.items()}
 RATE_UNITS = {"radps": 1.0, "degps": math.pi / 180.0}
 _TIME_HINT = 'another one by the key "time", such as: stamp in ns; none by hands: {rate: 120 Hz}'

@@ -30,10 +30,10 @@ def checked_tcp(
     angles = joints.values[:, : len(arm.joint_names)]
     step_s = np.diff(time_s)
     slope, hard = np.diff(angles, axis=0) / step_s[:, None], facts.accelerate_at_most_radps2
-    most = facts.move_at_most_radps
-    off_rad = joint_off_rad(slope, step_s, most=most, hardest=hard, sample_rad=facts.known_to_rad)
+    most, known_to_rad = facts.move_at_most_radps, facts.known_to_rad
+    off_rad = joint_off_rad(slope, step_s, most=most, hardest=hard, sample_rad=known_to_rad)
     which = np.clip(np.searchsorted(time_s, tcp_s, side="right") - 1, 0, len(step_s) - 1)
-    off_rad = np.where(np.isin(tcp.time_ns, joints.time_ns), facts.known_to_rad, off_rad[which])
+    off_rad = np.where(np.isin(tcp.time_ns, joints.time_ns), known_to_rad, off_rad[which])
     off_m = known_to_m + off_rad * float(arm_with(arm, arm_capsules(robot)).reach_m.sum())
     poses = np.column_stack([np.interp(tcp_s, time_s, column) for column in angles.T])
     places = np.array([links_in_base(arm, pose)[-1, :3, 3] for pose in poses])

@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 from safety_harness.admission.avoiders import as_seen_from
 from safety_harness.admission.claims import property_of
 from safety_harness.exceptions import OutputError, Place, TraceError
-from safety_harness.extras import LOGS
+from safety_harness.extras import LOGS, PYBULLET
+from safety_harness.perception.detector import opencv
 from safety_harness.properties.base import SI_UNITS, Evaluation
 from safety_harness.properties.hand_distance import HandDistance
 from safety_harness.properties.limits import TcpSpeedLimit
@@ -28,6 +29,7 @@ from safety_harness.robot.kinematics import links_in_base
 from safety_harness.robot.robots import arm_model
 from safety_harness.scenario.model import Verdict
 from safety_harness.scenario.write import text_of, tree_of
+from safety_harness.settings import ImageSource
 from safety_harness.trace.records import DecisionOutcome, Limit, Mode, Trigger
 from safety_harness.trace.trace import Trace
 from safety_harness.trace.unmeasured import decided, measured
@@ -59,9 +61,8 @@ def write_mcap(trace: Trace, evaluations: Sequence[Evaluation], path: Path) -> N
         got = "that of a log, whose own files are there"
         raise TraceError(place=Place(field="known"), expected="the trace of a simulated run", got=got)
     if log.exists() and f'"{_quoted(path)}#' not in log.read_text(errors="replace"):
-        raise OutputError(
-            place=Place(file=log), expected="no file, or one that an export wrote", got="another"
-        )
+        expected = "no file, or one that an export wrote"
+        raise OutputError(place=Place(file=log), expected=expected, got="another")
     with LOGS.needed("runs as MCAP files", path):
         from rosbags.rosbag2 import StoragePlugin, Writer
     messages, topics = _Messages(trace), dict[str, Any]()
@@ -137,13 +138,9 @@ def _bounds(trace: Trace) -> tuple[float, float, float]:
     A hand may be faster than from sample to sample by as much as that speed changes.
     """
     true, period_s = true_motion(trace), trace.scenario.settings.clock.control_period_s
-    means, beyond, hands_mps = (
-        np.diff(true.joints_rad, axis=0) / period_s,
-        2.0 * _most(trace.overshoot_radps),
-        1e-3,
-    )
+    means, beyond = np.diff(true.joints_rad, axis=0) / period_s, 2.0 * _most(trace.overshoot_radps)
     change = max(_most(np.diff(speeds, axis=0)) for speeds in (true.rates_radps, means)) + beyond
-    fastest = max(_most(means), _most(true.rates_radps)) * (1.0 + 1e-9) + beyond
+    fastest, hands_mps = max(_most(means), _most(true.rates_radps)) * (1.0 + 1e-9) + beyond, 1e-3
     for hand in range(len(trace.scenario.hands)):
         stamps, places_m = _hand_samples(trace, hand)
         speeds = np.diff(places_m, axis=0) / (np.diff(stamps) / NS)[:, None, None]
@@ -177,6 +174,7 @@ class _Messages:
                 for body, place in zip(("hand", "elbow"), places, strict=True):
                     yield self._point(int(at_ns), f"/{body}_{hand + 1}", place)
         yield from self._decisions()
+        yield from self._images()
         for number, one in enumerate(evaluations):
             yield from self._claim(number, one)
 
@@ -205,12 +203,9 @@ class _Messages:
     def _tick(self, at_ns: int, tick: Any) -> Iterator[Message]:
         """Joints, transforms, what the controller does and sees, and the hands as they are drawn."""
         names, joints_rad = list(self.arm.joint_names), tick["joint_position_rad"]
-        yield self._stamped(
-            at_ns, "/joint_states", JOINTS, names, joints_rad, tick["joint_velocity_radps"], NONE
-        )
-        yield self._stamped(
-            at_ns, "/commands", JOINTS, names, NONE, tick["demanded_joint_velocity_radps"], NONE
-        )
+        turning, demanded = tick["joint_velocity_radps"], tick["demanded_joint_velocity_radps"]
+        yield self._stamped(at_ns, "/joint_states", JOINTS, names, joints_rad, turning, NONE)
+        yield self._stamped(at_ns, "/commands", JOINTS, names, NONE, demanded, NONE)
         poses = zip(self.frames, links_in_base(self.arm, np.ascontiguousarray(joints_rad)), strict=True)
         moved = [self._transform(at_ns, frame, pose) for frame, pose in poses if frame != self.base]
         yield at_ns, "/tf", TF, self._of(TF, moved)
@@ -219,9 +214,8 @@ class _Messages:
         mode, limits = Mode(tick["mode"]).name.lower(), _limit_words(int(tick["limits"]))
         yield self._stamped(at_ns, "/state", f"{OURS}State", mode, limits, *numbers)
         for track, place in enumerate(tick["predicted_hand_in_base_m"]):
-            yield self._point(
-                at_ns, f"/tracked_{track + 1}", place if tick["track_valid"][track] else NOWHERE
-            )
+            where = place if tick["track_valid"][track] else NOWHERE
+            yield self._point(at_ns, f"/tracked_{track + 1}", where)
         size, drawn = self.trace.scenario.settings.hand, []
         for k, hand in enumerate(self.trace.scenario.hands):
             ends = tick["hand_position_in_base_m"][k], tick["elbow_position_in_base_m"][k]
@@ -250,9 +244,8 @@ class _Messages:
         return at_ns, "/scene", SCENE, self._of(SCENE, [], drawn)
 
     def _pose(self, at: Any, turn: Any = UPRIGHT) -> Any:
-        return self._of(
-            f"{GEOMETRY}Pose", self._of_numbers("Point", at), self._of_numbers("Quaternion", turn)
-        )
+        turned = self._of_numbers("Quaternion", turn)
+        return self._of(f"{GEOMETRY}Pose", self._of_numbers("Point", at), turned)
 
     def _shape(self, kind: str, at: Any, turn: Any, size_m: Any, colour: Any) -> Any:
         painted = self._of_numbers("Vector3", size_m), self._of(f"{FOXGLOVE}Color", *colour)
@@ -267,22 +260,32 @@ class _Messages:
         return self._entity(at_ns, frame, name, spheres=balls, lines=[line])
 
     def _entity(self, at_ns: int, frame: str, name: str, **shapes: Any) -> Any:
-        forever, drawn = (
-            self._of("builtin_interfaces/msg/Duration", 0, 0),
-            (shapes.get(k, []) for k in PRIMITIVES),
-        )
+        forever = self._of("builtin_interfaces/msg/Duration", 0, 0)
+        drawn = [shapes.get(kind, []) for kind in PRIMITIVES]
         return self._of(f"{FOXGLOVE}SceneEntity", self._time(at_ns), frame, name, forever, True, [], *drawn)
 
     def _decisions(self) -> Iterator[Message]:
-        for at_ns, one in zip(
-            _stamps(self.trace.decisions["time_s"]).tolist(), self.trace.decisions, strict=True
-        ):
+        stamps = _stamps(self.trace.decisions["time_s"]).tolist()
+        for at_ns, one in zip(stamps, self.trace.decisions, strict=True):
             places = [self._of_numbers("Point", one[f"{name}_position_in_base_m"]) for name in PLACES]
             spread = self._of_numbers("Vector3", one["proposed_spread_m"]), float(one["spread_threshold_m"])
             named = DecisionOutcome(one["outcome"]).name, Trigger(one["trigger"]).name
             words = [*map(_words, named), str(one["fault"])]
             yield self._stamped(at_ns, "/decisions", f"{OURS}Decision", *places, *spread, *words)
             yield self._event(at_ns, INFO, ", ".join(filter(None, words)), "decision")
+
+    def _images(self) -> Iterator[Message]:
+        """What the object's camera showed, if that was rendered: again, as no trace keeps it."""
+        scenario, kind = self.trace.scenario, f"{FOXGLOVE}CompressedImage"
+        if scenario.settings.camera.source is not ImageSource.RENDERED:
+            return
+        cv2 = opencv()
+        with PYBULLET.needed("rendered images"):
+            from safety_harness.simulation.pybullet_world import PyBulletWorld
+        with PyBulletWorld(scenario, self.arm, self.trace.ticks["joint_position_rad"][0]) as world:
+            for image in world.images_of(self.trace):
+                at_ns, png = int(_stamps(image.time_s)), cv2.imencode(".png", image.pixels[:, :, ::-1])[1]
+                yield at_ns, "/camera", kind, self._of(kind, self._time(at_ns), "camera", png.ravel(), "png")
 
     def _claim(self, number: int, one: Evaluation) -> Iterator[Message]:
         """What a claim limits at every tick, an event at its worst moment, its verdict and margin at the end.
@@ -299,10 +302,8 @@ class _Messages:
             numbers = value, limit, sign * (value - limit)
             yield self._stamped(at_ns, topic, kind, one.sentence, "", SI_UNITS[one.unit], *numbers)
         margin, verdict = np.nan if one.margin is None else float(one.margin), one.verdict.value
-        numbers, end_ns = (np.nan, limit, margin), self.stamps[-1]
-        yield self._stamped(
-            end_ns, f"{topic}/verdict", kind, one.sentence, verdict, SI_UNITS[one.unit], *numbers
-        )
+        said, end_ns = (one.sentence, verdict, SI_UNITS[one.unit], np.nan, limit, margin), self.stamps[-1]
+        yield self._stamped(end_ns, f"{topic}/verdict", kind, *said)
         worst_ns = end_ns if one.worst_time_s is None else int(_stamps(one.worst_time_s))
         level = ERROR if one.verdict is Verdict.VIOLATED else INFO
         yield self._event(worst_ns, level, f"{verdict}: {one.sentence} ({one.reason})", "claim")

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import os
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
@@ -17,7 +18,7 @@ from safety_harness.exceptions import Place, ScenarioError, near_miss
 from safety_harness.scenario.fields import Field
 from safety_harness.scenario.files import ALL, decode, foreign, has_a_key, read_bytes, resolved
 from safety_harness.scenario.nodes import Mapping, Node, Scalar, Sequence, parse_tree
-from safety_harness.scenario.references import avoider_seen_from, seen_from
+from safety_harness.scenario.references import avoider_seen_from, file_and_name, seen_from
 from safety_harness.scenario.robots import FILES, robot_seen_from
 from safety_harness.scenario.units import shown
 from safety_harness.shipped.contents import located
@@ -255,6 +256,19 @@ def _moved(node: Node, folder: Path, to: Path) -> Node:
         **{key: lambda text: seen_from(to, text, folder) for key in FILES},
     }
     return _rewritten(node, words, None)
+
+
+def with_relative_paths(node: Node, folder: Path) -> Node:
+    """A tree in which no avoider, controller or recording has an absolute path, as seen from ``folder``."""
+
+    def relative(text: str) -> str:
+        file, name = file_and_name(text)
+        path = Path(os.path.expanduser(file or text))
+        if not path.is_absolute():
+            return text
+        return os.path.relpath(resolved(path), resolved(folder)) + f":{name}" * bool(name)
+
+    return _rewritten(node, dict.fromkeys(("avoider", "controller", "recording"), relative), None)
 
 
 def _rewritten(node: Node, words: dict[str, _Rewrite], rewrite: _Rewrite | None) -> Node:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -33,6 +35,8 @@ from safety_harness.simulation.steps import (
     send_object_frame,
 )
 from safety_harness.simulation.world import RecordedWorld
+from safety_harness.trace.records import as_compiled
+from safety_harness.trace.trace import Trace
 
 UNNOTICED_RADPS = 1e-7  # by which motors miss the speeds that they are told without being saturated
 AMPLE = 1e4  # times the torque limits: within a sub-step, of several times the mass
@@ -152,6 +156,19 @@ class PyBulletWorld(RecordedWorld):
             return Image(time_s=np.nan, new=False, pixels=_black((camera.height_px, camera.width_px, 3)))
         time_s, new = r.object_frames[number % RING]["time_s"], r.observation[0]["image_new"]
         return Image(time_s=float(time_s), new=bool(new), pixels=self._pictures[number])
+
+    def images_of(self, trace: Trace) -> Iterator[Image]:
+        """What the object's camera showed in a run of this scenario, rendered where arm and hands were."""
+        self._render_hands = False  # nobody looks for them
+        r, robot = self.records, (self._robot, self._joints)
+        for number, tick in enumerate(as_compiled(trace.ticks)):
+            r.truth[0], r.clock[0]["tick"] = tick, number
+            r.hands["position_in_base_m"] = tick["hand_position_in_base_m"]
+            r.hands["elbow_in_base_m"] = tick["elbow_position_in_base_m"]
+            joints = [[q] for q in tick["joint_position_rad"]]
+            pybullet.resetJointStatesMultiDof(*robot, joints, physicsClientId=self._client)
+            if self.observe()[0]["image_new"]:
+                yield self.image()
 
     def _keep(self, colour: NDArray[np.uint8]) -> None:
         """The newest frame's pixels, as the faults leave them; a frozen camera shows those of the one before.

@@ -61,6 +61,7 @@ def test_a_layout_is_read_as_it_is_written() -> None:
         "X": ("hand_position_in_base_m", "tcp_position_in_base_m"),
         "serving_default_Y:0": ("position_in_base_m",),
     }
+    assert layout_of("X=hand, tcp, Y=position") == layout_of("X=hand,tcp,Y=position")
     assert layout_of("") == {}
 
 

@@ -238,6 +238,18 @@ ROWS: dict[str, tuple[Touch, str]] = {
         schema("judgement", "margin REAL", "margin REAL DEFAULT 1.0"),
         TABLES,
     ),
+    "a collation, by the schema itself": (
+        schema("judgement", "margin REAL", "margin REAL COLLATE NOCASE"),
+        TABLES,
+    ),
+    "a check, by the schema itself": (
+        schema("judgement", "exercised INTEGER NOT NULL", "exercised INTEGER NOT NULL CHECK (exercised > 1)"),
+        TABLES,
+    ),
+    "a conflict clause, by the schema itself": (
+        schema("stratum", "name TEXT NOT NULL UNIQUE", "name TEXT NOT NULL UNIQUE ON CONFLICT IGNORE"),
+        TABLES,
+    ),
     "a view, by the schema itself": (
         schema("results", "THEN ''violated''", "THEN ''holds''"),
         TABLES,

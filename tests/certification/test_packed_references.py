@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import re
+import shutil
 from pathlib import Path
 
 import pytest
 
+from safety_harness.campaign.identity import references_in
 from safety_harness.campaign.plan import read_packable, read_plan
 from safety_harness.cli.certify import certify, verify
 from safety_harness.cli.console import AS_EXPECTED, DIFFERS
 from safety_harness.cli.validate import validate
 from safety_harness.exceptions import ScenarioError
+from safety_harness.scenario.compose import with_relative_paths
+from safety_harness.scenario.nodes import parse_tree
+from tests.avoidance.test_onnx_names import columns
 from tests.campaign.plans import PLAN, TEXT
 
 SMALL = re.sub(r"runs: \d+", "runs: 9", PLAN)
@@ -45,6 +50,36 @@ def test_an_honest_report_of_a_space_elsewhere_stands(
     assert verify(out, runs=1, seed=0) == AS_EXPECTED, capsys.readouterr().out
     packed = b"".join(path.read_bytes() for path in (out / "plan").rglob("*.yaml"))
     assert str(tmp_path).encode() not in packed
+
+
+@pytest.mark.parametrize("named_in", ["plan", "space"])
+def test_an_honest_report_of_an_onnx_file_with_a_layout_stands_elsewhere(
+    tmp_path: Path, named_in: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """By absolute path, whatever names it: the report takes the file with it, and the layout stays."""
+    there = tmp_path / "here"
+    there.mkdir()
+    plan, file = plan_with_space_at(there, "../spaces/short.yaml"), there / "mine.onnx"
+    file.write_bytes(columns({"input": ["n", 6]}, {"output": 3}))
+    reference, space = f'"{file}:input=hand,tcp,output=position"', there / "spaces" / "short.yaml"
+    if named_in == "plan":
+        plan.write_text(plan.read_text().replace("opposite pose", reference))
+    else:
+        plan.write_text(plan.read_text().replace("avoider: opposite pose\n", ""))
+        space.write_text(TEXT.replace("opposite pose", reference))
+    certify(plan, out=there / "report", workers=1)
+    moved = (there / "report").rename(tmp_path / "moved")
+    shutil.rmtree(there)
+    capsys.readouterr()
+    assert verify(moved, runs=1, seed=0, execute_programs=True) == AS_EXPECTED, capsys.readouterr().out
+    evidence = (moved / "evidence.json").read_text()
+    assert "mine.onnx:input=hand,tcp,output=position" in evidence
+    assert str(file) not in evidence
+
+
+def test_a_recording_by_absolute_path_is_named_as_seen_from_the_space(tmp_path: Path) -> None:
+    tree = parse_tree("hands: [{recording: /a/b/hand.csv}, {recording: hand.csv}]", None)
+    assert list(references_in(with_relative_paths(tree, Path("/a/c")))) == ["../b/hand.csv", "hand.csv"]
 
 
 def test_strict_ends_with_1_where_something_is_open(

@@ -13,14 +13,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from cells import NAMES, Streams, cell, endless_arm, recorded, said, wrapped, write_csv
+from cells import NAMES, Streams, cell, endless_arm, recorded, said, tcp_m, wrapped, write_csv
 from log_formats import STORE, frames, header, joint_messages, of, poses, write_bag
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.typesys import Stores, get_typestore
 
 from safety_harness.admission.trial import judge
-from safety_harness.exceptions import LogError
+from safety_harness.exceptions import InputError, LogError
 from safety_harness.logs.judging import recorded as judged_log
 from safety_harness.logs.model import CellLog
 from safety_harness.logs.read import read_log
@@ -168,6 +168,18 @@ def test_a_leading_slash_of_a_frame_is_no_part_of_its_name(
     the_same(
         read_log(with_text(tmp_path, said("run#/joint_states", f"run#{wrist}", "run#/tf:elbow", ""))), streams
     )
+
+
+@pytest.mark.parametrize(("asked", "meant"), [("/elbwo", 'did you mean "elbow"? '), ("x", "")])
+def test_a_frame_that_no_message_has_is_refused_with_those_that_there_are(
+    streams: Streams, tmp_path: Path, asked: str, meant: str
+) -> None:
+    write_bag(tmp_path / "run", joint_messages(streams) + frames(streams), StoragePlugin.MCAP)
+    text = said("run#/joint_states", "run#/tf:wrist", f"run#/tf:{asked}", "")
+    with pytest.raises(LogError) as refused:
+        read_log(with_text(tmp_path, text))
+    assert refused.value.got == "none in the file"
+    assert refused.value.hint == f"{meant}its messages have the frames elbow, wrist"
 
 
 def test_a_ros_1_bag(streams: Streams, tmp_path: Path) -> None:
@@ -406,6 +418,38 @@ def test_the_table_of_the_ur_recorder(streams: Streams, tmp_path: Path) -> None:
     )
     with pytest.raises(LogError, match="actual_q_3_rad"):
         read_log(tmp_path / "LOG.yaml")
+
+
+@pytest.mark.parametrize(
+    "robot", ["UR10", "{arm: UR10, seated at: {position: [0 m, 0 m, 1 m], yaw: 90 deg}}"]
+)
+def test_the_tcp_of_the_ur_recorder_confirms_arm_and_tool(
+    streams: Streams, tmp_path: Path, robot: str
+) -> None:
+    """The controller's base frame is turned by 180 deg about z against the arm's, wherever that is seated."""
+    names = ["timestamp", *(f"actual_q_{k}" for k in range(6)), *(f"actual_TCP_pose_{k}" for k in range(6))]
+    turned_m = tcp_m(streams.joints_rad) * [-1.0, -1.0, 1.0]
+    seconds = (streams.joint_ns - streams.joint_ns[0])[:, None] / 1e9
+    rows = np.hstack([seconds, streams.joints_rad, turned_m, np.zeros_like(turned_m)])
+    lines = [" ".join(names), *(" ".join(map(repr, map(float, row))) for row in rows)]
+    (tmp_path / "robot.csv").write_text("\n".join(lines) + "\n")
+    text = f"log: {{joints: robot.csv, tcp: robot.csv}}\njoints: {{format: rtde}}\nrobot: {robot}\n"
+    text += "claims: [joint positions within limits]\ntcp: {known to: 1 mm, format: rtde}\n"
+    found = read_log(with_text(tmp_path, text)).tcp
+    assert found is not None
+    assert found.apart_m < 1e-6
+    assert len(found.samples.time_ns) == len(rows)
+    with pytest.raises(LogError, match="the TCP at"):
+        read_log(with_text(tmp_path, text.replace("UR10", "UR5")))
+
+
+@pytest.mark.parametrize("of", ["joints", "tcp"])
+def test_the_format_of_the_ur_recorder_is_refused_of_a_bag(streams: Streams, tmp_path: Path, of: str) -> None:
+    bag(streams, tmp_path)
+    text = 'log: {joints: "run#/joint_states", tcp: "run#/hand"}\ntcp: {known to: 1 mm}\njoints: {}\n'
+    text = text.replace(f"{of}: {{", f"{of}: {{format: rtde, ") + "claims: [joint positions within limits]\n"
+    with pytest.raises(InputError, match=rf"{of}\.format: expected a table of the UR recorder"):
+        read_log(with_text(tmp_path, text))
 
 
 def test_optical_tracking_without_times_a_file_a_marker(streams: Streams, tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader
@@ -14,6 +15,7 @@ from typer.testing import CliRunner
 
 from safety_harness import admit, judge, run_trial
 from safety_harness.cli.main import app
+from safety_harness.controller.contract import Image
 from safety_harness.exceptions import OutputError, TraceError
 from safety_harness.logs.judging import recorded
 from safety_harness.properties.base import Unit
@@ -22,6 +24,7 @@ from safety_harness.report import mcap
 from safety_harness.report.mcap import LOG_FILE, write_mcap
 from safety_harness.scenario.expand import read_all_scenarios
 from safety_harness.scenario.model import Verdict
+from safety_harness.simulation.pybullet_world import PyBulletWorld
 from safety_harness.simulation.worlds import world_named
 from safety_harness.trace.store import save_trace
 from safety_harness.trace.trace import Trace
@@ -151,6 +154,36 @@ def test_the_command_writes_both_files_and_judge_reads_them(tmp_path: Path) -> N
     assert "violated         -125.7 mm at   1.952 s  LOG: hand distance never below 50 mm" in judged.output
 
 
+def test_the_camera_shows_in_the_file_what_the_controller_saw(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Rendered again: 2 black images of a blind camera, 2 of the object, and the second of these frozen."""
+    text = (ROOT / "scenarios" / "rendered-images.yaml").read_text().replace("4 s", "280 ms")
+    faults = "faults: [{camera: sees nothing, until: 100 ms}, {camera: freezes, from: 260 ms}]\n"
+    (tmp_path / "seen.yaml").write_text(text.replace("detector: rendered", "detector: exact") + faults)
+    seen, observe = list[Image](), PyBulletWorld.observe
+
+    def observed(world: PyBulletWorld) -> Any:
+        observation = observe(world)
+        if observation[0]["image_new"]:
+            seen.append(world.image())
+        return observation
+
+    monkeypatch.setattr(PyBulletWorld, "observe", observed)
+    out = tmp_path / "out"
+    ran = CliRunner().invoke(app, ["run", str(tmp_path / "seen.yaml"), "--out", str(out), "--mcap"])
+    assert ran.exit_code == 1, ran.output
+    shown = contents(out / "traces" / "seen", "/camera")
+    pixels = [cv2.imdecode(one.data, cv2.IMREAD_COLOR)[:, :, ::-1] for _, one in shown]
+    assert len(shown) == 5
+    seen = seen[: len(shown)]  # the export's own rendering passed by as well
+    assert [at for at, _ in shown] == [10**9 + round(image.time_s * 1e9) for image in seen]
+    assert all(np.array_equal(one, image.pixels) for one, image in zip(pixels, seen, strict=True))
+    assert [bool(one.any()) for one in pixels] == [False, False, True, True, True]
+    assert np.array_equal(pixels[4], pixels[3])
+    assert not np.array_equal(pixels[3], pixels[2])
+
+
 def test_a_log_and_a_foreign_description_are_refused(tmp_path: Path) -> None:
     log = exported("fast-reach", tmp_path)
     back = recorded(log).trace
@@ -176,6 +209,7 @@ def test_the_layout_shows_topics_and_fields_that_an_export_has(tmp_path: Path) -
     for key, one in layout["configById"].items():
         assert set(one.get("topics", {})) <= set(fields), key
         assert one.get("topicToRender", "/events") in fields
+        assert one.get("imageMode", {}).get("imageTopic", "/camera") == "/camera"  # of rendered images alone
 
 
 def test_faster_hands_than_said_would_be_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
