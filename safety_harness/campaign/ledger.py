@@ -13,6 +13,7 @@ import sqlite3
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import closing, contextmanager
 from dataclasses import astuple, dataclass
+from datetime import datetime
 from functools import cached_property, partial
 from operator import itemgetter
 from pathlib import Path
@@ -194,11 +195,20 @@ class Ledger:
         """Note files down; LedgerError for one of which earlier runs read other bytes."""
         for name, sha256 in sorted(files, key=itemgetter(1)):  # those that are written first
             known = self.opened.get(name)
+            if sha256 and known is None and self._is_newer(name):
+                raise unusable(self.path, f"{name} as it was when runs began", "one that is newer")
             if not sha256 or known is None:
                 self.connection.execute("INSERT OR REPLACE INTO opened VALUES (?, ?)", (name, sha256))
             elif known not in ("", sha256):
                 expected = f"{name} as earlier runs opened it"
                 raise unusable(self.path, expected, "other bytes: it was written while runs were made")
+
+    def _is_newer(self, name: str) -> bool:
+        """Did a file come or change between the first session and this one?"""
+        (ends,) = self.all("SELECT min(began), max(began) FROM session")
+        begun_s, now_s = (datetime.fromisoformat(one or "1970-01-02").timestamp() for one in ends)
+        file = self.declared.plan_file.parent / name
+        return file.is_file() and begun_s < file.stat().st_ctime < now_s
 
     @property
     def files(self) -> tuple[PlanFile, ...]:

@@ -297,9 +297,8 @@ class RunSession:
 
     def _rename_earlier(self) -> None:
         """Traces of earlier runs stay, by names that no folder or pattern takes for evidence of this one."""
-        own = [run.trace_file for run in self.runs]
         for file in sorted(self.out.glob("traces*/*.trace")):
-            if file not in own and file.stat().st_mtime < self.begun_s:
+            if file.stat().st_mtime < self.begun_s:
                 say(f"of an earlier run: {file}, from now on {file.name}{EARLIER}")
                 with writing(file):
                     file.rename(f"{file}{EARLIER}")

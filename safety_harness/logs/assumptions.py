@@ -11,8 +11,7 @@ from safety_harness.scenario.nodes import Scalar
 
 A_TCP = "a track of the TCP: log: {tcp: FILE#TRACK}"
 LIKELY = ("tcp", "tool", "flange", "effector", "eef")  # in the name of a column or topic that has the TCP
-A_MARKER = "a marker on the tool, by log align"
-A_FRAME = f"a bag whose headers name it, with frame: {{tf: FILE#/tf}}; or {A_MARKER}"
+A_FRAME = "a bag whose headers name it, with frame: {tf: FILE#/tf}; or a marker on the tool, by log align"
 
 
 @dataclass(frozen=True)
@@ -55,7 +54,7 @@ def assumptions_of(log: CellLog) -> tuple[Assumption, ...]:
         by = f"the frames that headers of {source.name} name" * (source.is_bag and not stated)
         for what in ("the direction of the axes", "the origin of the heights"):
             found.append(Assumption(f"{what} of {body.name}", by, A_FRAME))
-        found.append(Assumption(f"the unit of length for {body.name}", "", A_MARKER))
+        found.append(Assumption(f"the unit of length for {body.name}", "", A_FRAME.rpartition("or ")[2]))
     return tuple(found)
 
 

@@ -169,8 +169,7 @@ def read_proof_plan(path: str | Path) -> ProofPlan:
             raise item.error("each claim once in a region", got=proof.sentence)
         proofs.append(proof)
     if idle := regions.keys() - {SEEN, *(proof.region.name for proof in proofs)}:
-        expected = f"a claim in each region; claims without in: are of {SEEN}"
-        raise given.required("regions").error(expected, got=f"none in {', '.join(sorted(idle))}")
+        raise given.required("regions").error("a claim in each region", got=f"none in {sorted(idle)[0]}")
     at = given.optional("distribution")
     questions = None if at is None else _questions(at, [proof.region for proof in proofs])
     return ProofPlan(title, name, file, network, asked, tuple(proofs), questions)

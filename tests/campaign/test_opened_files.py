@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sys
 import zipfile
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import numpy as np
@@ -190,6 +191,19 @@ class Mine:
 def test_a_file_that_is_written_while_runs_are_made_ends_them(run: tuple[Plan, Path]) -> None:
     with Ledger.open(run[1], write=True) as ledger, pytest.raises(LedgerError, match=r"w\.npy as earlier"):
         ledger.take_opened([("w.npy", "0" * 64)])
+
+
+def test_a_file_that_came_after_runs_began_makes_another_system(run: tuple[Plan, Path]) -> None:
+    """Statistics of inputs that were forgotten at first: before, nothing was opened that could change."""
+    copy = run[1].with_name("begun.sqlite")
+    copy.write_bytes(run[1].read_bytes())
+    (copy.parent / "stats.npy").write_bytes(b"1")
+    with Ledger.open(copy, write=True) as ledger:
+        ledger.begin_session((datetime.now(UTC) + timedelta(seconds=1)).isoformat(), "1", "here")
+        with pytest.raises(LedgerError, match=r"stats\.npy as it was when runs began"):
+            ledger.take_opened([("stats.npy", "0" * 64)])
+        ledger.take_opened([(run[0].file.name, "0" * 64)])  # which was there, and is opened late
+    (copy.parent / "stats.npy").unlink()
 
 
 def test_parts_that_read_other_files_do_not_become_one(run: tuple[Plan, Path], tmp_path: Path) -> None:

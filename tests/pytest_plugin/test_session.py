@@ -422,3 +422,27 @@ def test_a_test_that_never_simulates_fails_and_a_swallowed_violation_is_named(ru
             "*test_it.py::test_swallowed passed, although assert_holds failed in it",
         ]
     )
+
+
+def test_a_failure_that_a_hook_makes_a_pass_is_named_and_an_earlier_report_is_not_this_sessions(
+    run, project: Path
+) -> None:
+    (project / "test_it.py").write_text(
+        "from safety_harness.testing import assert_holds\n"
+        "def test_broken(simulate):\n"
+        "    assert_holds('always hand distance > 50 mm', simulate('fast.yaml'))\n"
+    )
+    (project / "conftest.py").write_text(
+        "import pytest\n"
+        "@pytest.hookimpl(wrapper=True)\n"
+        "def pytest_runtest_makereport(item, call):\n"
+        "    report = yield\n"
+        "    report.outcome = 'passed'\n"
+        "    return report\n"
+    )
+    named = run("test_it.py", "--safety-report", "r.html")
+    named.stdout.fnmatch_lines(["*test_it.py::test_broken passed, although assert_holds failed in it"])
+    skipped = "import pytest\n@pytest.mark.skip\ndef test_broken(simulate): simulate('fast.yaml')\n"
+    (project / "test_it.py").write_text(skipped)
+    later = run("test_it.py", "--safety-report", "r.html")
+    later.stdout.fnmatch_lines(["nothing was judged: *r.html is of an earlier session"])
