@@ -26,8 +26,6 @@ BEFORE_S = 0.5  # an arm that reacted so shortly before a hand came near has rea
 STARTED_S = 0.1  # a run begins with an arm that stands, and gets up to speed
 HALVED_S = 0.25  # in which an arm that reacts has lost half of its speed
 TINY_MPS = 1e-6  # nothing moves so slowly
-STOOD = "each time that a hand came near the TCP stood, or had reacted to it"
-EXERCISES = "; a longer duration, or another start, exercises it"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,9 +51,11 @@ class KeepsItsPlace:
         """Judge every stretch without a hand."""
         worst_m, tick, held = self._worst(trace)
         reason = f"{1e3 * worst_m:.2f} mm farther from the desired position than before, with no hand near"
-        lacked = f"with no hand near the TCP never stayed within {self.within_m * 1e3:g} mm for {HELD_S:g} s"
-        margin_m, lacked = self.within_m - worst_m, lacked + EXERCISES
-        return judged(self, trace, margin_m, trace.time_s[tick], reason, held, lambda: lacked)
+        free = (nearest_hand_m(trace) > NoFalseAlarms().limit_m(trace.scenario.settings)).any()
+        lacked = f"with no hand near the TCP never stayed within {self.within_m * 1e3:g} mm for 1 s; "
+        lacked += f"a {'longer duration' if free else 'hand that leaves earlier'} exercises it"
+        left_m = self.within_m - worst_m
+        return judged(self, trace, left_m, trace.time_s[tick], reason, held, lambda: lacked)
 
     def _worst(self, trace: Trace, farther_m: float = 0.0) -> tuple[float, int, int]:
         """How far it went, when, and how often it held; with hands, and the TCP's ways, off by as much."""
@@ -63,10 +63,9 @@ class KeepsItsPlace:
         left, held = (round(time_s / period_s) for time_s in (retreat_s(trace), HELD_S))
         errors_m, tcp_m = position_errors_m(trace), true_motion(trace).tcp_m
         found = []
-        free_m = NoFalseAlarms().limit_m(trace.scenario.settings)
-        free = nearest_hand_m(trace) + farther_m * nearest_off_m(trace) > free_m
+        nearest_m = nearest_hand_m(trace) + farther_m * nearest_off_m(trace)
         slack_m = 2.0 * farther_m * trace.known.of("transform_tcp_to_base").uncertainty
-        for begin, end in zip(*runs_of(free), strict=True):
+        for begin, end in np.transpose(runs_of(nearest_m > NoFalseAlarms().limit_m(trace.scenario.settings))):
             first = begin + left * bool(begin)
             ways_m = np.linalg.norm(tcp_m[first + held : end] - tcp_m[first : max(end - held, first)], axis=1)
             stays = np.flatnonzero(ways_m <= self.within_m + slack_m)
@@ -109,8 +108,11 @@ class ReactsWithin:
         hands = range(len(trace.scenario.hands))
         found = [one for hand in hands for one in self._encounters(trace, hand)]
         if not found:
-            near = nearest_hand_m(trace) < trace.scenario.settings.avoidance.critical_distance_m
-            return unexercised(self, STOOD + EXERCISES if near.any() else no_near_hand(trace))
+            near_m = float(nearest_hand_m(trace).min())
+            if near_m >= trace.scenario.settings.avoidance.critical_distance_m:
+                return unexercised(self, no_near_hand(trace))
+            why = f"a hand came to {1e3 * near_m:.1f} mm of the TCP, which stood, or had reacted to it"
+            return unexercised(self, f"{why}; one that stays until the arm comes back exercises it")
         decided = [(took, tick) for took, tick, known in found if known]
         took, tick = max(decided, default=(0, 0))
         reason = f"longest {1e3 * trace.time_s[took]:.0f} ms, of {len(decided)} times that a hand came near"

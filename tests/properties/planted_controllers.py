@@ -18,7 +18,7 @@ class Sound(StopWhenNear):
     """It reports no mode, so that nothing but its motion can be judged."""
 
     name = "sound"
-    reports = ()
+    reports = ()  # type: ignore[assignment]
     act_many = None  # type: ignore[assignment]
 
     def act(self, seen: Seen) -> Action:

@@ -157,7 +157,7 @@ def test_a_hand_that_leaves_before_it_could_be_answered_is_no_evidence() -> None
 def test_an_arm_that_stands_or_retreats_already_exercises_nothing() -> None:
     stands = REACTS.evaluate(visited(SaysThatItRetreats()))
     assert (stands.verdict, stands.exercised) == (Verdict.INCONCLUSIVE, 0)
-    assert "stood, or had reacted" in stands.reason
+    assert "which stood, or had reacted" in stands.reason
     nobody = REACTS.evaluate(settled(Sound()))
     assert "there is no hand in this scenario" in nobody.reason
 
