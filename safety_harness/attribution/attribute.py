@@ -341,9 +341,10 @@ def _least(replays: Iterable[Replay], sentence: str) -> tuple[Replay, ...]:
 def _last_resort(replay: Replay, sentence: str, helped: int = 0) -> tuple[bool, bool, int, bool]:
     """The system is blamed before the hand; what keeps the claim before what takes the occasion away.
 
-    Settings lead a claim about proposals to other questions: they are blamed after who answered.
+    Gate and settings lead a claim about proposals to other questions: they are blamed after who answered.
     """
-    led = ABOUT_PROPOSALS in sentence and Ingredient.SETTINGS in replay.ingredients
+    own = ABOUT_PROPOSALS in sentence
+    led = own and not {Ingredient.GATE, Ingredient.SETTINGS}.isdisjoint(replay.ingredients)
     return Ingredient.HAND in replay.ingredients, led, -helped, replay.outcome is not Outcome.KEPT
 
 

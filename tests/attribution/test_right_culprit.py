@@ -31,16 +31,17 @@ WITHIN_SPREAD = "proposals within 3 spreads and 30 mm of the optimum"
 OVERRULED = "at most 50 % of proposals overruled"
 JUDGES_AND_QUESTIONS = {Ingredient.GATE, Ingredient.FALLBACK, Ingredient.PREDICTION}
 Vector = NDArray[np.float64]
+Point = tuple[float, float, float]
 
 
-def unseen(place_m: tuple[float, float, float]) -> Scenario:
+def unseen(place_m: Point, offset_m: Point = (0.0, 0.2, 0.1)) -> Scenario:
     """A hand comes to where the network saw none."""
     moves = MoveTo(position_in_base_m=place_m, speed_mps=1.0), Wait(duration_s=0.6), Withdraw(speed_mps=1.0)
-    return scenario(hand(*moves), avoider="mc-dropout", offset=(0.0, 0.2, 0.1), duration_s=3.0)
+    return scenario(hand(*moves), avoider="mc-dropout", offset=offset_m, duration_s=3.0)
 
 
 UNSEEN = unseen((0.9, 0.3, 0.5))
-OTHER_START = replace(UNSEEN, start=replace(UNSEEN.start, offset_in_base_m=(0.04, -0.12, 0.06)))
+OTHER_START = unseen((0.9, 0.3, 0.5), (0.04, -0.12, 0.06))
 BETWEEN = replace(read_scenario(SCENARIOS / "lost-between-two-hands.yaml"), avoider="mc-dropout")
 
 
@@ -117,7 +118,7 @@ def only(what: Scenario, sentence: str, spoil: Callable[[Avoider], Avoider] | No
 
 
 def with_settings(group: str, **changed: object) -> Settings:
-    return replace(DEFAULTS, **{group: replace(getattr(DEFAULTS, group), **changed)})  # type: ignore[arg-type]
+    return replace(DEFAULTS, **{group: replace(getattr(DEFAULTS, group), **changed)})
 
 
 @pytest.mark.parametrize(
