@@ -174,7 +174,7 @@ def test_the_camera_shows_in_the_file_what_the_controller_saw(
     ran = CliRunner().invoke(app, ["run", str(tmp_path / "seen.yaml"), "--out", str(out), "--mcap"])
     assert ran.exit_code == 1, ran.output
     shown = contents(out / "traces" / "seen", "/camera")
-    pixels = [cv2.imdecode(one.data, cv2.IMREAD_COLOR)[:, :, ::-1] for _, one in shown]
+    pixels = [np.asarray(cv2.imdecode(one.data, cv2.IMREAD_COLOR))[:, :, ::-1] for _, one in shown]
     assert len(shown) == 5
     seen = seen[: len(shown)]  # the export's own rendering passed by as well
     assert [at for at, _ in shown] == [10**9 + round(image.time_s * 1e9) for image in seen]
