@@ -191,14 +191,27 @@ def test_where_no_stop_was_told_a_hand_too_near_is_not_excused_by_one(run: Trace
     assert verdicts(log_file(stops, tmp_path, *CLOSELY, slower))[sentence] is Verdict.INCONCLUSIVE
 
 
-@pytest.mark.parametrize("told", ["RUN", "RETREAT"])
-def test_where_the_arm_ends_is_judged_alike_whatever_mode_a_log_tells(
-    run: Trace, tmp_path: Path, told: str
-) -> None:
-    """A mode that is always the same contradicts a retreat, and no claim on motion believes it."""
+def test_a_mode_that_is_always_servoing_contradicts_a_retreat(run: Trace, tmp_path: Path) -> None:
+    """Claims that read the mode would take the arm to have stayed at its task."""
     streams = logged(run)
     assert streams.words is not None
-    wrong = replace(streams, words=replace(streams.words, mode=[told] * len(streams.words.mode)))
+    claim = (FORESEEN, "converged to the desired pose")
+    assert verdicts(log_file(streams, tmp_path, *CLOSELY, claim))
+    told = ["RUN"] * len(streams.words.mode)
+    streams = replace(streams, words=replace(streams.words, mode=told))
+    with pytest.raises(LogError, match="as the mode is servoing all the while") as refused:
+        judged(log_file(streams, tmp_path, *CLOSELY, claim))
+    assert refused.value.place.file == tmp_path / "words.csv"
+    assert "by the joints, away from a hand" in refused.value.got
+
+
+def test_where_the_arm_ends_is_judged_by_its_motion_whatever_mode_a_log_tells(
+    run: Trace, tmp_path: Path
+) -> None:
+    """A mode that is always a retreat changes nothing of a claim on motion."""
+    streams = logged(run)
+    assert streams.words is not None
+    wrong = replace(streams, words=replace(streams.words, mode=["RETREAT"] * len(streams.words.mode)))
     for claim in ("converged to the desired pose", "keeps its place within 50 mm"):
         edits = (*CLOSELY, (FORESEEN, claim))
         right, found = (judged(log_file(one, tmp_path, *edits))[claim] for one in (streams, wrong))
