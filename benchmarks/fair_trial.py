@@ -1,7 +1,7 @@
-"""A fair trial: fourteen faults and sixty harmless changes, by evaluate and by fuzz --against.  Writes FAIR_TRIAL.md.
+"""A fair trial: fourteen faults and sixty harmless changes.  Writes FAIR_TRIAL.md.
 
-Each command is a line of reports/fair_trial.jsonl as soon as it has ended; what is there is not run again, so that
-the whole may be stopped and started.  --table only writes the table.  One process at a time.
+Each command, evaluate or fuzz --against, is a line of reports/fair_trial.jsonl as soon as it has ended; what
+is there is not run again, so that the whole may be stopped and started.  --table only writes the table.
 """
 
 from __future__ import annotations
@@ -9,19 +9,39 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import resource
+import re
 import signal
-import subprocess
+import sys
 import tempfile
 from pathlib import Path
 from typing import Any
 
 from fair_trial_avoiders import FAULTS, FILES, HARMLESS, make_file
+from fair_trial_controllers import CONTROLLERS
 from scipy.stats import beta
+
+from safety_harness.__main__ import main
 
 HERE, ROOT = Path(__file__).parent, Path(__file__).parents[1]
 LINES, OUT = ROOT / "reports" / "fair_trial.jsonl", HERE / "FAIR_TRIAL.md"
-SPACE = ROOT / "scenarios" / "spaces" / "reaching-hands.yaml"
+SPACES = ROOT / "scenarios" / "spaces"
+SPACE, CONTROLLER = SPACES / "reaching-hands.yaml", HERE / "fair_trial_controllers.py"
+SCENARIOS = (
+    "hand-visits-and-leaves",
+    "second-hand",
+    "carrying-a-board",
+    "hand-returns",
+    "servoing-alone",
+    "recorded-hammering",
+    "over-the-shoulder",
+)
+OUTCOMES = (
+    "hand distance never below 50 mm",
+    "no moving part touches a hand",
+    "reacts within 120 ms",
+    "keeps its place within 5 mm",
+    "converged to the desired pose",
+)
 ABOUT = {name: (one.about, one.of) for name, one in (FAULTS | HARMLESS).items()}
 ABOUT |= {name: (about, of) for name, (about, of, _) in FILES.items()}
 CLEAN = [*HARMLESS, *FILES]
@@ -34,42 +54,73 @@ def asked_of(name: str) -> str:
     return f"{HERE / 'fair_trial_avoiders.py'}:{name}" if name in ABOUT else name
 
 
+def call(arguments: list[str]) -> int:
+    """Run a command in this process."""
+    sys.argv = ["safety-harness", *arguments]
+    try:
+        return int(main() or 0)
+    except SystemExit as ended:
+        return int(ended.code or 0)
+
+
+def judged_by_outcome(folder: Path) -> list[str]:
+    """Write shipped scenarios with the claims that judge any controller by what comes of it."""
+    for name in SCENARIOS:
+        text = (SPACES.parent / f"{name}.yaml").read_text()
+        text = re.sub(r"\n(avoider|controller):[^\n]*", "", text[: text.index("\nclaims:")])
+        text = text.replace("recordings/", f"{SPACES.parent}/recordings/")
+        (folder / f"{name}.yaml").write_text(
+            f"{text}\nclaims:\n" + "".join(f"  {one}: holds\n" for one in OUTCOMES)
+        )
+    return [str(folder / f"{name}.yaml") for name in SCENARIOS]
+
+
+def asking(command: str, name: str, folder: Path) -> list[str]:
+    """Say what the command is asked, options apart."""
+    if command == "evaluate":
+        return ["evaluate", asked_of(name)]
+    if name in ABOUT:
+        return ["fuzz", str(SPACE), "--avoider", asked_of(name), "--against", ABOUT[name][1]]
+    pair = ["--controller", f"{CONTROLLER}:{name}", "--against", f"{CONTROLLER}:Sound"]
+    if command == "run":
+        return ["run", *judged_by_outcome(folder), "--world", "kinematic", *pair]
+    return ["fuzz", str(SPACE), *pair, *(word for one in OUTCOMES for word in ("--claim", one))]
+
+
 def run_command(command: str, name: str, options: list[str], wall_s: float) -> dict[str, Any]:
-    """Run one command in a process of its own, and read what it found."""
+    """Run one command in a fork of this process, which has everything imported, and read what it found."""
     with tempfile.TemporaryDirectory() as folder:
-        avoider = asked_of(name)
-        what = (
-            [avoider]
-            if command == "evaluate"
-            else [str(SPACE), "--avoider", avoider, "--against", ABOUT[name][1]]
-        )
-        before = resource.getrusage(resource.RUSAGE_CHILDREN)
-        process = subprocess.Popen(
-            ["nice", "-n", "10", "safety-harness", command, *what, *options, "--out", folder],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-            start_new_session=True,
-        )
-        try:
-            said, _ = process.communicate(timeout=wall_s)
-        except subprocess.TimeoutExpired:
-            os.killpg(process.pid, signal.SIGINT)
-            said, _ = process.communicate()
-        after = resource.getrusage(resource.RUSAGE_CHILDREN)
-        result: dict[str, Any] = {
-            "command": command,
-            "name": name,
-            "options": options,
-            "exit": process.returncode,
-        }
-        result["cpu_s"] = round(after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime, 1)
-        file = Path(folder) / ("evaluation.json" if command == "evaluate" else "findings.json")
+        said, out = Path(folder) / "said.txt", Path(folder) / "out"
+        what = asking(command, name, Path(folder))
+        child = os.fork()
+        if child == 0:
+            signal.signal(signal.SIGALRM, lambda *_: signal.raise_signal(signal.SIGINT))
+            signal.setitimer(signal.ITIMER_REAL, wall_s)
+            to = os.open(said, os.O_WRONLY | os.O_CREAT)
+            os.dup2(to, 1)
+            os.dup2(to, 2)
+            code = call([*what, *options, "--out", str(out)])
+            sys.stdout.flush()
+            os._exit(code)
+        _, status, used = os.wait4(child, 0)
+        result: dict[str, Any] = {"command": command, "name": name, "options": options}
+        result["exit"] = os.waitstatus_to_exitcode(status)
+        result["cpu_s"] = round(used.ru_utime + used.ru_stime, 1)
+        file = out / {"evaluate": "evaluation.json", "run": "report.json"}.get(command, "findings.json")
         found = json.loads(file.read_text()) if file.exists() else {}
         if command == "evaluate":
             for one in found.get("avoiders", []):
                 result["findings"] = [[f["kind"], f["region"], f["words"]] for f in one["findings"]]
                 result["unlike"] = len(one["unlike_the_reference"])
+        elif command == "run":
+            result["new"] = sorted(
+                {
+                    f"{claim['claim']} ({run['scenario']})"
+                    for run in (found.get("against") or {}).get("runs", [])
+                    for claim in run["claims"]
+                    if claim["change"] in ("new violation", "violated by more")
+                }
+            )
         else:
             keys = (
                 "counterexamples",
@@ -81,7 +132,7 @@ def run_command(command: str, name: str, options: list[str], wall_s: float) -> d
             )
             result |= {key: found.get(key) for key in keys}
             result["attribution"] = (found.get("attribution") or {}).get("words")
-        result["tail"] = said[-2500:]
+        result["tail"] = said.read_text(errors="replace")[-2500:]
         return result
 
 
@@ -92,6 +143,8 @@ def flagged(row: dict[str, Any], references: dict[str, set[tuple[str, str]]]) ->
             return None
         known = references.get(ABOUT.get(row["name"], ("", ""))[1], set())
         return [f"{kind} ({region})" for kind, region, _ in row["findings"] if (kind, region) not in known]
+    if row["command"] == "run":
+        return list(row["new"]) if row["exit"] in (0, 1) else None
     if row.get("distinct") is None or row["exit"] not in (0, 1):
         return None
     return [f"{one['complaint']}: {one['kind']}" for one in row["distinct"]] or (
@@ -110,11 +163,12 @@ def table(rows: list[dict[str, Any]]) -> str:
     text = [
         "# A fair trial",
         "",
-        "Written by `python benchmarks/fair_trial.py`; the avoiders are in `fair_trial_avoiders.py`, written from the",
-        "documents alone. *Flagged* is a finding of `evaluate`'s unsafe list that the unchanged reference has not, or a",
-        "counted difference of `fuzz --against`. What was not measured is a dash, and is not counted.",
+        "Written by `python benchmarks/fair_trial.py`, of avoiders written from the documents alone.",
+        "*Flagged* is a finding of `evaluate`'s unsafe list that the unchanged reference has not, a counted",
+        "difference of `fuzz --against`, or its exit code 1. A dash was not measured, and is not counted.",
+        "Faults are scored with fewer questions first, and those that are missed with the default count.",
         "",
-        "| command | faults noticed | missed | not measured | harmless flagged | upper bound, 95 % | processor time, median |",
+        "| command | faults noticed | missed | not measured | harmless flagged | at most | CPU |",
         "|---|---|---|---|---|---|---|",
     ]
     for command in ("evaluate", "fuzz"):
@@ -156,24 +210,36 @@ def table(rows: list[dict[str, Any]]) -> str:
                         + f" ({row['cpu_s']} s, {' '.join(row['options'])})"
                     )
             text.append(f"| {name} | {ABOUT[name][0]} | {ABOUT[name][1]} | {cells[0]} | {cells[1]} |")
+    text += [
+        "",
+        "## Controllers, against `Sound`",
+        "",
+        "| name | what | run --against | fuzz --against |",
+        "|---|---|---|---|",
+    ]
+    for one in CONTROLLERS:
+        cells = []
+        for command in ("run", "fuzz"):
+            row = by.get((command, one.__name__))
+            told = None if row is None else flagged(row, references)
+            cells.append(
+                "–" if row is None or told is None else f"{'; '.join(told) or 'nothing'} ({row['cpu_s']} s)"
+            )
+        text.append(f"| {one.__name__} | {(one.__doc__ or '').strip()} | {cells[0]} | {cells[1]} |")
     return "\n".join(text) + "\n"
 
 
 def jobs(arguments: argparse.Namespace) -> list[tuple[str, str, list[str], float]]:
     """List every command, the cheapest to learn from first."""
-    score, runs = ["--search", "0"], ["--budget", str(arguments.budget)]
-    if arguments.questions:
-        score += ["--questions", str(arguments.questions)]
-    of = ("mc-dropout", "student", "ensemble", "opposite pose")
-    every = [("evaluate", name, score, 300.0) for name in FAULTS]
-    pairs = [[("fuzz", name, runs, 300.0), ("evaluate", name, score, 300.0)] for name in CLEAN]
-    every += [("fuzz", name, runs, 400.0) for name in list(FAULTS)[:3]]
-    every += (
-        [one[0] for one in pairs]
-        + [("evaluate", name, score, 300.0) for name in of]
-        + [one[1] for one in pairs]
+    runs, few = (
+        ["--budget", str(arguments.budget)],
+        ["--search", "0", "--questions", str(arguments.questions)],
     )
-    every += [("fuzz", name, runs, 400.0) for name in list(FAULTS)[3:]]
+    every = [("evaluate", name, few, 300.0) for name in FAULTS]
+    every += [("fuzz", name, runs, 300.0) for name in [*CLEAN, *FAULTS]]
+    every += [(command, one.__name__, [], 300.0) for one in CONTROLLERS for command in ("run",)]
+    every += [("fuzz", one.__name__, runs, 300.0) for one in CONTROLLERS]
+    every += [("evaluate", name, few, 300.0) for name in (*sorted({of for _, of in ABOUT.values()}), *CLEAN)]
     return [
         one
         for one in every
@@ -181,19 +247,25 @@ def jobs(arguments: argparse.Namespace) -> list[tuple[str, str, list[str], float
     ]
 
 
-def main() -> None:
+def trial() -> None:
     """Run what has not been run, and write the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("names", nargs="*")
     parser.add_argument("--questions", type=int)
+    parser.add_argument("--region", action="append", default=[])
     parser.add_argument("--budget", type=int, default=120)
-    parser.add_argument("--only", choices=("evaluate", "fuzz"))
+    parser.add_argument("--only", choices=("evaluate", "fuzz", "run"))
     parser.add_argument("--table", action="store_true")
     arguments = parser.parse_args()
     LINES.parent.mkdir(exist_ok=True)
     rows = [json.loads(line) for line in LINES.read_text().splitlines()] if LINES.exists() else []
+    if not arguments.table:
+        with tempfile.TemporaryDirectory() as folder:  # imports everything, once
+            call(["evaluate", asked_of("to_1_mm"), "--search", "0", "--questions", "20", "--out", folder])
+            fuzz = ["fuzz", str(SPACE), "--avoider", asked_of("to_1_mm"), "--against", "mc-dropout"]
+            call([*fuzz, "--budget", "5", "--out", folder])
     for command, name, options, wall_s in [] if arguments.table else jobs(arguments):
-        if not any((row["command"], row["name"]) == (command, name) for row in rows):
+        if not any([row["command"], row["name"], row["options"]] == [command, name, options] for row in rows):
             rows.append(run_command(command, name, options, wall_s))
             with LINES.open("a") as file:
                 file.write(json.dumps(rows[-1]) + "\n")
@@ -202,4 +274,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    trial()

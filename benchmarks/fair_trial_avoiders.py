@@ -1,7 +1,7 @@
-"""Fourteen faulty avoiders and sixty harmless changes, written from the documents alone (fair_trial.py runs them).
+"""Fourteen faulty avoiders and sixty harmless changes, written from the documents alone.
 
-Try one: ``safety-harness evaluate benchmarks/fair_trial_avoiders.py:NAME``.  Those in FILES are model or ONNX files,
-which ``make_file(NAME, folder)`` writes.  Every entry says what it changes and what it is compared with.
+Try one: ``safety-harness evaluate benchmarks/fair_trial_avoiders.py:NAME``.  Those in
+FILES are model or ONNX files, which ``make_file(NAME, folder)`` writes.  Every entry says what it changes.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ def same(value: Any, *_: Any) -> Any:
 
 @dataclass(frozen=True)
 class Change:
-    """What is changed of a reference: questions (h, t, s), answers (p, d of h, t, s), or the asking itself."""
+    """What is changed of a reference: its questions, its answers, or the asking itself."""
 
     about: str
     of: str = MC
@@ -78,7 +78,7 @@ class Changed(AvoiderAround):
         position, spread = self.propose_many(
             hand_position_in_base_m[None], tcp_position_in_base_m[None], np.array([seed], np.uint64)
         )
-        return Proposal(position[0], None if spread is None else spread[0])
+        return Proposal(position[0]) if spread is None else Proposal(position[0], spread[0])
 
 
 class Alone(Changed):
@@ -92,7 +92,7 @@ class Alone(Changed):
         position, spread = self_many(
             self, hand_position_in_base_m[None], tcp_position_in_base_m[None], np.array([seed], np.uint64)
         )
-        return Proposal(position[0], None if spread is None else spread[0])
+        return Proposal(position[0]) if spread is None else Proposal(position[0], spread[0])
 
 
 class Seeing(Alone):
@@ -585,6 +585,7 @@ def __getattr__(name: str) -> Any:
     change = (FAULTS | HARMLESS).get(name)
     if change is None:
         raise AttributeError(name)
-    kind = Alone if name in ("no_batch", "raises_by_place") else Changed
+    alone = change.of == AWAY or name in ("no_batch", "raises_by_place")  # the opposite pose has no spread
+    kind = Alone if alone else Changed
     kind = Seeing if "sees" in (change.members or {}) else kind
     return type(name, (kind,), {"name": name, **(change.members or {})})(change)
