@@ -31,8 +31,8 @@ SCENARIOS = (
     "second-hand",
     "carrying-a-board",
     "hand-returns",
-    "servoing-alone",
-    "recorded-hammering",
+    "fast-reach",
+    "taking-the-object",
     "over-the-shoulder",
 )
 OUTCOMES = (
@@ -45,6 +45,28 @@ OUTCOMES = (
 ABOUT = {name: (one.about, one.of) for name, one in (FAULTS | HARMLESS).items()}
 ABOUT |= {name: (about, of) for name, (about, of, _) in FILES.items()}
 CLEAN = [*HARMLESS, *FILES]
+
+
+CAUSES = """
+## What was missed or flagged, and why
+
+- `homogeneous` (harmless): `fuzz` ends with 1 although it finds no difference. Asked alone it answers
+  1.6e-13 mm elsewhere than in a batch, for a matrix product rounds otherwise by its shape; *asked again*
+  knows no tolerance.
+- `onnx_int8` (harmless): int8 moves the student's answers by 3 mm in the median, by up to 14 mm.
+  `retrained` (harmless): by 2 mm, and up to 15 mm (24 mm to the left of the seen space). Flagged for `at
+  most 50 % of proposals overruled` (both) and `proposals lead away to within 10 mm` (int8). The tolerance
+  of a share is 1 %, and one proposal of seven is 14 %. A deterministic avoider has no randomness of its own
+  to draw again; a point that a search chose for its difference then shows it in every pair. Differences the
+  other way are counted nowhere.
+- `towards_by_seed` is missed by `evaluate --questions 1000` and noticed with the default count.
+- `x_and_y_swapped` moves answers by up to 35 mm and leads away as often as the reference: none of the
+  unsafe list, five ways unlike the reference.
+- `sure_where_unseen`: the answers are as good as before, only the doubt is gone; the yardstick without
+  doubt (the closed form) leads towards the hand as often, and *sure and unsafe* compares with that.
+- `answers_after_96_ms` is within the deadline, and `other_hand` needs two hands: neither is in the scope of
+  `evaluate`.
+"""
 
 
 def asked_of(name: str) -> str:
@@ -94,6 +116,7 @@ def run_command(command: str, name: str, options: list[str], wall_s: float) -> d
         what = asking(command, name, Path(folder))
         child = os.fork()
         if child == 0:
+            signal.signal(signal.SIGINT, signal.default_int_handler)  # nohup ignores it
             signal.signal(signal.SIGALRM, lambda *_: signal.raise_signal(signal.SIGINT))
             signal.setitimer(signal.ITIMER_REAL, wall_s)
             to = os.open(said, os.O_WRONLY | os.O_CREAT)
@@ -204,6 +227,7 @@ def table(rows: list[dict[str, Any]]) -> str:
                 else:
                     more = f" and {len(one) - 3} more" if len(one) > 3 else ""
                     flips = len(row.get("flips_near_the_limit") or [])
+                    more += f"; unlike in {row['unlike']} ways" if row.get("unlike") else ""
                     cells.append(
                         f"{'; '.join(one[:3]) or 'nothing'}{more}"
                         + (f"; {flips} flips" if flips else "")
@@ -226,15 +250,14 @@ def table(rows: list[dict[str, Any]]) -> str:
                 "–" if row is None or told is None else f"{'; '.join(told) or 'nothing'} ({row['cpu_s']} s)"
             )
         text.append(f"| {one.__name__} | {(one.__doc__ or '').strip()} | {cells[0]} | {cells[1]} |")
-    return "\n".join(text) + "\n"
+    return "\n".join(text) + f"\n{CAUSES}"
 
 
 def jobs(arguments: argparse.Namespace) -> list[tuple[str, str, list[str], float]]:
     """List every command, the cheapest to learn from first."""
-    runs, few = (
-        ["--budget", str(arguments.budget)],
-        ["--search", "0", "--questions", str(arguments.questions)],
-    )
+    runs, few = ["--budget", str(arguments.budget)], ["--search", "0"]
+    few += ["--questions", str(arguments.questions)] if arguments.questions else []
+    few += [word for one in arguments.region for word in ("--region", one)]
     every = [("evaluate", name, few, 300.0) for name in FAULTS]
     every += [("fuzz", name, runs, 300.0) for name in [*CLEAN, *FAULTS]]
     every += [(command, one.__name__, [], 300.0) for one in CONTROLLERS for command in ("run",)]
@@ -259,7 +282,7 @@ def trial() -> None:
     arguments = parser.parse_args()
     LINES.parent.mkdir(exist_ok=True)
     rows = [json.loads(line) for line in LINES.read_text().splitlines()] if LINES.exists() else []
-    if not arguments.table:
+    if not arguments.table and arguments.only != "run":
         with tempfile.TemporaryDirectory() as folder:  # imports everything, once
             call(["evaluate", asked_of("to_1_mm"), "--search", "0", "--questions", "20", "--out", folder])
             fuzz = ["fuzz", str(SPACE), "--avoider", asked_of("to_1_mm"), "--against", "mc-dropout"]
