@@ -12,6 +12,7 @@ from broken import gate_of, passing
 from examples import VISIT, Displaced, Slow, hand, scenario
 from harmless import CERTAIN, IN_DOUBT, Astray
 from planted_breaks import STAYS, Break, NowAndThen, Numberless, Proposes
+from planted_controllers import Drifts, StopsLate
 from test_fallback_resolution import BUILT_IN, gone
 
 from safety_harness import read_scenario
@@ -285,6 +286,16 @@ def reactions() -> Iterator[Break]:
         2.0,
         1e-3,
     )
+    yield Break(
+        "reacts within 120 ms",
+        "a controller that stops that much later",
+        "ms",
+        lambda m: run.of_user(scenario(VISIT, duration_s=1.5), StopsLate(int(m))),
+        own.braked_late_ms,
+        0.0,
+        40.0,
+        whole=True,
+    )
     for sentence in ("never gives way without a hand", "never gives way without a hand within 600 mm"):
         yield Break(
             sentence,
@@ -447,6 +458,15 @@ def tasks() -> Iterator[Break]:
         0.0,
         1500.0,
         whole=True,
+    )
+    yield Break(
+        "keeps its place within 5 mm",
+        "a controller that drifts that much farther",
+        "mm",
+        lambda m: run.of_user(scenario(duration_s=6.0, offset=(0.0, 0.0, 0.0)), Drifts(until_m=m)),
+        lambda t: 1e3 * float(np.linalg.norm(own.tcp_m(t) - own.tcp_m(t)[0], axis=1).max()) - 5.0,
+        0.004,
+        0.02,
     )
     yield Break(
         "trace finite and monotone",

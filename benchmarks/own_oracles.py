@@ -307,6 +307,12 @@ def true_near(trace: Trace) -> NDArray[np.bool_]:
     return np.asarray(apart < trace.scenario.settings.avoidance.critical_distance_m)
 
 
+def braked_late_ms(trace: Trace) -> float:
+    """How much later [ms] than 120 ms after the first hand came near the drives of an arm brake."""
+    near, brakes = (int(np.argmax(one)) for one in (true_near(trace), trace.ticks["limits"] & 16 != 0))
+    return 1e3 * (brakes - near) * period_s(trace) - 120.0
+
+
 def predicted_near(trace: Trace) -> NDArray[np.bool_]:
     """(n,) is a predicted hand?"""
     apart = np.linalg.norm(trace.ticks["predicted_hand_in_base_m"] - tcp_m(trace)[:, None], axis=2)

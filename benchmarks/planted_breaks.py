@@ -16,6 +16,7 @@ from broken import gate_of
 from examples import VISIT, ConstantSpeed, hand, scenario, ungated, ur10_gate
 from harmless import setting
 from numpy.typing import NDArray
+from planted_controllers import alone
 
 from safety_harness.admission.admit import admit
 from safety_harness.admission.trial import run_kinematic
@@ -23,6 +24,7 @@ from safety_harness.avoidance.avoider import Proposal
 from safety_harness.avoidance.gate import Gate
 from safety_harness.avoidance.measures import optimum_in_base_m
 from safety_harness.controller.around import ControllerWrapper
+from safety_harness.controller.contract import UserController
 from safety_harness.scenario.gate import AskedRegion, GateRule, PositionBox
 from safety_harness.scenario.model import Scenario
 from safety_harness.scenario.moves import MoveTo, Wait
@@ -208,6 +210,11 @@ def around(what: Scenario, wrapper: type[ControllerWrapper], cycles: float) -> T
     """A run with a wrapper around the visual servo."""
     admitted = admit(what)
     return run_kinematic(admitted, controller=wrapper(admitted.controller(), int(cycles)))
+
+
+def of_user(what: Scenario, controller: UserController) -> Trace:
+    """A run of a user's controller."""
+    return run_kinematic(admit(alone(what), controller=controller))
 
 
 def handed_over(avoider: Any, by_m: float) -> Trace:

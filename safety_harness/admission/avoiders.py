@@ -193,6 +193,19 @@ def one_of(avoider: str | None, controller: str | None) -> str | None:
     return avoider if controller is None else Driver(controller)
 
 
+def reference_for(tested: str | None, reference: str | None) -> str | None:
+    """What ``--against`` names beside what is ``tested``; InadmissibleError for that itself.
+
+    It is a ``Driver`` by its name, or if it is a program, or beside another if no avoider has its name.
+    """
+    from safety_harness.controller.named import NAMES as CONTROLLERS  # loads what few commands need
+
+    driver = reference in CONTROLLERS or names_a_program(reference or "")
+    driver |= isinstance(tested, Driver) and reference not in NAMES
+    refuse_itself(tested, reference)
+    return Driver(reference) if driver and reference is not None else reference
+
+
 def refuse_itself(tested: str | None, reference: str | None, option: str = "--against") -> None:
     """InadmissibleError where what is tested is its own reference: the same word, or one name in one file."""
     whole = {

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from safety_harness.admission.avoiders import option_of
+from safety_harness.admission.avoiders import option_of, reference_for
 from safety_harness.campaign.identity import PlanFile, unpacked
 from safety_harness.campaign.ledger import Ledger
 from safety_harness.campaign.merging import PAIRS
 from safety_harness.campaign.plan import Plan, read_plan
 from safety_harness.properties.against import SCALES, TOLERANCE, p_words, paired_words
+from safety_harness.scenario.model import Driver
 from safety_harness.scenario.references import file_and_name
 from safety_harness.shipped.contents import is_shipped
 from safety_harness.statistics.sample import EpisodeOutcome
@@ -35,6 +37,9 @@ def plan_against(ledger: Ledger, reference: str) -> Plan:
 
     It is written, with all its files, to a folder beside the ledger, and read from there.
     """
+    systems = map(json.loads, ledger.declared.identity.systems)
+    driver = next((Driver(one["controller"]["name"]) for one in systems if one.get("avoider") is None), None)
+    reference = reference_for(driver, reference) or reference
     return plan_with(ledger.files, reference, ledger.path.parent / f"{ledger.path.stem}-against")
 
 

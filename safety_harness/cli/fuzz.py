@@ -50,7 +50,8 @@ def fuzz(
 ) -> int:
     """Search a space for violations, and write each distinct one as a scenario file that run takes.
 
-    With --against it searches for what the avoider violates and the reference keeps, on the same draws.
+    With --against it searches for what the avoider or controller violates and the reference keeps, on the
+    same draws.
     Each such difference is drawn again; what is none then is listed as a flip near the limit.
     Counterexamples are shrunk, confirmed in PyBullet and attributed (whose fault they are, as attribute says
     it), and so are all violations together.  A page, fuzz.html, is about them, with a map of what was
@@ -60,7 +61,7 @@ def fuzz(
     none of what it does, a claim that no run put to the test, or an avoider that gave no answer, or answered
     otherwise when asked again; 2: bad input, or a place that cannot be written; 130: interrupted.
     """
-    from safety_harness.admission.avoiders import one_of, refuse_itself, with_avoider
+    from safety_harness.admission.avoiders import one_of, reference_for, with_avoider
     from safety_harness.admission.driving import named_system
     from safety_harness.cli.progress import watching_search, watching_words
     from safety_harness.report.search_attribution import SearchAttribution
@@ -82,7 +83,7 @@ def fuzz(
         raise ScenarioError.of_option("--baseline", expected, "--searcher uniform")
     attribution = SearchAttribution()
     asked = one_of(avoider, controller)
-    refuse_itself(asked, against)
+    reference = reference_for(asked, against)
     read = read_space(space)
     made = search_space(
         Trials(
@@ -91,7 +92,7 @@ def fuzz(
             seed=seed,
             avoider=asked,
             sentences=tuple(claims or ()),
-            reference=None if against is None else Reference(against),
+            reference=None if reference is None else Reference(reference),
         ),
         make,
         out=out,

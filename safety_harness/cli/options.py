@@ -42,8 +42,8 @@ OfReference = Annotated[
     str | None,
     Option(
         "--against",
-        help="A reference, as for --avoider: the same draws for both, and only what it does not do is told.",
-        metavar="AVOIDER",
+        help="A reference, as for --avoider or --controller: the same draws; what it does not do is told.",
+        metavar="REFERENCE",
     ),
 ]
 OfWorld = Annotated[

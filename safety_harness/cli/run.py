@@ -16,7 +16,6 @@ from safety_harness.admission.admit import Admitted, admit
 from safety_harness.admission.avoiders import (
     command_line_reference,
     option_of,
-    refuse_itself,
     replay_command,
     told_avoider,
 )
@@ -83,7 +82,6 @@ def read_all(
         world.refuse(one)
         return equal.get(one.name) or taken(one, avoiders, admit)
 
-    refuse_itself(avoider, against)
     gathered = gather(paths)
     say(*aside_lines(gathered.aside))
     if gathered.scenarios:
@@ -266,7 +264,7 @@ class RunSession:
         if self.against is None:
             good = all(verdicts) and bool(verdicts or not others) and not (untested or self.skipped)
         else:  # what cannot be compared differs in nothing
-            good = self._as_good()
+            good = len(self.differences) == self.planned and not self.against.worse
         good &= self.repeated is None or not self.repeated.words
         return AS_EXPECTED if good and not self.failed else DIFFERS
 
@@ -280,11 +278,6 @@ class RunSession:
             files = [one.trace_file for one in runs if one.trace_file is not None]
             command = replay_command(runs[0].trace.scenario, *files, by="attribute", told=Path)
             say(f"whose fault: {command}")
-
-    def _as_good(self) -> bool:
-        """Was every run held against the reference's, and none found worse?"""
-        assert self.against is not None
-        return len(self.differences) == self.planned and not self.against.worse
 
     def _ask_again(self) -> None:
         """Does the avoider answer alike when it is asked again?  Not after an interruption."""

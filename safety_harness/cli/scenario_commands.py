@@ -52,13 +52,14 @@ def run(
     expected to tell something was never put to the test; 2: bad input, nothing was run, or with
     --keep-going only the rest; 130: interrupted, what was finished is kept.
     """
-    from safety_harness.admission.avoiders import one_of
+    from safety_harness.admission.avoiders import one_of, reference_for
     from safety_harness.cli.run import run as run_files
     from safety_harness.simulation.worlds import world_named
 
     chosen = world_named(world, "--world")
     tested = one_of(avoider, controller)
-    return run_files(files, out, tested, against, world=chosen, keep_going=keep_going, jobs=jobs)
+    reference = reference_for(tested, against)
+    return run_files(files, out, tested, reference, world=chosen, keep_going=keep_going, jobs=jobs)
 
 
 @command(commands)

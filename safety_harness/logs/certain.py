@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.logs.assumptions import unconfirmed_note
-from safety_harness.logs.mode_motion import refuse_retreat_while_servoing
 from safety_harness.logs.model import Body, CellLog
 from safety_harness.logs.reach import (
     ROUNDING_M,
@@ -105,7 +104,6 @@ def trace_of(log: CellLog) -> Recorded:
     columns |= _of_hands(log, paths)
     trace = replace(trace, known=knowing(trace, columns).known)
     trace = with_told(_derived(trace, columns), log, columns)
-    refuse_retreat_while_servoing(trace, log)
     return Recorded(trace, recordings, tuple(_notes(log, paths)))
 
 

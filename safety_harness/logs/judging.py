@@ -7,7 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 
 from safety_harness.logs.certain import Recorded, trace_of
-from safety_harness.logs.mode_motion import refuse_retreat_while_servoing
 from safety_harness.logs.read import read_log
 from safety_harness.scenario.model import Claim
 
@@ -17,10 +16,8 @@ def recorded(path: str | Path, claims: Sequence[Claim] = ()) -> Recorded:
 
     InputError with its place for whatever of it cannot be used.
     """
-    log = read_log(path)
-    found = trace_of(log)
-    if claims:
-        scenario = replace(found.trace.scenario, claims=tuple(claims))
-        found = replace(found, trace=replace(found.trace, scenario=scenario))
-        refuse_retreat_while_servoing(found.trace, log)
-    return found
+    found = trace_of(read_log(path))
+    if not claims:
+        return found
+    scenario = replace(found.trace.scenario, claims=tuple(claims))
+    return replace(found, trace=replace(found.trace, scenario=scenario))

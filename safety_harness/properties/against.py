@@ -73,7 +73,8 @@ class ClaimDifference:
                 return VerdictChange.NEW
             return VerdictChange.DEEPER if less else VerdictChange.NONE
         if mine is Verdict.INCONCLUSIVE:
-            return VerdictChange.SILENT if reference is Verdict.HOLDS else VerdictChange.NONE
+            silent = reference is Verdict.HOLDS and self.mine.applicable  # else there is nothing to compare
+            return VerdictChange.SILENT if silent else VerdictChange.NONE
         if reference is Verdict.VIOLATED:
             return VerdictChange.GONE
         return VerdictChange.LOST if less and reference is Verdict.HOLDS else VerdictChange.NONE

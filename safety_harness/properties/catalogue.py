@@ -18,6 +18,7 @@ from safety_harness.properties.limits import (
     TCP_SPEED,
 )
 from safety_harness.properties.obstacles import OBSTACLE_DISTANCE
+from safety_harness.properties.outcome import KEEPS_ITS_PLACE, REACTS
 from safety_harness.properties.positions import PROPOSED_POSES, REPULSIVE_POSES
 from safety_harness.properties.proposals import (
     FEW_OVERRULED,
@@ -72,6 +73,7 @@ CATALOGUE: tuple[CatalogueEntry, ...] = (
     FALLBACK_POSES,
     GIVES_WAY,
     GIVES_WAY_TO_TRUE_HAND,
+    REACTS,
     FALSE_ALARMS,
     FALSE_ALARMS_WITHIN,
     HAND_PREDICTIONS,
@@ -89,5 +91,6 @@ CATALOGUE: tuple[CatalogueEntry, ...] = (
     CONVERGED,
     GIVES_WAY_AT_MOST,
     NEVER_STARVED,
+    KEEPS_ITS_PLACE,
     FINITE_TRACE,
 )

@@ -136,13 +136,13 @@ def _predicted_ends(prop: GivesWay, trace: Trace) -> tuple[float, float, bool]:
 
 
 def _true_ends(prop: GivesWayToTrueHand, trace: Trace) -> tuple[float, float, bool]:
-    nearest_m, off_m = nearest_hand_m(trace), _nearest_off_m(trace)
+    nearest_m, off_m = nearest_hand_m(trace), nearest_off_m(trace)
     critical_m = trace.scenario.settings.avoidance.critical_distance_m
     sure, maybe = nearest_m + off_m < critical_m, nearest_m - off_m < critical_m
     return _answer_ends(prop, trace, sure, maybe, whole_stretch=False)
 
 
-def _nearest_off_m(trace: Trace) -> NDArray[np.float64]:
+def nearest_off_m(trace: Trace) -> NDArray[np.float64]:
     """(n,) by how much the distance of the nearest hand from the TCP may be off."""
     count = len(trace.ticks)
     return trace.known.within("transform_tcp_to_base", count) + trace.known.within(
@@ -418,7 +418,7 @@ def _alarm_ends(prop: NoFalseAlarms, trace: Trace) -> tuple[float, float, bool]:
     limit_m, nearest_m, off_m = (
         prop.limit_m(trace.scenario.settings),
         nearest_hand_m(trace),
-        _nearest_off_m(trace),
+        nearest_off_m(trace),
     )
     far_m, near_m = np.minimum(nearest_m + off_m, 2.0 * limit_m), nearest_m - off_m
     told, (gives, may) = trace.known.measured("limits", trace.ticks), may_give_way(trace)

@@ -26,7 +26,7 @@ from safety_harness.properties.base import (
 )
 from safety_harness.properties.entry import CatalogueEntry, count, quantity
 from safety_harness.properties.measured import columns_read_by, reads
-from safety_harness.properties.reaction import gives_way
+from safety_harness.properties.reaction import nearest_off_m
 from safety_harness.properties.true_motion import nearest_hand_m, true_motion
 from safety_harness.properties.unexercised import MOVES, OFF_THE_GOAL, millimetres, only_whole, tcp_stood
 from safety_harness.scenario.model import Verdict
@@ -39,80 +39,64 @@ ALLOWANCE = 1.25  # times the closed form, for the limits and the other five fea
 GRACE_S = 1.0  # for getting up to speed
 ROUNDED_UP_S = 0.1
 LEAST_GAIN_M = 1e-3  # nearer by less is not getting on (metres and radians together, as in eq. 15)
+ABOUT = 1.5  # critical distances, within which a hand may be the cause: a retreat goes beyond one
+STANDS_S = 5.0  # without getting on, and it does not converge
 LEAST_SHARE = 0.1  # of the closed form's rate, with which servoing gets on
+
+
+def retreat_s(trace: Trace) -> float:
+    """For how long an arm may still retreat, or stand, once the last hand has left."""
+    avoidance = trace.scenario.settings.avoidance
+    speed_mps, most_mps2 = avoidance.repulsion_speed_mps, avoidance.repulsion_acceleration_mps2
+    return avoidance.restart_delay_s + avoidance.radius_m / speed_mps + speed_mps / most_mps2
 
 
 @once_a_trace
 def left_at(trace: Trace) -> int | None:
-    """The tick from which on no true hand is within the critical distance of the TCP, else None."""
-    near = nearest_hand_m(trace) < trace.scenario.settings.avoidance.critical_distance_m
-    busy = np.flatnonzero(near | gives_way(trace))
+    """The tick from which on the arm is free for its task, by motion, whatever mode is reported; else None.
+
+    No true hand is within the critical distance of the TCP, nor does it go away from the desired pose while
+    one is within ABOUT of that.  Then it may stand or go on, for ``retreat_s``: the last tick of those
+    counts at which it is as far off as at any.
+    """
+    settings, error = trace.scenario.settings, np.hypot(*pose_errors(trace))
+    nearest_m, critical_m = nearest_hand_m(trace), settings.avoidance.critical_distance_m
+    period_s = settings.clock.control_period_s
+    away = np.diff(error, prepend=error[0]) > 10.0 * MOVES * period_s
+    busy = np.flatnonzero((nearest_m < critical_m) | (away & (nearest_m < ABOUT * critical_m)))
     if len(busy) == 0:
         return 0
-    first = int(busy[-1]) + 1
-    return first if first < len(near) else None
+    if (first := int(busy[-1]) + 1) == len(error):
+        return None
+    rest = error[first : first + round(retreat_s(trace) / period_s)]
+    return first + int(np.flatnonzero(rest >= rest.max() - LEAST_GAIN_M)[-1])
 
 
 def busy_to_the_end(trace: Trace) -> str:
     """Why servoing was not free to go on."""
     critical_m, left_m = trace.scenario.settings.avoidance.critical_distance_m, nearest_hand_m(trace)[-1]
-    if not left_m < critical_m:
-        since_s = trace.time_s[runs_of(gives_way(trace))[0][-1]]
-        gives = f"the arm gives way from {since_s:.3f} s to the end of the run"
-        return f"{gives}; a hand that leaves earlier, or a longer duration, exercises it"
     near = f"a hand is near to the end: {millimetres(left_m, critical_m)} from the TCP"
-    return f"{near}; beyond {critical_m * 1e3:g} mm, or a longer duration, exercises it"
+    beyond_m = critical_m if left_m < critical_m else ABOUT * critical_m  # from where the arm still goes away
+    return f"{near}; beyond {beyond_m * 1e3:g} mm, or a longer duration, exercises it"
 
 
 @once_a_trace
 def pose_errors(trace: Trace) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """(n,) distance [m] and angle [rad] of the TCP from the desired pose at each tick."""
-    return position_errors_m(trace), angle_errors_rad(trace, trace.ticks["transform_tcp_to_base"])
+    desired = desired_transform_tcp_to_base(trace.scenario.settings)
+    turns = desired[:3, :3].T @ trace.ticks["transform_tcp_to_base"][:, :3, :3]
+    axis = np.stack(
+        [turns[:, 2, 1] - turns[:, 1, 2], turns[:, 0, 2] - turns[:, 2, 0], turns[:, 1, 0] - turns[:, 0, 1]]
+    )
+    cosine = np.trace(turns, axis1=1, axis2=2) - 1.0
+    return position_errors_m(trace), np.arctan2(np.linalg.norm(axis, axis=0), cosine)
 
 
 @once_a_trace
 def position_errors_m(trace: Trace) -> NDArray[np.float64]:
     """(n,) distance of the TCP from the desired position at each tick."""
-    return np.sqrt(_squared_m2(trace))
-
-
-@once_a_trace
-def _squared_m2(trace: Trace) -> NDArray[np.float64]:
-    """(n,) the square of that."""
     desired = desired_transform_tcp_to_base(trace.scenario.settings)
-    return _squared_distances(true_motion(trace).tcp_m, desired[:3, 3])
-
-
-@compiled
-def _squared_distances(
-    points: NDArray[np.float64],  # (n, 3)
-    place: NDArray[np.float64],  # (3,)
-) -> NDArray[np.float64]:
-    """(n,) |p - place|^2 [m^2] of each point."""
-    found = np.zeros(points.shape[0])
-    for k in range(points.shape[0]):
-        for i in range(3):
-            found[k] += (points[k, i] - place[i]) ** 2
-    return found
-
-
-def angle_errors_rad(trace: Trace, poses: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(n,) angle from the desired pose of each of ``poses`` (n, 4, 4)."""
-    desired = desired_transform_tcp_to_base(trace.scenario.settings)
-    turns = desired[:3, :3].T @ poses[:, :3, :3]
-    axis = np.stack(
-        [turns[:, 2, 1] - turns[:, 1, 2], turns[:, 0, 2] - turns[:, 2, 0], turns[:, 1, 0] - turns[:, 0, 1]]
-    )
-    angle: NDArray[np.float64] = np.arctan2(
-        np.linalg.norm(axis, axis=0), np.trace(turns, axis1=1, axis2=2) - 1.0
-    )
-    return angle
-
-
-def was_off(trace: Trace) -> bool:
-    """Was the TCP ever farther from the desired pose than one that has converged?"""
-    away = np.any(position_errors_m(trace) > CONVERGED_POSITION_M)
-    return bool(away or np.any(pose_errors(trace)[1] > CONVERGED_ANGLE_RAD))
+    return np.asarray(np.linalg.norm(true_motion(trace).tcp_m - desired[:3, 3], axis=1))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -136,7 +120,7 @@ class GainSwitchReached:
         return "gain switch reached" + ("" if self.within_s is None else f" within {self.within_s:g} s")
 
     @only_whole()
-    @reads("transform_tcp_to_base", "hand_position_in_base_m", also=["sse", "mode"])
+    @reads("transform_tcp_to_base", "hand_position_in_base_m", also=["sse"])
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge the first crossing after the hands have left."""
         first = left_at(trace)
@@ -144,7 +128,9 @@ class GainSwitchReached:
             return inconclusive(self, busy_to_the_end(trace))
         servo = trace.scenario.settings.servo
         sse = history(trace, "sse")[first:]
-        errors = _errors(trace)[first:]
+        errors = np.where(
+            np.isfinite(sse), sse, position_errors_m(trace)[first:] ** 2
+        )  # unseen: as if upright
         allowed_s = self.within_s
         if allowed_s is None:
             ratio = max(float(errors[0]) / servo.gain_switch_sse, 1.0)
@@ -153,21 +139,18 @@ class GainSwitchReached:
         above = errors[: below[0] if len(below) else None] >= servo.gain_switch_sse
         took = int(below[0]) if len(below) else len(trace.ticks) - 1 - first  # in ticks
         took_s, left_s = float(trace.time_s[took]), time_left_s(trace, allowed_s, took)
+        allowed = f"{allowed_s:.2f} s were allowed"
+        if len(below) == 0 and left_s >= 0.0:
+            ends = f"the run ends {took_s:.2f} s after the hands have left; {allowed_s:.2f} s are allowed"
+            return inconclusive(self, f"{ends}: {longer(trace, left_s)}")
+        reason = f"not reached in {took_s:.2f} s; {allowed}"
         if len(below):
-            reason = f"reached {took_s:.2f} s after the hands had left; {allowed_s:.2f} s were allowed"
-            if not above.any():
-                reason = (
-                    f"below the switch already when the hands had left: |f - f*|^2 = {errors[0]:.2g}; at "
-                    f"least {servo.gain_switch_sse:g} then exercises it, with the TCP farther off"
-                )
-        else:
-            if left_s >= 0.0:
-                reason = (
-                    f"the run ends {took_s:.2f} s after the hands have left; {allowed_s:.2f} s are allowed: "
-                    f"{longer(trace, left_s)}"
-                )
-                return inconclusive(self, reason)
-            reason = f"not reached in {took_s:.2f} s; {allowed_s:.2f} s were allowed"
+            reason = f"reached {took_s:.2f} s after the hands had left; {allowed}"
+        if not above.any():
+            reason = (
+                f"below the switch already when the hands had left: |f - f*|^2 = {errors[0]:.2g}; at least "
+            )
+            reason += f"{servo.gain_switch_sse:g} then exercises it, with the TCP farther off"
         exercised = int(above.any())
         return judged(self, trace, left_s, trace.time_s[first + took], reason, exercised, revocable=True)
 
@@ -178,20 +161,14 @@ def longer(trace: Trace, lacked_s: float) -> str:
     return f"a duration of {duration_s:.1f} s exercises it if no hand comes near again"
 
 
-@once_a_trace
-def _errors(trace: Trace) -> NDArray[np.float64]:
-    """(n,) eq. 15; where the object is not seen, what it would be upright: the distance squared."""
-    sse = history(trace, "sse")
-    return np.where(np.isfinite(sse), sse, _squared_m2(trace))
-
-
 @dataclass(frozen=True, kw_only=True)
 class Converged:
     """The TCP ends within 1 mm and 0.1 degree of the desired pose, judged by pose, not by features.
 
     Margin: 1 mm less the distance at the end; where the angle is too large, minus the distance
     that the excess angle means at the camera's desired depth.  A run shorter than the closed form
-    needs (both gains) is inconclusive unless it has converged already.
+    needs (both gains) is inconclusive unless it has converged already, or has hardly come nearer in the
+    last 5 s.  By motion alone: what mode is reported does not matter.
 
     Exercised when the TCP was farther off at any tick of the run, so that servoing has brought it
     here; a TCP that began there and was never pushed away says nothing.
@@ -201,37 +178,32 @@ class Converged:
     sentence: str = "converged to the desired pose"
 
     @only_whole()
-    @reads("transform_tcp_to_base", "hand_position_in_base_m", also=["mode"])
+    @reads(
+        "transform_tcp_to_base",
+        "hand_position_in_base_m",
+        ends=lambda _, trace, margin: _converged_ends(trace, margin),
+    )
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge the last tick."""
         first = left_at(trace)
         if first is None:
             return inconclusive(self, busy_to_the_end(trace))
-        position = position_errors_m(trace)
-        angle_rad = float(angle_errors_rad(trace, trace.ticks["transform_tcp_to_base"][-1:])[0])
-        needed_s = self._needed_s(trace, float(np.hypot(position[first], pose_errors(trace)[1][first])))
+        (position, angle), settings = pose_errors(trace), trace.scenario.settings
+        needed_s = self._needed_s(trace, float(np.hypot(position[first], angle[first])))
         had_s = float(trace.time_s[-1] - trace.time_s[first])
         margin = CONVERGED_POSITION_M - float(position[-1])
-        excess_rad = angle_rad - CONVERGED_ANGLE_RAD
-        if excess_rad > 0.0:
-            settings = trace.scenario.settings
-            desired_m = settings.cell.desired_tcp_position_in_base_m
-            depth_m = desired_m[2] - settings.object.position_in_base_m[2]
-            margin = min(margin, -excess_rad * depth_m)
-        if margin < 0.0 and had_s < needed_s:
+        if angle[-1] > CONVERGED_ANGLE_RAD:
+            depth_m = settings.cell.desired_tcp_position_in_base_m[2] - settings.object.position_in_base_m[2]
+            margin = min(margin, -float(angle[-1] - CONVERGED_ANGLE_RAD) * depth_m)
+        if margin < 0.0 and had_s < needed_s and not _stands(trace, first):
             needed = f"the closed form needs {needed_s:.1f} s; the run leaves {had_s:.1f} s"
             return inconclusive(self, f"{needed}: {longer(trace, needed_s - had_s)}")
-        reason = f"ends {position[-1] * 1e3:.2f} mm and {np.degrees(angle_rad):.3f} deg off"
-
-        def lacked() -> str:
-            far = (
-                f"the TCP was {1e3 * position.max():.2g} mm and {np.degrees(pose_errors(trace)[1].max()):.2g}"
-            )
-            limits = f"{CONVERGED_POSITION_M * 1e3:g} mm or {np.degrees(CONVERGED_ANGLE_RAD):g} deg"
-            return f"{far} deg off at most; beyond {limits} exercises it: {OFF_THE_GOAL}"
-
-        off = int(was_off(trace))
-        return judged(self, trace, margin, trace.time_s[-1], reason, off, lacked, revocable=True)
+        reason = f"ends {position[-1] * 1e3:.2f} mm and {np.degrees(angle[-1]):.3f} deg off"
+        far = f"the TCP was {1e3 * position.max():.2g} mm and {np.degrees(angle.max()):.2g} deg off at most"
+        limits = f"{CONVERGED_POSITION_M * 1e3:g} mm or {np.degrees(CONVERGED_ANGLE_RAD):g} deg"
+        lacked = f"{far}; beyond {limits} exercises it: {OFF_THE_GOAL}"
+        off = int(np.any(position > CONVERGED_POSITION_M) or np.any(angle > CONVERGED_ANGLE_RAD))
+        return judged(self, trace, margin, trace.time_s[-1], reason, off, lambda: lacked, revocable=True)
 
     def _needed_s(self, trace: Trace, distance_m: float) -> float:
         """Closed form from ``distance_m``, angle included: fast until the gain switch, slow on to 1 mm."""
@@ -240,6 +212,23 @@ class Converged:
         far_s = np.log(max(distance_m, switch_m) / switch_m) / servo.gain_far
         near_s = np.log(max(min(distance_m, switch_m), CONVERGED_POSITION_M) / CONVERGED_POSITION_M)
         return float(ALLOWANCE * (far_s + near_s / servo.gain_near) + GRACE_S)
+
+
+def _stands(trace: Trace, first: int) -> bool:
+    """Has it hardly come nearer in the last STANDS_S since ``first``: by less than half of its rate does?"""
+    begin = len(trace.ticks) - 1 - round(STANDS_S / trace.scenario.settings.clock.control_period_s)
+    error = np.hypot(*pose_errors(trace))
+    rate_per_s = 0.5 * trace.scenario.settings.servo.gain_near
+    return begin >= first and bool(error[-1] > error[begin] * np.exp(-rate_per_s * STANDS_S))
+
+
+def _converged_ends(trace: Trace, margin: float) -> tuple[float, float, bool]:
+    """For ``reads``: as the last pose is uncertain; not violated if a hand may have come near after all."""
+    off_m, first = trace.known.within("transform_tcp_to_base", len(trace.ticks)), left_at(trace) or 0
+    apart_m = (nearest_hand_m(trace) - nearest_off_m(trace))[first:]
+    left = bool((apart_m >= trace.scenario.settings.avoidance.critical_distance_m).all())
+    off = bool((position_errors_m(trace) - off_m > CONVERGED_POSITION_M).any())
+    return margin - float(off_m[-1]), margin + float(off_m[-1]) if left else np.inf, off
 
 
 GAIN_SWITCH = CatalogueEntry(
@@ -271,7 +260,7 @@ CONVERGED = CatalogueEntry(
     margin="1 mm less the distance at the end (and 0.1 degree)",
     parameters="the gains of the settings",
     exercised="the TCP was farther off than that at some tick",
-    inconclusive="the run is shorter than the closed form needs",
+    inconclusive="the run is shorter than the closed form needs, and the TCP comes nearer in its last 5 s",
     scenario="servoing-alone",
     broken_by="a controller that does nothing",
 )
@@ -358,9 +347,9 @@ class NeverStarved:
 
         def lacked() -> str:
             distance_m, angle_rad = (errors.max() for errors in pose_errors(trace))
-            done = np.sqrt(trace.scenario.settings.servo.gain_switch_sse)
+            done_m = float(np.sqrt(trace.scenario.settings.servo.gain_switch_sse))
             far = f"the TCP was {distance_m * 1e3:.1f} mm and {np.degrees(angle_rad):.1f} deg off at most"
-            return f"{far}; beyond {done * 1e3:.1f} mm exercises it: {OFF_THE_GOAL}"
+            return f"{far}; beyond {done_m * 1e3:.1f} mm exercises it: {OFF_THE_GOAL}"
 
         return judged(self, trace, margin_s, trace.time_s[worst], reason, exercised, lacked)
 
@@ -448,15 +437,9 @@ class ObjectInView:
             reason = f"the object has been out of view for {left_s:.2f} s when the run ends"
             return inconclusive(self, reason, exercised=exercised)
         worst_time_s = begun_s + min(longest_s, self.within_s)
-        reason = _words(len(begins), longest_s)
+        often = "once, for" if len(begins) == 1 else f"{len(begins)} times, longest"
+        reason = f"out of view {often} {longest_s:.2f} s" if len(begins) else "in view all the time"
         return judged(self, trace, margin_s, worst_time_s, reason, exercised, lambda: tcp_stood(trace))
-
-
-def _words(losses: int, longest_s: float) -> str:
-    if losses == 0:
-        return "in view all the time"
-    often = "once, for" if losses == 1 else f"{losses} times, longest"
-    return f"out of view {often} {longest_s:.2f} s"
 
 
 OBJECT_IN_VIEW = CatalogueEntry(

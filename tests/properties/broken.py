@@ -22,8 +22,10 @@ from examples import (
     scenario,
     ur10_gate,
 )
+from planted_controllers import Drifts, StopsLate, alone
 
 from safety_harness.admission.admit import admit
+from safety_harness.admission.trial import run_kinematic
 from safety_harness.avoidance.gate import Gate
 from safety_harness.scenario.faults import FalseHand, HandSensorBlind
 from safety_harness.scenario.gate import AskedRegion, GateRule, PositionBox
@@ -186,6 +188,17 @@ def leaves_its_region() -> Trace:
     return run(replace(scenario(VISIT, duration_s=1.5), gate=rule), gate=ur10_gate(DEFAULTS))
 
 
+@lru_cache
+def drifts() -> Trace:
+    near = alone(scenario(duration_s=6.0, offset=(0.01, 0.0, 0.01)))
+    return run_kinematic(admit(near, controller=Drifts()))
+
+
+@lru_cache
+def stops_late() -> Trace:
+    return run_kinematic(admit(alone(scenario(VISIT, duration_s=1.5)), controller=StopsLate()))
+
+
 BROKEN: dict[str, Callable[[], Trace]] = {
     "hand distance never below 50 mm": seeks_the_hand,
     "no moving part touches a hand": seeks_the_hand,
@@ -209,6 +222,7 @@ BROKEN: dict[str, Callable[[], Trace]] = {
     "fallback poses reachable and away": falls_back_to_the_hand,
     "gives way within 100 ms of a predicted hand": lambda: minds_hands_within(0.3),
     "gives way within 100 ms of a true hand": sees_no_hand,
+    "reacts within 120 ms": stops_late,
     "never gives way without a hand": lambda: minds_hands_within(0.8),
     "never gives way without a hand within 600 mm": lambda: minds_hands_within(0.8),
     "joint positions within limits": turns_on_and_on,
@@ -226,5 +240,6 @@ BROKEN: dict[str, Callable[[], Trace]] = {
     "gain switch reached within 600 iterations": does_nothing,
     "gives way at most 3 times": hardly_leaves,
     "task never starved longer than 10 s": partial(does_nothing, 11.0),
+    "keeps its place within 5 mm": drifts,
     "trace finite and monotone": computes_nonsense,
 }

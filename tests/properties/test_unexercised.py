@@ -75,6 +75,7 @@ class Situation:
 
 
 NEAR = Situation(visit())
+STAYS = hand(MoveTo(position_in_base_m=(0.8, -0.25, 0.3), speed_mps=1.0), Wait(duration_s=9.0))
 BOX = Obstacle(size_m=(0.1, 0.1, 0.1), position_in_base_m=(0.0, 1.0, 0.5))
 IDLE = {
     "nobody, and nothing to do": Situation(offset=(0.0, 0.0, 0.0), duration_s=1.0),
@@ -97,6 +98,7 @@ def followed(now: Situation, reason: str) -> Situation:
         "in this scenario; one within": {"hand": visit()},
         "a decision time in the settings exercises it": {"settings": SLOW},
         "a hand that leaves earlier": {"hand": visit()},
+        "that stays until the arm comes back exercises it": {"hand": STAYS, "duration_s": 8.0},
         "farther": {"offset": OFF},
         "above .* the avoider's threshold, exercises it": {"avoider": IN_DOUBT},
         "at most .* the avoider's threshold, exercises it": {"avoider": CERTAIN},
