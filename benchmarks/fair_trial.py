@@ -198,7 +198,7 @@ def table(rows: list[dict[str, Any]]) -> str:
         "Written by `python benchmarks/fair_trial.py`, of avoiders written from the documents alone.",
         "*Flagged* is a finding of `evaluate`'s unsafe list that the unchanged reference has not, a counted",
         "difference of `fuzz --against`, or its exit code 1. A dash was not measured, and is not counted.",
-        "Faults are scored with 1,000 questions first; three that this missed with the default, in one region.",
+        "Faults are scored with 1,000 questions first; three that this missed with the default, one region.",
         "Processor time is that of a fork that has imported everything, but for the first 14 of `evaluate`.",
         "",
         "| command | faults noticed | missed | not measured | harmless flagged | at most | CPU |",
