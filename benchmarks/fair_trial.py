@@ -1,0 +1,310 @@
+"""A fair trial: fourteen faults and sixty harmless changes.  Writes FAIR_TRIAL.md.
+
+Each command, evaluate or fuzz --against, is a line of reports/fair_trial.jsonl as soon as it has ended; what
+is there is not run again, so that the whole may be stopped and started.  --table only writes the table.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import re
+import signal
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from fair_trial_avoiders import FAULTS, FILES, HARMLESS, make_file
+from fair_trial_controllers import CONTROLLERS
+from scipy.stats import beta
+
+from safety_harness.__main__ import main
+
+HERE, ROOT = Path(__file__).parent, Path(__file__).parents[1]
+LINES, OUT = ROOT / "reports" / "fair_trial.jsonl", HERE / "FAIR_TRIAL.md"
+SPACES = ROOT / "scenarios" / "spaces"
+SPACE, CONTROLLER = SPACES / "reaching-hands.yaml", HERE / "fair_trial_controllers.py"
+SCENARIOS = (
+    "hand-visits-and-leaves",
+    "second-hand",
+    "carrying-a-board",
+    "hand-returns",
+    "fast-reach",
+    "taking-the-object",
+    "over-the-shoulder",
+)
+OUTCOMES = (
+    "hand distance never below 50 mm",
+    "no moving part touches a hand",
+    "reacts within 120 ms",
+    "keeps its place within 5 mm",
+    "converged to the desired pose",
+)
+ABOUT = {name: (one.about, one.of) for name, one in (FAULTS | HARMLESS).items()}
+ABOUT |= {name: (about, of) for name, (about, of, _) in FILES.items()}
+CLEAN = [*HARMLESS, *FILES]
+
+
+CAUSES = """
+## What was missed or flagged, and why
+
+- `homogeneous` (harmless): `fuzz` ends with 1 although it finds no difference. Asked alone it answers
+  1.6e-13 mm elsewhere than in a batch, for a matrix product rounds otherwise by its shape; *asked again*
+  knows no tolerance.
+- `onnx_int8` (harmless): int8 moves the student's answers by 3 mm in the median, by up to 14 mm.
+  `retrained` (harmless): by 2 mm, and up to 15 mm (24 mm to the left of the seen space). Flagged for `at
+  most 50 % of proposals overruled` (both) and `proposals lead away to within 10 mm` (int8). The tolerance
+  of a share is 1 %, and one proposal of seven is 14 %. A deterministic avoider has no randomness of its own
+  to draw again; a point that a search chose for its difference then shows it in every pair. Differences the
+  other way are counted nowhere.
+- `tcp_to_100_um`, `question_float16` (harmless): `evaluate` says *jumps between near questions*. The step
+  is in the questions, and only the number format of the answers is inferred. The network is steep in the
+  TCP: one step of 0.1 mm moves the answer by up to 4.6 mm, one of half precision by up to 20 mm. Rounded
+  hands pass.
+- `towards_by_seed` is missed by `evaluate --questions 1000` and noticed with the default count.
+- `x_and_y_swapped` moves answers by up to 35 mm and leads away as often as the reference: none of the
+  unsafe list, five ways unlike the reference.
+- `sure_where_unseen`: the answers are as good as before, only the doubt is gone; the yardstick without
+  doubt (the closed form) leads towards the hand as often, and *sure and unsafe* compares with that.
+- All `run --against` rows of the controllers are of the branch with the claims of the outcome (6ee29ca6).
+  `stale_normalisation` by `fuzz` was interrupted by hand after 75 s of processor time, and has no row.
+- `answers_after_96_ms` is within the deadline, and `other_hand` needs two hands: neither is in the scope of
+  `evaluate`.
+- The four rows of the opposite pose are a second measurement: at first these avoiders handed over a spread
+  of `None`, which is no answer in the kinematic world (flagged in 99 of 100 runs, *not confirmed in
+  PyBullet*). The documents say only that a spread may be left out.
+"""
+
+
+def asked_of(name: str) -> str:
+    """Say what --avoider takes."""
+    if name in FILES:
+        return str(make_file(name, ROOT / "reports" / "fair_trial"))
+    return f"{HERE / 'fair_trial_avoiders.py'}:{name}" if name in ABOUT else name
+
+
+def call(arguments: list[str]) -> int:
+    """Run a command in this process."""
+    sys.argv = ["safety-harness", *arguments]
+    try:
+        return int(main() or 0)
+    except SystemExit as ended:
+        return int(ended.code or 0)
+
+
+def judged_by_outcome(folder: Path) -> list[str]:
+    """Write shipped scenarios with the claims that judge any controller by what comes of it."""
+    for name in SCENARIOS:
+        text = (SPACES.parent / f"{name}.yaml").read_text()
+        text = re.sub(r"\n(avoider|controller):[^\n]*", "", text[: text.index("\nclaims:")])
+        text = text.replace("recordings/", f"{SPACES.parent}/recordings/")
+        (folder / f"{name}.yaml").write_text(
+            f"{text}\nclaims:\n" + "".join(f"  {one}: holds\n" for one in OUTCOMES)
+        )
+    return [str(folder / f"{name}.yaml") for name in SCENARIOS]
+
+
+def asking(command: str, name: str, folder: Path) -> list[str]:
+    """Say what the command is asked, options apart."""
+    if command == "evaluate":
+        return ["evaluate", asked_of(name)]
+    if name in ABOUT:
+        return ["fuzz", str(SPACE), "--avoider", asked_of(name), "--against", ABOUT[name][1]]
+    pair = ["--controller", f"{CONTROLLER}:{name}", "--against", f"{CONTROLLER}:Sound"]
+    if command == "run":
+        return ["run", *judged_by_outcome(folder), "--world", "kinematic", *pair]
+    return ["fuzz", str(SPACE), *pair, *(word for one in OUTCOMES for word in ("--claim", one))]
+
+
+def run_command(command: str, name: str, options: list[str], wall_s: float) -> dict[str, Any]:
+    """Run one command in a fork of this process, which has everything imported, and read what it found."""
+    with tempfile.TemporaryDirectory() as folder:
+        said, out = Path(folder) / "said.txt", Path(folder) / "out"
+        what = asking(command, name, Path(folder))
+        child = os.fork()
+        if child == 0:
+            signal.signal(signal.SIGINT, signal.default_int_handler)  # nohup ignores it
+            signal.signal(signal.SIGALRM, lambda *_: signal.raise_signal(signal.SIGINT))
+            signal.setitimer(signal.ITIMER_REAL, wall_s)
+            to = os.open(said, os.O_WRONLY | os.O_CREAT)
+            os.dup2(to, 1)
+            os.dup2(to, 2)
+            code = call([*what, *options, "--out", str(out)])
+            sys.stdout.flush()
+            os._exit(code)
+        _, status, used = os.wait4(child, 0)
+        result: dict[str, Any] = {"command": command, "name": name, "options": options}
+        result["exit"] = os.waitstatus_to_exitcode(status)
+        result["cpu_s"] = round(used.ru_utime + used.ru_stime, 1)
+        file = out / {"evaluate": "evaluation.json", "run": "report.json"}.get(command, "findings.json")
+        found = json.loads(file.read_text()) if file.exists() else {}
+        if command == "evaluate":
+            for one in found.get("avoiders", []):
+                result["findings"] = [[f["kind"], f["region"], f["words"]] for f in one["findings"]]
+                result["unlike"] = len(one["unlike_the_reference"])
+        elif command == "run":
+            result["new"] = sorted(
+                {
+                    f"{claim['claim']} ({run['scenario']})"
+                    for run in (found.get("against") or {}).get("runs", [])
+                    for claim in run["claims"]
+                    if claim["change"] in ("new violation", "violated by more")
+                }
+            )
+        else:
+            keys = (
+                "counterexamples",
+                "flips_near_the_limit",
+                "distinct",
+                "tried",
+                "interrupted",
+                "repeatability",
+            )
+            result |= {key: found.get(key) for key in keys}
+            result["attribution"] = (found.get("attribution") or {}).get("words")
+        result["tail"] = said.read_text(errors="replace")[-2500:]
+        return result
+
+
+def flagged(row: dict[str, Any], references: dict[str, set[tuple[str, str]]]) -> list[str] | None:
+    """Say what counts against it: unsafe findings that its reference has not, or counted differences."""
+    if row["command"] == "evaluate":
+        if "findings" not in row:
+            return None
+        known = references.get(ABOUT.get(row["name"], ("", ""))[1], set())
+        return [f"{kind} ({region})" for kind, region, _ in row["findings"] if (kind, region) not in known]
+    if row["command"] == "run":
+        return list(row["new"]) if row["exit"] in (0, 1) else None
+    if row.get("distinct") is None or row["exit"] not in (0, 1):
+        return None
+    return [f"{one['complaint']}: {one['kind']}" for one in row["distinct"]] or (
+        [f"exit code 1: {row['tail'].splitlines()[-1][:80]}"] if row["exit"] else []
+    )
+
+
+def table(rows: list[dict[str, Any]]) -> str:
+    """Write the whole page."""
+    references = {
+        row["name"]: {(kind, region) for kind, region, _ in row.get("findings", [])}
+        for row in rows
+        if row["name"] not in ABOUT
+    }
+    by = {(row["command"], row["name"]): row for row in rows}
+    text = [
+        "# A fair trial",
+        "",
+        "Written by `python benchmarks/fair_trial.py`, of avoiders written from the documents alone.",
+        "*Flagged* is a finding of `evaluate`'s unsafe list that the unchanged reference has not, a counted",
+        "difference of `fuzz --against`, or its exit code 1. A dash was not measured, and is not counted.",
+        "Faults are scored with 1,000 questions first; three that this missed with the default, one region.",
+        "Processor time is that of a fork that has imported everything, but for the first 14 of `evaluate`.",
+        "",
+        "| command | faults noticed | missed | not measured | harmless flagged | at most | CPU |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for command in ("evaluate", "fuzz"):
+        told = {n: flagged(by[command, n], references) for n in ABOUT if (command, n) in by}
+        told = {name: one for name, one in told.items() if one is not None}
+        named = [name for name in FAULTS if told.get(name)]
+        missed = [name for name in FAULTS if name in told and not told[name]]
+        clean, wrong = [n for n in CLEAN if n in told], [n for n in CLEAN if told.get(n)]
+        bound = beta.ppf(0.95, len(wrong) + 1, len(clean) - len(wrong)) if len(wrong) < len(clean) else 1.0
+        seconds = sorted(by[command, name]["cpu_s"] for name in told)
+        text.append(
+            f"| {command} | {len(named)} of {len(named) + len(missed)} | {', '.join(missed) or 'none'} | "
+            f"{14 - len(named) - len(missed)} | {len(wrong)} of {len(clean)} | {bound:.1%} | "
+            f"{seconds[len(seconds) // 2] if seconds else '–'} s |"
+        )
+    for title, names in (("Faults", list(FAULTS)), ("Harmless changes", CLEAN)):
+        text += [
+            "",
+            f"## {title}",
+            "",
+            "| name | what | of | evaluate | fuzz --against |",
+            "|---|---|---|---|---|",
+        ]
+        for name in names:
+            cells = []
+            for command in ("evaluate", "fuzz"):
+                row = by.get((command, name))
+                one = None if row is None else flagged(row, references)
+                if one is None:
+                    cells.append(
+                        "–" if row is None else f"ended by {row['exit']} before a result ({row['cpu_s']} s)"
+                    )
+                else:
+                    more = f" and {len(one) - 3} more" if len(one) > 3 else ""
+                    flips = len(row.get("flips_near_the_limit") or [])
+                    more += f"; unlike in {row['unlike']} ways" if row.get("unlike") else ""
+                    cells.append(
+                        f"{'; '.join(one[:3]) or 'nothing'}{more}"
+                        + (f"; {flips} flips" if flips else "")
+                        + f" ({row['cpu_s']} s, {' '.join(row['options'])})"
+                    )
+            text.append(f"| {name} | {ABOUT[name][0]} | {ABOUT[name][1]} | {cells[0]} | {cells[1]} |")
+    text += [
+        "",
+        "## Controllers, against `Sound`",
+        "",
+        "| name | what | run --against | fuzz --against |",
+        "|---|---|---|---|",
+    ]
+    for one in CONTROLLERS:
+        cells = []
+        for command in ("run", "fuzz"):
+            row = by.get((command, one.__name__))
+            told = None if row is None else flagged(row, references)
+            cells.append(
+                "–" if row is None or told is None else f"{'; '.join(told) or 'nothing'} ({row['cpu_s']} s)"
+            )
+        text.append(f"| {one.__name__} | {(one.__doc__ or '').strip()} | {cells[0]} | {cells[1]} |")
+    return "\n".join(text) + f"\n{CAUSES}"
+
+
+def jobs(arguments: argparse.Namespace) -> list[tuple[str, str, list[str], float]]:
+    """List every command, the cheapest to learn from first."""
+    runs, few = ["--budget", str(arguments.budget)], ["--search", "0"]
+    few += ["--questions", str(arguments.questions)] if arguments.questions else []
+    few += [word for one in arguments.region for word in ("--region", one)]
+    every = [("evaluate", name, few, 300.0) for name in FAULTS]
+    every += [("fuzz", name, runs, 300.0) for name in [*CLEAN, *FAULTS]]
+    every += [(command, one.__name__, [], 300.0) for one in CONTROLLERS for command in ("run",)]
+    every += [("fuzz", one.__name__, runs, 300.0) for one in CONTROLLERS]
+    every += [("evaluate", name, few, 300.0) for name in (*sorted({of for _, of in ABOUT.values()}), *CLEAN)]
+    return [
+        one
+        for one in every
+        if arguments.only in (None, one[0]) and (not arguments.names or one[1] in arguments.names)
+    ]
+
+
+def trial() -> None:
+    """Run what has not been run, and write the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("names", nargs="*")
+    parser.add_argument("--questions", type=int)
+    parser.add_argument("--region", action="append", default=[])
+    parser.add_argument("--budget", type=int, default=120)
+    parser.add_argument("--only", choices=("evaluate", "fuzz", "run"))
+    parser.add_argument("--table", action="store_true")
+    arguments = parser.parse_args()
+    LINES.parent.mkdir(exist_ok=True)
+    rows = [json.loads(line) for line in LINES.read_text().splitlines()] if LINES.exists() else []
+    if not arguments.table and arguments.only != "run":
+        with tempfile.TemporaryDirectory() as folder:  # imports everything, once
+            call(["evaluate", asked_of("to_1_mm"), "--search", "0", "--questions", "20", "--out", folder])
+            fuzz = ["fuzz", str(SPACE), "--avoider", asked_of("to_1_mm"), "--against", "mc-dropout"]
+            call([*fuzz, "--budget", "5", "--out", folder])
+    for command, name, options, wall_s in [] if arguments.table else jobs(arguments):
+        if not any([row["command"], row["name"], row["options"]] == [command, name, options] for row in rows):
+            rows.append(run_command(command, name, options, wall_s))
+            with LINES.open("a") as file:
+                file.write(json.dumps(rows[-1]) + "\n")
+            print(command, name, rows[-1]["cpu_s"], rows[-1]["exit"], flush=True)
+    OUT.write_text(table(rows))
+
+
+if __name__ == "__main__":
+    trial()
