@@ -164,20 +164,26 @@ class ReactsWithin:
             usual = np.minimum(slowing ** np.arange(1, until.stop - first + 1), left[until])
             change = 1.0 - speed[until] / np.maximum(usual * now, TINY_MPS)
             change = np.maximum(change, (leads[until] - away * usual) / now)
-            took, lasted = _began(np.where(braking[until], np.inf, change)), end - 1 - first
+            motion, avoids = settings.motion, settings.avoidance
+            most_mps2 = min(motion.max_tcp_acceleration_mps2, avoids.repulsion_acceleration_mps2)
+            soon = halved + round(HALF * now / most_mps2 / period_s)
+            took, lasted = _began(np.where(braking[until], np.inf, change), soon), end - 1 - first
             known = took is not None and time_left_s(trace, self.within_s, took) >= 0.0
             if not known and time_left_s(trace, self.within_s, lasted) < 0.0:  # the hand stayed
                 known = took is not None or (last - first) * period_s >= self.within_s + HALVED_S
             yield lasted if took is None else took, first, known
 
 
-def _began(change: NDArray[np.float64]) -> int | None:
-    """The tick at which a ``change`` (n,) begins that becomes HALF: the knee below its chord; else None."""
+def _began(change: NDArray[np.float64], soon: int) -> int | None:
+    """The tick at which a ``change`` (n,) begins that becomes HALF: the knee below its chord; else None.
+
+    But no sooner than ``soon`` before it is HALF: what takes longer, such as a wide curve, is no answer.
+    """
     end = int(np.argmax(change >= HALF))
     if not change[end] >= HALF:
         return None
     chord = min(change[end], 1.0) * np.arange(1, end + 2) / (end + 1)
-    return end if np.isinf(change[end]) else int(np.argmin(change[: end + 1] - chord))
+    return end if np.isinf(change[end]) else max(int(np.argmin(change[: end + 1] - chord)), end - soon)
 
 
 KEEPS_ITS_PLACE = CatalogueEntry(

@@ -140,6 +140,25 @@ def test_an_arm_that_slows_because_it_arrives_has_not_reacted(gain: float, waits
     assert (found.verdict, found.exercised) == (Verdict.VIOLATED, 1), found
 
 
+@pytest.mark.parametrize(("turns_radps", "held"), [(0.3, Verdict.VIOLATED), (6.0, Verdict.HOLDS)])
+def test_an_arm_on_a_wide_curve_has_not_reacted(turns_radps: float, held: Verdict) -> None:
+    """It turns from the hand, which comes after a second; whoever does so at once has reacted."""
+
+    def curve(time_s: float) -> tuple[float, float, float]:
+        angle_rad = min(turns_radps * max(time_s - 1.0, 0.0), 1.5)
+        return -0.03 * np.cos(angle_rad), 0.0, 0.03 * np.sin(angle_rad)
+
+    trace = driven(
+        scenario(hand(Wait(duration_s=9.0)), duration_s=4.0, offset=(0.2, 0.0, 0.0)), Wanders(curve)
+    )
+    ticks = trace.ticks.copy()
+    below_m = np.where(trace.time_s < 1.0, 2.0, 0.39)
+    ticks["hand_position_in_base_m"][:, 0] = ticks["transform_tcp_to_base"][:, :3, 3]
+    ticks["hand_position_in_base_m"][:, 0, 2] -= below_m
+    found = REACTS.evaluate(replace(trace, ticks=ticks))
+    assert (found.verdict, found.exercised) == (held, 1), found
+
+
 @pytest.mark.parametrize(
     ("name", "reacts", "place"),
     [("hand-stays", 3, 0), ("hand-visits-and-leaves", 0, 1), ("wandering-hand", 1, 0)],
