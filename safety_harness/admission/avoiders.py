@@ -218,6 +218,12 @@ def refuse_itself(tested: str | None, reference: str | None, option: str = "--ag
         raise InadmissibleError.of_option(option, f"another reference than {tested}", got)
 
 
+def refuse_same(tested: Scenario | None, other: Scenario, option: str = "--against") -> None:
+    """InadmissibleError where the reference in a scenario's place, ``other``, is what that names already."""
+    if tested == other:
+        refuse_itself(other.under_test, other.under_test, option)
+
+
 def replay_command(
     scenario: Scenario, trace: Path, *others: Path, by: str = "replay", told: Callable[[Path], Path] = told
 ) -> str:

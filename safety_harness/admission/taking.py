@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from safety_harness.admission.admit import check
-from safety_harness.admission.avoiders import told_avoider, with_avoider
+from safety_harness.admission.avoiders import refuse_same, told_avoider, with_avoider
 from safety_harness.exceptions import InadmissibleError, InputError, Place
 from safety_harness.scenario.model import Scenario
 from safety_harness.scenario.write import write_scenario
@@ -40,16 +40,18 @@ def taken(
 
     InputError if the scenario is not in order whichever avoider it has, or its own is not.
     """
-    found = []
+    found, tested = [], None
     for reference, option in avoiders:
-        if reference is None:
-            found.append(look(scenario))
-            continue
         try:
-            found.append(look(with_avoider(scenario, reference, Place(field=option))))
+            made = scenario if reference is None else with_avoider(scenario, reference, Place(field=option))
+            refuse_same(tested, made, option)
+            found.append(look(made))
         except InputError as error:
+            if reference is None:
+                raise
             check(scenario)
             return NotTaken(scenario.name, told_avoider(reference), error)
+        tested = made
     return found
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.admission.admit import Admitted, Admitter
-from safety_harness.admission.avoiders import told_avoider, with_avoider
+from safety_harness.admission.avoiders import refuse_same, told_avoider, with_avoider
 from safety_harness.admission.claims import property_of
 from safety_harness.admission.repeatability import Repeatability
 from safety_harness.admission.spaces import why_refused
@@ -182,7 +182,8 @@ class Trials:
             try:
                 one = self._admitter.admit(self.scenario(point, first + k))
                 if self.reference is not None:
-                    others[k] = self._admitter.admit(self.reference.in_place(one.scenario))
+                    refuse_same(one.scenario, other := self.reference.in_place(one.scenario))
+                    others[k] = self._admitter.admit(other)
                 admitted[k] = one
                 self.declared_s = decision_time_of(admitted[k].avoider)
             except InputError as error:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -75,6 +76,15 @@ def test_run_ends_with_1_for_a_violation_that_the_reference_has_not() -> None:
 def test_a_comparison_with_itself_is_refused(words: tuple[str, ...]) -> None:
     found = command(*words, *MINE_AGAINST, "./mine.py:Hurried", "--out", "itself")
     assert found.exit_code == 2
+    assert "such a comparison finds nothing" in found.output
+
+
+@pytest.mark.parametrize("words", [("run", "servo.yaml"), ("fuzz", "space.yaml", "--budget", "4")])
+@pytest.mark.parametrize("named", ["visual servo", "mc-dropout"])
+def test_so_is_what_a_file_names_already_or_has_by_default(words: tuple[str, ...], named: str) -> None:
+    Path("servo.yaml").write_text(re.sub("(?m)^controller:.*\n", "", VISIT))
+    found = command(*words, "--against", named, "--out", "itself")
+    assert found.exit_code == 2, found.output
     assert "such a comparison finds nothing" in found.output
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -76,6 +77,31 @@ class StopsLate(Sound):
             return Stop() if self._brakes else Move()
         velocity = self._gain * (self._target_in_base_m - seen.tcp_position_in_base_m)
         return Move(tcp_velocity_mps=velocity)
+
+
+class Blind(Sound):
+    """It goes to where it should be, slows as it arrives there, and sees no hand."""
+
+    name = "blind"
+
+    def __init__(self, gain: float, most_mps: float) -> None:
+        self._per_s, self._most_mps = gain, most_mps
+
+    def act(self, seen: Seen) -> Action:
+        velocity = self._per_s * (self._target_in_base_m - seen.tcp_position_in_base_m)
+        return Move(tcp_velocity_mps=velocity * min(1.0, self._most_mps / float(np.linalg.norm(velocity))))
+
+
+class Wanders(Sound):
+    """It goes with the velocity [m/s] that a function of time [s] gives, whoever is there."""
+
+    name = "wanders"
+
+    def __init__(self, velocity: Callable[[float], tuple[float, float, float]]) -> None:
+        self._velocity = velocity
+
+    def act(self, seen: Seen) -> Action:
+        return Move(tcp_velocity_mps=np.array(self._velocity(seen.time_s)))
 
 
 class SaysThatItRetreats(Sound):

@@ -12,11 +12,13 @@ import pytest
 from examples import VISIT, hand, scenario
 from harmless import HARMLESS
 from planted_controllers import (
+    Blind,
     Drifts,
     IgnoresTheSecondHand,
     SaysThatItRetreats,
     Sound,
     StopsLate,
+    Wanders,
     alone,
 )
 
@@ -100,6 +102,61 @@ def test_a_stop_counts_from_where_the_drives_brake(late: int, held: Verdict) -> 
 def test_a_drift_counts_from_the_nearest_that_the_arm_was() -> None:
     found = PLACE.evaluate(driven(scenario(duration_s=3.0, offset=(0.0, 0.0, 0.0)), Drifts(until_m=0.006)))
     assert found.margin == pytest.approx(-0.001, abs=2e-5)
+
+
+def circles(time_s: float) -> tuple[float, float, float]:
+    return -0.0045 * np.sin(0.15 * time_s), 0.0045 * np.cos(0.15 * time_s), 0.0
+
+
+def aside(time_s: float) -> tuple[float, float, float]:
+    return 0.0, 0.004 * (time_s > 1.0), 0.0
+
+
+@pytest.mark.parametrize(("way", "off_m"), [(circles, 0.03), (aside, 0.2)], ids=["circles", "aside"])
+def test_an_arm_that_goes_no_farther_off_the_desired_position_leaves_its_place_all_the_same(
+    way: Callable[[float], tuple[float, float, float]], off_m: float
+) -> None:
+    """From the place where it begins, by its own way: 30 mm aside are 2.2 mm farther off at 200 mm."""
+    trace = driven(scenario(duration_s=8.0, offset=(off_m, 0.0, 0.0)), Wanders(way))
+    tcp_m = trace.ticks["transform_tcp_to_base"][:, :3, 3]
+    found = PLACE.evaluate(trace)
+    assert found.verdict is Verdict.VIOLATED, found
+    assert found.margin == pytest.approx(0.005 - np.linalg.norm(tcp_m - tcp_m[0], axis=1).max(), abs=1e-3)
+
+
+def test_an_arm_that_goes_to_and_fro_holds_no_place() -> None:
+    """At its turning point it is where it was a second before, and was elsewhere in between."""
+    what = scenario(duration_s=3.0, offset=(0.2, 0.0, 0.0))
+    found = PLACE.evaluate(driven(what, Wanders(lambda time_s: (0.0, 0.1 - 0.2 * (time_s > 1.5), 0.0))))
+    assert (found.verdict, found.exercised) == (Verdict.INCONCLUSIVE, 0), found
+
+
+@pytest.mark.parametrize("gain", [1.0, 2.0, 5.0])
+@pytest.mark.parametrize("waits_s", [0.6, 1.2])
+def test_an_arm_that_slows_because_it_arrives_has_not_reacted(gain: float, waits_s: float) -> None:
+    come = MoveTo(position_in_base_m=(0.9, -0.3, 0.3), speed_mps=1.5)
+    what = scenario(hand(Wait(duration_s=waits_s), come), duration_s=3.0, offset=(0.1, -0.05, 0.1))
+    found = REACTS.evaluate(driven(what, Blind(gain, 0.1)))
+    assert (found.verdict, found.exercised) == (Verdict.VIOLATED, 1), found
+
+
+@pytest.mark.parametrize(("turns_radps", "held"), [(0.3, Verdict.VIOLATED), (6.0, Verdict.HOLDS)])
+def test_an_arm_on_a_wide_curve_has_not_reacted(turns_radps: float, held: Verdict) -> None:
+    """It turns from the hand, which comes after a second; whoever does so at once has reacted."""
+
+    def curve(time_s: float) -> tuple[float, float, float]:
+        angle_rad = min(turns_radps * max(time_s - 1.0, 0.0), 1.5)
+        return -0.03 * np.cos(angle_rad), 0.0, 0.03 * np.sin(angle_rad)
+
+    trace = driven(
+        scenario(hand(Wait(duration_s=9.0)), duration_s=4.0, offset=(0.2, 0.0, 0.0)), Wanders(curve)
+    )
+    ticks = trace.ticks.copy()
+    below_m = np.where(trace.time_s < 1.0, 2.0, 0.39)
+    ticks["hand_position_in_base_m"][:, 0] = ticks["transform_tcp_to_base"][:, :3, 3]
+    ticks["hand_position_in_base_m"][:, 0, 2] -= below_m
+    found = REACTS.evaluate(replace(trace, ticks=ticks))
+    assert (found.verdict, found.exercised) == (held, 1), found
 
 
 @pytest.mark.parametrize(

@@ -6,25 +6,45 @@ from pathlib import Path
 
 import pytest
 
-OPPOSITE = "opposite pose"
+OPPOSITE, NEAREST = "opposite pose", "nearest candidate"
 ELSEWHERE = "settings:\n  avoidance: {nominal hand position: [840 mm, -900 mm, 100 mm]}\n"
+AS_WELL = """\
+import numpy as np
+
+from safety_harness import DEFAULTS, Proposal
+
+
+class AsWell:
+    name = "as well"
+
+    def propose(self, *, hand_position_in_base_m, tcp_position_in_base_m, seed):
+        away = tcp_position_in_base_m - hand_position_in_base_m
+        return Proposal(tcp_position_in_base_m + DEFAULTS.avoidance.radius_m * away / np.linalg.norm(away))
+"""
 
 
 def test_a_violation_that_the_reference_has_too_is_skipped_and_never_passed(run, project: Path) -> None:
     run("fast.yaml").assert_outcomes(passed=1, failed=1)
-    result = run("fast.yaml", "--safety-against", OPPOSITE, "-rs")
+    result = run("fast.yaml", "--safety-against", NEAREST, "-rs")
     result.assert_outcomes(passed=1, skipped=1)
     result.stdout.fnmatch_lines(
         [
-            "*hand distance never below 50 mm: violated with opposite pose too (-* mm against -* mm)",
+            "*hand distance never below 50 mm: violated with nearest candidate too (-* mm against -* mm)",
         ]
     )
     result.stdout.fnmatch_lines(
         [
-            "each file's own avoider violates a claim that opposite pose keeps in 0 of 1 runs; the other way "
-            "round in 0 (p = 1)"
+            "each file's own avoider violates a claim that nearest candidate keeps in 0 of 1 runs; the other "
+            "way round in 0 (p = 1)"
         ]
     )
+
+
+def test_a_scenario_that_names_the_reference_already_is_not_compared_with_itself(run, project: Path) -> None:
+    result = run("fast.yaml", "--safety-against", OPPOSITE, "-rs")
+    result.assert_outcomes(skipped=2)
+    assert result.ret == 1
+    result.stdout.fnmatch_lines(["*opposite pose itself: such a comparison finds nothing*"])
 
 
 def test_a_violation_that_the_reference_does_not_have_fails_and_says_so(run, project: Path) -> None:
@@ -53,7 +73,8 @@ def test_a_violation_that_the_reference_does_not_have_fails_and_says_so(run, pro
 
 
 def test_draws_that_the_reference_violates_too_skip_a_space_and_a_python_test(run, project: Path) -> None:
-    options = ("--safety-against", OPPOSITE, "--safety-derandomize", "-rs")
+    (project / "opposite.py").write_text(AS_WELL)
+    options = ("--safety-against", "opposite.py:AsWell", "--safety-derandomize", "-rs")
     run("reaches.yaml", *options).assert_outcomes(passed=1, skipped=1)
     result = run("test_it.py", *options)
     result.assert_outcomes(passed=1, skipped=1)
