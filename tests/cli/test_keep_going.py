@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
+import time
 from pathlib import Path
-from time import sleep
 
 import pytest
 
@@ -114,7 +115,7 @@ def test_a_trace_of_an_earlier_run_stays_but_no_pattern_takes_it_for_one_of_this
     bytes_then = (traces / "b-good.trace").read_bytes()
     (folder / "b-good.yaml").rename(folder / "renamed.yaml")
     (traces / "notes.txt").write_text("mine")
-    sleep(0.2)
+    time.sleep(0.2)
     assert run([folder / "renamed.yaml"], tmp_path / "out") == AS_EXPECTED
     assert sorted(one.name for one in traces.iterdir()) == [
         *("b-good.trace.earlier", "notes.txt", "renamed.trace")
@@ -122,3 +123,34 @@ def test_a_trace_of_an_earlier_run_stays_but_no_pattern_takes_it_for_one_of_this
     assert (traces / "b-good.trace.earlier").read_bytes() == bytes_then
     assert f"of an earlier run: {traces / 'b-good.trace'}" in capsys.readouterr().err
     assert judge([traces / "b-good.trace.earlier"]) == AS_EXPECTED  # whoever names it may
+
+
+def test_of_earlier_runs_nothing_is_lost_and_no_foreign_folder_is_touched(
+    folder: Path, tmp_path: Path, capsys: Captured
+) -> None:
+    """A second run's trace does not take the place of the first one's; its MCAP file goes with it."""
+    out = tmp_path / "out"
+    names = ("gone.trace", "gone.trace.earlier", "gone/run.mcap", "gone/LOG.yaml")
+    for name in (*(f"traces/{name}" for name in names), "traces-mine/gone.trace"):
+        (out / name).parent.mkdir(parents=True, exist_ok=True)
+        (out / name).write_text(name)
+        os.utime(out / name, (1e9, 1e9))
+    assert run([folder / "b-good.yaml"], out) == AS_EXPECTED
+    found = {one.relative_to(out).as_posix(): one.read_bytes() for one in out.glob("traces*/**/*.*")}
+    found = {name: data.decode() for name, data in found.items() if "gone" in name and name[-5:] != "/gone"}
+    assert found == {
+        "traces/gone.trace.earlier": "traces/gone.trace.earlier",
+        "traces/gone.trace.earlier-2": "traces/gone.trace",
+        "traces/gone/run.mcap.earlier": "traces/gone/run.mcap",
+        "traces/gone/LOG.yaml.earlier": "traces/gone/LOG.yaml",
+        "traces-mine/gone.trace": "traces-mine/gone.trace",
+    }
+
+
+def test_traces_of_a_disk_whose_clock_is_behind_are_those_of_this_run(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now = time.time
+    monkeypatch.setattr("safety_harness.cli.run.time.time", lambda: now() + 3600.0)
+    assert run([folder / "b-good.yaml"], tmp_path / "out") == AS_EXPECTED
+    assert (tmp_path / "out" / "traces" / "b-good.trace").is_file()
