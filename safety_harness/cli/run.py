@@ -307,7 +307,7 @@ class RunSession:
         for file in sorted(one for folder in ours for kind in kinds for one in folder.glob(kind)):
             if {file, file.parent} & self.written or file.stat().st_mtime >= self.begun_s:
                 continue
-            names = (f"{file.name}{EARLIER}{number}" for number in ("", *map("-{}".format, count(2))))
+            names = (f"{file.name}{EARLIER}" + f"-{number}" * (number > 1) for number in count(1))
             name = next(name for name in names if not os.path.lexists(file.with_name(name)))
             say(f"of an earlier run: {file}, from now on {name}")
             try:

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT
+from safety_harness.cli.run import RunSession
 from safety_harness.cli.scenario_commands import judge, run
 from tests.kinds_of_files import SCENARIO
 
@@ -125,32 +126,22 @@ def test_a_trace_of_an_earlier_run_stays_but_no_pattern_takes_it_for_one_of_this
     assert judge([traces / "b-good.trace.earlier"]) == AS_EXPECTED  # whoever names it may
 
 
-def test_of_earlier_runs_nothing_is_lost_and_no_foreign_folder_is_touched(
-    folder: Path, tmp_path: Path, capsys: Captured
-) -> None:
+def test_of_earlier_runs_nothing_is_lost_and_no_foreign_folder_is_touched(tmp_path: Path) -> None:
     """A second run's trace does not take the place of the first one's; its MCAP file goes with it."""
-    out = tmp_path / "out"
-    names = ("gone.trace", "gone.trace.earlier", "gone/run.mcap", "gone/LOG.yaml")
-    for name in (*(f"traces/{name}" for name in names), "traces-mine/gone.trace"):
-        (out / name).parent.mkdir(parents=True, exist_ok=True)
-        (out / name).write_text(name)
-        os.utime(out / name, (1e9, 1e9))
-    assert run([folder / "b-good.yaml"], out) == AS_EXPECTED
-    found = {one.relative_to(out).as_posix(): one.read_bytes() for one in out.glob("traces*/**/*.*")}
-    found = {name: data.decode() for name, data in found.items() if "gone" in name and name[-5:] != "/gone"}
-    assert found == {
-        "traces/gone.trace.earlier": "traces/gone.trace.earlier",
-        "traces/gone.trace.earlier-2": "traces/gone.trace",
-        "traces/gone/run.mcap.earlier": "traces/gone/run.mcap",
-        "traces/gone/LOG.yaml.earlier": "traces/gone/LOG.yaml",
-        "traces-mine/gone.trace": "traces-mine/gone.trace",
+    names = ("a.trace", "a.trace.earlier", "a/run.mcap", "a/LOG.yaml", "this.trace")
+    for name in (*(f"traces/{name}" for name in names), "traces-mine/a.trace"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(name)
+        os.utime(tmp_path / name, (1e9, 1e9))
+    session = RunSession(tmp_path, "", 0)
+    session.written.add(tmp_path / "traces" / "this.trace")  # on a disk whose clock is behind
+    session.finish()
+    there = sorted(one for one in tmp_path.glob("traces*/**/*") if one.is_file())
+    assert {one.relative_to(tmp_path).as_posix(): one.read_text() for one in there} == {
+        "traces/a.trace.earlier": "traces/a.trace.earlier",
+        "traces/a.trace.earlier-2": "traces/a.trace",
+        "traces/a/run.mcap.earlier": "traces/a/run.mcap",
+        "traces/a/LOG.yaml.earlier": "traces/a/LOG.yaml",
+        "traces/this.trace": "traces/this.trace",
+        "traces-mine/a.trace": "traces-mine/a.trace",
     }
-
-
-def test_traces_of_a_disk_whose_clock_is_behind_are_those_of_this_run(
-    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    now = time.time
-    monkeypatch.setattr("safety_harness.cli.run.time.time", lambda: now() + 3600.0)
-    assert run([folder / "b-good.yaml"], tmp_path / "out") == AS_EXPECTED
-    assert (tmp_path / "out" / "traces" / "b-good.trace").is_file()
