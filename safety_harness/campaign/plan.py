@@ -164,8 +164,10 @@ def read_packable(path: Path) -> Plan:
 def _told_references(plan: Plan) -> set[str]:
     """What spaces refer to, as traces name it."""
     spaces = [(stratum.space.tree, (stratum.space.file or plan.file).parent) for stratum in plan.strata]
-    files = ((file_and_name(text)[0], at) for tree, at in spaces for text in references_in(tree))
-    return {portable(file, at) for file, at in files if file}
+    programs, recordings = ("avoider", "controller"), ("recording",)
+    found = [(file_and_name(one)[0], at) for tree, at in spaces for one in references_in(tree, programs)]
+    found += [(one, at) for tree, at in spaces for one in references_in(tree, recordings)]
+    return {portable(file, at) for file, at in found if file}
 
 
 _PACKABLE = "references that a report can carry with it: relative paths"
