@@ -152,7 +152,7 @@ def read_packable(path: Path) -> Plan:
             got = f"a copy in which {error.place} is missing"
             raise ScenarioError.of_file(plan.file, _PACKABLE, got) from error
     copied, told = dict(copy.identity.parts), [*map(_told_references, (plan, copy))]
-    for name in sorted(told[0] ^ told[1])[:1]:  # traces would name it otherwise than those of the copy
+    if name := min(told[0] ^ told[1], default=""):  # traces would name it otherwise than those of the copy
         raise ScenarioError.of_file(plan.file, _PACKABLE, f"{name}, which shares no folder with a space")
     other = [file.name for file in plan.files if copied.get(f"the file {file.name}") != file.sha256]
     if other:
@@ -163,11 +163,9 @@ def read_packable(path: Path) -> Plan:
 
 def _told_references(plan: Plan) -> set[str]:
     """What spaces refer to, as traces name it."""
-    spaces = [(stratum.space.tree, (stratum.space.file or plan.file).parent) for stratum in plan.strata]
-    programs, recordings = ("avoider", "controller"), ("recording",)
-    found = [(file_and_name(one)[0], at) for tree, at in spaces for one in references_in(tree, programs)]
-    found += [(one, at) for tree, at in spaces for one in references_in(tree, recordings)]
-    return {portable(file, at) for file, at in found if file}
+    spaces = ((one.space.tree, (one.space.file or plan.file).parent) for one in plan.strata)
+    told = ((file_and_name(text)[0] or text, at) for tree, at in spaces for text in references_in(tree))
+    return {portable(text, at) for text, at in told if Path(text).suffix}
 
 
 _PACKABLE = "references that a report can carry with it: relative paths"

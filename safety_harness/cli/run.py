@@ -68,6 +68,7 @@ from safety_harness.whole_file import writing
 
 REPORT, DATA = "report.html", "report.json"
 TRACES, OF_REFERENCE, EARLIER = "traces", "traces-against", ".earlier"
+KINDS = "*.trace", "*/run.mcap", "*/LOG.yaml"
 
 
 def read_all(
@@ -302,12 +303,11 @@ class RunSession:
 
     def _rename_earlier(self) -> None:
         """Traces of earlier runs stay, by names that no folder or pattern takes for evidence of this one."""
-        kinds = ("*.trace", "*/run.mcap", "*/LOG.yaml")
-        ours = (self.out / folder for folder in (TRACES, OF_REFERENCE))
-        for file in sorted(one for folder in ours for kind in kinds for one in folder.glob(kind)):
+        kinds = [f"{at}/{kind}" for at in (TRACES, OF_REFERENCE) for kind in KINDS]
+        for file in sorted(one for kind in kinds for one in self.out.glob(kind)):
             if {file, file.parent} & self.written or file.stat().st_mtime >= self.begun_s:
                 continue
-            names = (f"{file.name}{EARLIER}" + f"-{number}" * (number > 1) for number in count(1))
+            names = (f"{file.name}{EARLIER}" + f"-{k}" * (k > 1) for k in count(1))
             name = next(name for name in names if not os.path.lexists(file.with_name(name)))
             say(f"of an earlier run: {file}, from now on {name}")
             try:

@@ -166,16 +166,12 @@ def refuse_jumping_joints(joints: LogSamples, facts: JointFacts, names: tuple[st
 
 
 def refuse_another_unit(joints: LogSamples, names: Sequence[str]) -> None:
-    """Raise LogError where speeds (n, j), beside angles (n, j), lead along these if 1 rad were 1 deg.
-
-    Of all joints together, or of one alone in intervals that are too many for chance.
-    """
+    """Raise LogError where speeds (n, j), of all or one, lead along the angles beside if 1 rad were 1 deg."""
     angles, speeds = np.split(joints.values, 2, axis=1)
-    ways = np.diff(angles, axis=0)
-    tolds = (speeds[1:] + speeds[:-1]) / 2.0 * np.diff(joints.time_ns)[:, None] / NS
-    for of, column in (("the angles", slice(None)), *((name, k) for k, name in enumerate(names))):
-        there = np.isfinite(ways[:, column] + tolds[:, column])
-        way, told = ways[:, column][there], tolds[:, column][there]
+    ways, step_s = np.diff(angles, axis=0), np.diff(joints.time_ns)[:, None] / NS
+    both, every = np.stack([ways, (speeds[1:] + speeds[:-1]) / 2.0 * step_s]), [*range(len(names))]
+    for of, which in (("the angles", every), *((names[k], [k]) for k in every)):
+        way, told = both[:, np.isfinite(both.sum(axis=0)) & np.isin(every, which)]
         for times in (np.degrees(1.0), np.radians(1.0)) if len(way) >= LEAST_INTERVALS else ():
             if np.linalg.norm(told - times * way) < MOST_APART * np.linalg.norm(told):
                 expected, got = f"joint speeds that lead along {of}", f"{times:.3g} times their way"
