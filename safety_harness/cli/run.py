@@ -304,9 +304,8 @@ class RunSession:
     def _rename_earlier(self) -> None:
         """Traces of earlier runs stay, by names that no folder or pattern takes for evidence of this one."""
         kinds = [f"{at}/{kind}" for at in (TRACES, OF_REFERENCE) for kind in KINDS]
-        for file in sorted(one for kind in kinds for one in self.out.glob(kind)):
-            if {file, file.parent} & self.written or file.stat().st_mtime >= self.begun_s:
-                continue
+        found = {one for kind in kinds for one in self.out.glob(kind) if one.stat().st_mtime < self.begun_s}
+        for file in sorted(one for one in found if not {one, one.parent} & self.written):
             names = (f"{file.name}{EARLIER}" + f"-{k}" * (k > 1) for k in count(1))
             name = next(name for name in names if not os.path.lexists(file.with_name(name)))
             say(f"of an earlier run: {file}, from now on {name}")
