@@ -204,8 +204,8 @@ class Ledger:
                 raise unusable(self.path, expected, "other bytes: it was written while runs were made")
 
     def _is_newer(self, name: str) -> bool:
-        """Did a file come or change between the first session and this one?"""
-        (ends,) = self.all("SELECT min(began), max(began) FROM session")
+        """Did a file come or change between the first session that ran anything and this one?"""
+        (ends,) = self.all("SELECT min(began), max(began) FROM session WHERE EXISTS (SELECT 1 FROM episode)")
         begun_s, now_s = (datetime.fromisoformat(one or "1970-01-02").timestamp() for one in ends)
         file = self.declared.plan_file.parent / name
         return file.is_file() and begun_s < file.stat().st_ctime < now_s

@@ -45,7 +45,7 @@ from safety_harness.scenario.model import (
     Verdict,
 )
 from safety_harness.scenario.nodes import Scalar
-from safety_harness.scenario.references import file_and_name
+from safety_harness.scenario.references import file_and_name, portable
 from safety_harness.scenario.units import FRACTION
 from safety_harness.shipped.contents import located
 from safety_harness.simulation.worlds import REFERENCE, WorldEntry, worlds_by_label
@@ -147,15 +147,25 @@ def read_packable(path: Path) -> Plan:
     plan = read_plan(path)
     with tempfile.TemporaryDirectory(prefix="safety-harness-") as folder:
         try:
-            copied = dict(read_plan(unpacked(plan.files, Path(folder))).identity.parts)
+            copy = read_plan(unpacked(plan.files, Path(folder)))
         except InputError as error:
             got = f"a copy in which {error.place} is missing"
             raise ScenarioError.of_file(plan.file, _PACKABLE, got) from error
+    copied, told = dict(copy.identity.parts), [*map(_told_references, (plan, copy))]
+    if name := min(told[0] ^ told[1], default=""):  # traces would name it otherwise than those of the copy
+        raise ScenarioError.of_file(plan.file, _PACKABLE, f"{name}, which shares no folder with a space")
     other = [file.name for file in plan.files if copied.get(f"the file {file.name}") != file.sha256]
     if other:
         got = f"a copy that reads {', '.join(other)} from elsewhere"
         raise ScenarioError.of_file(plan.file, _PACKABLE, got)
     return plan
+
+
+def _told_references(plan: Plan) -> set[str]:
+    """What spaces refer to, as traces name it."""
+    spaces = ((one.space.tree, (one.space.file or plan.file).parent) for one in plan.strata)
+    told = ((file_and_name(text)[0] or text, at) for tree, at in spaces for text in references_in(tree))
+    return {portable(text, at) for text, at in told if Path(text).suffix}
 
 
 _PACKABLE = "references that a report can carry with it: relative paths"

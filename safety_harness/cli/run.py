@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shlex
 import sys
 import time
@@ -10,6 +11,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -66,6 +68,7 @@ from safety_harness.whole_file import writing
 
 REPORT, DATA = "report.html", "report.json"
 TRACES, OF_REFERENCE, EARLIER = "traces", "traces-against", ".earlier"
+KINDS = "*.trace", "*/run.mcap", "*/LOG.yaml"
 
 
 def read_all(
@@ -169,6 +172,7 @@ class RunSession:
     repeatability: Repeatability = field(default_factory=Repeatability)
     repeated: RepeatabilityResult | None = None  # None: not asked again
     begun_s: float = field(default_factory=lambda: time.time() - 0.1)  # clocks of disks are coarse
+    written: set[Path] = field(default_factory=set)  # whatever the disk says of when
 
     def run_all(self, admitted: Sequence[Sequence[Admitted]], jobs: int | None = 1) -> None:
         """In their order, each with the reference too, until Ctrl-C or a disk that takes no more."""
@@ -200,11 +204,13 @@ class RunSession:
         file = self.out / folder / f"{one.scenario.name}.trace"
         with writing(file):
             save_trace(trace, file)
+        self.written.add(file)
         evaluations = tuple(prop.evaluate(trace) for prop in one.properties)
         if self.mcap:
             from safety_harness.report.mcap import write_mcap
 
             write_mcap(trace, evaluations, file.with_name(one.scenario.name) / "run.mcap")
+            self.written.add(file.with_name(one.scenario.name))
         return JudgedRun(
             trace=trace,
             evaluations=evaluations,
@@ -249,12 +255,12 @@ class RunSession:
 
     def finish(self) -> int:
         """Write the report, sum up, choose the exit code."""
+        self._rename_earlier()
         if self.unwritable is not None:
             explain(self.unwritable)
         if self.interrupted or self.unwritable is not None:
             kept = f"the results of {len(self.runs)} of {self.planned} scenarios are kept"
             say(f"stopped before the end: {kept}")
-        self._rename_earlier()
         self._ask_again()
         if self.runs and not self._report():
             return INTERRUPTED if self.interrupted else BAD_INPUT
@@ -297,11 +303,17 @@ class RunSession:
 
     def _rename_earlier(self) -> None:
         """Traces of earlier runs stay, by names that no folder or pattern takes for evidence of this one."""
-        for file in sorted(self.out.glob("traces*/*.trace")):
-            if file.stat().st_mtime < self.begun_s:
-                say(f"of an earlier run: {file}, from now on {file.name}{EARLIER}")
+        kinds = [f"{at}/{kind}" for at in (TRACES, OF_REFERENCE) for kind in KINDS]
+        found = {one for kind in kinds for one in self.out.glob(kind) if one.stat().st_mtime < self.begun_s}
+        for file in sorted(one for one in found if not {one, one.parent} & self.written):
+            names = (f"{file.name}{EARLIER}" + f"-{k}" * (k > 1) for k in count(1))
+            name = next(name for name in names if not os.path.lexists(file.with_name(name)))
+            say(f"of an earlier run: {file}, from now on {name}")
+            try:
                 with writing(file):
-                    file.rename(f"{file}{EARLIER}")
+                    file.rename(file.with_name(name))
+            except OutputError as error:
+                self.unwritable = self.unwritable or error
 
     def _say_whose_fault(self) -> None:
         """The commands that attribute what was violated and not expected to be: one for each avoider."""

@@ -17,6 +17,7 @@ from safety_harness.robot.description import ArmModel
 
 FARTHEST_M, FARTHEST_RAD = 10.0, 8.0 * np.pi
 MOST_APART = 0.3  # of the way, of speeds that lead along it in another unit
+LEAST_INTERVALS = 10  # of which that is asked: in fewer, noise at rest may do so
 HARDEST_TAKEN = 40.0  # rad/s2 or m/s2, where no acceleration is said
 
 
@@ -164,17 +165,18 @@ def refuse_jumping_joints(joints: LogSamples, facts: JointFacts, names: tuple[st
         )
 
 
-def refuse_another_unit(joints: LogSamples) -> None:
-    """Raise LogError where speeds (n, j), beside angles (n, j), lead along these if 1 rad were 1 deg."""
+def refuse_another_unit(joints: LogSamples, names: Sequence[str]) -> None:
+    """Raise LogError where speeds (n, j), of all or one, lead along the angles beside if 1 rad were 1 deg."""
     angles, speeds = np.split(joints.values, 2, axis=1)
-    told = (speeds[1:] + speeds[:-1]) / 2.0 * np.diff(joints.time_ns)[:, None] / NS
-    way = np.diff(angles, axis=0)
-    way, told = (one[np.isfinite(way + told)] for one in (way, told))
-    for times in (np.degrees(1.0), np.radians(1.0)):
-        if np.linalg.norm(told - times * way) < MOST_APART * np.linalg.norm(told):
-            expected, got = "joint speeds that lead along the angles", f"{times:.3g} times their way"
-            hint = 'degrees and radians are exchanged: the ends of the columns\' names, or the key "unit"'
-            raise LogError(place=joints.source.place, expected=expected, got=got, hint=hint)
+    ways, step_s = np.diff(angles, axis=0), np.diff(joints.time_ns)[:, None] / NS
+    both, every = np.stack([ways, (speeds[1:] + speeds[:-1]) / 2.0 * step_s]), [*range(len(names))]
+    for of, which in (("the angles", every), *((names[k], [k]) for k in every)):
+        way, told = both[:, np.isfinite(both.sum(axis=0)) & np.isin(every, which)]
+        for times in (np.degrees(1.0), np.radians(1.0)) if len(way) >= LEAST_INTERVALS else ():
+            if np.linalg.norm(told - times * way) < MOST_APART * np.linalg.norm(told):
+                expected, got = f"joint speeds that lead along {of}", f"{times:.3g} times their way"
+                hint = 'degrees and radians are exchanged: the ends of the columns\' names, or the key "unit"'
+                raise LogError(place=joints.source.place, expected=expected, got=got, hint=hint)
 
 
 def refuse_contradicting_speeds(

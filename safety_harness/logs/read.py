@@ -200,7 +200,7 @@ class _Reading:
         joints = noted_beyond_ends(the_short_way(joints, facts, self.arm), self.arm)
         refuse_jumping_joints(joints, facts, self.arm.joint_names)
         if facts.speeds_known_to_radps is None:
-            refuse_another_unit(joints)
+            refuse_another_unit(joints, self.arm.joint_names)
         else:
             angles, speeds = np.split(joints.values, 2, axis=1)
             known, hard = (facts.known_to_rad, facts.speeds_known_to_radps), facts.accelerate_at_most_radps2

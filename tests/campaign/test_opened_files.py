@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
 import zipfile
 from datetime import UTC, datetime, timedelta
@@ -204,6 +205,15 @@ def test_a_file_that_came_after_runs_began_makes_another_system(run: tuple[Plan,
             ledger.take_opened([("stats.npy", "0" * 64)])
         ledger.take_opened([(run[0].file.name, "0" * 64)])  # which was there, and is opened late
     (copy.parent / "stats.npy").unlink()
+
+
+def test_before_the_first_run_any_file_may_still_come(run: tuple[Plan, Path], tmp_path: Path) -> None:
+    """A first session was interrupted before it ran anything."""
+    (tmp_path / "stats.npy").write_bytes(b"1")
+    with Ledger.create(tmp_path / "begun.sqlite", run[0]) as ledger:
+        ledger.begin_session((datetime.now(UTC) - timedelta(hours=1)).isoformat(), "1", "here")
+        ledger.begin_session((datetime.now(UTC) + timedelta(seconds=1)).isoformat(), "1", "here")
+        ledger.take_opened([(os.path.relpath(tmp_path / "stats.npy", run[0].file.parent), "0" * 64)])
 
 
 def test_parts_that_read_other_files_do_not_become_one(run: tuple[Plan, Path], tmp_path: Path) -> None:

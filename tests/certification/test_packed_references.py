@@ -77,6 +77,21 @@ def test_an_honest_report_of_an_onnx_file_with_a_layout_stands_elsewhere(
     assert str(file) not in evidence
 
 
+def test_a_program_that_shares_no_folder_with_its_space_is_refused_before_any_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """But one above every home, such as the root: traces name it alone, those of a copy by its folders."""
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    (tmp_path / "a").mkdir()
+    (tmp_path / "mine.py").write_text("class Mine: ...\n")
+    plan = plan_with_space_at(tmp_path / "a", "../spaces/short.yaml")
+    plan.write_text(plan.read_text().replace("avoider: opposite pose\n", ""))
+    space = tmp_path / "a" / "spaces" / "short.yaml"
+    space.write_text(TEXT.replace("opposite pose", f"{tmp_path}/mine.py:Mine"))
+    with pytest.raises(ScenarioError, match=r"mine\.py, which shares no folder"):
+        read_packable(plan)
+
+
 def test_a_recording_by_absolute_path_is_named_as_seen_from_the_space(tmp_path: Path) -> None:
     tree = parse_tree("hands: [{recording: /a/b/hand.csv}, {recording: hand.csv}]", None)
     assert list(references_in(with_relative_paths(tree, Path("/a/c")))) == ["../b/hand.csv", "hand.csv"]

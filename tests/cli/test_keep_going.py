@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
+import time
 from pathlib import Path
-from time import sleep
 
 import pytest
 
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT
+from safety_harness.cli.run import RunSession
 from safety_harness.cli.scenario_commands import judge, run
 from tests.kinds_of_files import SCENARIO
 
@@ -114,7 +116,7 @@ def test_a_trace_of_an_earlier_run_stays_but_no_pattern_takes_it_for_one_of_this
     bytes_then = (traces / "b-good.trace").read_bytes()
     (folder / "b-good.yaml").rename(folder / "renamed.yaml")
     (traces / "notes.txt").write_text("mine")
-    sleep(0.2)
+    time.sleep(0.2)
     assert run([folder / "renamed.yaml"], tmp_path / "out") == AS_EXPECTED
     assert sorted(one.name for one in traces.iterdir()) == [
         *("b-good.trace.earlier", "notes.txt", "renamed.trace")
@@ -122,3 +124,24 @@ def test_a_trace_of_an_earlier_run_stays_but_no_pattern_takes_it_for_one_of_this
     assert (traces / "b-good.trace.earlier").read_bytes() == bytes_then
     assert f"of an earlier run: {traces / 'b-good.trace'}" in capsys.readouterr().err
     assert judge([traces / "b-good.trace.earlier"]) == AS_EXPECTED  # whoever names it may
+
+
+def test_of_earlier_runs_nothing_is_lost_and_no_foreign_folder_is_touched(tmp_path: Path) -> None:
+    """A second run's trace does not take the place of the first one's; its MCAP file goes with it."""
+    names = ("a.trace", "a.trace.earlier", "a/run.mcap", "a/LOG.yaml", "this.trace")
+    for name in (*(f"traces/{name}" for name in names), "traces-mine/a.trace"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(name)
+        os.utime(tmp_path / name, (1e9, 1e9))
+    session = RunSession(tmp_path, "", 0)
+    session.written.add(tmp_path / "traces" / "this.trace")  # on a disk whose clock is behind
+    session.finish()
+    there = sorted(one for one in tmp_path.glob("traces*/**/*") if one.is_file())
+    assert {one.relative_to(tmp_path).as_posix(): one.read_text() for one in there} == {
+        "traces/a.trace.earlier": "traces/a.trace.earlier",
+        "traces/a.trace.earlier-2": "traces/a.trace",
+        "traces/a/run.mcap.earlier": "traces/a/run.mcap",
+        "traces/a/LOG.yaml.earlier": "traces/a/LOG.yaml",
+        "traces/this.trace": "traces/this.trace",
+        "traces-mine/a.trace": "traces-mine/a.trace",
+    }

@@ -356,6 +356,25 @@ def test_speeds_in_another_unit_than_the_angles_are_refused_and_the_unit_is_name
     assert "the unit of length for hand" in words[0]
 
 
+def test_one_column_of_another_unit_is_refused_with_its_name(streams: Streams, tmp_path: Path) -> None:
+    """Others, whose columns are right, move farther."""
+    log = with_columns(streams, tmp_path, "rad", "radps", 1.0, 1.0)
+    table = log.with_name("joints.csv")
+    table.write_text(table.read_text().replace(f"{NAMES[1]}_rad,", f"{NAMES[1]}_deg,", 1))
+    with pytest.raises(LogError, match=f"lead along {NAMES[1]}"):
+        read_log(log)
+
+
+def test_noise_at_rest_is_no_other_unit(streams: Streams, tmp_path: Path) -> None:
+    """In two samples of one joint whose angle and speed have noise, the one may be 57 times the other."""
+    log, at = with_text(tmp_path, "log: {joints: joints.csv}\nclaims: [joint speeds within limits]\n"), 1e-4
+    names = ["time_s", *(f"{name}_rad" for name in NAMES), f"{NAMES[0]}_radps"]
+    rows = [[0.0, *[0.0] * 6, 0.7], [0.008, at, *[0.0] * 5, 0.7]]
+    lines = [",".join(map(str, row)) for row in (names, *rows)]
+    log.with_name("joints.csv").write_text("\n".join(lines) + "\n")
+    assert read_log(log)
+
+
 def test_a_tcp_confirms_the_unit_of_the_angles(log: Path, streams: Streams) -> None:
     units = [
         one for one in assumptions_of(read_log(with_tcp(log, streams))) if one.what.startswith("the unit")
