@@ -106,9 +106,10 @@ def the_short_way(joints: LogSamples, facts: JointFacts, arm: ArmModel) -> LogSa
 def wrapped_rad(
     way: NDArray[np.float64], step_s: NDArray[np.float64] | float, facts: JointFacts, arm: ArmModel
 ) -> NDArray[np.float64]:
-    """Return the whole turns by which steps ``way`` (..., n) of joints that have no ends wrap.
+    """Return the whole turns [rad] by which steps ``way`` (..., n) of joints that have no ends wrap.
 
-    Within the longest gap only of those that cannot have gone the long way meanwhile.
+    A step takes ``step_s`` (..., 1).  Within the longest gap only of those that cannot have gone the long way
+    meanwhile.
     """
     endless = np.isinf(arm.position_lower_rad) & np.isinf(arm.position_upper_rad)
     sure = step_s * facts.move_at_most_radps + 2.0 * facts.known_to_rad < np.pi

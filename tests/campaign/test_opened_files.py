@@ -198,8 +198,9 @@ def test_a_file_that_came_after_runs_began_makes_another_system(run: tuple[Plan,
     """Statistics of inputs that were forgotten at first: before, nothing was opened that could change."""
     copy = run[1].with_name("begun.sqlite")
     copy.write_bytes(run[1].read_bytes())
-    (copy.parent / "stats.npy").write_bytes(b"1")
     with Ledger.open(copy, write=True) as ledger:
+        ledger.connection.execute("UPDATE session SET began = ?", [datetime.now(UTC).isoformat()])
+        (copy.parent / "stats.npy").write_bytes(b"1")
         ledger.begin_session((datetime.now(UTC) + timedelta(seconds=1)).isoformat(), "1", "here")
         with pytest.raises(LedgerError, match=r"stats\.npy as it was when runs began"):
             ledger.take_opened([("stats.npy", "0" * 64)])
