@@ -146,6 +146,8 @@ def _values(folder: Path, item: Item) -> dict[str, object]:
     values: dict[str, object] = {"exit code": done.returncode}
     for file in sorted(file for file in out.rglob("*") if file.is_file()) if out.exists() else ():
         values.update((f"{file.relative_to(out)}: {place}", value) for place, value in _of_file(file))
+    if "{out}" in item.command and len(values) == 1:  # or two that fail alike would be equal
+        sys.exit(f"{item.name}: {folder.name} wrote nothing; {done.stderr[-500:]}")
     if done.stdout.lstrip().startswith(("{", "[")):
         values.update((f"standard output: {place}", value) for place, value in _of_json(done.stdout))
     elif not out.exists():
