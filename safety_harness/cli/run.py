@@ -304,7 +304,7 @@ class RunSession:
     def _rename_earlier(self) -> None:
         """Traces of earlier runs stay, by names that no folder or pattern takes for evidence of this one."""
         kinds = [f"{at}/{kind}" for at in (TRACES, OF_REFERENCE) for kind in KINDS]
-        found = {one for kind in kinds for one in self.out.glob(kind) if one.stat().st_mtime < self.begun_s}
+        found = {one for kind in kinds for one in self.out.glob(kind) if one.lstat().st_mtime < self.begun_s}
         for file in sorted(one for one in found if not {one, one.parent} & self.written):
             names = (f"{file.name}{EARLIER}" + f"-{k}" * (k > 1) for k in count(1))
             name = next(name for name in names if not os.path.lexists(file.with_name(name)))

@@ -145,3 +145,12 @@ def test_of_earlier_runs_nothing_is_lost_and_no_foreign_folder_is_touched(tmp_pa
         "traces/this.trace": "traces/this.trace",
         "traces-mine/a.trace": "traces-mine/a.trace",
     }
+
+
+def test_a_link_to_a_trace_that_is_gone_is_renamed_too(tmp_path: Path) -> None:
+    link = tmp_path / "traces" / "gone.trace"
+    link.parent.mkdir()
+    link.symlink_to("nowhere")
+    os.utime(link, (1e9, 1e9), follow_symlinks=False)
+    RunSession(tmp_path, "", 0).finish()
+    assert link.with_name("gone.trace.earlier").is_symlink()
