@@ -54,7 +54,7 @@ from safety_harness.properties.base import (
     unreadable,
 )
 from safety_harness.properties.measured import not_measured
-from safety_harness.properties.unexercised import nearest_of
+from safety_harness.properties.unexercised import nearest_of, went
 from safety_harness.scenario.model import EDITION, Scenario, Verdict
 from safety_harness.trace.trace import Trace
 
@@ -230,7 +230,8 @@ class _Asked:
         A trigger counts each time that it begins to hold, "until" and "eventually" the ticks before what
         they wait for (before edition 3 "until" alone), anything else every tick that is known and asked of.
         A signal that counts its own occasions bounds the number by those at such ticks, unless the trigger
-        has set it. ``perhaps``: as if all that is unknown had been an occasion.
+        has set it; a way gone is one of a speed that is certain at no tick. ``perhaps``: as if all that is
+        unknown had been an occasion.
         """
         part, tried = self.part, set(self.sampled)
         asked = ticks_asked(at_ticks, self.period_s)
@@ -259,6 +260,8 @@ class _Asked:
                 least, most = (side + (near_m - NEAR_M) * bool(one.comes) for side in one.tried)
                 tries, never = ((least, most)[perhaps] > 0.0) & when[signal], (most <= 0.0) | ~when[signal]
                 own = self.begun(tries, never) if one.comes else int(np.count_nonzero(tries))
+                if own == 0 and signal.place in self.lacking:
+                    own = int(went(self.trace, signal.place, when[signal]))
                 if own < count:
                     count, untried = own, self.untried(one, when[signal], near_m)
         return count, untried

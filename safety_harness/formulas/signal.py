@@ -71,7 +71,8 @@ class Signal:
     ``sample`` takes it from a trace, of which it ``reads`` these columns and no others.  ``off`` says by how
     much it may be off as they are uncertain (SI), at the ticks, and below and above its bounds between them;
     without it nothing is said of a trace in which any is.  ``finer`` takes it with closer bounds, for more
-    work.  Two signals are the same only if they are one object.
+    work.  ``place`` is the column of which it is the speed.  Two signals are the same only if they are one
+    object.
     """
 
     words: str
@@ -82,6 +83,7 @@ class Signal:
     reads: tuple[str, ...]
     off: Callable[[Trace], tuple[float, float, float]] | None = None
     finer: Callable[[Trace], Sampled] | None = None
+    place: str = ""
 
     @property
     def limits(self) -> tuple[float, float]:

@@ -198,6 +198,7 @@ def _from_hands(trace: Trace, *, from_tcp: bool = False, finely: bool = False) -
     "of the TCP; between ticks the mean speed counts too",
     reads=[TCP_SPEED, TCP],
     off=of_speed(TCP_SPEED, TCP),
+    place=TCP,
 )
 def tcp_speed(trace: Trace) -> Sampled:
     """Of the TCP; between ticks the mean speed counts too."""
@@ -251,6 +252,7 @@ def angle_to_desired_pose(trace: Trace) -> Sampled:
     "of the fastest joint; between ticks the mean speed counts too",
     reads=["joint_velocity_radps", "joint_position_rad"],
     off=of_speed("joint_velocity_radps", "joint_position_rad"),
+    place="joint_position_rad",
 )
 def joint_speed(trace: Trace) -> Sampled:
     """Of the fastest joint, likewise; it may be lower by what motors miss (``known_to_radps``)."""

@@ -15,7 +15,7 @@ from safety_harness.properties.entry import CatalogueEntry, quantity
 from safety_harness.properties.measured import Ends, reads
 from safety_harness.properties.separation import faster_mps
 from safety_harness.properties.true_motion import arm_of, tcp_velocity_moved_mps, true_motion
-from safety_harness.properties.unexercised import MOVES, joints_stood, tcp_stood
+from safety_harness.properties.unexercised import MOVES, joints_stood, tcp_stood, went
 from safety_harness.robot.capsules import Arm
 from safety_harness.robot.kinematics import forward_kinematics, tcp_velocity
 from safety_harness.robot.robots import arm_model
@@ -28,13 +28,13 @@ EPSILON = float(np.finfo(np.float64).eps)
 ROUNDING_MPS = 1e-9  # by which a bound, computed otherwise, may be off
 
 
-def _by(moved: Callable[[Trace], float], speed: str = "") -> Ends:
-    """For ``reads``: how far a margin moves; exercised if the column ``speed`` says that something moves."""
+def _by(moved: Callable[[Trace], float], speed: str = "", place: str = "") -> Ends:
+    """For ``reads``: how far a margin moves; exercised if the column ``speed`` or ``place`` says so."""
 
     def ends(prop: object, trace: Trace, margin: float) -> tuple[float, float, bool]:
         by = moved(trace)
-        exercised = not speed or float(np.abs(trace.ticks[speed]).max()) - _off(trace, speed) > MOVES
-        return margin - by, margin + by, exercised
+        fast = not speed or float(np.abs(trace.ticks[speed]).max()) - _off(trace, speed) > MOVES
+        return margin - by, margin + by, fast or (place != "" and went(trace, place))
 
     return ends
 
@@ -93,6 +93,7 @@ class JointSpeedLimits:
         ends=_by(
             lambda trace: _mean_off(trace, "joint_velocity_radps", "joint_position_rad"),
             "joint_velocity_radps",
+            "joint_position_rad",
         ),
     )
     def evaluate(self, trace: Trace) -> Evaluation:
@@ -138,7 +139,11 @@ class TcpSpeedLimit:
     @reads(
         "tcp_speed_mps",
         "transform_tcp_to_base",
-        ends=_by(lambda trace: _mean_off(trace, "tcp_speed_mps", "transform_tcp_to_base"), "tcp_speed_mps"),
+        ends=_by(
+            lambda trace: _mean_off(trace, "tcp_speed_mps", "transform_tcp_to_base"),
+            "tcp_speed_mps",
+            "transform_tcp_to_base",
+        ),
     )
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge the TCP's speed."""

@@ -501,13 +501,30 @@ def test_a_stamp_that_is_lost_later_is_refused_with_from_too(streams: Streams, t
         read_log(with_text(tmp_path, BAG.replace("log: {", "log: {from: 200 ms, ")))
 
 
-def test_columns_without_units_by_the_unit_that_the_file_says(tmp_path: Path) -> None:
-    """A base joint that goes to and fro at 2.9 deg/s, known so closely that it moves for certain."""
-    rows = [
-        f"{k * 0.008:.3f},{-0.4 + 0.05 * float(np.sin(k * 0.008))!r},-1.3,2.1,-2.4,-1.5,0" for k in range(250)
-    ]
-    (tmp_path / "j.csv").write_text("\n".join(["time_s," + ",".join(NAMES), *rows]) + "\n")
-    text = "log: {joints: j.csv}\njoints: {unit: rad, known to: 0.02 mrad, accelerate at most: 4 rad/s2}\n"
-    log = with_text(tmp_path, text + "claims: [always joint speed < 30 deg/s]\n")
-    (found,) = judge(judged_log(log).trace)
-    assert found.verdict is Verdict.HOLDS
+SPEEDS = ("always joint speed < 30 deg/s", "joint speeds within limits", "TCP speed never above 900 mm/s")
+
+
+def slow_base(folder: Path, rad: Callable[[float], float], *claims: str) -> tuple[Verdict, ...]:
+    """Verdicts on a table of bare columns: the base joint at -0.4 rad and ``rad(t)``, the others at rest."""
+    rows = [f"{k * 0.008:.3f},{-0.4 + rad(k * 0.008)!r},-1.3,2.1,-2.4,-1.5,0" for k in range(250)]
+    (folder / "j.csv").write_text("\n".join(["time_s," + ",".join(NAMES), *rows]) + "\n")
+    text = "log: {joints: j.csv}\njoints: {unit: rad, known to: 0.25 mrad, accelerate at most: 4 rad/s2}\n"
+    log = with_text(folder, text + f"robot: UR10\nclaims: [{', '.join(claims)}]\n")
+    return tuple(found.verdict for found in judge(judged_log(log).trace))
+
+
+def test_bare_columns_of_a_joint_that_moves_for_certain_by_the_way_that_it_went(tmp_path: Path) -> None:
+    """2.9 deg/s, which each tick alone knows to 4.5 deg/s: the limit is kept, and the arm moved."""
+    assert set(slow_base(tmp_path, lambda t: 0.05 * float(np.sin(t)), *SPEEDS)) == {Verdict.HOLDS}
+
+
+def test_a_joint_that_moves_within_its_uncertainty_may_have_stood(tmp_path: Path) -> None:
+    jitter = slow_base(tmp_path, lambda t: 0.00024 * float(np.sin(40.0 * t)), *SPEEDS)
+    assert set(jitter) == {Verdict.INCONCLUSIVE}
+
+
+def test_a_way_gone_outside_of_a_window_is_no_occasion_within_it(tmp_path: Path) -> None:
+    """It stands for 1 s, and turns afterwards."""
+    windows = [f"always from {when} joint speed < 30 deg/s" for when in ("0 s to 0.9 s", "1 s to 1.9 s")]
+    stood, moved = slow_base(tmp_path, lambda t: 0.05 * max(t - 1.0, 0.0), *windows)
+    assert (stood, moved) == (Verdict.INCONCLUSIVE, Verdict.HOLDS)
