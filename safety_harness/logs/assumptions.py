@@ -45,6 +45,7 @@ def assumptions_of(log: CellLog) -> tuple[Assumption, ...]:
         what = f"the zero positions of {', '.join(tcp.unseen)}, to within 5 deg: they hardly move the TCP"
         found.append(Assumption(what, "", "a column of the tool's orientation, which is not read yet"))
     found.append(Assumption("the shape of its tool", "", "no column: robot: {tool: ...} has to enclose it"))
+    found.append(Assumption("how its tool is turned", "", "no column: no orientation is read"))
     said = dict(dict(log.said.entries("a log")).get("hands", log.said).entries("hands"))
     stated = "frame" in said and (
         isinstance(said["frame"].node, Scalar) or "at" in dict(said["frame"].entries(""))

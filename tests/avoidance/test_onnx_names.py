@@ -87,6 +87,14 @@ def test_all_wrong_names_come_at_once_with_the_layout_that_fits() -> None:
     assert "mine.onnx:input=hand,tcp,output=position:" in error.hint
 
 
+def test_short_names_in_the_file_itself_need_no_layout() -> None:
+    data = columns({"hand": ["n", 3], "tcp": ["n", 3]}, {"position": 3})
+    assert position(load(data)) == HAND.tolist()
+    assert position(load(data, "hand=tcp,tcp=hand,position=position")) == TCP.tolist()
+    both = columns({"hand": ["n", 3], "hand_position_in_base_m": ["n", 3]}, {"position": 3})
+    assert refused(both, "").place.field == "hand_position_in_base_m"
+
+
 def test_where_shapes_leave_two_layouts_open_both_are_named() -> None:
     hint = refused(columns({"a": ["n", 3], "b": [1, 3]}, {"Y": 3})).hint
     assert "mine.onnx:a=hand,b=tcp,Y=position or mine.onnx:a=tcp,b=hand,Y=position:" in hint
