@@ -212,6 +212,15 @@ def test_the_layout_shows_topics_and_fields_that_an_export_has(tmp_path: Path) -
         assert one.get("imageMode", {}).get("imageTopic", "/camera") == "/camera"  # of rendered images alone
 
 
+def test_every_panel_of_the_layout_has_a_place_in_it_and_its_settings() -> None:
+    layout = json.loads((ROOT / "examples" / "foxglove-layout.json").read_text())
+
+    def panels(node: Any) -> list[str]:
+        return [node] if isinstance(node, str) else [*panels(node["first"]), *panels(node["second"])]
+
+    assert sorted(panels(layout["layout"])) == sorted(layout["configById"])
+
+
 def test_faster_hands_than_said_would_be_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The bounds that LOG.yaml states are held against the samples when it is read."""
     from safety_harness.exceptions import LogError
