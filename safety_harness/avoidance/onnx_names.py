@@ -88,7 +88,8 @@ def laid_out(
     fit its shapes; else for the first tensor of another type, or input of another shape.
     """
     inputs, given = session.get_inputs(), session.get_outputs()
-    held = {one.name: layout.get(one.name, (SHORT.get(one.name, one.name),)) for one in (*inputs, *given)}
+    own = {**SHORT, **{name: name for name in (*takes, *gives)}}
+    held = {one.name: layout.get(one.name, (own.get(one.name, one.name),)) for one in (*inputs, *given)}
     sides = ((inputs, takes), ([one for one in given if held[one.name] != (UNUSED,)], gives))
     used = [name for some, _ in sides for one in some for name in held[one.name]]
     unknown = [(one, known) for some, known in sides for one in some if not known.keys() >= {*held[one.name]}]

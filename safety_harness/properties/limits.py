@@ -34,7 +34,11 @@ def _by(moved: Callable[[Trace], float], speed: str = "", place: str = "") -> En
     def ends(prop: object, trace: Trace, margin: float) -> tuple[float, float, bool]:
         by = moved(trace)
         fast = not speed or float(np.abs(trace.ticks[speed]).max()) - _off(trace, speed) > MOVES
-        return margin - by, margin + by, fast or (place != "" and went(trace, place))
+        return (
+            margin - by,
+            margin + by,
+            fast or (place != "" and went(trace, place, np.isfinite(trace.time_s))),
+        )
 
     return ends
 

@@ -176,13 +176,12 @@ def spread_beside_threshold(trace: Trace, *, above: bool) -> str:
     return f"the {which} spread of an answer was {spread}, at {time_s:.3f} s; {enough}, exercises it"
 
 
-def went(trace: Trace, place: str, asked: NDArray[np.bool_] | None = None) -> bool:
+def went(trace: Trace, place: str, asked: NDArray[np.bool_]) -> bool:
     """Whether the column ``place`` moves for certain: between two ticks by more than it is uncertain.
 
-    Only along ticks that are all ``asked`` (n,) of, if that is given.
+    Only along ticks that are all ``asked`` (n,) of.
     """
     values = trace.ticks[place] if trace.ticks[place].ndim == 2 else trace.ticks[place][:, :3, 3]
-    asked = np.ones(len(values), np.bool_) if asked is None else asked
     off, slow = 2.0 * trace.known.of(place).uncertainty, MOVES * trace.time_s[:, None]
     for ticks in np.split(np.arange(len(values)), np.flatnonzero(np.diff(asked)) + 1):
         for along in (values[ticks] - slow[ticks], -values[ticks] - slow[ticks]):

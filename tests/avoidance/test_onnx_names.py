@@ -15,6 +15,7 @@ from safety_harness.admission.admit import admit
 from safety_harness.admission.avoiders import Avoiders, is_a_program, is_executed, with_avoider
 from safety_harness.avoidance.onnx_model import OnnxAvoider
 from safety_harness.avoidance.onnx_names import layout_of
+from safety_harness.controller.out_of_process.onnx_policy import OnnxPolicy
 from safety_harness.exceptions import ModelError
 from safety_harness.scenario.references import avoider_seen_from, file_and_name
 
@@ -93,6 +94,11 @@ def test_short_names_in_the_file_itself_need_no_layout() -> None:
     assert position(load(data, "hand=tcp,tcp=hand,position=position")) == TCP.tolist()
     both = columns({"hand": ["n", 3], "hand_position_in_base_m": ["n", 3]}, {"position": 3})
     assert refused(both, "").place.field == "hand_position_in_base_m"
+
+
+def test_a_policy_may_carry_a_state_by_one_of_the_short_names() -> None:
+    policy = OnnxPolicy(Path("p.onnx"), columns({"hand": [1, 3]}, {"tcp_velocity_mps": 3, "next_hand": 3}))
+    assert policy.sees == ()
 
 
 def test_where_shapes_leave_two_layouts_open_both_are_named() -> None:
