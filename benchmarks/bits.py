@@ -10,7 +10,7 @@ Arrays of traces, files of searches, and every number, verdict, claim, identifie
 to the last bit.  The report lists all that was left out.  Prose is compared as well but not counted.
 Ends with 1 if anything differs.
 
-Results of a revision are kept in reports/bits by the hash of its tree, this script and the libraries: BASE is
+Results of a revision are kept in reports/bits by the hash of its tree, of the scripts and of the libraries: BASE is
 run once, and AFTER is always run.  Both sides share the machine code of kernels that have the same place and
 the same imports; a kernel that moved, or that imports a file that moved, is compiled again.
 """
@@ -18,12 +18,15 @@ the same imports; a kernel that moved, or that imports a file that moved, is com
 from __future__ import annotations
 
 import argparse
+import fcntl
 import hashlib
+import io
 import json
 import os
 import re
 import resource
 import shutil
+import sqlite3
 import subprocess
 import sys
 import tarfile
@@ -33,15 +36,19 @@ import zipfile
 from collections import Counter
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
 from dataclasses import asdict, dataclass, field
 from importlib.metadata import distributions
 from pathlib import Path
 from typing import Any, Final
 
+from bits_items import ASK, ITEMS, Item
+
 ROOT: Final = Path(__file__).resolve().parents[1]
 PLACE: Final = ROOT / "reports" / "bits"
 SITE, SOURCE, OUT, EARLIER = (PLACE / name for name in ("site", "source", "out", "earlier"))
 RESULTS, MACHINE_CODE = PLACE / "results", PLACE / "machine-code"
+SCRIPTS: Final = ("bits.py", "bits_items.py")  # a change of theirs makes kept results old
 SHOWN: Final = 12  # differences of an item
 PROSE_SHOWN: Final = 3
 
@@ -49,41 +56,23 @@ PROSE_SHOWN: Final = 3
 LEFT_OUT: Final = {
     r"made_at|generated_at|began_at|ended_at": "times of day",
     r"provenance|source_hash|package_version|machine|python": "the source, and where it ran",
-    r"trace_sha256|files": "hashes of files that contain provenance or computing times",
+    r"trace_sha256|files|rows_sha256|plan\.sha256": "hashes that cover the source or computing times",
     r"computing_time|times|seconds|run_seconds_s": "computing times",
     r"repeatability\.asked": "runs that were repeated, as many as time allows",
 }
 LEFT_OUT_PATTERN: Final = re.compile(rf"(?:.*\.)?(?:{'|'.join(LEFT_OUT)})")
+# Of a ledger.
+LEFT_OUT_TABLES: Final = {"about", "session", "repeated", "answering", "sqlite_sequence"}
+LEFT_OUT_COLUMNS: Final = {"seconds", "worker"}
 LEFT_OUT_MEMBERS: Final = {"latencies.npy"}
-LEFT_OUT_FILES: Final = {
-    ".html",
-    ".sarif",
-    ".md",
-    ".xml",
-    ".svg",
-    ".sqlite",
-    ".log",
-}  # pages, and what has times
+# Pages and drawings: their numbers are in the documents beside them, with times of day in between.
+LEFT_OUT_FILES: Final = {".html", ".sarif", ".md", ".xml", ".svg", ".sqlite-wal", ".sqlite-shm", ".lock"}
 LEFT_OUT_NAMES: Final = {"manifest.json"}
 MODULE: Final = re.compile(r"safety_harness(?:[./][A-Za-z_][\w-]*)+")  # a module, or a file of the package
 # Text under these keys is compared as a value; other text that has a space in it is prose.
 SENTENCES: Final = re.compile(
     r"claim|sentence|scenario|name|title|property|verdict|unit|stratum|space|fault|format"
 )
-
-
-@dataclass(frozen=True)
-class Item:
-    """Something to compare: the arguments of a command.
-
-    "{out}" is the folder that it writes, "{earlier}" a folder of files of earlier revisions, and "{plan}" a
-    file with the text of ``plan``.
-    """
-
-    name: str
-    command: str
-    quick: bool = True
-    plan: str = ""
 
 
 @dataclass
@@ -98,148 +87,6 @@ class Result:
     compiled: int = 0  # functions of which machine code was made meanwhile
 
 
-QUICK_SCENARIOS: Final = re.sub(
-    r"([\w-]+)\s*",
-    r"scenarios/\1.yaml ",
-    """
-    another-object-elsewhere between-two-hands box-beside-the-way camera-30-hz carrying-a-board cornered
-    decisions-take-90-ms eye-in-hand-sees fault-avoider-answers-nan fault-camera-late fault-joint-stuck
-    hand-returns hand-visits-and-leaves hidden-by-the-arm network-in-doubt object-stays-lost own-formulas
-    overhead-camera proven-region recorded-handover robot-panda robot-ur5 second-hand stops-in-time
-    tilted-start trembling-hand wrong-hand-eye-calibration
-    """,
-)
-SPACES: Final = (
-    "reaching-hands",
-    "unseen-both",
-    "nominal",
-    "unseen-hand",
-    "unseen-tcp",
-    "recorded-variations",
-)
-QUICK_SPACES: Final = ("nominal", "recorded-variations")
-TINY_PLAN: Final = """
-plan: a few runs
-avoider: mc-dropout
-world: kinematic
-seed: 1
-strata:
-  - stratum: seen
-    space: ../../source/scenarios/spaces/nominal.yaml
-    runs: 12
-  - stratum: unseen hand and TCP
-    space: ../../source/scenarios/spaces/unseen-both.yaml
-    runs: 12
-claims:
-  - claim: hand distance never below 50 mm
-    violated in at most: 50 %
-  - claim: repulsive poses reachable
-  - claim: TCP speed never above 250 mm/s
-keep:
-  random traces: 1
-  violations: 1
-"""
-TINY_PROOF: Final = """
-proof: a small region
-avoider: student
-regions:
-  beside:
-    hand: {from: [540 mm, -650 mm, -295 mm], to: [1140 mm, -280 mm, 305 mm]}
-    tcp: {from: [640 mm, -150 mm, 250 mm], to: [760 mm, -40 mm, 450 mm]}
-    apart: [100 mm, 400 mm]
-claims:
-  - claim: steps at most 150 mm
-    in: beside
-  - claim: leads away
-    in: beside
-distribution:
-  samples: 500
-  confidence: 99 %
-"""
-ITEMS: Final = (  # what takes long first, since two run at a time
-    Item("quick scenarios, PyBullet", f"run {QUICK_SCENARIOS} --jobs 1 --keep-going --out {{out}}"),
-    *(
-        Item(f"short search of {name}", f"fuzz scenarios/spaces/{name}.yaml --budget 30 --out {{out}}")
-        for name in QUICK_SPACES
-    ),
-    Item(
-        "quick scenarios, kinematic",
-        f"run {QUICK_SCENARIOS} --world kinematic --jobs 1 --keep-going --out {{out}}",
-    ),
-    Item("two faults", "selftest --scenarios shipped:scenarios --fault stale --jobs 1 --out {out}"),
-    Item("tiny plan", "certify {plan} --workers 1 --out {out}", plan=TINY_PLAN),
-    Item("small proof", "prove {plan} --halvings 4 --minutes 30 --out {out}", plan=TINY_PROOF),
-    Item("score", "evaluate mc-dropout student --questions 20 --search 0 --out {out}"),
-    Item("traces of earlier versions", "judge {earlier}/*.trace --json"),
-    Item("report of an earlier version", "verify {earlier}/57e81b3 --runs 0 --json"),
-    Item("ledger of an earlier version", "campaign status {earlier}/57e81b3/ledger.sqlite --json"),
-    Item("claims", "claims --json"),
-    Item("schema", "schema"),
-    Item("shipped", "list"),
-    Item("validity", "validate scenarios --json", False),
-    Item("a file of another kind", "run plans/quick.yaml"),
-    Item(
-        "all scenarios, kinematic", "run scenarios --world kinematic --keep-going --jobs 1 --out {out}", False
-    ),
-    Item("all scenarios, PyBullet", "run scenarios --jobs 1 --out {out}", False),
-    *(
-        Item(f"search of {name}", f"fuzz scenarios/spaces/{name}.yaml --budget 100 --out {{out}}", False)
-        for name in SPACES
-    ),
-    Item("plan quick", "certify plans/quick.yaml --workers 1 --out {out}", False),
-    Item("plan certify-in-a-minute", "certify plans/certify-in-a-minute.yaml --workers 1 --out {out}", False),
-    Item("long score", "evaluate optimum student --questions 200 --search 0 --out {out}", False),
-    # Enough minutes for all halvings, or the speed of the machine would decide.
-    Item(
-        "proofs of the student",
-        "prove plans/student-proofs.yaml --halvings 12 --minutes 60 --out {out}",
-        False,
-    ),
-    Item(
-        "proofs of the ensemble",
-        "prove plans/student-ensemble-proofs.yaml --halvings 12 --minutes 60 --out {out}",
-        False,
-    ),
-    Item("self-test", "selftest --scenarios shipped:scenarios --jobs 1 --out {out}", False),
-)
-
-# Runs in a process of the revision: help and exit codes of every command line, and the names at the root.
-ASK: Final = r"""
-import contextlib, inspect, io, json, re, runpy, sys
-
-def ask(*words):
-    out, code = io.StringIO(), 0
-    sys.argv = ["safety-harness", *words]
-    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(io.StringIO()):
-        try:
-            runpy.run_module("safety_harness", run_name="__main__")
-        except SystemExit as end:
-            code = end.code or 0
-    return code, out.getvalue()
-
-commands, waiting = {}, [()]
-while waiting:
-    words = waiting.pop()
-    code, text = ask(*words, "--help")
-    inner = re.findall(r"^  ([a-z][a-z-]*) ", text.partition("\nCommands:\n")[2], re.M)
-    waiting += [(*words, name) for name in inner]
-    found = commands[" ".join(words)] = {"exit code of help": code, "help": text}
-    found["options"] = sorted(set(re.findall(r"(?<![\w-])--?[a-z][a-z-]*", text)))
-    if not inner:
-        found["exit code for a file that is not there"] = ask(*words, "README.md/no-file.yaml")[0]
-
-import safety_harness
-names = {}
-for name in sorted(safety_harness.__all__):
-    value = getattr(safety_harness, name)
-    with contextlib.suppress(TypeError, ValueError):
-        names[f"parameters of {name}"] = re.sub(r" at 0x\w+| ", "", str(inspect.signature(value)))
-    names[f"kind of {name}"] = type(value).__name__
-json.dump({"number of commands": sum("options" in found for found in commands.values()),
-           "commands": commands, "names": names}, sys.stdout)
-"""
-
-
 def main() -> int:
     """Run both revisions and print what differs; 1 if anything does."""
     parser = argparse.ArgumentParser(
@@ -251,13 +98,19 @@ def main() -> int:
     parser.add_argument("--item", action="append", default=[], help="only items whose name contains this")
     parser.add_argument("--afresh", action="store_true", help="run the base again as well")
     options = parser.parse_args()
-    items = [Item("command lines and public names", "")] + [
+    items = [Item("command lines, public names, formats", "")] + [
         item for item in ITEMS if item.quick or options.whole or options.item
     ]
     if options.item:
         items = [item for item in items if any(part in item.name for part in options.item)]
     if not items:
         parser.error(f"no item is named so; there are: {', '.join(item.name for item in ITEMS)}")
+    PLACE.mkdir(parents=True, exist_ok=True)
+    lock = (PLACE / "lock").open("w")
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        parser.error(f"another comparison runs in {PLACE}")
     base, after = _tree(options.base), _tree(options.after)
     before = _results(base, items, kept=not options.afresh, side="base")
     now = _results(after, items, kept=False, side="after")
@@ -288,7 +141,7 @@ def _tree(revision: str | None) -> str:
 
 def _results(tree: str, items: list[Item], *, kept: bool, side: str) -> dict[str, Result]:
     """Return the result of each item; runs those that are not kept from an earlier time."""
-    made_with = hashlib.sha256(Path(__file__).read_bytes())
+    made_with = hashlib.sha256(b"".join(Path(__file__).with_name(name).read_bytes() for name in SCRIPTS))
     made_with.update(repr(sorted(f"{one.name} {one.version}" for one in distributions())).encode())
     folder = RESULTS / f"{tree[:16]}-{made_with.hexdigest()[:8]}"
     files = {item.name: folder / (re.sub(r"\W+", "-", item.name) + ".json") for item in items}
@@ -398,23 +251,58 @@ def _expanded(word: str) -> list[str]:
 
 def _take_file(result: Result, name: str, file: Path) -> None:
     """Take in the places of a file that have to stay equal."""
-    if file.suffix in LEFT_OUT_FILES or file.name in LEFT_OUT_NAMES:
-        _leave_out(result, file.suffix if file.suffix in LEFT_OUT_FILES else file.name)
+    if file.suffix in LEFT_OUT_FILES:
+        _leave_out(result, file.suffix)
+    elif file.name in LEFT_OUT_NAMES:
+        _leave_out(result, file.name)
     elif file.suffix == ".json":
         _take_json(result, name, json.loads(file.read_text()))
+    elif file.suffix == ".sqlite":
+        _take_ledger(result, name, file)
     elif file.suffix == ".trace":
-        with zipfile.ZipFile(file) as archive:
-            for member in archive.namelist():
-                if member in LEFT_OUT_MEMBERS:
-                    _leave_out(result, member)
-                elif member == "trace.json":  # the format, and hashes of the others
-                    _take(result, f"{name}: format", json.loads(archive.read(member))["format"])
-                elif member.endswith(".json"):
-                    _take_json(result, f"{name}: {member}", json.loads(archive.read(member)))
-                else:
-                    _take(result, f"{name}: {member}", hashlib.sha256(archive.read(member)).hexdigest()[:16])
+        _take_trace(result, name, file.read_bytes())
+    elif file.name.endswith(".gsn.yaml"):  # names the hashes of the evidence
+        _take(result, f"{name}: text", re.sub(r"\b[0-9a-f]{64}\b", "<hash>", file.read_text()))
     else:
         _take(result, f"{name}: bytes", hashlib.sha256(file.read_bytes()).hexdigest()[:16])
+
+
+def _take_ledger(result: Result, name: str, file: Path) -> None:
+    """Take in the rows of a ledger: each episode, judgement and trace."""
+    with closing(sqlite3.connect(file)) as ledger:
+        tables = ledger.execute(
+            "SELECT name FROM sqlite_master WHERE type = 'table' ORDER BY name"
+        ).fetchall()
+        for (table,) in tables:
+            if table in LEFT_OUT_TABLES:
+                _leave_out(result, f"table {table}")
+                continue
+            rows = ledger.execute(f"SELECT * FROM {table}")
+            columns = [column[0] for column in rows.description]
+            for number, row in enumerate(rows):
+                for column, value in zip(columns, row, strict=True):
+                    place = f"{name}: {table}.{number}.{column}"
+                    if table == "trace" and column == "data":
+                        _take_trace(result, place, value)
+                    elif column in LEFT_OUT_COLUMNS:
+                        _leave_out(result, f"column {column}")
+                    else:
+                        data = isinstance(value, bytes)
+                        _take(result, place, hashlib.sha256(value).hexdigest()[:16] if data else value)
+
+
+def _take_trace(result: Result, name: str, data: bytes) -> None:
+    """Take in the arrays of a trace, its scenario and what it says of the run."""
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        for member in archive.namelist():
+            if member in LEFT_OUT_MEMBERS:
+                _leave_out(result, member)
+            elif member == "trace.json":  # the format, and hashes of the others
+                _take(result, f"{name}: format", json.loads(archive.read(member))["format"])
+            elif member.endswith(".json"):
+                _take_json(result, f"{name}: {member}", json.loads(archive.read(member)))
+            else:
+                _take(result, f"{name}: {member}", hashlib.sha256(archive.read(member)).hexdigest()[:16])
 
 
 def _take_json(result: Result, name: str, document: object) -> None:
@@ -485,7 +373,7 @@ def _print_left_out(results: list[Result]) -> None:
     print("not compared:")
     for keys, reason in LEFT_OUT.items():
         print(f"    {reason}: keys {keys.replace('|', ', ')}")
-    print("    files: " + ", ".join(sorted({*LEFT_OUT_FILES, *LEFT_OUT_NAMES, *LEFT_OUT_MEMBERS})))
+    print("    files: " + ", ".join(sorted(LEFT_OUT_FILES | LEFT_OUT_NAMES | LEFT_OUT_MEMBERS)))
     print("    how often: " + ", ".join(f"{what} {number}" for what, number in sorted(left_out.items())))
     print(
         f"    names of modules, replaced in {sum(result.modules for result in results)} texts; standard error"
