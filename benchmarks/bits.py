@@ -11,8 +11,8 @@ to the last bit.  The report lists all that was left out.  Prose is compared as 
 Ends with 1 if anything differs.
 
 Results of a revision are kept in reports/bits by the hash of its tree, of the scripts and of the libraries:
-BASE is run once, and AFTER is always run.  Both sides share the machine code of kernels that have the same place and
-the same imports; a kernel that moved, or that imports a file that moved, is compiled again.
+BASE is run once, and AFTER is always run.  Both sides share the machine code of kernels that have the same
+place and the same imports; a kernel that moved, or that imports a file that moved, is compiled again.
 """
 
 from __future__ import annotations
