@@ -61,7 +61,7 @@ LONG := agreement altered_rows arms big_pages both_ends broken_programs busy cam
 	shipped_controllers soak spaces start_up student_in_spaces training \
 	whose_fault
 
-# What differs in results from the revision BASE; all of it with WHOLE=--whole
+# What differs in results from the revision BASE, kept in reports/bits; at a landing with WHOLE=--whole
 bits: $(VENV)/benchmarks
 	$(BIN)/python benchmarks/bits.py $(BASE) $(WHOLE)
 
