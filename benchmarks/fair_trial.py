@@ -1,7 +1,8 @@
 """A fair trial: fourteen faults and sixty harmless changes.  Writes FAIR_TRIAL.md.
 
-Each command, evaluate or fuzz --against, is a line of reports/fair_trial.jsonl as soon as it has ended; what
-is there is not run again, so that the whole may be stopped and started.  --table only writes the table.
+Each command, evaluate (alone, and --against) or fuzz --against, is a line of reports/fair_trial.jsonl as soon
+as it has ended; what is there is not run again, so that the whole may be stopped and started.  --table only
+writes the table.
 """
 
 from __future__ import annotations
@@ -110,6 +111,8 @@ def asking(command: str, name: str, folder: Path) -> list[str]:
     """Say what the command is asked, options apart."""
     if command == "evaluate":
         return ["evaluate", asked_of(name)]
+    if command == "evaluate --against":
+        return ["evaluate", asked_of(name), "--against", ABOUT[name][1]]
     if name in ABOUT:
         return ["fuzz", str(SPACE), "--avoider", asked_of(name), "--against", ABOUT[name][1]]
     pair = ["--controller", f"{CONTROLLER}:{name}", "--against", f"{CONTROLLER}:Sound"]
@@ -138,9 +141,10 @@ def run_command(command: str, name: str, options: list[str], wall_s: float) -> d
         result: dict[str, Any] = {"command": command, "name": name, "options": options}
         result["exit"] = os.waitstatus_to_exitcode(status)
         result["cpu_s"] = round(used.ru_utime + used.ru_stime, 1)
-        file = out / {"evaluate": "evaluation.json", "run": "report.json"}.get(command, "findings.json")
+        files = {"evaluate": "evaluation.json", "run": "report.json"}
+        file = out / files.get(command.split()[0], "findings.json")
         found = json.loads(file.read_text()) if file.exists() else {}
-        if command == "evaluate":
+        if command.startswith("evaluate"):
             for one in found.get("avoiders", []):
                 result["findings"] = [[f["kind"], f["region"], f["words"]] for f in one["findings"]]
                 result["unlike"] = len(one["unlike_the_reference"])
@@ -170,9 +174,11 @@ def run_command(command: str, name: str, options: list[str], wall_s: float) -> d
 
 def flagged(row: dict[str, Any], references: dict[str, set[tuple[str, str]]]) -> list[str] | None:
     """Say what counts against it: unsafe findings that its reference has not, or counted differences."""
-    if row["command"] == "evaluate":
+    if row["command"].startswith("evaluate"):
         if "findings" not in row:
             return None
+        if row["command"] != "evaluate":
+            return [f"{kind} ({region})" for kind, region, _ in row["findings"]]
         known = references.get(ABOUT.get(row["name"], ("", ""))[1], set())
         return [f"{kind} ({region})" for kind, region, _ in row["findings"] if (kind, region) not in known]
     if row["command"] == "run":
@@ -269,6 +275,7 @@ def jobs(arguments: argparse.Namespace) -> list[tuple[str, str, list[str], float
     few += ["--questions", str(arguments.questions)] if arguments.questions else []
     few += [word for one in arguments.region for word in ("--region", one)]
     every = [("evaluate", name, few, 300.0) for name in FAULTS]
+    every += [("evaluate --against", name, few, 300.0) for name in [*FAULTS, *CLEAN]]
     every += [("fuzz", name, runs, 300.0) for name in [*CLEAN, *FAULTS]]
     every += [(command, one.__name__, [], 300.0) for one in CONTROLLERS for command in ("run",)]
     every += [("fuzz", one.__name__, runs, 300.0) for one in CONTROLLERS]
@@ -287,7 +294,7 @@ def trial() -> None:
     parser.add_argument("--questions", type=int)
     parser.add_argument("--region", action="append", default=[])
     parser.add_argument("--budget", type=int, default=120)
-    parser.add_argument("--only", choices=("evaluate", "fuzz", "run"))
+    parser.add_argument("--only", choices=("evaluate", "evaluate --against", "fuzz", "run"))
     parser.add_argument("--table", action="store_true")
     arguments = parser.parse_args()
     LINES.parent.mkdir(exist_ok=True)
@@ -296,7 +303,8 @@ def trial() -> None:
         with tempfile.TemporaryDirectory() as folder:  # imports everything, once
             call(["evaluate", asked_of("to_1_mm"), "--search", "0", "--questions", "20", "--out", folder])
             fuzz = ["fuzz", str(SPACE), "--avoider", asked_of("to_1_mm"), "--against", "mc-dropout"]
-            call([*fuzz, "--budget", "5", "--out", folder])
+            if arguments.only in (None, "fuzz"):
+                call([*fuzz, "--budget", "5", "--out", folder])
     for command, name, options, wall_s in [] if arguments.table else jobs(arguments):
         if not any([row["command"], row["name"], row["options"]] == [command, name, options] for row in rows):
             rows.append(run_command(command, name, options, wall_s))

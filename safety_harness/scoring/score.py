@@ -243,7 +243,6 @@ def _by_region(
                         scored.answers,
                         rng,
                         min(counts.segments, len(questions)),
-                        scored.step_m,
                     )
                 )
         yield scored, jumps
