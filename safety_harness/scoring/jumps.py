@@ -8,6 +8,8 @@ nanometre apart.  What still differs there by more than half a millimetre is a j
 
 An avoider that rounds its questions answers alike within a cell, and a steep one moves far from cell to cell.
 So a jump does not count where the answers stay the same on both sides and then move half as far or farther.
+And one that jumps wherever it is followed, such as a network in int8, answers in steps: up to ``STEPPED_M``,
+which is twice the error of a predicted hand, they are no jumps.
 """
 
 from __future__ import annotations
@@ -38,6 +40,7 @@ ANCHORS = 64  # by each of three measures
 FOLLOWED = 128  # of the other segments
 PARTS = 8
 CELLS_M = 2e-6 * 8.0 ** np.arange(4)  # ways from a jump, up to 1 mm: coarser rounding is not harmless
+STEPPED, STEPPED_M = 0.9, 0.020  # share of the segments that are followed, and twice 10 mm
 SAME_M = 1e-9  # a way of 2 um moves the answers of an avoider that does not round its question farther
 
 
@@ -170,7 +173,8 @@ def _followed(
     largest: AnswerChange | None = None
     steepest: AnswerChange | None = None
     count = len(segments.middles)
-    jumped = np.zeros(count, dtype=np.bool_)
+    jumped_m = np.zeros(count)
+    followed = stepped = len(rows)
     while len(rows):
         parts = np.arange(PARTS + 1) / PARTS
         points_m = start_m[:, None] + step_m[:, None] * parts
@@ -192,15 +196,19 @@ def _followed(
         if slopes[k] > 0.0 and (steepest is None or slopes[k] > steepest.change_m / steepest.apart_m):
             steepest = change(k)
         done = (step_m <= NEAR_M) & (change_m > found.limit_m)
+        stepped -= int(np.count_nonzero((change_m <= found.limit_m) & (step_m <= STEEP_M[1])))
         ends = (every[done] * (PARTS + 1) + best[done])[:, None] + [0, 1]
         done[done] = change_m[done] > 2.0 * _beside_m(ask, segments.moved, points[ends.ravel()])
-        jumped[rows[done]] = True
+        jumped_m[rows[done]] = change_m[done]
         k = int(np.argmax(np.where(done, change_m, 0.0)))
         if done[k] and (largest is None or change_m[k] > largest.change_m):
             largest = change(k)
         kept = (step_m > NEAR_M) & ((change_m > found.limit_m) | (step_m > STEEP_M[1]))
         rows, start_m, step_m = rows[kept], start_m[kept], step_m[kept]
-    share = Proportion.of(jumped) if count else None
+    if followed and stepped >= STEPPED * followed:
+        found = replace(found, step_m=max(found.step_m, STEPPED_M / 2.0))
+    largest = largest if largest and largest.change_m > found.limit_m else None
+    share = Proportion.of(jumped_m > found.limit_m) if count else None
     return replace(found, segments=count, jumped=share, largest=largest, steepest=steepest)
 
 
