@@ -42,10 +42,8 @@ def findings_against(
     if card.times and reference.times:
         own_s, other_s = card.times.declared_s, reference.times.declared_s
         if own_s > other_s + settings[0].clock.control_period_s:
-            more = (
-                f"declares {1e3 * own_s:g} ms for a decision, more than a tick above the {1e3 * other_s:g} ms"
-            )
-            new.append(ScoreFinding(Kind.SLOW, "", f"{more} of {reference.avoider}"))
+            words = f"declares {1e3 * own_s:g} ms for a decision, over a tick more than {1e3 * other_s:g} ms"
+            new.append(ScoreFinding(Kind.SLOW, "", f"{words} of {reference.avoider}"))
     return tuple(new)
 
 
@@ -55,19 +53,17 @@ def _paired(
     own, other = _errors(mine, settings), _errors(theirs, settings)
     apart = ~(off_m(mine.answers.positions_in_base_m, theirs.answers.positions_in_base_m) <= WRONG_M)
     for kind, words in WORDS.items():
-        for among, least, where in ((True, MORE, ""), (apart, 0.0, _ELSEWHERE)):
-            worse = own[kind] & ~other[kind] & among
-            more, fewer = int(worse.sum()), int((other[kind] & ~own[kind] & among).sum())
-            chance = sign_test(more, fewer + round(least * len(worse)))
-            if more > fewer + least * len(worse) and chance < most:
+        for among, least, where in ((np.ones_like(apart), MORE, ""), (apart, 0.0, _ELSEWHERE)):
+            worse, better = own[kind] & ~other[kind] & among, other[kind] & ~own[kind] & among
+            more, fewer = int(worse.sum()), int(better.sum())
+            chance = sign_test(more, fewer + round(least * len(apart)))
+            if more > fewer + least * len(apart) and chance < most:
                 sentence = (
                     f"{words} on {more} questions on which {name} does neither{where}, and the other way "
                     f"round on {fewer}, of {len(apart):,}; of two alike that has a chance of {chance:.2g}"
                 )
-                rows = np.flatnonzero(worse)[:3]
-                yield ScoreFinding(
-                    kind, mine.region, sentence, tuple(mine.questions.one(int(row)) for row in rows)
-                )
+                shown = tuple(map(mine.questions.one, np.flatnonzero(worse)[:3].tolist()))
+                yield ScoreFinding(kind, mine.region, sentence, shown)
                 break
 
 

@@ -91,9 +91,7 @@ def jumps_of(
     values = np.full((total * per, 6), np.nan)
     values[inside] = _values(ask(points[inside]))
     step_m = number_step_m(values[np.isfinite(values).all(axis=1), :3])
-    found = Jumps(
-        region=region.name, moved=moved, segments=0, jumped=None, largest=None, steepest=None, step_m=step_m
-    )
+    found = Jumps(region=region.name, moved=moved, step_m=step_m)
     steps = np.diff(values.reshape(total, per, 6), axis=1)
     uneven_m = _uneven_m(steps)  # (n, per - 1)
     at, best = np.argmax(uneven_m, axis=1), uneven_m.max(axis=1)
@@ -118,11 +116,9 @@ def _segments(
     middles = Questions.joined([anchors, questions[:count]])
     directions = rng.normal(size=(len(anchors) + count, 3))[: len(middles)]
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    halves = [
-        np.full(len(anchors), ANCHOR_LENGTH_M / 2.0),
-        np.full(len(middles) - len(anchors), LENGTHS_M[moved] / 2.0),
-    ]
-    return _Segments(moved, middles, directions, np.concatenate(halves))
+    half_m = np.full(len(middles), LENGTHS_M[moved] / 2.0)
+    half_m[: len(anchors)] = ANCHOR_LENGTH_M / 2.0
+    return _Segments(moved, middles, directions, half_m)
 
 
 def _anchors(questions: Questions, answers: Answers, region: QuestionRegion) -> NDArray[np.int64]:
@@ -219,8 +215,8 @@ def _beside_m(ask: Ask, moved: Moved, ends: Questions) -> Floats:
     """
     ways_m = CELLS_M[:, None, None] * np.vstack([np.eye(3), -np.eye(3)])  # (c, 6, 3)
     count, per = len(ends), ways_m.size // 3
-    shifts_m = np.tile(ways_m.reshape(-1, 3), (count, 1))
-    around = moved_by(ends[np.repeat(np.arange(count), per)], moved, shifts_m)
+    rows = np.repeat(np.arange(count), per)
+    around = moved_by(ends[rows], moved, np.tile(ways_m.reshape(-1, 3), (count, 1)))
     own, beside = _values(ask(ends)), _values(ask(around)).reshape(count, *ways_m.shape[:2], 6)
     sizes_m = np.nan_to_num(_size_m(beside - own[:, None, None]))  # (2k, c, 6)
     first = np.argmax(sizes_m > SAME_M, axis=1)[:, None]

@@ -88,7 +88,7 @@ def test_a_declared_time_of_more_than_a_tick_above_the_reference_is_a_finding(
     late = replace(SOUND, times=replace(SOUND.times, declared_s=declared_s))
     found = findings_against(late, [], SOUND, [], SETTINGS)
     assert [one.words for one in found] == (
-        ["declares 96 ms for a decision, more than a tick above the 0 ms of mc-dropout"] if named else []
+        ["declares 96 ms for a decision, over a tick more than 0 ms of mc-dropout"] if named else []
     )
 
 
