@@ -1,7 +1,8 @@
 """A fair trial: fourteen faults and sixty harmless changes.  Writes FAIR_TRIAL.md.
 
-Each command, evaluate or fuzz --against, is a line of reports/fair_trial.jsonl as soon as it has ended; what
-is there is not run again, so that the whole may be stopped and started.  --table only writes the table.
+Each command, evaluate (alone, and --against) or fuzz --against, is a line of reports/fair_trial.jsonl as soon
+as it has ended; what is there is not run again, so that the whole may be stopped and started.  --table only
+writes the table.
 """
 
 from __future__ import annotations
@@ -45,6 +46,7 @@ OUTCOMES = (
 ABOUT = {name: (one.about, one.of) for name, one in (FAULTS | HARMLESS).items()}
 ABOUT |= {name: (about, of) for name, (about, of, _) in FILES.items()}
 CLEAN = [*HARMLESS, *FILES]
+COMMANDS = ("evaluate", "evaluate --against", "fuzz")
 
 
 CAUSES = """
@@ -110,6 +112,8 @@ def asking(command: str, name: str, folder: Path) -> list[str]:
     """Say what the command is asked, options apart."""
     if command == "evaluate":
         return ["evaluate", asked_of(name)]
+    if command == "evaluate --against":
+        return ["evaluate", asked_of(name), "--against", ABOUT[name][1]]
     if name in ABOUT:
         return ["fuzz", str(SPACE), "--avoider", asked_of(name), "--against", ABOUT[name][1]]
     pair = ["--controller", f"{CONTROLLER}:{name}", "--against", f"{CONTROLLER}:Sound"]
@@ -138,9 +142,10 @@ def run_command(command: str, name: str, options: list[str], wall_s: float) -> d
         result: dict[str, Any] = {"command": command, "name": name, "options": options}
         result["exit"] = os.waitstatus_to_exitcode(status)
         result["cpu_s"] = round(used.ru_utime + used.ru_stime, 1)
-        file = out / {"evaluate": "evaluation.json", "run": "report.json"}.get(command, "findings.json")
+        files = {"evaluate": "evaluation.json", "run": "report.json"}
+        file = out / files.get(command.split()[0], "findings.json")
         found = json.loads(file.read_text()) if file.exists() else {}
-        if command == "evaluate":
+        if command.startswith("evaluate"):
             for one in found.get("avoiders", []):
                 result["findings"] = [[f["kind"], f["region"], f["words"]] for f in one["findings"]]
                 result["unlike"] = len(one["unlike_the_reference"])
@@ -170,9 +175,11 @@ def run_command(command: str, name: str, options: list[str], wall_s: float) -> d
 
 def flagged(row: dict[str, Any], references: dict[str, set[tuple[str, str]]]) -> list[str] | None:
     """Say what counts against it: unsafe findings that its reference has not, or counted differences."""
-    if row["command"] == "evaluate":
+    if row["command"].startswith("evaluate"):
         if "findings" not in row:
             return None
+        if row["command"] != "evaluate":
+            return [f"{kind} ({region})" for kind, region, _ in row["findings"]]
         known = references.get(ABOUT.get(row["name"], ("", ""))[1], set())
         return [f"{kind} ({region})" for kind, region, _ in row["findings"] if (kind, region) not in known]
     if row["command"] == "run":
@@ -196,15 +203,16 @@ def table(rows: list[dict[str, Any]]) -> str:
         "# A fair trial",
         "",
         "Written by `python benchmarks/fair_trial.py`, of avoiders written from the documents alone.",
-        "*Flagged* is a finding of `evaluate`'s unsafe list that the unchanged reference has not, a counted",
-        "difference of `fuzz --against`, or its exit code 1. A dash was not measured, and is not counted.",
+        "*Flagged* is a finding of `evaluate`'s unsafe list that the unchanged reference has not, one of",
+        "`evaluate --against`, a counted difference of `fuzz --against`, or its exit code 1. A dash was not",
+        "measured, and is not counted.",
         "Faults are scored with 1,000 questions first; three that this missed with the default, one region.",
         "Processor time is that of a fork that has imported everything, but for the first 14 of `evaluate`.",
         "",
         "| command | faults noticed | missed | not measured | harmless flagged | at most | CPU |",
         "|---|---|---|---|---|---|---|",
     ]
-    for command in ("evaluate", "fuzz"):
+    for command in COMMANDS:
         told = {n: flagged(by[command, n], references) for n in ABOUT if (command, n) in by}
         told = {name: one for name, one in told.items() if one is not None}
         named = [name for name in FAULTS if told.get(name)]
@@ -222,12 +230,12 @@ def table(rows: list[dict[str, Any]]) -> str:
             "",
             f"## {title}",
             "",
-            "| name | what | of | evaluate | fuzz --against |",
-            "|---|---|---|---|---|",
+            "| name | what | of | evaluate | evaluate --against | fuzz --against |",
+            "|---|---|---|---|---|---|",
         ]
         for name in names:
             cells = []
-            for command in ("evaluate", "fuzz"):
+            for command in COMMANDS:
                 row = by.get((command, name))
                 one = None if row is None else flagged(row, references)
                 if one is None:
@@ -243,7 +251,7 @@ def table(rows: list[dict[str, Any]]) -> str:
                         + (f"; {flips} flips" if flips else "")
                         + f" ({row['cpu_s']} s, {' '.join(row['options'])})"
                     )
-            text.append(f"| {name} | {ABOUT[name][0]} | {ABOUT[name][1]} | {cells[0]} | {cells[1]} |")
+            text.append(f"| {name} | {ABOUT[name][0]} | {ABOUT[name][1]} | {' | '.join(cells)} |")
     text += [
         "",
         "## Controllers, against `Sound`",
@@ -269,6 +277,7 @@ def jobs(arguments: argparse.Namespace) -> list[tuple[str, str, list[str], float
     few += ["--questions", str(arguments.questions)] if arguments.questions else []
     few += [word for one in arguments.region for word in ("--region", one)]
     every = [("evaluate", name, few, 300.0) for name in FAULTS]
+    every += [("evaluate --against", name, few, 300.0) for name in [*FAULTS, *CLEAN]]
     every += [("fuzz", name, runs, 300.0) for name in [*CLEAN, *FAULTS]]
     every += [(command, one.__name__, [], 300.0) for one in CONTROLLERS for command in ("run",)]
     every += [("fuzz", one.__name__, runs, 300.0) for one in CONTROLLERS]
@@ -287,7 +296,7 @@ def trial() -> None:
     parser.add_argument("--questions", type=int)
     parser.add_argument("--region", action="append", default=[])
     parser.add_argument("--budget", type=int, default=120)
-    parser.add_argument("--only", choices=("evaluate", "fuzz", "run"))
+    parser.add_argument("--only", choices=("evaluate", "evaluate --against", "fuzz", "run"))
     parser.add_argument("--table", action="store_true")
     arguments = parser.parse_args()
     LINES.parent.mkdir(exist_ok=True)
@@ -296,7 +305,8 @@ def trial() -> None:
         with tempfile.TemporaryDirectory() as folder:  # imports everything, once
             call(["evaluate", asked_of("to_1_mm"), "--search", "0", "--questions", "20", "--out", folder])
             fuzz = ["fuzz", str(SPACE), "--avoider", asked_of("to_1_mm"), "--against", "mc-dropout"]
-            call([*fuzz, "--budget", "5", "--out", folder])
+            if arguments.only in (None, "fuzz"):
+                call([*fuzz, "--budget", "5", "--out", folder])
     for command, name, options, wall_s in [] if arguments.table else jobs(arguments):
         if not any([row["command"], row["name"], row["options"]] == [command, name, options] for row in rows):
             rows.append(run_command(command, name, options, wall_s))

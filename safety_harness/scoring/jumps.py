@@ -5,6 +5,11 @@ through questions that were drawn, those of the worst answers among them; a ball
 hands of a region is met by a few in a thousand.  A segment is followed where its answers are least even:
 the step that differs most from the median step is divided by eight, over and over, until its ends are a
 nanometre apart.  What still differs there by more than half a millimetre is a jump, and no steep slope.
+
+An avoider that rounds its questions answers alike within a cell, and a steep one moves far from cell to cell.
+So a jump does not count where the answers stay the same on both sides and then move half as far or farther.
+And one that jumps wherever it is followed, such as a network in int8, answers in steps: up to ``STEPPED_M``,
+which is twice the error of a predicted hand, they are no jumps.
 """
 
 from __future__ import annotations
@@ -18,6 +23,7 @@ from numpy.typing import NDArray
 from safety_harness.avoidance.measures import gained_m, off_m, optimum_in_base_m
 from safety_harness.geometry.arrays import ArrayNx3
 from safety_harness.proportions import Proportion
+from safety_harness.scoring.figures import number_step_m
 from safety_harness.scoring.questions import Answers, Questions
 from safety_harness.scoring.regions import QuestionRegion
 from safety_harness.scoring.scorecard import AnswerChange, Jumps, Moved
@@ -33,6 +39,9 @@ ANCHOR_LENGTH_M = 0.060  # through the worst questions
 ANCHORS = 64  # by each of three measures
 FOLLOWED = 128  # of the other segments
 PARTS = 8
+CELLS_M = 2e-6 * 8.0 ** np.arange(4)  # ways from a jump, up to 1 mm: coarser rounding is not harmless
+STEPPED, STEPPED_M = 0.9, 0.020  # share of the segments that are followed, and twice 10 mm
+SAME_M = 1e-9  # a way of 2 um moves the answers of an avoider that does not round its question farther
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,16 +76,11 @@ def jumps_of(
     answers: Answers,
     rng: np.random.Generator,
     count: int,
-    step_m: float = 0.0,
 ) -> Jumps:
     """Along ``count`` segments through the first questions, and some through those of the worst answers.
 
-    ``questions`` were drawn in the region and answered with ``answers``, in a number format whose steps are
-    at most ``step_m`` long.
+    ``questions`` were drawn in the region and answered with ``answers``.
     """
-    found = Jumps(
-        region=region.name, moved=moved, segments=0, jumped=None, largest=None, steepest=None, step_m=step_m
-    )
     segments = _segments(region, moved, questions, answers, rng, count)
     total, per = len(segments.middles), POINTS
     grid = np.linspace(-1.0, 1.0, per)
@@ -86,6 +90,8 @@ def jumps_of(
     inside = region.holds(points.hands_in_base_m, points.tcps_in_base_m)
     values = np.full((total * per, 6), np.nan)
     values[inside] = _values(ask(points[inside]))
+    step_m = number_step_m(values[np.isfinite(values).all(axis=1), :3])
+    found = Jumps(region=region.name, moved=moved, step_m=step_m)
     steps = np.diff(values.reshape(total, per, 6), axis=1)
     uneven_m = _uneven_m(steps)  # (n, per - 1)
     at, best = np.argmax(uneven_m, axis=1), uneven_m.max(axis=1)
@@ -110,11 +116,9 @@ def _segments(
     middles = Questions.joined([anchors, questions[:count]])
     directions = rng.normal(size=(len(anchors) + count, 3))[: len(middles)]
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    halves = [
-        np.full(len(anchors), ANCHOR_LENGTH_M / 2.0),
-        np.full(len(middles) - len(anchors), LENGTHS_M[moved] / 2.0),
-    ]
-    return _Segments(moved, middles, directions, np.concatenate(halves))
+    half_m = np.full(len(middles), LENGTHS_M[moved] / 2.0)
+    half_m[: len(anchors)] = ANCHOR_LENGTH_M / 2.0
+    return _Segments(moved, middles, directions, half_m)
 
 
 def _anchors(questions: Questions, answers: Answers, region: QuestionRegion) -> NDArray[np.int64]:
@@ -122,7 +126,8 @@ def _anchors(questions: Questions, answers: Answers, region: QuestionRegion) -> 
     hands, tcps, proposed = questions.hands_in_base_m, questions.tcps_in_base_m, answers.positions_in_base_m
     off = off_m(proposed, optimum_in_base_m(region.settings, hands, tcps))
     badness = [off, -gained_m(hands, tcps, proposed), off / (answers.spreads_m.max(axis=1) + 1e-3)]
-    worst = [np.argsort(-np.nan_to_num(one, nan=-np.inf), kind="stable")[:ANCHORS] for one in badness]
+    known = [np.nan_to_num(one, nan=-np.inf).round(9) for one in badness]  # rounding breaks no tie
+    worst = [np.argsort(-one, kind="stable")[:ANCHORS] for one in known]
     return np.unique(np.concatenate(worst))
 
 
@@ -164,7 +169,8 @@ def _followed(
     largest: AnswerChange | None = None
     steepest: AnswerChange | None = None
     count = len(segments.middles)
-    jumped = np.zeros(count, dtype=np.bool_)
+    jumped_m = np.zeros(count)
+    followed = stepped = len(rows)
     while len(rows):
         parts = np.arange(PARTS + 1) / PARTS
         points_m = start_m[:, None] + step_m[:, None] * parts
@@ -186,11 +192,33 @@ def _followed(
         if slopes[k] > 0.0 and (steepest is None or slopes[k] > steepest.change_m / steepest.apart_m):
             steepest = change(k)
         done = (step_m <= NEAR_M) & (change_m > found.limit_m)
-        jumped[rows[done]] = True
+        stepped -= int(np.count_nonzero((change_m <= found.limit_m) & (step_m <= STEEP_M[1])))
+        ends = (every[done] * (PARTS + 1) + best[done])[:, None] + [0, 1]
+        done[done] = change_m[done] > 2.0 * _beside_m(ask, segments.moved, points[ends.ravel()])
+        jumped_m[rows[done]] = change_m[done]
         k = int(np.argmax(np.where(done, change_m, 0.0)))
         if done[k] and (largest is None or change_m[k] > largest.change_m):
             largest = change(k)
         kept = (step_m > NEAR_M) & ((change_m > found.limit_m) | (step_m > STEEP_M[1]))
         rows, start_m, step_m = rows[kept], start_m[kept], step_m[kept]
-    share = Proportion.of(jumped) if count else None
+    if followed and stepped >= STEPPED * followed:
+        found = replace(found, step_m=max(found.step_m, STEPPED_M / 2.0))
+    largest = largest if largest and largest.change_m > found.limit_m else None
+    share = Proportion.of(jumped_m > found.limit_m) if count else None
     return replace(found, segments=count, jumped=share, largest=largest, steepest=steepest)
+
+
+def _beside_m(ask: Ask, moved: Moved, ends: Questions) -> Floats:
+    """Return how far the answers move to the cells beside (k,) jumps, the two ends (2k) of each in turn.
+
+    That is 0 where they change within ``CELLS_M[0]``: such an avoider does not round its question.
+    """
+    ways_m = CELLS_M[:, None, None] * np.vstack([np.eye(3), -np.eye(3)])  # (c, 6, 3)
+    count, per = len(ends), ways_m.size // 3
+    rows = np.repeat(np.arange(count), per)
+    around = moved_by(ends[rows], moved, np.tile(ways_m.reshape(-1, 3), (count, 1)))
+    own, beside = _values(ask(ends)), _values(ask(around)).reshape(count, *ways_m.shape[:2], 6)
+    sizes_m = np.nan_to_num(_size_m(beside - own[:, None, None]))  # (2k, c, 6)
+    first = np.argmax(sizes_m > SAME_M, axis=1)[:, None]
+    moves_m = np.where(first > 0, np.take_along_axis(sizes_m, first, axis=1), 0.0)
+    return np.asarray(moves_m.max(axis=(1, 2)).reshape(-1, 2).min(axis=1))

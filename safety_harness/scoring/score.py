@@ -10,6 +10,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -234,18 +235,9 @@ def _by_region(
         if region.asked_in_runs and len(questions):
             for which, moved in enumerate(Moved):
                 rng = generator(seed, Branch.SCORING, number, _SEGMENTS, which)
-                jumps.append(
-                    jumps_of(
-                        lambda asked: asked_together(avoider, asked),
-                        region,
-                        moved,
-                        questions,
-                        scored.answers,
-                        rng,
-                        min(counts.segments, len(questions)),
-                        scored.step_m,
-                    )
-                )
+                few = min(counts.segments, len(questions))
+                ask = partial(asked_together, avoider)
+                jumps.append(jumps_of(ask, region, moved, questions, scored.answers, rng, few))
         yield scored, jumps
 
 

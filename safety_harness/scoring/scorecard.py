@@ -134,15 +134,16 @@ class Jumps:
     ``jumped``: the share of segments with a change of more than ``limit_m`` left between two questions that
     are ``NEAR_M`` apart; only the most uneven segments are followed that far, so that it is a lower bound.
     ``largest``: the largest such jump, None without any.  ``steepest``: the largest change over about 1 mm.
-    ``limit_m``: half a millimetre, or two steps (``step_m``) of the number format of the answers.
+    ``limit_m``: half a millimetre, or two steps (``step_m``) of the number format of the answers, or of an
+    avoider that answers in steps.
     """
 
     region: str
     moved: Moved
-    segments: int
-    jumped: Proportion | None  # None without a segment
-    largest: AnswerChange | None
-    steepest: AnswerChange | None
+    segments: int = 0
+    jumped: Proportion | None = None  # None without a segment
+    largest: AnswerChange | None = None
+    steepest: AnswerChange | None = None
     step_m: float = 0.0
 
     @property

@@ -1,7 +1,8 @@
 """What an avoider that sees more is shown with a question outside of a run.
 
-The arm stands where its TCP is the question's, and one hand rests at the question's place: it was just
-measured there, and is predicted to stay.  Images are not drawn.
+The arm stands where its TCP is the question's.  One hand rests at the question's place: it was just measured
+there, and is predicted to stay.  Another rests beyond the TCP, half as far again as a hand that counts; which
+of the two comes first follows from the seed.  Images are not drawn.
 """
 
 from __future__ import annotations
@@ -66,16 +67,19 @@ class ShownAvoider(AvoiderAround):
         joints = inverse_kinematics(robot).nearest(pose, np.array(settings.cell.preferred_joint_position_rad))
         if joints is None:
             raise AvoiderError("the arm does not reach the TCP of the question")
-        row = np.zeros((), seen_dtype(1, len(joints)))
+        row = np.zeros((), seen_dtype(2, len(joints)))
         row["joint_position_rad"], row["transform_tcp_to_base"] = joints, pose
         row["tcp_position_in_base_m"] = tcp_position_in_base_m
-        row["hand_count"] = row["tracked"][0] = 1
-        row["hands"][0] = row["predicted"][0] = hand_position_in_base_m
-        row["predicted_covariance"][0] = VARIANCES
+        beyond = tcp_position_in_base_m - hand_position_in_base_m
+        beyond *= 1.5 * settings.avoidance.critical_distance_m / max(float(np.linalg.norm(beyond)), 1e-9)
+        hands = [hand_position_in_base_m, tcp_position_in_base_m + beyond][:: 1 if seed % 2 else -1]
+        row["hand_count"], row["tracked"][:2] = 2, (1, 2)
+        row["hands"][:2] = row["predicted"][:2] = hands
+        row["predicted_covariance"][:2] = VARIANCES
         sees, period_s = shown_to(self.avoider), settings.clock.control_period_s
         return self.avoider.propose(
             hand_position_in_base_m=hand_position_in_base_m,
             tcp_position_in_base_m=tcp_position_in_base_m,
             seed=seed,
-            seen=unpacked((period_s, 1, len(joints), sees, row.tobytes())),  # type: ignore[call-arg]
+            seen=unpacked((period_s, 2, len(joints), sees, row.tobytes())),  # type: ignore[call-arg]
         )

@@ -9,7 +9,7 @@ import pytest
 import score_cards
 
 from safety_harness.scoring.against import findings_against
-from safety_harness.scoring.scorecard import Kind, ScoreFinding
+from safety_harness.scoring.scorecard import Kind, Scorecard, ScoreFinding
 from safety_harness.settings import DEFAULTS
 
 OFF = ScoreFinding(Kind.FAR_OFF, "seen", "far")
@@ -47,6 +47,49 @@ def test_a_difference_that_chance_may_make_is_none() -> None:
     assert findings_against(few, [], SOUND, [], SETTINGS) == ()
     positions[:12] += 1.0
     assert len(findings_against(few, [], SOUND, [], SETTINGS)) >= 1
+
+
+def with_answers(**changed: object) -> Scorecard:
+    region = SOUND.regions[0]
+    return replace(SOUND, regions=(replace(region, answers=replace(region.answers, **changed)),))
+
+
+def moved(rows: int, by_m: float) -> Scorecard:
+    """The first answers moved along x."""
+    positions = SOUND.regions[0].answers.positions_in_base_m.copy()
+    positions[:rows, 0] += by_m
+    return with_answers(positions_in_base_m=positions)
+
+
+@pytest.mark.parametrize(("rows", "named"), [(15, False), (40, True)])
+def test_a_little_worse_counts_on_more_than_a_share_of_the_questions(rows: int, named: bool) -> None:
+    reference, positions = moved(200, 0.055), moved(200, 0.055).regions[0].answers.positions_in_base_m.copy()
+    positions[:rows, 0] += 0.010
+    found = findings_against(with_answers(positions_in_base_m=positions), [], reference, [], SETTINGS)
+    assert [one.kind for one in found] == [Kind.FAR_OFF] * named
+
+
+def test_sure_where_the_reference_doubts_is_a_finding() -> None:
+    thresholds = np.full(200, 0.010)
+    doubts = with_answers(spreads_m=np.full((200, 3), 0.02), thresholds_m=thresholds)
+    sure = with_answers(spreads_m=np.full((200, 3), 0.001), thresholds_m=thresholds)
+    (found,) = findings_against(sure, [], doubts, [], SETTINGS)
+    assert found.kind is Kind.SPREAD_MISSES
+    assert "no spread above its threshold" in found.words
+    assert "on 200 questions" in found.words
+    assert findings_against(doubts, [], sure, [], SETTINGS) == ()
+
+
+@pytest.mark.parametrize(("declared_s", "named"), [(0.096, True), (0.008, False), (0.0, False)])
+def test_a_declared_time_of_more_than_a_tick_above_the_reference_is_a_finding(
+    declared_s: float, named: bool
+) -> None:
+    assert SOUND.times is not None
+    late = replace(SOUND, times=replace(SOUND.times, declared_s=declared_s))
+    found = findings_against(late, [], SOUND, [], SETTINGS)
+    assert [one.words for one in found] == (
+        ["declares 96 ms for a decision, over a tick more than 0 ms of mc-dropout"] if named else []
+    )
 
 
 def test_no_answer_is_an_error() -> None:

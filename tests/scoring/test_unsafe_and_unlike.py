@@ -205,7 +205,9 @@ class Sees:
     sees = ("joints", "hands", "predicted hands")
 
     def propose(self, *, hand_position_in_base_m, tcp_position_in_base_m, seed, seen):
-        (hand,), (predicted,) = seen.hands, seen.predicted_hands
+        at = lambda one: np.linalg.norm(one.position_in_base_m - seen.tcp_position_in_base_m)
+        (hand, other), (predicted, _) = sorted(seen.hands, key=at), sorted(seen.predicted_hands, key=at)
+        assert at(other) > 0.5
         assert np.abs(seen.tcp_position_in_base_m - tcp_position_in_base_m).max() < 1e-9
         assert np.abs(hand.position_in_base_m - hand_position_in_base_m).max() < 1e-9
         assert seen.joint_position_rad.shape == (6,) and np.isfinite(seen.joint_position_rad).all()
