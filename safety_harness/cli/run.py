@@ -298,7 +298,7 @@ class RunSession:
             good = all(verdicts) and bool(verdicts or not others) and not (untested or self.skipped)
         else:  # what cannot be compared differs in nothing
             good = len(self.differences) == self.planned and not self.against.worse
-        good &= self.repeated is None or not self.repeated.words
+        good &= self.repeated is None or not self.repeated.problem
         return AS_EXPECTED if good and not self.failed else DIFFERS
 
     def _rename_earlier(self) -> None:
@@ -335,7 +335,7 @@ class RunSession:
         except KeyboardInterrupt:
             self.interrupted = True
         else:
-            say(f"{'error: ' if self.repeated.words else ''}{self.repeated.line}")
+            say(f"{'error: ' if self.repeated.problem else ''}{self.repeated.line}")
 
     def _say_coverage(self) -> bool:
         """How often each claim was put to the test; True if one that should have been never was."""
