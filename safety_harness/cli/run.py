@@ -183,10 +183,12 @@ class RunSession:
         ):
             for number, (one, *others) in enumerate(admitted):
                 progress.begin(number * (1 + len(others)))
+                name = one.scenario.name
                 try:
                     self._take(self._run_one(one, apart, TRACES, progress))
                     for other in others[: not self.interrupted]:
                         progress.begin(2 * number + 1)
+                        name += f" with {command_line_reference(other.scenario)}"
                         self._compare(self._run_one(other, apart, OF_REFERENCE, progress))
                 except KeyboardInterrupt:
                     self._take_finished(admitted[number:], apart, progress)
@@ -194,7 +196,7 @@ class RunSession:
                 except OutputError as error:
                     self.unwritable = error
                 except Exception as error:  # one scenario's failure must not cost the others' evidence
-                    self._fail(one.scenario.name, error)
+                    self._fail(name, error)
                 if self.interrupted or self.unwritable is not None:
                     return
 

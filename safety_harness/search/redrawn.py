@@ -57,9 +57,9 @@ def keep_differences(trials: Trials, findings: Findings, search: Callable[[Trial
             mine, theirs = int(findings.violated[claim]), int(other.violated[claim])
             runs = (*trials.differences, *of_reference.differences)
             most = float(np.nanmax([0.0, *(-run.claims[claim].lost for run in runs)]))
-            typical = max(np.median(more) for more, _ in own if more)
+            typical = max(float(np.median(more)) for more, _ in own if more)
             certain = typical > BEYOND * (most + TOLERANCE * goal.scale)
-            certain |= mine > theirs and sign_test(mine, theirs) < chance
+            certain = certain or (mine > theirs and sign_test(mine, theirs) < chance)
             reverse = f"; the other way round the same search finds {theirs} runs, and at most "
             reverse += goal.unit.margin_text(most)
         mere = (one for one, (more, fewer) in zip(groups, own, strict=False) if len(more) <= fewer)
@@ -100,7 +100,7 @@ def _redrawn(
     prop, worse, better = trials.properties[claim], list[float](), 0
     for mine, other in zip(runs[::2], runs[1::2], strict=True):
         if isinstance(mine, Trace) and isinstance(other, Trace):
-            both = prop.evaluate(mine), prop.evaluate(other)
-            worse += [-lost] if (lost := difference_of(*both)) < 0.0 else []
-            better += difference_of(*both[::-1]) < 0.0
+            one, two = prop.evaluate(mine), prop.evaluate(other)
+            worse += [-lost] if (lost := difference_of(one, two)) < 0.0 else []
+            better += difference_of(two, one) < 0.0
     return worse, better

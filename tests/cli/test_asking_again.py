@@ -113,6 +113,16 @@ def test_a_campaign_of_it_states_its_bounds_and_says_so(capsys: pytest.CaptureFi
         assert not ledger.dependent
 
 
+def test_a_reference_that_cannot_be_made_again_is_named(capsys: pytest.CaptureFixture[str]) -> None:
+    gone = MINE.replace(
+        "class Pure:", "if os.path.exists('flag'): os._exit(5)\nopen('flag', 'w').close()\n\nclass Pure:"
+    )
+    gone = gone.replace("        chance =", "        os._exit(3)\n        chance =")
+    Path("gone.py").write_text(f"import os\n{gone}")
+    assert run([Path("visit.yaml")], Path("out"), "mine.py:Pure", "gone.py:Pure") == DIFFERS
+    assert "visit with gone.py:Pure could not be run to its end" in capsys.readouterr().err
+
+
 def test_a_counterexample_of_such_an_avoider_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("safety_harness.search.session.SHRINKING_RUNS", 5)
     monkeypatch.setattr("safety_harness.search.session.MOST_SHRUNK", 1)
