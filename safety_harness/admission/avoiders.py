@@ -7,6 +7,7 @@ no program but may never end.  Any other model file is only read.  ``refuse_unus
 
 from __future__ import annotations
 
+import filecmp
 import hashlib
 import os
 import shlex
@@ -219,9 +220,22 @@ def refuse_itself(tested: str | None, reference: str | None, option: str = "--ag
 
 
 def refuse_same(tested: Scenario | None, other: Scenario, option: str = "--against") -> None:
-    """InadmissibleError where the reference in a scenario's place, ``other``, is what that names already."""
-    if tested == other:
+    """InadmissibleError where the reference in a scenario's place, ``other``, is what that names already.
+
+    Or names it otherwise: by an alias of its file, or by a copy.
+    """
+    if tested is not None and (tested == other or _is_copy(tested, other)):
         refuse_itself(other.under_test, other.under_test, option)
+
+
+def _is_copy(tested: Scenario, other: Scenario) -> bool:
+    """Have both files the same bytes?  A program in another folder may read other files than its copy."""
+    first, second = (_file_of(replace(one, avoider=str(one.under_test))) for one in (tested, other))
+    own, name = (file_and_name(one.under_test)[1] for one in (tested, other))
+    if first is None or second is None or own != name or not (first.is_file() and second.is_file()):
+        return False
+    beside = first.parent == second.parent or not is_a_program(tested.under_test)
+    return beside and filecmp.cmp(first, second, shallow=False)
 
 
 def replay_command(

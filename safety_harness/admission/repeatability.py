@@ -39,6 +39,8 @@ from safety_harness.trace.trace import Trace
 SHARE = 0.02  # of the time that a command took, beside the start of the process
 LEAST, MOST = 8, 1_000  # questions that are asked again, if there are as many
 LEAST_RUNS, MOST_RUNS = 3, 20  # of a controller, that are driven again
+ROUNDING_M = 1e-9  # answers this near are alike: the order of a sum may depend on the size of a batch
+ROUNDED = "the avoider rounds otherwise when it is asked otherwise"
 Difference = tuple[float, str]  # how far elsewhere the answer was [m], inf where it was none; in words
 
 
@@ -46,8 +48,9 @@ Difference = tuple[float, str]  # how far elsewhere the answer was [m], inf wher
 class RepeatabilityResult:
     """Of ``questions`` of the runs ``asked`` were asked again, ``differing`` of them answered otherwise.
 
-    ``words`` says how, of the worst; if none differs, why no more could be asked.  ``apart``: was any of them
-    asked in another process?  ``together``: were they answered in one call as well?
+    ``words`` says how, of the worst; if none differs by more than ``ROUNDING_M``, why no more could be
+    asked, or how it rounds.  ``apart``: was any of them asked in another process?  ``together``: were they
+    answered in one call as well?
     """
 
     questions: int
@@ -56,6 +59,11 @@ class RepeatabilityResult:
     words: str = ""
     apart: bool = False
     together: bool = False
+
+    @property
+    def problem(self) -> str:
+        """Say why a command ends with 1; rounding is only reported."""
+        return "" if self.words.startswith(ROUNDED) else self.words
 
     @property
     def remembers(self) -> str:
@@ -218,11 +226,14 @@ class Repeatability:
                 again.problem = f"the avoider could not be asked again: {printable(str(error))}"
             if again.unkept:
                 return self._drive_again(allowed_s)
+        found = again.differing.values()
+        differing = [one for one in found if one[0] > ROUNDING_M]
+        rounded = f"{ROUNDED}, {len(found)} of {again.asked} answers: {max(found)[1]}" if found else ""
         return RepeatabilityResult(
             questions=self._questions,
             asked=again.asked,
-            differing=len(again.differing),
-            words=max(again.differing.values(), default=(0.0, again.problem))[1],
+            differing=len(differing),
+            words=max(differing, default=(0.0, again.problem or rounded))[1],
             apart=any(isinstance(second.avoider, OutOfProcessAvoider) for second in again.seconds.values()),
             together=any(second.answers_many for second in again.seconds.values()),
         )
@@ -344,9 +355,10 @@ def _told(why: str, one: Asked, answer: Answer) -> Difference | None:
     how = difference(one.answer, answer)
     if not how:
         return None
-    apart_m = one.answer.proposal.position_in_base_m - answer.proposal.position_in_base_m
-    off_m = float(np.linalg.norm(apart_m))
-    return off_m if np.isfinite(off_m) else np.inf, f"{why} {how} ({_place(one)})"
+    a, b = one.answer.proposal, answer.proposal
+    off_m = float(np.linalg.norm([a.position_in_base_m - b.position_in_base_m, a.spread_m - b.spread_m]))
+    same = np.array_equal(one.answer.spread_threshold_m, answer.spread_threshold_m, equal_nan=True)
+    return off_m if same and np.isfinite(off_m) else np.inf, f"{why} {how} ({_place(one)})"
 
 
 def _place(one: Asked) -> str:

@@ -52,5 +52,5 @@ class AvoiderWatch:
         if words and not is_claimed(claim.claim for claim in plan.claims):
             yield words
         again = self.repeatability.check()
-        if again.words:
+        if again.problem:
             yield f"{again.line}: none of these numbers holds"

@@ -193,7 +193,7 @@ def _carry_on(
         tally, targets = state.tally, {claim.sentence: claim.target for claim in plan.claims}
         asked = [(one, target) for one in state.bounds if (target := targets[one.claim]) is not None]
         unshown = require_shown and not (asked and all(one.shows(target) for one, target in asked))
-        unlike = bool(ledger.repeated.words or ledger.dependent)
+        unlike = bool(ledger.repeated.problem or ledger.dependent)
         unanswered = fallback_of(ledger).unanswered and not is_claimed(claim.claim for claim in plan.claims)
     if stopped and not tally.complete:
         say(f"interrupted; go on: safety-harness campaign resume {path}")

@@ -108,5 +108,5 @@ def fuzz(
         return BAD_INPUT
     if made.interrupted:
         return INTERRUPTED
-    alike = made.repeated is None or not made.repeated.words
+    alike = made.repeated is None or not made.repeated.problem
     return DIFFERS if made.differs or not alike else AS_EXPECTED

@@ -69,10 +69,10 @@ def replay(path: Path, avoider: str | None = None) -> int:
     difference = first_difference(stored, fresh)
     if difference is None:
         counted = f"{len(fresh.ticks)} ticks, {len(fresh.decisions)} decisions"
-        result(f"identical{', but' if repeated.words else ''}: {stored.scenario.name}, {counted}")
+        result(f"identical{', but' if repeated.problem else ''}: {stored.scenario.name}, {counted}")
     else:
         result(f"{stored.scenario.name}: {difference}")
-    (result if repeated.words else say)(repeated.line)
+    (result if repeated.problem else say)(repeated.line)
     changed = [] if difference is None else changes(stored, fresh)
     say(*changed)
     document(
@@ -84,7 +84,7 @@ def replay(path: Path, avoider: str | None = None) -> int:
         repeatability=repeated,
         changes=[line.strip() for line in changed],
     )
-    return AS_EXPECTED if difference is None and not repeated.words else DIFFERS
+    return AS_EXPECTED if difference is None and not repeated.problem else DIFFERS
 
 
 def _with_program(stored: Trace, path: Path, avoider: str | None) -> Scenario:

@@ -183,10 +183,12 @@ class RunSession:
         ):
             for number, (one, *others) in enumerate(admitted):
                 progress.begin(number * (1 + len(others)))
+                name = one.scenario.name
                 try:
                     self._take(self._run_one(one, apart, TRACES, progress))
                     for other in others[: not self.interrupted]:
                         progress.begin(2 * number + 1)
+                        name += f" with {command_line_reference(other.scenario)}"
                         self._compare(self._run_one(other, apart, OF_REFERENCE, progress))
                 except KeyboardInterrupt:
                     self._take_finished(admitted[number:], apart, progress)
@@ -194,7 +196,7 @@ class RunSession:
                 except OutputError as error:
                     self.unwritable = error
                 except Exception as error:  # one scenario's failure must not cost the others' evidence
-                    self._fail(one.scenario.name, error)
+                    self._fail(name, error)
                 if self.interrupted or self.unwritable is not None:
                     return
 
@@ -298,7 +300,7 @@ class RunSession:
             good = all(verdicts) and bool(verdicts or not others) and not (untested or self.skipped)
         else:  # what cannot be compared differs in nothing
             good = len(self.differences) == self.planned and not self.against.worse
-        good &= self.repeated is None or not self.repeated.words
+        good &= self.repeated is None or not self.repeated.problem
         return AS_EXPECTED if good and not self.failed else DIFFERS
 
     def _rename_earlier(self) -> None:
@@ -335,7 +337,7 @@ class RunSession:
         except KeyboardInterrupt:
             self.interrupted = True
         else:
-            say(f"{'error: ' if self.repeated.words else ''}{self.repeated.line}")
+            say(f"{'error: ' if self.repeated.problem else ''}{self.repeated.line}")
 
     def _say_coverage(self) -> bool:
         """How often each claim was put to the test; True if one that should have been never was."""

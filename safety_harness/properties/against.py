@@ -36,6 +36,13 @@ SCALES = {
 TOLERANCE = 0.1  # of the scale, 10 mm of a length: what a margin may be less without being told
 
 
+def tolerance(*both: Evaluation) -> float:
+    """Return the margin [SI] that may be lost without being told; of a share, at least one occasion."""
+    unit, exercised = both[0].unit, min(one.exercised for one in both)
+    whole = 1.0 / max(exercised, 1) if unit is Unit.FRACTION else 0.0
+    return max(TOLERANCE * SCALES[unit], whole)
+
+
 class VerdictChange(Enum):
     """What becomes of a claim with the avoider on trial in the reference's place."""
 
@@ -67,7 +74,7 @@ class ClaimDifference:
     def change(self) -> VerdictChange:
         """A violation is new as well where the reference has no verdict: nobody saw it violate."""
         mine, reference = self.mine.verdict, self.reference.verdict
-        less = self.lost > TOLERANCE * SCALES[self.mine.unit]
+        less = self.lost > tolerance(self.mine, self.reference)
         if mine is Verdict.VIOLATED:
             if reference is not Verdict.VIOLATED:
                 return VerdictChange.NEW

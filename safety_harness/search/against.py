@@ -11,26 +11,32 @@ from safety_harness.admission.avoiders import told_avoider, with_avoider
 from safety_harness.admission.claims import property_of
 from safety_harness.admission.trial import run_all
 from safety_harness.exceptions import InputError, Place
-from safety_harness.properties.against import SCALES, TOLERANCE
+from safety_harness.properties.against import SCALES, TOLERANCE, tolerance
 from safety_harness.properties.base import Evaluation
 from safety_harness.scenario.model import Claim, Scenario, Verdict
 from safety_harness.simulation.worlds import world_of_trace
 from safety_harness.trace.trace import Trace
 
 
-def difference(mine: float | None, reference: float | None, scale: float) -> float:
+def difference_of(mine: Evaluation, reference: Evaluation) -> float:
+    """Return the ``difference`` of two runs of one scenario."""
+    return difference(mine.margin, reference.margin, SCALES[mine.unit], tolerance(mine, reference))
+
+
+def difference(mine: float | None, reference: float | None, scale: float, by: float | None = None) -> float:
     """What leads a search, in the unit of both margins: less is nearer to what it is after, or more of it.
 
-    Negative exactly where mine < 0 and the reference keeps the claim by the stated tolerance, ``TOLERANCE``
-    of the scale: then it is mine - reference.  Elsewhere it falls as that does, and as mine falls to 0 and
-    the reference rises to the tolerance, and stays positive: a difference of two that both keep a claim is
-    no finding.  Where the reference has no margin a violation counts whole.  NaN where nothing is known.
+    Negative exactly where mine < 0 and the reference keeps the claim ``by`` so much (None: ``TOLERANCE`` of
+    the scale): then it is mine - reference.  Elsewhere it falls as that does, and as mine falls
+    to 0 and the reference rises to the tolerance, and stays positive: a difference of two that both keep a
+    claim is no finding.  Where the reference has no margin a violation counts whole.  NaN where nothing is
+    known.
     """
     if mine is None or isnan(mine):
         return float("nan")
     if reference is None or isnan(reference):
         return mine if mine < 0.0 else float("nan")
-    short = TOLERANCE * scale - reference
+    short = (TOLERANCE * scale if by is None else by) - reference
     if mine < 0.0 and short <= 0.0:
         return mine - reference
     ahead = (mine - reference + max(mine, 0.0) + max(short, 0.0)) / scale
@@ -73,7 +79,7 @@ class Reference:
         found = self.said_of(claim, run)
         if found is None or found.verdict is Verdict.VIOLATED:
             return False
-        return found.margin is None or found.margin >= TOLERANCE * SCALES[found.unit]
+        return found.margin is None or found.margin >= tolerance(found)
 
     def words(self, claim: Claim, run: Trace) -> str:
         """What becomes of the claim with it, for people."""

@@ -40,7 +40,7 @@ from safety_harness.search.findings import RUN_FAILED, Findings, Group, TriedPoi
 from safety_harness.search.redrawn import keep_differences
 from safety_harness.search.sampling import UniformSampling
 from safety_harness.search.search import find_violations
-from safety_harness.search.searchers import MakesSearcher
+from safety_harness.search.searchers import MakesSearcher, searcher_named
 from safety_harness.search.trials import ScenarioRunner, Trials, in_kinematic, in_pybullet
 from safety_harness.simulation.worlds import KINEMATIC, PYBULLET
 from safety_harness.trace.store import save_trace
@@ -163,7 +163,7 @@ class SearchSession:
     def search(self, make: MakesSearcher, trials: Trials, folder: str = "") -> Findings:
         """Until the budget is spent, Ctrl-C, or a disk that takes no more."""
         cube = Cube.of(trials.space)
-        saved = 0
+        saved = _MOST_AS_FOUND if trials.reverse else 0
 
         def keep(findings: Findings) -> None:
             nonlocal saved
@@ -172,6 +172,10 @@ class SearchSession:
                 saved += 1
             show(findings)
 
+        if trials.reverse:
+            self.output.say(
+                f"the same search, the other way round: what {trials.goals[0].against} alone violates"
+            )
         with self.output.watch(self.budget) as show:
             return find_violations(
                 cube,
@@ -230,8 +234,9 @@ class SearchSession:
     def _draw_again(self) -> None:
         """Which differences from a reference are none?  Not after an interruption."""
         try:
-            for one in [self.findings, self.baseline] if not self.interrupted else []:
-                self.flips += [] if one is None else keep_differences(self.trials, one)
+            for one in filter(None, [self.findings, self.baseline] if not self.interrupted else []):
+                again = partial(self.search, searcher_named(one.searcher))
+                self.flips += keep_differences(self.trials, one, again)
         except KeyboardInterrupt:
             self.findings.interrupted = True
         for line in self.flips:
@@ -245,7 +250,7 @@ class SearchSession:
             except KeyboardInterrupt:
                 self.findings.interrupted = True
             else:
-                self.output.say(f"{'error: ' if self.repeated.words else ''}{self.repeated.line}")
+                self.output.say(f"{'error: ' if self.repeated.problem else ''}{self.repeated.line}")
 
     def _origin(self, group: Group, findings: Findings) -> list[str]:
         """Where the counterexample of a group comes from, and that its avoider does not answer alike."""

@@ -40,7 +40,7 @@ from safety_harness.properties.answered import (
 from safety_harness.properties.base import Evaluation, Property
 from safety_harness.properties.tried import TriedParts
 from safety_harness.scenario.model import Claim, Scenario, Verdict
-from safety_harness.search.against import Reference, difference
+from safety_harness.search.against import Reference, difference_of
 from safety_harness.search.coverage import Coverage, CoverageCell, cell_of
 from safety_harness.search.cube import Point, Points
 from safety_harness.search.findings import RUN_FAILED, Goal, Outcomes
@@ -115,6 +115,7 @@ class Trials:
     reference: Reference | None = None
     coverage: Coverage = field(default_factory=Coverage)
     violations: Coverage = field(default_factory=Coverage)  # those runs alone that violated a claim
+    reverse: bool = False  # search for what the reference violates, and the avoider on trial keeps
     declared_s: float = 0.0  # what a decision costs by the avoider's own words
     nearest_hand_m: float = field(default=np.inf, init=False)
     decisions: int = field(default=0, init=False)
@@ -238,7 +239,7 @@ class Trials:
         others = [prop.evaluate(reference) for prop in self.properties]
         self.differences.append(RunDifference.of(mine, reference, zip(evaluations, others, strict=True)))
         for claim, (one, other) in enumerate(zip(evaluations, others, strict=True)):
-            margins[claim] = difference(one.margin, other.margin, self.goals[claim].scale)
+            margins[claim] = difference_of(*((other, one) if self.reverse else (one, other)))
             conclusive[claim] &= other.verdict is not Verdict.INCONCLUSIVE
         conclusive |= margins < 0.0
 

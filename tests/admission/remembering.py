@@ -1,4 +1,4 @@
-"""Avoiders in a file: four that are no functions of their question and seed, and one that is."""
+"""Avoiders in a file: no functions of their question and seed, one that is, and one but for rounding."""
 
 from __future__ import annotations
 
@@ -62,5 +62,23 @@ class Batched(Pure):
             for h, t, s in zip(hands, tcps, seeds)
         ]
         return np.array(alone) + 1e-3 * (hands - hands.mean(axis=0)), np.zeros((len(hands), 3))
+
+class Rounds(Pure):
+    name = "rounds otherwise in a batch"
+
+    def propose_many(self, hands, tcps, seeds):
+        alone = [
+            self.propose(hand_position_in_base_m=h, tcp_position_in_base_m=t, seed=int(s)).position_in_base_m
+            for h, t, s in zip(hands, tcps, seeds)
+        ]
+        return np.array(alone) + 1e-13, np.zeros((len(hands), 3))
+
+
+class Doubts(Rounds):
+    name = "is in doubt in a batch only"
+
+    def propose_many(self, hands, tcps, seeds):
+        positions, spreads = super().propose_many(hands, tcps, seeds)
+        return positions - 1e-13, spreads + 0.01
 """
 NO_FUNCTIONS = ("Averages", "Counts", "Clocked", "Batched")

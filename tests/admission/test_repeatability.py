@@ -91,6 +91,16 @@ def test_together_is_said_only_of_one_that_answers_together(body: str, told: str
     assert told in asked_again(runs(f"{file}:Many", Admitter())).line
 
 
+def test_rounding_is_told_and_is_no_problem_and_a_spread_is_no_rounding(file: Path) -> None:
+    found = asked_again(runs(f"{file}:Rounds", Admitter()))
+    assert (found.differing, found.remembers, found.problem) == (0, "", "")
+    assert re.search(r"rounds otherwise .*, \d of \d answers: .*1\.73e-10 mm elsewhere", found.line)
+    doubts = asked_again(runs(f"{file}:Doubts", Admitter()))
+    assert doubts.differing > 0
+    assert doubts.problem == doubts.words != ""
+    assert "its spread was 10 mm otherwise" in doubts.line
+
+
 def test_one_that_is_a_function_of_its_question_is_not(file: Path) -> None:
     found = asked_again(runs(f"{file}:Pure", Admitter()))
     assert (found.differing, found.words) == (0, "")

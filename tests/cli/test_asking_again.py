@@ -89,6 +89,40 @@ def test_fuzz_finds_nothing_wrong_with_a_function(avoider: str) -> None:
     assert (told["differing"], told["words"]) == (0, "")
 
 
+def test_what_rounds_otherwise_in_a_batch_is_told_and_ends_no_command_with_1(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    space, avoider, out = Path("short.yaml"), "mine.py:Rounds", Path("out")
+    assert fuzz(space, avoider=avoider, budget=16, out=out, claims=[HARMLESS]) == AS_EXPECTED
+    said = capsys.readouterr().err
+    assert "the avoider rounds otherwise when it is asked otherwise" in said
+    assert "error:" not in said
+    assert "rounds otherwise" in Path("out/fuzz.html").read_text()
+    assert "are no evidence of other runs" not in Path("out/fuzz.html").read_text()
+
+
+def test_a_campaign_of_it_states_its_bounds_and_says_so(capsys: pytest.CaptureFixture[str]) -> None:
+    Path("plan.yaml").write_text(SMALL.replace("opposite pose", "mine.py:Rounds"))
+    file = Path("ledger.sqlite")
+    assert run_campaign(Path("plan.yaml"), ledger=file, workers=1) == AS_EXPECTED
+    shown = capsys.readouterr().out
+    assert "hold together" in shown
+    assert "rounds otherwise" in shown
+    with Ledger.open(file) as ledger:
+        assert ledger.repeated.words
+        assert not ledger.dependent
+
+
+def test_a_reference_that_cannot_be_made_again_is_named(capsys: pytest.CaptureFixture[str]) -> None:
+    gone = MINE.replace(
+        "class Pure:", "if os.path.exists('flag'): os._exit(5)\nopen('flag', 'w').close()\n\nclass Pure:"
+    )
+    gone = gone.replace("        chance =", "        os._exit(3)\n        chance =")
+    Path("gone.py").write_text(f"import os\n{gone}")
+    assert run([Path("visit.yaml")], Path("out"), "mine.py:Pure", "gone.py:Pure") == DIFFERS
+    assert "visit with gone.py:Pure could not be run to its end" in capsys.readouterr().err
+
+
 def test_a_counterexample_of_such_an_avoider_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("safety_harness.search.session.SHRINKING_RUNS", 5)
     monkeypatch.setattr("safety_harness.search.session.MOST_SHRUNK", 1)

@@ -73,6 +73,7 @@ Beyond = of(way=lambda self, away, hand, tcp: aside(away) if hand[0] > 0.78 else
 Towards = of(way=lambda self, away, hand, tcp: -away)
 Stays = of(way=lambda self, away, hand, tcp: 0.0 * away)
 OneInThree = struck(0.33)
+Within = of(way=lambda self, away, hand, tcp: aside(away) if hand[0] <= 0.78 else away)
 """
 HARMLESS = (
     *(
@@ -104,12 +105,12 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def searched(name: str, budget: int) -> int:
+def searched(name: str, budget: int, against: str = "Base") -> int:
     return fuzz(
         Path("space.yaml"),
         out=Path(name),
         avoider=f"mine.py:{name}",
-        against="mine.py:Base",
+        against=f"mine.py:{against}",
         claims=list(CLAIMS),
         budget=budget,
     )
@@ -127,3 +128,16 @@ def test_a_harmless_change_is_no_difference(name: str, folder: Path) -> None:
 def test_a_fault_is_a_difference(name: str, folder: Path) -> None:
     assert searched(name, 100) == DIFFERS
     assert json.loads((folder / name / "findings.json").read_text())["counterexamples"] != []
+
+
+def test_two_that_are_each_worse_than_the_other_somewhere_differ_in_nothing_that_counts(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name, other in (("Beyond", "Within"), ("Within", "Beyond")):
+        assert searched(name, 60, other) == AS_EXPECTED
+        found = json.loads((folder / name / "findings.json").read_text())
+        assert found["distinct"] == []
+        assert any(
+            "the other way round the same search finds" in one for one in found["flips_near_the_limit"]
+        )
+        assert "the same search, the other way round" in capsys.readouterr().err

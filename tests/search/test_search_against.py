@@ -9,12 +9,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from safety_harness.avoidance.shipped import shipped_model
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, DIFFERS
 from safety_harness.cli.fuzz import fuzz
 from safety_harness.cli.scenario_commands import run
 from safety_harness.properties.against import VerdictChange
+from safety_harness.properties.base import Evaluation, Unit
+from safety_harness.scenario.model import Verdict
 from safety_harness.search import session as search_session
-from safety_harness.search.against import Reference, difference
+from safety_harness.search.against import Reference, difference, difference_of
 from safety_harness.search.confirm import Complaint, Confirm
 from safety_harness.search.trials import Trials, in_kinematic
 from safety_harness.space.read import read_space
@@ -86,6 +89,44 @@ def test_nothing_is_known_without_a_margin(mine: float | None, reference: float 
 
 def test_a_violation_counts_where_the_reference_has_no_margin() -> None:
     assert difference(-0.2, None, 0.1) == -0.2
+
+
+@pytest.mark.parametrize(("reference", "counts"), [(0.07, False), (0.14, False), (0.15, True)])
+def test_a_share_of_seven_counts_where_the_reference_keeps_it_by_one_of_them(
+    reference: float, counts: bool
+) -> None:
+    def share(margin: float, verdict: Verdict) -> Evaluation:
+        return Evaluation(
+            sentence="-", verdict=verdict, unit=Unit.FRACTION, margin=margin, reason="-", exercised=7
+        )
+
+    both = share(-0.07, Verdict.VIOLATED), share(reference, Verdict.HOLDS)
+    assert (difference_of(*both) < 0.0) == counts
+
+
+@pytest.mark.parametrize("alias", ["mine2.py:Equal", "link.py:Equal", "here/mine.py:Equal"])
+def test_a_copy_and_an_alias_of_what_is_tested_are_no_reference(
+    alias: str, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (folder / "mine2.py").write_text(MINE)
+    (folder / "link.py").symlink_to("mine.py")
+    (folder / "here").symlink_to(".")
+    space = Path("space.yaml")
+    assert fuzz(space, out=Path("out"), avoider="mine.py:Equal", against=alias, budget=4) == BAD_INPUT
+    assert "such a comparison finds nothing" in capsys.readouterr().err
+
+
+def test_the_file_of_one_of_ours_is_that_one_and_a_program_beside_other_files_is_another(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    space, copy = Path("space.yaml"), folder / "copied.safetensors"
+    copy.write_bytes(shipped_model("student").read_bytes())
+    assert fuzz(space, out=Path("out"), avoider="student", against=str(copy), budget=4) == BAD_INPUT
+    assert "such a comparison finds nothing" in capsys.readouterr().err
+    (folder / "apart").mkdir()
+    (folder / "apart/mine.py").write_text(MINE)
+    other = "apart/mine.py:Equal"
+    assert fuzz(space, out=Path("out"), avoider="mine.py:Equal", against=other, budget=4) == AS_EXPECTED
 
 
 def test_shrinking_keeps_to_what_the_reference_does_not_violate(folder: Path) -> None:
