@@ -83,8 +83,8 @@ wheel: docs
 
 # The largest disagreement with each independent oracle, into plans/oracles.json and docs/selftest.md.
 oracles: $(VENV)/tested
-	$(BIN)/python -m pytest -q tests/robot tests/perception tests/servoing tests/formulas tests/learning \
-		tests/avoidance/test_resnet_kernel.py tests/test_proportions.py --oracles plans/oracles.json
+	$(BIN)/python -m pytest -q tests/cell/robot tests/cell/perception tests/cell/servoing tests/claims/formulas tests/lab/learning \
+		tests/cell/avoidance/test_resnet_kernel.py tests/base/test_proportions.py --oracles plans/oracles.json
 	$(BIN)/python docs/tables.py
 
 # axe-core is not ours (MPL-2.0): npm install --prefix /tmp/axe axe-core
@@ -116,7 +116,7 @@ mutants: $(VENV)/tested
 # The tests of the control stack, compiled with a check of every index.
 bounds: $(VENV)/tested
 	NUMBA_BOUNDSCHECK=1 SAFETY_HARNESS_CACHE=$(CURDIR)/$(VENV)/cache-with-bounds $(BIN)/python -m pytest -q \
-		tests/controller tests/perception tests/robot tests/servoing tests/simulation tests/avoidance/test_gate.py
+		tests/cell/controller tests/cell/perception tests/cell/robot tests/cell/servoing tests/cell/simulation tests/cell/avoidance/test_gate.py
 
 # The newest versions of the ranges in pyproject.toml, for this repository.  Not kept: what torch brings for a GPU.
 .PHONY: lock oldest newest crowded installed
@@ -127,8 +127,8 @@ lock: .venv-lock/installed
 		requirements.lock
 
 # With the lowest and the newest versions of the ranges: what asks each dependency for something, and a run.
-QUICK := tests/statistics tests/trace tests/space tests/scenario/test_read_scenario.py tests/scenario/test_schema.py \
-	tests/scenario/test_write_scenario.py tests/search/test_searchers.py tests/avoidance/test_model_file.py \
+QUICK := tests/assurance/statistics tests/trace tests/space tests/scenario/test_read_scenario.py tests/scenario/test_schema.py \
+	tests/scenario/test_write_scenario.py tests/search/test_searchers.py tests/cell/avoidance/test_model_file.py \
 	tests/cli/test_nearest.py tests/test_public_names.py
 oldest := lowest-direct
 newest := highest

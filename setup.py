@@ -15,7 +15,7 @@ FOLDERS = ("scenarios", "plans", "examples", "robots", "site")
 
 
 class BuildWithContents(build_py):
-    """Copies the folders below safety_harness/shipped; an editable install finds them where they are."""
+    """Copies the folders below safety_harness/base/shipped; an editable install finds them where they are."""
 
     def run(self) -> None:
         """As always, and the folders, without what an earlier build left there."""
@@ -23,7 +23,7 @@ class BuildWithContents(build_py):
         if self.editable_mode:
             return
         for folder in FOLDERS:
-            copy = Path(self.build_lib, "safety_harness", "shipped", folder)
+            copy = Path(self.build_lib, "safety_harness", "base", "shipped", folder)
             shutil.rmtree(copy, ignore_errors=True)
             if Path(folder).is_dir():
                 shutil.copytree(folder, copy, ignore=shutil.ignore_patterns("__pycache__", ".*"))

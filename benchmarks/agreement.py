@@ -35,10 +35,10 @@ from safety_harness.admission.agreement import (
 from safety_harness.admission.claims import property_of
 from safety_harness.admission.spaces import admit_points
 from safety_harness.admission.trial import run_many, run_trial
-from safety_harness.exceptions import InadmissibleError
-from safety_harness.properties.answered import DecisionTime
-from safety_harness.properties.base import Evaluation, Property, Unit
-from safety_harness.properties.catalogue import CATALOGUE
+from safety_harness.base.exceptions import InadmissibleError
+from safety_harness.claims.properties.answered import DecisionTime
+from safety_harness.claims.properties.base import Evaluation, Property, Unit
+from safety_harness.claims.properties.catalogue import CATALOGUE
 from safety_harness.scenario.expand import gather
 from safety_harness.scenario.model import Claim, Verdict
 from safety_harness.space.read import read_space

@@ -32,16 +32,16 @@ from scipy import stats
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from safety_harness.campaign.ledger import Ledger
-from safety_harness.campaign.session import LEDGER, carry_on, processes
-from safety_harness.certification import folder, verify_report
-from safety_harness.certification.altered import chance_to_miss
-from safety_harness.certification.verify import verify
-from safety_harness.certification.verify_runs import drawn
-from safety_harness.compiled import source_hash
-from safety_harness.proportions import lower_bound
-from tests.campaign.plans import PLAN, plan_in
-from tests.certification.forging import hidden, write
+from safety_harness.base.compiled import source_hash
+from safety_harness.base.proportions import lower_bound
+from safety_harness.extensions.assurance.campaign.ledger import Ledger
+from safety_harness.extensions.assurance.campaign.session import LEDGER, carry_on, processes
+from safety_harness.extensions.assurance.certification import folder, verify_report
+from safety_harness.extensions.assurance.certification.altered import chance_to_miss
+from safety_harness.extensions.assurance.certification.verify import verify
+from safety_harness.extensions.assurance.certification.verify_runs import drawn
+from tests.assurance.campaign.plans import PLAN, plan_in
+from tests.assurance.certification.forging import hidden, write
 
 RUNS, HIDDEN = 200, 8
 SECOND = "  - stratum: nearer\n    space: short.yaml\n    runs: 20\n"

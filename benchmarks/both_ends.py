@@ -11,13 +11,13 @@ from dataclasses import replace
 from pathlib import Path
 
 from safety_harness import admit, read_scenario, run_trial
-from safety_harness.formulas.claim import FormulaClaim
-from safety_harness.formulas.language import always, hand_distance, mm
-from safety_harness.properties.base import Property
-from safety_harness.properties.clear_ways import ClearWays
-from safety_harness.properties.hand_distance import HandDistance
-from safety_harness.properties.touching import NoMovingPartTouches
-from safety_harness.simulation.worlds import KINEMATIC, PYBULLET, WorldEntry
+from safety_harness.cell.simulation.worlds import KINEMATIC, PYBULLET, WorldEntry
+from safety_harness.claims.formulas.claim import FormulaClaim
+from safety_harness.claims.formulas.language import always, hand_distance, mm
+from safety_harness.claims.properties.base import Property
+from safety_harness.claims.properties.clear_ways import ClearWays
+from safety_harness.claims.properties.hand_distance import HandDistance
+from safety_harness.claims.properties.touching import NoMovingPartTouches
 
 SCENARIOS = ("hand-visits-and-leaves", "hesitating-reach", "another-object-elsewhere")
 

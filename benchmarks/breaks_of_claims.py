@@ -18,7 +18,7 @@ from test_fallback_resolution import BUILT_IN, gone
 from safety_harness import read_scenario
 from safety_harness.admission.admit import admit
 from safety_harness.admission.trial import run_kinematic
-from safety_harness.avoidance.gate import Gate
+from safety_harness.cell.avoidance.gate import Gate
 from safety_harness.scenario.faults import CameraBlind, HandSensorBlind, HandSensorOff
 from safety_harness.trace.records import DecisionOutcome, Mode
 

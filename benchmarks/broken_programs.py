@@ -25,8 +25,8 @@ from pathlib import Path
 
 sys.path[:0] = [str(Path(__file__).parents[1]), str(Path(__file__).parents[1] / "tests")]
 
-from tests.controller.out_of_process.broken_runs import BrokenProgram  # noqa: E402
-from tests.controller.out_of_process.mutated_frames import MUTATIONS, is_an_answer  # noqa: E402
+from tests.cell.controller.out_of_process.broken_runs import BrokenProgram  # noqa: E402
+from tests.cell.controller.out_of_process.mutated_frames import MUTATIONS, is_an_answer  # noqa: E402
 
 OUT = Path(__file__).with_name("BROKEN_PROGRAMS.md")
 WAYS = ("exit", "killed", "hang", "flood", "flood of lines", "flood of errors", "memory")

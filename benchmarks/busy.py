@@ -33,11 +33,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from safety_harness.campaign.ledger import Ledger
-from safety_harness.campaign.summary import fingerprint_of
-from safety_harness.cli.campaign import run as run_campaign
 from safety_harness.cli.fuzz import fuzz
 from safety_harness.cli.scenario_commands import run
+from safety_harness.extensions.assurance.campaign.ledger import Ledger
+from safety_harness.extensions.assurance.campaign.summary import fingerprint_of
+from safety_harness.extensions.assurance.commands.campaign import run as run_campaign
 from safety_harness.trace.store import load_trace
 
 OUT = Path(__file__).with_name("BUSY.md")

@@ -29,14 +29,14 @@ from ratios import Ratio
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from safety_harness.campaign.ledger import Ledger
-from safety_harness.campaign.plan import Plan
-from safety_harness.campaign.processes import Processes
-from safety_harness.campaign.runner import CampaignRunner
-from safety_harness.campaign.session import processes
-from safety_harness.campaign.summary import fingerprint_of, tally_of
-from tests.campaign.benches import Plain, row_of
-from tests.campaign.plans import PLAN, plan_in
+from safety_harness.extensions.assurance.campaign.ledger import Ledger
+from safety_harness.extensions.assurance.campaign.plan import Plan
+from safety_harness.extensions.assurance.campaign.processes import Processes
+from safety_harness.extensions.assurance.campaign.runner import CampaignRunner
+from safety_harness.extensions.assurance.campaign.session import processes
+from safety_harness.extensions.assurance.campaign.summary import fingerprint_of, tally_of
+from tests.assurance.campaign.benches import Plain, row_of
+from tests.assurance.campaign.plans import PLAN, plan_in
 
 WORKERS, WAIT_S = 64, 0.3
 IDEAL = WORKERS / WAIT_S  # episodes a second

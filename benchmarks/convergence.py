@@ -15,20 +15,10 @@ from math import log, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.compiled import compiled
-from safety_harness.geometry.rotations import rotation_from_vector, vector_from_rotation
-from safety_harness.geometry.transforms import compose_into, inverse_transform, transform_from
-from safety_harness.perception.camera import (
-    polygon_in_camera,
-    polygon_inside_image,
-    project,
-    transform_camera_to_tcp,
-)
-from safety_harness.perception.moments import MOMENT_COUNT, polygon_moments
-from safety_harness.perception.raster import raster_moments
-from safety_harness.servoing.control import camera_twist, choice_code, desired_view
-from safety_harness.servoing.features import feature_error, features
-from safety_harness.settings import (
+from safety_harness.base.compiled import compiled
+from safety_harness.base.geometry.rotations import rotation_from_vector, vector_from_rotation
+from safety_harness.base.geometry.transforms import compose_into, inverse_transform, transform_from
+from safety_harness.base.settings import (
     CONVERGED_ANGLE_RAD,
     CONVERGED_POSITION_M,
     DEFAULTS,
@@ -37,6 +27,16 @@ from safety_harness.settings import (
     Object,
     ObjectKind,
 )
+from safety_harness.cell.perception.camera import (
+    polygon_in_camera,
+    polygon_inside_image,
+    project,
+    transform_camera_to_tcp,
+)
+from safety_harness.cell.perception.moments import MOMENT_COUNT, polygon_moments
+from safety_harness.cell.perception.raster import raster_moments
+from safety_harness.cell.servoing.control import camera_twist, choice_code, desired_view
+from safety_harness.cell.servoing.features import feature_error, features
 
 STARTS = 200
 SEED = 20_240_611

@@ -7,7 +7,7 @@ worker     SIGKILL of the runner's workers, one after another, in one campaign
 runner     SIGKILL of ``safety-harness campaign run``, which is begun again each time
 scheduler  SIGKILL of a Dask scheduler; the campaign goes on with the next one
 
-Writers and workers have episodes that only wait (tests/campaign/benches.py), runner and scheduler real ones
+Writers and workers have episodes that only wait (tests/assurance/campaign/benches.py), runner and scheduler real ones
 of 0.4 s in the kinematic world.  A ledger that is damaged, an episode that is missing or there twice, or
 a fingerprint that differs from the undisturbed one ends the benchmark with an error.
 """
@@ -29,16 +29,16 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from safety_harness.campaign.ledger import Ledger
-from safety_harness.campaign.plan import Plan, read_plan
-from safety_harness.campaign.processes import Arrived, Chunk, Event, Limits, Processes
-from safety_harness.campaign.runner import CampaignRunner
-from safety_harness.campaign.session import carry_on, processes
-from safety_harness.campaign.summary import fingerprint_of, tally_of
-from safety_harness.exceptions import CampaignError
-from tests.campaign.benches import Plain, row_of
-from tests.campaign.clusters import scheduler, workers
-from tests.campaign.plans import PLAN, plan_in
+from safety_harness.base.exceptions import CampaignError
+from safety_harness.extensions.assurance.campaign.ledger import Ledger
+from safety_harness.extensions.assurance.campaign.plan import Plan, read_plan
+from safety_harness.extensions.assurance.campaign.processes import Arrived, Chunk, Event, Limits, Processes
+from safety_harness.extensions.assurance.campaign.runner import CampaignRunner
+from safety_harness.extensions.assurance.campaign.session import carry_on, processes
+from safety_harness.extensions.assurance.campaign.summary import fingerprint_of, tally_of
+from tests.assurance.campaign.benches import Plain, row_of
+from tests.assurance.campaign.clusters import scheduler, workers
+from tests.assurance.campaign.plans import PLAN, plan_in
 
 
 class AtOnce:
@@ -178,7 +178,7 @@ def _is_complete(path: Path) -> bool:
 
 def kill_schedulers(moments: int, rng: random.Random, folder: Path) -> str:
     """A scheduler with two workers, killed after some episodes; then another."""
-    from safety_harness.campaign.cluster import DaskCrew
+    from safety_harness.extensions.assurance.campaign.cluster import DaskCrew
 
     plan, expected = _real(folder)
     killed, ledgers = 0, 0

@@ -17,9 +17,16 @@ import numpy as np
 from numpy.typing import NDArray
 from ratios import Ratio
 
-from safety_harness.controller.desired import desired_transform_tcp_to_base
-from safety_harness.exceptions import SimulationError
-from safety_harness.learning.dataset import (
+from safety_harness.base.exceptions import SimulationError
+from safety_harness.base.settings import DEFAULTS
+from safety_harness.cell.controller.desired import desired_transform_tcp_to_base
+from safety_harness.cell.perception.camera import transform_camera_to_tcp
+from safety_harness.cell.robot.description import load_arm
+from safety_harness.cell.robot.inverse import InverseKinematics
+from safety_harness.cell.servoing.features import feature_error, features
+from safety_harness.cell.simulation.cell import build_cell, render, rendered_object
+from safety_harness.cell.simulation.engine import pybullet
+from safety_harness.extensions.lab.learning.dataset import (
     SPACES,
     CompactDataset,
     candidates_of,
@@ -30,14 +37,7 @@ from safety_harness.learning.dataset import (
     split_by_sample,
     split_by_tcp,
 )
-from safety_harness.learning.image_error import ImageErrors
-from safety_harness.perception.camera import transform_camera_to_tcp
-from safety_harness.robot.description import load_arm
-from safety_harness.robot.inverse import InverseKinematics
-from safety_harness.servoing.features import feature_error, features
-from safety_harness.settings import DEFAULTS
-from safety_harness.simulation.cell import build_cell, render, rendered_object
-from safety_harness.simulation.engine import pybullet
+from safety_harness.extensions.lab.learning.image_error import ImageErrors
 
 SEED = 1
 RASTER_POSES = 1000

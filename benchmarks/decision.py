@@ -26,10 +26,10 @@ from naive_loop import monte_carlo_mean, regression_network
 from numpy.typing import NDArray
 from ratios import Ratio, say
 
-from safety_harness.avoidance.learned import LearnedAvoider
-from safety_harness.avoidance.masks import masks
-from safety_harness.avoidance.model_file import INPUTS, PLACES, WIDTH, Dropout, Model, SeenSpace
-from safety_harness.learning.networks import RegressionResNet, to_tensors
+from safety_harness.cell.avoidance.learned import LearnedAvoider
+from safety_harness.cell.avoidance.masks import masks
+from safety_harness.cell.avoidance.model_file import INPUTS, PLACES, WIDTH, Dropout, Model, SeenSpace
+from safety_harness.extensions.lab.learning.networks import RegressionResNet, to_tensors
 
 TURNS = 9
 EAGER = 20  # decisions of PyTorch in a turn

@@ -31,12 +31,12 @@ import numpy as np
 import pybullet_data
 from numpy.typing import NDArray
 
-from safety_harness.robot.description import ArmModel, read_arm, resolved_urdf
-from safety_harness.robot.drive import DriveModel, drive, drive_tick, limit_torques, tell_motors
-from safety_harness.robot.dynamics import GRAVITY_MPS2, link_masses, torque_share
-from safety_harness.robot.kinematics import links_in_base
-from safety_harness.settings import DEFAULTS
-from safety_harness.simulation.engine import pybullet
+from safety_harness.base.settings import DEFAULTS
+from safety_harness.cell.robot.description import ArmModel, read_arm, resolved_urdf
+from safety_harness.cell.robot.drive import DriveModel, drive, drive_tick, limit_torques, tell_motors
+from safety_harness.cell.robot.dynamics import GRAVITY_MPS2, link_masses, torque_share
+from safety_harness.cell.robot.kinematics import links_in_base
+from safety_harness.cell.simulation.engine import pybullet
 
 try:
     import mujoco

@@ -25,8 +25,8 @@ from pathlib import Path
 
 import numpy as np
 
-from safety_harness.gym.environment import HarnessEnv
-from safety_harness.gym.vector import HarnessVectorEnv
+from safety_harness.extensions.gym.environment import HarnessEnv
+from safety_harness.extensions.gym.vector import HarnessVectorEnv
 
 OUT = Path(__file__).with_name("ENVIRONMENTS.md")
 SPACE = "shipped:unseen-both"

@@ -33,16 +33,16 @@ from pathlib import Path
 import numpy as np
 from faulty_avoiders import BASES, FAULTS, HARMLESS, Fault, avoider_named, names, network
 
-from safety_harness.avoidance.asking import BatchAvoider
-from safety_harness.avoidance.shipped import SHIPPED
-from safety_harness.avoidance.simple import NearestCandidate, OppositePose
-from safety_harness.scoring.findings import findings
-from safety_harness.scoring.questions import Questions
-from safety_harness.scoring.regions import QuestionRegion, named_regions
-from safety_harness.scoring.repeats import Subject
-from safety_harness.scoring.score import Counts, score, yardsticks
-from safety_harness.scoring.scorecard import Scorecard
-from safety_harness.settings import DEFAULTS
+from safety_harness.base.settings import DEFAULTS
+from safety_harness.cell.avoidance.asking import BatchAvoider
+from safety_harness.cell.avoidance.shipped import SHIPPED
+from safety_harness.cell.avoidance.simple import NearestCandidate, OppositePose
+from safety_harness.extensions.lab.scoring.findings import findings
+from safety_harness.extensions.lab.scoring.questions import Questions
+from safety_harness.extensions.lab.scoring.regions import QuestionRegion, named_regions
+from safety_harness.extensions.lab.scoring.repeats import Subject
+from safety_harness.extensions.lab.scoring.score import Counts, score, yardsticks
+from safety_harness.extensions.lab.scoring.scorecard import Scorecard
 from safety_harness.space.regions import paper_seen
 
 OUT = Path(__file__).with_name("EVALUATE.md")

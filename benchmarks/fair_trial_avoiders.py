@@ -478,7 +478,7 @@ HARMLESS: dict[str, Change] = {
 
 def _model(of: str) -> Any:
     import safety_harness
-    from safety_harness.avoidance.model_file import load_model
+    from safety_harness.cell.avoidance.model_file import load_model
 
     return load_model(Path(safety_harness.__file__).parent / "models" / f"{of}.safetensors")
 
@@ -568,7 +568,7 @@ FILES: dict[str, tuple[str, str, Any]] = {  # what it is, what it is compared wi
 
 def make_file(name: str, folder: Path) -> Path:
     """Write one of FILES, and say where."""
-    from safety_harness.avoidance.model_file import save_model
+    from safety_harness.cell.avoidance.model_file import save_model
 
     _, of, change = FILES[name]
     path = folder / f"{name}{'.onnx' if isinstance(change, str) else '.safetensors'}"

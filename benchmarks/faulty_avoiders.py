@@ -20,13 +20,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
-from safety_harness.avoidance.asking import BatchAvoider
-from safety_harness.avoidance.avoider import AvoiderAround, Proposal, Vector, Vectors
-from safety_harness.avoidance.learned import LearnedAvoider
-from safety_harness.avoidance.measures import optimum_in_base_m
-from safety_harness.avoidance.model_file import load_model
-from safety_harness.avoidance.shipped import shipped_model
-from safety_harness.settings import DEFAULTS
+from safety_harness.base.settings import DEFAULTS
+from safety_harness.cell.avoidance.asking import BatchAvoider
+from safety_harness.cell.avoidance.avoider import AvoiderAround, Proposal, Vector, Vectors
+from safety_harness.cell.avoidance.learned import LearnedAvoider
+from safety_harness.cell.avoidance.measures import optimum_in_base_m
+from safety_harness.cell.avoidance.model_file import load_model
+from safety_harness.cell.avoidance.shipped import shipped_model
 
 Seeds = NDArray[np.uint64]  # (n,)
 Answers = tuple[Vectors, Vectors]  # positions and spreads (n, 3) [m]

@@ -13,12 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.admission.admit import Checked
-from safety_harness.attribution.unavoidable import FreeArm
-from safety_harness.compiled import compiled
-from safety_harness.geometry.segments import point_segment_distance
-from safety_harness.robot.distance import hand_distance
-from safety_harness.simulation.hand_motion import HandRecords, MoveRecords, advance_hands
-from safety_harness.simulation.hand_programs import hands_at_start
+from safety_harness.base.compiled import compiled
+from safety_harness.base.geometry.segments import point_segment_distance
+from safety_harness.cell.robot.distance import hand_distance
+from safety_harness.cell.simulation.hand_motion import HandRecords, MoveRecords, advance_hands
+from safety_harness.cell.simulation.hand_programs import hands_at_start
+from safety_harness.search.attribution.unavoidable import FreeArm
 
 LEGS = 6
 KEPT = 20  # motions that the second half of a search varies

@@ -18,9 +18,9 @@ from collections.abc import Callable
 import numpy as np
 from ratios import Ratio
 
-from safety_harness.formulas.formula import Comparison, Formula, Truth
-from safety_harness.formulas.language import always, eventually, hand_distance, mm, s
-from safety_harness.formulas.semantics import MarginBounds, comparison_bounds, margins
+from safety_harness.claims.formulas.formula import Comparison, Formula, Truth
+from safety_harness.claims.formulas.language import always, eventually, hand_distance, mm, s
+from safety_harness.claims.formulas.semantics import MarginBounds, comparison_bounds, margins
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore", DeprecationWarning)

@@ -26,9 +26,9 @@ from logs import RECORDINGS  # noqa: E402
 
 from safety_harness.admission.admit import admit  # noqa: E402
 from safety_harness.admission.trial import run_kinematic  # noqa: E402
-from safety_harness.recorded.compare import compare_worlds  # noqa: E402
-from safety_harness.recorded.scenario import Around, read_part, scenario_from, space_text  # noqa: E402
-from safety_harness.recorded.words import estimate, shown  # noqa: E402
+from safety_harness.extensions.field.recorded.compare import compare_worlds  # noqa: E402
+from safety_harness.extensions.field.recorded.scenario import Around, read_part, scenario_from, space_text  # noqa: E402
+from safety_harness.extensions.field.recorded.words import estimate, shown  # noqa: E402
 from safety_harness.scenario.read import read_scenario  # noqa: E402
 from safety_harness.search.cube import Cube  # noqa: E402
 from safety_harness.search.default import Default  # noqa: E402

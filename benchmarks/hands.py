@@ -18,11 +18,11 @@ from logs import RECORDINGS, ROOT, _blanked, _write_joints, write_log
 
 from safety_harness.admission.admit import admit
 from safety_harness.admission.trial import run_kinematic
-from safety_harness.logs.read import read_log
+from safety_harness.extensions.field.fitting import NORMAL, fit
+from safety_harness.extensions.field.hands import direction_line, fit_hands, quantity_lines, space_text
+from safety_harness.extensions.field.logs.read import read_log
 from safety_harness.scenario.model import RecordedHand
 from safety_harness.scenario.read import read_scenario
-from safety_harness.statistics.fitting import NORMAL, fit
-from safety_harness.statistics.hands import direction_line, fit_hands, quantity_lines, space_text
 
 
 def logs_of_recordings(folder: Path) -> list[Path]:

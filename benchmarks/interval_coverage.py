@@ -24,16 +24,20 @@ from numpy.typing import NDArray
 from scipy import stats
 from scipy.special import ndtri
 
-from safety_harness.proportions import lower_bound, upper_bound
-from safety_harness.statistics.binomial import Sides, bounds_of, ends_of
-from safety_harness.statistics.distances import distribution_of, tolerance_bound
-from safety_harness.statistics.importance import Importance, weigh
-from safety_harness.statistics.model_gap import bridged_bound
-from safety_harness.statistics.paired import compare, compare_margins
-from safety_harness.statistics.rare import Splitting, split
-from safety_harness.statistics.sample import Declaration, EpisodeOutcome, IndependentSample
-from safety_harness.statistics.sequential import evidence_apart, evidence_below
-from safety_harness.statistics.variance import NestedSample, variance_split
+from safety_harness.base.proportions import lower_bound, upper_bound
+from safety_harness.extensions.assurance.statistics.binomial import Sides, bounds_of, ends_of
+from safety_harness.extensions.assurance.statistics.distances import distribution_of, tolerance_bound
+from safety_harness.extensions.assurance.statistics.importance import Importance, weigh
+from safety_harness.extensions.assurance.statistics.model_gap import bridged_bound
+from safety_harness.extensions.assurance.statistics.paired import compare, compare_margins
+from safety_harness.extensions.assurance.statistics.rare import Splitting, split
+from safety_harness.extensions.assurance.statistics.sample import (
+    Declaration,
+    EpisodeOutcome,
+    IndependentSample,
+)
+from safety_harness.extensions.assurance.statistics.sequential import evidence_apart, evidence_below
+from safety_harness.extensions.assurance.statistics.variance import NestedSample, variance_split
 
 Floats = NDArray[np.float64]
 HELD, VIOLATED = int(EpisodeOutcome.HOLDS), int(EpisodeOutcome.VIOLATED)

@@ -20,12 +20,12 @@ from pathlib import Path
 import numpy as np
 from ratios import Ratio, say
 
-from safety_harness.avoidance.asking import Question, ask
-from safety_harness.avoidance.avoider import Avoider, Proposal
-from safety_harness.avoidance.isolation.isolated import IsolatedAvoider, isolated_avoider, isolated_onnx
-from safety_harness.avoidance.onnx_model import OnnxAvoider
-from safety_harness.exceptions import Place
-from safety_harness.settings import DEFAULTS
+from safety_harness.base.exceptions import Place
+from safety_harness.base.settings import DEFAULTS
+from safety_harness.cell.avoidance.asking import Question, ask
+from safety_harness.cell.avoidance.avoider import Avoider, Proposal
+from safety_harness.cell.avoidance.isolation.isolated import IsolatedAvoider, isolated_avoider, isolated_onnx
+from safety_harness.cell.avoidance.onnx_model import OnnxAvoider
 
 FILE = Path(__file__).parents[1] / "examples" / "upwards.py"
 TURNS, ONE_BY_ONE, IN_ONE_MESSAGE, BEGUN = 9, 1_000, 256, 5

@@ -31,8 +31,8 @@ from safety_harness.admission.admit import Admitted
 from safety_harness.admission.claims import property_of
 from safety_harness.admission.spaces import admit_points
 from safety_harness.admission.trial import run_many, run_trial
-from safety_harness.properties.base import Property
-from safety_harness.properties.catalogue import CATALOGUE
+from safety_harness.claims.properties.base import Property
+from safety_harness.claims.properties.catalogue import CATALOGUE
 from safety_harness.scenario.model import Claim, Verdict
 from safety_harness.space.read import read_space
 from safety_harness.space.space import ScenarioSpace

@@ -29,11 +29,14 @@ from types import ModuleType
 import numpy as np
 import pybullet_data
 
-from safety_harness.robot.capsules import CapsuleSet, load_capsules, read_capsules
-from safety_harness.robot.closed_form import has_closed_form
-from safety_harness.robot.description import PACKAGES, ArmModel, load_arm, read_arm, resolved_urdf
-from safety_harness.robot.distance import place_capsules
-from safety_harness.robot.fit_capsules import (
+from safety_harness.cell.robot.capsules import CapsuleSet, load_capsules, read_capsules
+from safety_harness.cell.robot.closed_form import has_closed_form
+from safety_harness.cell.robot.description import PACKAGES, ArmModel, load_arm, read_arm, resolved_urdf
+from safety_harness.cell.robot.distance import place_capsules
+from safety_harness.cell.robot.inverse import InverseKinematics
+from safety_harness.cell.robot.kinematics import geometric_jacobian, links_in_base
+from safety_harness.cell.robot.numeric_inverse import EXACT_POSE, all_found, nearest_found, starts_of
+from safety_harness.extensions.arms.fit_capsules import (
     FINE_M,
     Capsule,
     excess,
@@ -41,9 +44,6 @@ from safety_harness.robot.fit_capsules import (
     link_surface,
     write_capsules,
 )
-from safety_harness.robot.inverse import InverseKinematics
-from safety_harness.robot.kinematics import geometric_jacobian, links_in_base
-from safety_harness.robot.numeric_inverse import EXACT_POSE, all_found, nearest_found, starts_of
 
 ROOT = Path(__file__).parents[1]
 BULLET = Path(pybullet_data.getDataPath())

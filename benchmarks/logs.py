@@ -1,6 +1,6 @@
 """Judging logs.  Run: python benchmarks/logs.py [verdicts|bag|recordings]: each prints a table.
 
-``verdicts``: N synthetic logs whose truth is known (``tests/logs``), judged by claims whose thresholds lie
+``verdicts``: N synthetic logs whose truth is known (``tests/field/logs``), judged by claims whose thresholds lie
 within 150 mm of the truth.  ``bag``: a ROS 2 bag of so many GB, most of it pictures, and the memory that
 judging it takes.  ``recordings``: the six recorded hands beside the logged joints of a simulated arm, as
 their scenarios place them.
@@ -27,9 +27,9 @@ sys.path[:0] = [str(ROOT / "tests" / "logs")]
 
 from safety_harness.admission.admit import admit  # noqa: E402
 from safety_harness.admission.trial import judge, run_kinematic  # noqa: E402
-from safety_harness.exceptions import LogError  # noqa: E402
-from safety_harness.logs.judging import recorded  # noqa: E402
-from safety_harness.robot.robots import arm_model  # noqa: E402
+from safety_harness.base.exceptions import LogError  # noqa: E402
+from safety_harness.cell.robot.robots import arm_model  # noqa: E402
+from safety_harness.extensions.field.logs.judging import recorded  # noqa: E402
 from safety_harness.scenario.model import RecordedHand, Verdict  # noqa: E402
 from safety_harness.scenario.read import read_scenario  # noqa: E402
 from safety_harness.trace.trace import Trace  # noqa: E402

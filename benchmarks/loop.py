@@ -27,14 +27,14 @@ from numpy.typing import NDArray
 from ratios import Ratio, say
 
 from safety_harness.admission.admit import Admitted, admit
-from safety_harness.avoidance.gate import Gate
-from safety_harness.controller import controller
+from safety_harness.cell.avoidance.gate import Gate
+from safety_harness.cell.controller import controller
+from safety_harness.cell.simulation import pybullet_world
+from safety_harness.cell.simulation.cell import build_cell
+from safety_harness.cell.simulation.engine import pybullet
+from safety_harness.cell.simulation.pybullet_world import PyBulletWorld
+from safety_harness.cell.simulation.simulate import simulate
 from safety_harness.scenario.read import read_scenario
-from safety_harness.simulation import pybullet_world
-from safety_harness.simulation.cell import build_cell
-from safety_harness.simulation.engine import pybullet
-from safety_harness.simulation.pybullet_world import PyBulletWorld
-from safety_harness.simulation.simulate import simulate
 from safety_harness.trace.records import Mode
 from safety_harness.trace.trace import Trace
 

@@ -28,13 +28,13 @@ from campaign import timed
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from safety_harness.campaign.ledger import Ledger
-from safety_harness.campaign.plan import Plan, read_plan
-from safety_harness.campaign.processes import resident_bytes
-from safety_harness.campaign.runner import CampaignRunner
-from safety_harness.campaign.session import carry_on, processes
-from safety_harness.campaign.summary import fingerprint_of, tally_of
-from safety_harness.statistics.sample import EpisodeOutcome
+from safety_harness.extensions.assurance.campaign.ledger import Ledger
+from safety_harness.extensions.assurance.campaign.plan import Plan, read_plan
+from safety_harness.extensions.assurance.campaign.processes import resident_bytes
+from safety_harness.extensions.assurance.campaign.runner import CampaignRunner
+from safety_harness.extensions.assurance.campaign.session import carry_on, processes
+from safety_harness.extensions.assurance.campaign.summary import fingerprint_of, tally_of
+from safety_harness.extensions.assurance.statistics.sample import EpisodeOutcome
 
 SPACES = Path(__file__).parents[1] / "scenarios" / "spaces"
 STRATA = ("unseen-both", "unseen-hand", "unseen-tcp")

@@ -17,12 +17,12 @@ import numpy as np
 
 from safety_harness.admission.admit import answers_at_first, first_question
 from safety_harness.admission.measured_times import answer_times_s, machine
-from safety_harness.avoidance.learned import LearnedAvoider
-from safety_harness.avoidance.model_file import Model, load_model
-from safety_harness.avoidance.shipped import SHIPPED, shipped_model
-from safety_harness.cli.learning import metrics
+from safety_harness.base.settings import DEFAULTS
+from safety_harness.cell.avoidance.learned import LearnedAvoider
+from safety_harness.cell.avoidance.model_file import Model, load_model
+from safety_harness.cell.avoidance.shipped import SHIPPED, shipped_model
+from safety_harness.extensions.lab.commands.learning import metrics
 from safety_harness.report.words import milliseconds_words
-from safety_harness.settings import DEFAULTS
 
 PAGE = Path(__file__).parents[1] / "docs" / "models.md"
 EVALUATE = Path(__file__).with_name("EVALUATE.md")

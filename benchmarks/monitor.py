@@ -29,10 +29,10 @@ sys.path[:0] = [str(ROOT / "tests" / "logs"), str(ROOT / "tests" / "monitoring")
 from cells import cell, recorded, said  # noqa: E402
 from stream_lines import lines  # noqa: E402
 
-from safety_harness.monitoring.cell import read_cell  # noqa: E402
-from safety_harness.monitoring.monitor import Monitor  # noqa: E402
-from safety_harness.monitoring.sensing import APART, MEASURED  # noqa: E402
-from safety_harness.monitoring.watched import WatchedClaim  # noqa: E402
+from safety_harness.extensions.field.monitoring.cell import read_cell  # noqa: E402
+from safety_harness.extensions.field.monitoring.monitor import Monitor  # noqa: E402
+from safety_harness.extensions.field.monitoring.sensing import APART, MEASURED  # noqa: E402
+from safety_harness.extensions.field.monitoring.watched import WatchedClaim  # noqa: E402
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore", DeprecationWarning)

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.admission.admit import Admitted
-from safety_harness.perception.camera import transform_camera_to_tcp
-from safety_harness.perception.detector import OBJECT_BRIGHTEST
-from safety_harness.simulation.cell import build_cell, render
-from safety_harness.simulation.engine import pybullet
+from safety_harness.cell.perception.camera import transform_camera_to_tcp
+from safety_harness.cell.perception.detector import OBJECT_BRIGHTEST
+from safety_harness.cell.simulation.cell import build_cell, render
+from safety_harness.cell.simulation.engine import pybullet
 
 PASSES = 10
 DROPOUT = 0.1

@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.robot.capsules import CapsuleSet
-from safety_harness.robot.kinematics import links_in_base
-from safety_harness.robot.robots import arm_capsules, arm_model
-from safety_harness.simulation.truth import cell_capsules
+from safety_harness.cell.robot.capsules import CapsuleSet
+from safety_harness.cell.robot.kinematics import links_in_base
+from safety_harness.cell.robot.robots import arm_capsules, arm_model
+from safety_harness.cell.simulation.truth import cell_capsules
 from safety_harness.trace.records import Mode
 from safety_harness.trace.trace import Trace
 

@@ -48,10 +48,10 @@ def parts_of(episodes: int, avoider: str | None) -> dict[str, float]:
     from million import plan_in
 
     from safety_harness.admission.trial import run_all
-    from safety_harness.campaign.episodes import EpisodeRunner, root_seed
-    from safety_harness.campaign.ledger import Ledger
-    from safety_harness.campaign.plan import read_plan
-    from safety_harness.exceptions import InputError
+    from safety_harness.base.exceptions import InputError
+    from safety_harness.extensions.assurance.campaign.episodes import EpisodeRunner, root_seed
+    from safety_harness.extensions.assurance.campaign.ledger import Ledger
+    from safety_harness.extensions.assurance.campaign.plan import read_plan
 
     with tempfile.TemporaryDirectory() as folder:
         plan = plan_in(Path(folder), episodes)

@@ -20,17 +20,17 @@ from planted_controllers import alone
 
 from safety_harness.admission.admit import admit
 from safety_harness.admission.trial import run_kinematic
-from safety_harness.avoidance.avoider import Proposal
-from safety_harness.avoidance.gate import Gate
-from safety_harness.avoidance.measures import optimum_in_base_m
-from safety_harness.controller.around import ControllerWrapper
-from safety_harness.controller.contract import UserController
+from safety_harness.base.settings import DEFAULTS
+from safety_harness.cell.avoidance.avoider import Proposal
+from safety_harness.cell.avoidance.gate import Gate
+from safety_harness.cell.avoidance.measures import optimum_in_base_m
+from safety_harness.cell.controller.around import ControllerWrapper
+from safety_harness.extensions.selftest.gate_faults import FaultyGate
 from safety_harness.scenario.gate import AskedRegion, GateRule, PositionBox
 from safety_harness.scenario.model import Scenario
 from safety_harness.scenario.moves import MoveTo, Wait
 from safety_harness.scenario.obstacles import Obstacle
-from safety_harness.selftest.gate_faults import FaultyGate
-from safety_harness.settings import DEFAULTS
+from safety_harness.seams.contract import UserController
 from safety_harness.trace.records import Mode
 from safety_harness.trace.trace import Trace
 

@@ -19,14 +19,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.avoidance.candidates import continuous_optimum
-from safety_harness.proof.certificate import write_certificate
-from safety_harness.proof.check import check
-from safety_harness.proof.claims import ClaimKind, DecisionClaim
-from safety_harness.proof.plan import ProofPlan, ProofRegion, read_proof_plan
-from safety_harness.proof.session import fresh
-from safety_harness.proof.tree import work
-from safety_harness.settings import DEFAULTS
+from safety_harness.base.settings import DEFAULTS
+from safety_harness.cell.avoidance.candidates import continuous_optimum
+from safety_harness.extensions.lab.proof.certificate import write_certificate
+from safety_harness.extensions.lab.proof.check import check
+from safety_harness.extensions.lab.proof.claims import ClaimKind, DecisionClaim
+from safety_harness.extensions.lab.proof.plan import ProofPlan, ProofRegion, read_proof_plan
+from safety_harness.extensions.lab.proof.session import fresh
+from safety_harness.extensions.lab.proof.tree import work
 
 ROOT = Path(__file__).parents[1]
 PLANS, PAGE = ("student-proofs", "student-ensemble-proofs"), Path(__file__).with_name("PROOF.md")
@@ -110,7 +110,7 @@ def where(plan: ProofPlan, near: ProofRegion) -> Iterator[str]:
 
 def refused() -> str:
     """Of how many altered certificates the checker refuses each: its own test, the long one."""
-    test = "tests/proof/test_certificate.py::test_a_thousand_altered_certificates_are_refused"
+    test = "tests/lab/proof/test_certificate.py::test_a_thousand_altered_certificates_are_refused"
     start_s = time.monotonic()
     ran = subprocess.run(
         [sys.executable, "-m", "pytest", "-q", "-m", "long", test], cwd=ROOT, capture_output=True, text=True

@@ -13,12 +13,12 @@ from pathlib import Path
 
 import numpy as np
 
-from safety_harness.avoidance.asking import Question
-from safety_harness.avoidance.learned import LearnedAvoider
-from safety_harness.avoidance.model_file import load_model
-from safety_harness.avoidance.shipped import SHIPPED, shipped_model
-from safety_harness.proof.decisions import certified
-from safety_harness.proof.plan import seen_region
+from safety_harness.cell.avoidance.asking import Question
+from safety_harness.cell.avoidance.learned import LearnedAvoider
+from safety_harness.cell.avoidance.model_file import load_model
+from safety_harness.cell.avoidance.shipped import SHIPPED, shipped_model
+from safety_harness.extensions.lab.proof.decisions import certified
+from safety_harness.extensions.lab.proof.plan import seen_region
 from safety_harness.trace.certified import Sameness
 
 PAGE = Path(__file__).with_name("PROOF_DECISIONS.md")

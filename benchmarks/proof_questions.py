@@ -22,12 +22,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.proof.box_kernel import PROVEN
-from safety_harness.proof.certificate import Proof, taken_up, write_certificate
-from safety_harness.proof.plan import ProofPlan, read_proof_plan
-from safety_harness.proof.session import fresh
-from safety_harness.proof.tree import work
-from safety_harness.whole_file import write_text
+from safety_harness.base.whole_file import write_text
+from safety_harness.extensions.lab.proof.box_kernel import PROVEN
+from safety_harness.extensions.lab.proof.certificate import Proof, taken_up, write_certificate
+from safety_harness.extensions.lab.proof.plan import ProofPlan, read_proof_plan
+from safety_harness.extensions.lab.proof.session import fresh
+from safety_harness.extensions.lab.proof.tree import work
 
 ROOT = Path(__file__).parents[1]
 PLAN, PAGE = ROOT / "plans" / "student-proofs.yaml", Path(__file__).with_name("PROOF_QUESTIONS.md")

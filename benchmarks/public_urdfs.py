@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from importlib.metadata import distribution
 from pathlib import Path
 
-from safety_harness.robot.description import MOST, ArmModel, read_arm
-from safety_harness.robot.urdf import ArmFileError, Urdf
+from safety_harness.cell.robot.description import MOST, ArmModel, read_arm
+from safety_harness.cell.robot.urdf import ArmFileError, Urdf
 
 PACKAGE = "example-robot-data"
 MAKERS = {

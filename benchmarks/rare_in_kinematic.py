@@ -22,11 +22,11 @@ from pathlib import Path
 import numpy as np
 from scipy import stats
 
+from safety_harness.extensions.assurance.statistics.importance import weigh
+from safety_harness.extensions.assurance.statistics.rare import Splitting, split
+from safety_harness.extensions.assurance.statistics.sample import Floats
 from safety_harness.search.trials import Trials, in_kinematic
 from safety_harness.space.read import read_space
-from safety_harness.statistics.importance import weigh
-from safety_harness.statistics.rare import Splitting, split
-from safety_harness.statistics.sample import Floats
 
 ROOT = Path(__file__).parents[1]
 PAGE = Path(__file__).with_name("RARE.md")

@@ -26,7 +26,7 @@ from ratios import Ratio, shown
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from safety_harness.campaign.session import processor
+from safety_harness.extensions.assurance.campaign.session import processor
 
 HERE = Path(__file__).parent
 RESULTS = HERE / "RESULTS.md"

@@ -31,8 +31,8 @@ import numpy as np
 from safety_harness import Move, Seen
 from safety_harness.admission.admit import admit
 from safety_harness.admission.trial import run_kinematic
-from safety_harness.campaign.episodes import EpisodeRunner
-from safety_harness.campaign.plan import read_plan
+from safety_harness.extensions.assurance.campaign.episodes import EpisodeRunner
+from safety_harness.extensions.assurance.campaign.plan import read_plan
 
 OUT = Path(__file__).with_name("SEAM.md")
 EXAMPLES = Path(__file__).parents[1] / "examples"

@@ -35,13 +35,17 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from safety_harness.admission.admit import Admitted, Admitter
 from safety_harness.admission.trial import run_many
-from safety_harness.campaign.ledger import Ledger
-from safety_harness.campaign.plan import read_plan
-from safety_harness.campaign.summary import StratumTally, tally_of
-from safety_harness.controller.shield import Guard
-from safety_harness.exceptions import InputError
-from safety_harness.properties.touching import NO_MOVING_PART_TOUCHES
-from safety_harness.proportions import upper_bound
+from safety_harness.base.exceptions import InputError
+from safety_harness.base.proportions import upper_bound
+from safety_harness.base.settings import HandSensorKind
+from safety_harness.cell.controller.shield import Guard
+from safety_harness.cell.simulation.simulate import Episode
+from safety_harness.cell.simulation.worlds import KINEMATIC
+from safety_harness.claims.properties.touching import NO_MOVING_PART_TOUCHES
+from safety_harness.extensions.assurance.campaign.ledger import Ledger
+from safety_harness.extensions.assurance.campaign.plan import read_plan
+from safety_harness.extensions.assurance.campaign.summary import StratumTally, tally_of
+from safety_harness.extensions.assurance.statistics.sample import EpisodeOutcome
 from safety_harness.scenario.gate import GateRule
 from safety_harness.scenario.model import Scenario
 from safety_harness.scenario.shield import Shield
@@ -49,11 +53,7 @@ from safety_harness.search.cube import Cube
 from safety_harness.search.search import find_violations
 from safety_harness.search.searchers import searcher_named
 from safety_harness.search.trials import ScenarioRunner, Trials, in_kinematic
-from safety_harness.settings import HandSensorKind
-from safety_harness.simulation.simulate import Episode
-from safety_harness.simulation.worlds import KINEMATIC
 from safety_harness.space.read import read_space
-from safety_harness.statistics.sample import EpisodeOutcome
 from safety_harness.trace.overruling import Overruling
 from safety_harness.trace.records import Check
 from safety_harness.trace.trace import Trace

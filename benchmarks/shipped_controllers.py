@@ -26,8 +26,8 @@ from safety_harness.admission.avoiders import with_avoider
 from safety_harness.admission.claims import property_of
 from safety_harness.admission.spaces import draw_admissible
 from safety_harness.admission.trial import run_kinematic
-from safety_harness.controller.named import LEARNED_FILE, NAMES
-from safety_harness.properties.base import Property
+from safety_harness.cell.controller.named import LEARNED_FILE, NAMES
+from safety_harness.claims.properties.base import Property
 from safety_harness.scenario.model import VISUAL_SERVO, Claim, Driver, Scenario, Verdict
 from safety_harness.space.read import read_space
 from safety_harness.trace.trace import Trace
@@ -57,7 +57,7 @@ Straight to the desired TCP by the encoders alone, position and orientation, wit
 `gain_far`; a protective stop while any hand of the sensor's last frame is within the critical distance
 of the TCP. Sees joints and hands as measured; reports its mode. It never retreats, does not see the
 object, and looks at the TCP alone: a hand at the elbow does not stop it.
-`safety_harness/controller/stop_when_near.py`, 60 lines.
+`safety_harness/cell/controller/stop_when_near.py`, 60 lines.
 
 ## Learned policy
 

@@ -18,13 +18,13 @@ from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).parents[1]
-sys.path[:0] = [str(ROOT), *(str(ROOT / name) for name in ("benchmarks", "tests", "tests/properties"))]
+sys.path[:0] = [str(ROOT), *(str(ROOT / name) for name in ("benchmarks", "tests", "tests/claims/properties"))]
 
 from breaks_of_claims import breaks  # noqa: E402
 from planted_breaks import Break  # noqa: E402
 
 from safety_harness.admission.claims import property_of  # noqa: E402
-from safety_harness.compiled import source_hash  # noqa: E402
+from safety_harness.base.compiled import source_hash  # noqa: E402
 from safety_harness.scenario.model import Claim, Verdict  # noqa: E402
 from safety_harness.trace.trace import Trace  # noqa: E402
 

@@ -27,9 +27,9 @@ from naive_loop import regression_network
 from ratios import Ratio
 from torch.utils.data import DataLoader, Dataset
 
-from safety_harness.learning.recipes import TRIAL_MC_DROPOUT
-from safety_harness.learning.samples import ArraySamples
-from safety_harness.learning.training import train
+from safety_harness.extensions.lab.learning.recipes import TRIAL_MC_DROPOUT
+from safety_harness.extensions.lab.learning.samples import ArraySamples
+from safety_harness.extensions.lab.learning.training import train
 
 SAMPLES, VALIDATION, BATCH, TURNS = 20_000, 1_000, 1_000, 3
 RECIPE = replace(

@@ -19,8 +19,8 @@ from tempfile import TemporaryDirectory
 
 import yaml
 
-from safety_harness.distribution import installed_version
-from safety_harness.report.arm_page import shipped_robots, write_arm_page
+from safety_harness.base.distribution import installed_version
+from safety_harness.extensions.arms.page import shipped_robots, write_arm_page
 
 ROOT = Path(__file__).parents[1]
 LINK = re.compile(r"\]\(([^)#\s:]+)(#[^)\s]*)?\)")

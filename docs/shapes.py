@@ -18,7 +18,7 @@ SHAPES = dict(re.findall(r"^(\w+) = NDArray.*?# (\(.*?\))", ARRAYS.read_text(enc
 class Comments(griffe.Extension):
     """``start: NDArray[np.float64],  # (3,) [m]`` becomes a line of the list below the docstring.
 
-    And so does ``start: Array3,  # [m]``, since ``geometry/arrays.py`` says the shape of an Array3.
+    And so does ``start: Array3,  # [m]``, since ``base/geometry/arrays.py`` says the shape of an Array3.
     """
 
     def __init__(self) -> None:

@@ -7,16 +7,16 @@ import re
 import sys
 from pathlib import Path
 
-from safety_harness.campaign.plan_keys import PLAN, TABLES, TITLE
-from safety_harness.certification.evidence import schema as evidence_schema
-from safety_harness.certification.standards import STANDARDS, told_with_standards
-from safety_harness.formulas.signals import markdown_of_signals
-from safety_harness.properties.catalogue import CATALOGUE
-from safety_harness.properties.entry import markdown_of_claims
+from safety_harness.claims.formulas.signals import markdown_of_signals
+from safety_harness.claims.properties.catalogue import CATALOGUE
+from safety_harness.claims.properties.entry import markdown_of_claims
+from safety_harness.extensions.assurance.campaign.plan_keys import PLAN, TABLES, TITLE
+from safety_harness.extensions.assurance.certification.evidence import schema as evidence_schema
+from safety_harness.extensions.assurance.certification.standards import STANDARDS, told_with_standards
+from safety_harness.extensions.selftest.outcome import markdown as table_of
 from safety_harness.scenario.moves import MOVES
 from safety_harness.scenario.reference_tables import every_table, markdown, markdown_of_moves
 from safety_harness.scenario.schema import scenario_schema, table_schema
-from safety_harness.selftest.outcome import markdown as table_of
 
 DOCS = Path(__file__).parent
 SCHEMA = DOCS / "schema" / "scenario.schema.json"

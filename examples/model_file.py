@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from safety_harness.avoidance.model_file import Dropout, Model, SeenSpace, save_model, tensor_shapes
+from safety_harness.cell.avoidance.model_file import Dropout, Model, SeenSpace, save_model, tensor_shapes
 
 
 def constant_model(position_in_base_m: tuple[float, float, float]) -> Model:

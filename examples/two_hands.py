@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from safety_harness import Proposal
-from safety_harness.controller.contract import Seen
+from safety_harness.seams.contract import Seen
 
 AHEAD_S, FAR_M = 0.3, 0.1
 

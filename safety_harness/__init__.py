@@ -26,21 +26,21 @@ if TYPE_CHECKING:
     from safety_harness.admission.trial import run_kinematic as run_kinematic
     from safety_harness.admission.trial import run_many as run_many
     from safety_harness.admission.trial import run_trial as run_trial
-    from safety_harness.avoidance.avoider import Avoider as Avoider
-    from safety_harness.avoidance.avoider import AvoiderAround as AvoiderAround
-    from safety_harness.avoidance.avoider import Proposal as Proposal
-    from safety_harness.controller.contract import Move as Move
-    from safety_harness.controller.contract import Moves as Moves
-    from safety_harness.controller.contract import Report as Report
-    from safety_harness.controller.contract import Seen as Seen
-    from safety_harness.controller.contract import Stop as Stop
-    from safety_harness.controller.contract import UserController as UserController
-    from safety_harness.exceptions import InputError as InputError
-    from safety_harness.exceptions import SafetyHarnessError as SafetyHarnessError
-    from safety_harness.formulas.claim import FormulaClaim as FormulaClaim
-    from safety_harness.formulas.parse import parse_formula as parse_formula
-    from safety_harness.properties.base import Evaluation as Evaluation
-    from safety_harness.properties.base import Property as Property
+    from safety_harness.base.exceptions import InputError as InputError
+    from safety_harness.base.exceptions import SafetyHarnessError as SafetyHarnessError
+    from safety_harness.base.settings import DEFAULTS as DEFAULTS
+    from safety_harness.base.settings import Settings as Settings
+    from safety_harness.cell.avoidance.avoider import Avoider as Avoider
+    from safety_harness.cell.avoidance.avoider import AvoiderAround as AvoiderAround
+    from safety_harness.cell.avoidance.avoider import Proposal as Proposal
+    from safety_harness.cell.simulation.worlds import KINEMATIC as KINEMATIC
+    from safety_harness.cell.simulation.worlds import PYBULLET as PYBULLET
+    from safety_harness.cell.simulation.worlds import WORLDS as WORLDS
+    from safety_harness.cell.simulation.worlds import WorldEntry as WorldEntry
+    from safety_harness.claims.formulas.claim import FormulaClaim as FormulaClaim
+    from safety_harness.claims.formulas.parse import parse_formula as parse_formula
+    from safety_harness.claims.properties.base import Evaluation as Evaluation
+    from safety_harness.claims.properties.base import Property as Property
     from safety_harness.report.evidence import JudgedRun as JudgedRun
     from safety_harness.report.html import write_report as write_report
     from safety_harness.scenario.model import Scenario as Scenario
@@ -48,6 +48,12 @@ if TYPE_CHECKING:
     from safety_harness.scenario.read import parse_scenario as parse_scenario
     from safety_harness.scenario.read import read_scenario as read_scenario
     from safety_harness.scenario.write import write_scenario as write_scenario
+    from safety_harness.seams.contract import Move as Move
+    from safety_harness.seams.contract import Moves as Moves
+    from safety_harness.seams.contract import Report as Report
+    from safety_harness.seams.contract import Seen as Seen
+    from safety_harness.seams.contract import Stop as Stop
+    from safety_harness.seams.contract import UserController as UserController
     from safety_harness.search.coverage import Coverage as Coverage
     from safety_harness.search.cube import Column as Column
     from safety_harness.search.cube import Cube as Cube
@@ -60,12 +66,6 @@ if TYPE_CHECKING:
     from safety_harness.search.trials import Trials as Trials
     from safety_harness.search.trials import in_kinematic as in_kinematic
     from safety_harness.search.trials import in_pybullet as in_pybullet
-    from safety_harness.settings import DEFAULTS as DEFAULTS
-    from safety_harness.settings import Settings as Settings
-    from safety_harness.simulation.worlds import KINEMATIC as KINEMATIC
-    from safety_harness.simulation.worlds import PYBULLET as PYBULLET
-    from safety_harness.simulation.worlds import WORLDS as WORLDS
-    from safety_harness.simulation.worlds import WorldEntry as WorldEntry
     from safety_harness.space.distributions import InBox as InBox
     from safety_harness.space.distributions import InRegion as InRegion
     from safety_harness.space.distributions import InShell as InShell
@@ -91,12 +91,12 @@ _HOMES = {
     "admission.avoiders": ("shipped_avoider",),
     "admission.spaces": ("AdmittedDraws", "draw_admissible"),
     "admission.trial": ("judge", "run_kinematic", "run_many", "run_trial"),
-    "avoidance.avoider": ("Avoider", "AvoiderAround", "Proposal"),
-    "controller.contract": ("Move", "Moves", "Report", "Seen", "Stop", "UserController"),
-    "exceptions": ("InputError", "SafetyHarnessError"),
-    "formulas.claim": ("FormulaClaim",),
-    "formulas.parse": ("parse_formula",),
-    "properties.base": ("Evaluation", "Property"),
+    "cell.avoidance.avoider": ("Avoider", "AvoiderAround", "Proposal"),
+    "seams.contract": ("Move", "Moves", "Report", "Seen", "Stop", "UserController"),
+    "base.exceptions": ("InputError", "SafetyHarnessError"),
+    "claims.formulas.claim": ("FormulaClaim",),
+    "claims.formulas.parse": ("parse_formula",),
+    "claims.properties.base": ("Evaluation", "Property"),
     "report.evidence": ("JudgedRun",),
     "report.html": ("write_report",),
     "scenario.model": ("Scenario", "Verdict"),
@@ -109,8 +109,8 @@ _HOMES = {
     "search.searchers": ("searcher_named",),
     "search.shrink": ("shrink",),
     "search.trials": ("Trials", "in_kinematic", "in_pybullet"),
-    "settings": ("DEFAULTS", "Settings"),
-    "simulation.worlds": ("KINEMATIC", "PYBULLET", "WORLDS", "WorldEntry"),
+    "base.settings": ("DEFAULTS", "Settings"),
+    "cell.simulation.worlds": ("KINEMATIC", "PYBULLET", "WORLDS", "WorldEntry"),
     "space.distributions": ("InBox", "InRegion", "InShell", "TruncatedNormal", "Uniform"),
     "space.read": ("parse_space", "read_space"),
     "space.space": ("ScenarioSpace",),

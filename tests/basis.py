@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from safety_harness.properties.tally import UNWATCHED
+from safety_harness.claims.properties.tally import UNWATCHED
 
 EXERCISED = re.compile(r"claims? exercised in (\d+ (of \d+ )?to )?\d+ of \d+ runs")
 

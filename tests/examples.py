@@ -8,18 +8,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.admission.admit import Admitted, admit
-from safety_harness.avoidance.asking import Answer
-from safety_harness.avoidance.avoider import Avoider, Proposal
-from safety_harness.avoidance.gate import Gate, Query
-from safety_harness.controller.controller import AvoidingServo, Controller
-from safety_harness.controller.records import COMMAND
-from safety_harness.robot.robots import arm_capsules, inverse_kinematics
+from safety_harness.base.settings import DEFAULTS, Settings
+from safety_harness.cell.avoidance.asking import Answer
+from safety_harness.cell.avoidance.avoider import Avoider, Proposal
+from safety_harness.cell.avoidance.gate import Gate, Query
+from safety_harness.cell.controller.controller import AvoidingServo, Controller
+from safety_harness.cell.controller.records import COMMAND
+from safety_harness.cell.robot.robots import arm_capsules, inverse_kinematics
+from safety_harness.cell.simulation.simulate import simulate
+from safety_harness.cell.simulation.worlds import PYBULLET
 from safety_harness.scenario.model import MovingHand, OffsetStart, Scenario
 from safety_harness.scenario.moves import HandMove, MoveTo, Wait, Withdraw
 from safety_harness.scenario.robots import Robot
-from safety_harness.settings import DEFAULTS, Settings
-from safety_harness.simulation.simulate import simulate
-from safety_harness.simulation.worlds import PYBULLET
 from safety_harness.trace.records import DECISION, Check
 from safety_harness.trace.trace import Trace
 

@@ -10,10 +10,10 @@ from pathlib import Path
 from safety_harness.admission.admit import admit
 from safety_harness.admission.avoiders import shipped_avoider
 from safety_harness.admission.trial import run_kinematic
-from safety_harness.avoidance.shipped import shipped_model
+from safety_harness.cell.avoidance.shipped import shipped_model
 from safety_harness.scenario.read import read_scenario
 from safety_harness.trace.store import save_trace
-from tests.campaign.plans import ledger_in, plan_in
+from tests.assurance.campaign.plans import ledger_in, plan_in
 
 SCENARIO = """\
 scenario: a short run

@@ -12,12 +12,12 @@ from pathlib import Path
 
 import pytest
 
-from safety_harness.campaign.ledger import Ledger
-from safety_harness.campaign.session import plan_of
-from safety_harness.cli.certify import certify
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, DIFFERS
 from safety_harness.cli.fuzz import fuzz
 from safety_harness.cli.scenario_commands import replay, run
+from safety_harness.extensions.assurance.campaign.ledger import Ledger
+from safety_harness.extensions.assurance.campaign.session import plan_of
+from safety_harness.extensions.assurance.commands.certify import certify
 from safety_harness.scenario.files import told
 from safety_harness.scenario.references import portable
 from safety_harness.trace.store import load_trace, save_trace

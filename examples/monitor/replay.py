@@ -14,8 +14,8 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from safety_harness.logs.model import Body, CellLog
-from safety_harness.logs.read import read_log
+from safety_harness.extensions.field.logs.model import Body, CellLog
+from safety_harness.extensions.field.logs.read import read_log
 
 
 def joints(log: CellLog) -> Iterator[tuple[int, str]]:

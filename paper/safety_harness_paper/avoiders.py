@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from safety_harness.avoidance.avoider import Avoider, Proposal, Vector
-from safety_harness.avoidance.candidates import continuous_optimum
-from safety_harness.avoidance.simple import NearestCandidate, OppositePose
-from safety_harness.settings import Settings
+from safety_harness.base.settings import Settings
+from safety_harness.cell.avoidance.avoider import Avoider, Proposal, Vector
+from safety_harness.cell.avoidance.candidates import continuous_optimum
+from safety_harness.cell.avoidance.simple import NearestCandidate, OppositePose
 from safety_harness_paper.networks import avoider_in
 from safety_harness_paper.work import Done
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from statistics import median
 
-from safety_harness.settings import DEFAULTS
+from safety_harness.base.settings import DEFAULTS
 from safety_harness_paper.avoiders import BAYESIAN, DNN
 from safety_harness_paper.intervals import median_of
 from safety_harness_paper.measurements import systems

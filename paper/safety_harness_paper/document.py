@@ -11,7 +11,7 @@ from enum import Enum
 from pathlib import Path
 from typing import Any
 
-from safety_harness.whole_file import write_whole
+from safety_harness.base.whole_file import write_whole
 from safety_harness_paper.choices import CHOICES
 from safety_harness_paper.result import FigureComparison, Result, estimate_words
 

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
-from safety_harness.avoidance.candidates import CandidateCap
-from safety_harness.learning.dataset import candidates_of, seen
-from safety_harness.learning.evaluation import leaf
-from safety_harness.learning.image_error import ImageErrors
-from safety_harness.settings import DEFAULTS, Settings
+from safety_harness.base.settings import DEFAULTS, Settings
+from safety_harness.cell.avoidance.candidates import CandidateCap
+from safety_harness.extensions.lab.learning.dataset import candidates_of, seen
+from safety_harness.extensions.lab.learning.evaluation import leaf
+from safety_harness.extensions.lab.learning.image_error import ImageErrors
 from safety_harness_paper.part import Found, Part
 from safety_harness_paper.result import (
     Panel,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from safety_harness.learning.metrics import NORMAL_95
+from safety_harness.extensions.lab.learning.metrics import NORMAL_95
 from safety_harness_paper.intervals import share_of
 from safety_harness_paper.measurements import AXES, main_evaluations
 from safety_harness_paper.part import Found, Part

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import stdtrit
 
-from safety_harness.proportions import LEVEL, Proportion, median_rank, sign_test
+from safety_harness.base.proportions import LEVEL, Proportion, median_rank, sign_test
 
 BOOTSTRAP_DRAWS = 4000
 _TAIL = (1.0 - LEVEL) / 2.0

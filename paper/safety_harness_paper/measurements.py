@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from safety_harness.settings import DEFAULTS
+from safety_harness.base.settings import DEFAULTS
 from safety_harness_paper.networks import deterministic, ensemble, full, full_long, inter
 from safety_harness_paper.part import Found
 from safety_harness_paper.predictions import SEEN

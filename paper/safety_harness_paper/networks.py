@@ -10,13 +10,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from safety_harness.avoidance.learned import LearnedAvoider
-from safety_harness.avoidance.model_file import Model, load_model, save_model
-from safety_harness.learning.dataset import CompactDataset, generate, seen
-from safety_harness.learning.recipes import Recipe
-from safety_harness.learning.samples import samples_for
-from safety_harness.learning.trained_model import calibrate, model_of, split_for
-from safety_harness.settings import DEFAULTS, Settings
+from safety_harness.base.settings import DEFAULTS, Settings
+from safety_harness.cell.avoidance.learned import LearnedAvoider
+from safety_harness.cell.avoidance.model_file import Model, load_model, save_model
+from safety_harness.extensions.lab.learning.dataset import CompactDataset, generate, seen
+from safety_harness.extensions.lab.learning.recipes import Recipe
+from safety_harness.extensions.lab.learning.samples import samples_for
+from safety_harness.extensions.lab.learning.trained_model import calibrate, model_of, split_for
 from safety_harness_paper.scale import Scale
 from safety_harness_paper.work import Done, Json, Task
 
@@ -94,7 +94,7 @@ def train_network(
     settings: Settings,
 ) -> Json:
     """Train, calibrate, save; goes on from a checkpoint in ``folder``."""
-    from safety_harness.learning.training import train  # brings PyTorch
+    from safety_harness.extensions.lab.learning.training import train  # brings PyTorch
 
     dataset = _data(settings, data_seed, tcps, hands)
     split = split_for(recipe, dataset)
@@ -132,7 +132,7 @@ def combine(folder: Path, *members: Done, data_seed: int, calibration_samples: i
         },
     )
     dataset = _data(DEFAULTS, data_seed, 10, 10)  # calibration draws its own from the same space
-    from safety_harness.learning.recipes import OURS_ENSEMBLE
+    from safety_harness.extensions.lab.learning.recipes import OURS_ENSEMBLE
 
     together = calibrate(together, OURS_ENSEMBLE, dataset, seed=data_seed, samples=calibration_samples)
     save_model(together, folder / MODEL)

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from safety_harness.settings import DEFAULTS
+from safety_harness.base.settings import DEFAULTS
 from safety_harness_paper.intervals import Paired, bootstrap_of
 from safety_harness_paper.networks import inter
 from safety_harness_paper.outlook import IMAGE, POSE, measurement

@@ -13,20 +13,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.avoidance.avoider import Proposal, Vector
-from safety_harness.avoidance.candidates import CandidateCap
-from safety_harness.controller.desired import desired_transform_tcp_to_base, view_of
-from safety_harness.controller.records import overhead_transform_sensor_to_base
-from safety_harness.geometry.regions import Region
-from safety_harness.geometry.rotations import rotation_from_vector
-from safety_harness.learning.dataset import seen
-from safety_harness.learning.evaluation import leaf
-from safety_harness.learning.image_error import ImageErrors
-from safety_harness.perception.moments import MOMENT_COUNT
-from safety_harness.servoing.features import feature_error, features
-from safety_harness.settings import Settings
-from safety_harness.simulation.cameras import sensors
-from safety_harness.simulation.exact_views import exact_object
+from safety_harness.base.geometry.regions import Region
+from safety_harness.base.geometry.rotations import rotation_from_vector
+from safety_harness.base.settings import Settings
+from safety_harness.cell.avoidance.avoider import Proposal, Vector
+from safety_harness.cell.avoidance.candidates import CandidateCap
+from safety_harness.cell.controller.desired import desired_transform_tcp_to_base, view_of
+from safety_harness.cell.controller.records import overhead_transform_sensor_to_base
+from safety_harness.cell.perception.moments import MOMENT_COUNT
+from safety_harness.cell.servoing.features import feature_error, features
+from safety_harness.cell.simulation.cameras import sensors
+from safety_harness.cell.simulation.exact_views import exact_object
+from safety_harness.extensions.lab.learning.dataset import seen
+from safety_harness.extensions.lab.learning.evaluation import leaf
+from safety_harness.extensions.lab.learning.image_error import ImageErrors
 from safety_harness.space.regions import paper_seen
 from safety_harness_paper.trials import run, starts_of
 from safety_harness_paper.work import Json, Task

@@ -7,13 +7,13 @@ from pathlib import Path
 
 from markupsafe import Markup
 
-from safety_harness.properties.tally import basis
+from safety_harness.base.whole_file import write_whole
+from safety_harness.cell.simulation.worlds import PYBULLET
+from safety_harness.claims.properties.tally import basis
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.page_parts import render_page
 from safety_harness.report.replay import Replays
 from safety_harness.report.words import with_minus
-from safety_harness.simulation.worlds import PYBULLET
-from safety_harness.whole_file import write_whole
 from safety_harness_paper.choices import CHOICES
 from safety_harness_paper.document import About, comparison_words
 from safety_harness_paper.plots import side_by_side, svg

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from safety_harness.exceptions import Place, SettingsError
+from safety_harness.base.exceptions import Place, SettingsError
 from safety_harness_paper.decision_times import PART as TIMING
 from safety_harness_paper.figure5 import PART as FIGURE5
 from safety_harness_paper.figure6 import PART as FIGURE6

@@ -11,11 +11,17 @@ from typing import Any
 
 import numpy as np
 
-from safety_harness.avoidance.learned import LearnedAvoider
-from safety_harness.avoidance.model_file import Dropout, Model
-from safety_harness.learning.evaluation import EvaluationSet, fresh_sets, leaf
-from safety_harness.learning.metrics import auroc, coverage, errors, largest_spread, picp_variants
-from safety_harness.settings import Settings
+from safety_harness.base.settings import Settings
+from safety_harness.cell.avoidance.learned import LearnedAvoider
+from safety_harness.cell.avoidance.model_file import Dropout, Model
+from safety_harness.extensions.lab.learning.evaluation import EvaluationSet, fresh_sets, leaf
+from safety_harness.extensions.lab.learning.metrics import (
+    auroc,
+    coverage,
+    errors,
+    largest_spread,
+    picp_variants,
+)
 from safety_harness_paper.networks import model_in
 from safety_harness_paper.work import Done, Json, Task
 

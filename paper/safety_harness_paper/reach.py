@@ -17,16 +17,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.avoidance.avoider import Avoider
-from safety_harness.avoidance.gate import Gate, Query
-from safety_harness.controller.desired import desired_transform_tcp_to_base
-from safety_harness.geometry.regions import Box, Region
-from safety_harness.learning.evaluation import leaf
-from safety_harness.learning.image_error import ImageErrors
-from safety_harness.robot.capsules import load_capsules
-from safety_harness.robot.description import load_arm
-from safety_harness.robot.inverse import InverseKinematics
-from safety_harness.settings import GateKind, Settings
+from safety_harness.base.geometry.regions import Box, Region
+from safety_harness.base.settings import GateKind, Settings
+from safety_harness.cell.avoidance.avoider import Avoider
+from safety_harness.cell.avoidance.gate import Gate, Query
+from safety_harness.cell.controller.desired import desired_transform_tcp_to_base
+from safety_harness.cell.robot.capsules import load_capsules
+from safety_harness.cell.robot.description import load_arm
+from safety_harness.cell.robot.inverse import InverseKinematics
+from safety_harness.extensions.lab.learning.evaluation import leaf
+from safety_harness.extensions.lab.learning.image_error import ImageErrors
 from safety_harness.space.regions import paper_seen
 from safety_harness.trace.records import Check, DecisionOutcome
 from safety_harness_paper.avoiders import with_networks

@@ -11,7 +11,10 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from safety_harness.admission.trial import judge
-from safety_harness.campaign.pool import one_thread_each
+from safety_harness.base.compiled import source_hash_of
+from safety_harness.base.distribution import installed_version
+from safety_harness.base.exceptions import InputError, ModelError, OutputError, Place, SettingsError
+from safety_harness.base.pool import one_thread_each
 from safety_harness.cli.console import (
     AS_EXPECTED,
     BAD_INPUT,
@@ -23,9 +26,6 @@ from safety_harness.cli.console import (
     say,
 )
 from safety_harness.cli.progress import paced_lines
-from safety_harness.compiled import source_hash_of
-from safety_harness.distribution import installed_version
-from safety_harness.exceptions import InputError, ModelError, OutputError, Place, SettingsError
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.words import count_words
 from safety_harness.scenario.files import told

@@ -12,16 +12,16 @@ from numpy.typing import NDArray
 from safety_harness.admission.admit import admit
 from safety_harness.admission.spaces import draw_admissible
 from safety_harness.admission.trial import run_trial
-from safety_harness.avoidance.avoider import Avoider
-from safety_harness.avoidance.learned import LearnedAvoider
-from safety_harness.avoidance.simple import OppositePose
-from safety_harness.learning.dataset import seen
-from safety_harness.learning.evaluation import leaf
-from safety_harness.properties.base import Property
-from safety_harness.properties.hand_distance import HandDistance
-from safety_harness.properties.protective_separation import ProtectiveSeparation
+from safety_harness.base.settings import GateKind, Settings
+from safety_harness.cell.avoidance.avoider import Avoider
+from safety_harness.cell.avoidance.learned import LearnedAvoider
+from safety_harness.cell.avoidance.simple import OppositePose
+from safety_harness.claims.properties.base import Property
+from safety_harness.claims.properties.hand_distance import HandDistance
+from safety_harness.claims.properties.protective_separation import ProtectiveSeparation
+from safety_harness.extensions.lab.learning.dataset import seen
+from safety_harness.extensions.lab.learning.evaluation import leaf
 from safety_harness.scenario.model import Claim, Verdict
-from safety_harness.settings import GateKind, Settings
 from safety_harness.space.read import parse_space
 from safety_harness.space.space import ScenarioSpace
 from safety_harness.trace.store import save_trace

@@ -1,7 +1,7 @@
 """How much is trained and tried: three scales, and where their numbers come from.
 
 The *default* is cut to two cores and 90 minutes; its training recipe is the package's own
-(``learning.recipes``: 20 epochs, step 0.002 falling to zero, batches of 2,000, normalised variables, split by
+(``extensions.lab.learning.recipes``: 20 epochs, step 0.002 falling to zero, batches of 2,000, normalised variables, split by
 TCP), with 200,000 in place of 300,000 samples an epoch.  The *paper*'s takes the paper's recipes as they
 stand (4,000,000 samples, 200 epochs, 1,200 for DO-full, raw millimetres, split by sample): days.  *quick*
 exists to see that everything runs; nothing follows from its numbers.  No number here was chosen by what the
@@ -12,8 +12,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from safety_harness.exceptions import Place, SettingsError
-from safety_harness.learning.recipes import (
+from safety_harness.base.exceptions import Place, SettingsError
+from safety_harness.extensions.lab.learning.recipes import (
     OURS_DETERMINISTIC,
     OURS_MC_DROPOUT,
     OURS_MC_DROPOUT_FULL,

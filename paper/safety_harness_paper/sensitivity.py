@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from safety_harness.avoidance.learned import LearnedAvoider
-from safety_harness.learning.dataset import space_named
-from safety_harness.learning.evaluation import leaf
-from safety_harness.learning.recipes import Recipe
-from safety_harness.settings import Settings
+from safety_harness.base.settings import Settings
+from safety_harness.cell.avoidance.learned import LearnedAvoider
+from safety_harness.extensions.lab.learning.dataset import space_named
+from safety_harness.extensions.lab.learning.evaluation import leaf
+from safety_harness.extensions.lab.learning.recipes import Recipe
 from safety_harness_paper.avoiders import BAYESIAN, OPPOSITE, with_networks
 from safety_harness_paper.intervals import differences, mean_of
 from safety_harness_paper.networks import training

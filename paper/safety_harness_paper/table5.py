@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.settings import DEFAULTS
+from safety_harness.base.settings import DEFAULTS
 from safety_harness_paper.avoiders import BAYESIAN, OPPOSITE
 from safety_harness_paper.intervals import Estimate, bootstrap_of, mean_of
 from safety_harness_paper.measurements import all_trials, in_seeds

@@ -14,12 +14,12 @@ from typing import Any
 import numpy as np
 
 from safety_harness.admission.admit import admit
-from safety_harness.avoidance.candidates import CandidateCap
-from safety_harness.avoidance.simple import OppositePose
-from safety_harness.learning.image_error import ImageErrors
+from safety_harness.base.settings import ImageSource, Settings
+from safety_harness.cell.avoidance.candidates import CandidateCap
+from safety_harness.cell.avoidance.simple import OppositePose
+from safety_harness.cell.simulation.pybullet_world import PyBulletWorld
+from safety_harness.extensions.lab.learning.image_error import ImageErrors
 from safety_harness.scenario.model import OffsetStart, Scenario
-from safety_harness.settings import ImageSource, Settings
-from safety_harness.simulation.pybullet_world import PyBulletWorld
 from safety_harness_paper.avoiders import BAYESIAN, DNN, ENSEMBLE
 from safety_harness_paper.networks import avoider_in
 from safety_harness_paper.work import Done, Json, Task

@@ -19,10 +19,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.admission.admit import Admitted, admit
-from safety_harness.avoidance.avoider import Avoider
-from safety_harness.avoidance.gate import Gate, Query
-from safety_harness.avoidance.simple import OppositePose
-from safety_harness.controller.records import (
+from safety_harness.base.exceptions import InadmissibleError
+from safety_harness.base.geometry.regions import Region
+from safety_harness.base.settings import GateKind, Settings, Vector3
+from safety_harness.cell.avoidance.avoider import Avoider
+from safety_harness.cell.avoidance.gate import Gate, Query
+from safety_harness.cell.avoidance.simple import OppositePose
+from safety_harness.cell.controller.records import (
     ANSWER,
     COMMAND,
     AnswerRecords,
@@ -35,16 +38,13 @@ from safety_harness.controller.records import (
     initial_state,
     parameters,
 )
-from safety_harness.controller.stack import begin_tick, finish_tick
-from safety_harness.exceptions import InadmissibleError
-from safety_harness.geometry.regions import Region
-from safety_harness.learning.evaluation import leaf
-from safety_harness.perception.hand_filter import filter_parameters
-from safety_harness.perception.tracking import no_tracks
-from safety_harness.robot.robots import arm_capsules, inverse_kinematics
+from safety_harness.cell.controller.stack import begin_tick, finish_tick
+from safety_harness.cell.perception.hand_filter import filter_parameters
+from safety_harness.cell.perception.tracking import no_tracks
+from safety_harness.cell.robot.robots import arm_capsules, inverse_kinematics
+from safety_harness.cell.simulation.pybullet_world import PyBulletWorld
+from safety_harness.extensions.lab.learning.evaluation import leaf
 from safety_harness.scenario.model import PoseStart, Scenario
-from safety_harness.settings import GateKind, Settings, Vector3
-from safety_harness.simulation.pybullet_world import PyBulletWorld
 from safety_harness.space.regions import paper_seen, region_named
 from safety_harness.trace.records import Mode
 from safety_harness_paper.avoiders import NONE, with_networks

@@ -17,13 +17,13 @@ from numpy.typing import NDArray
 
 from safety_harness.admission.admit import Admitted, admit
 from safety_harness.admission.spaces import draw_admissible
-from safety_harness.controller.around import ControllerWrapper
-from safety_harness.controller.controller import Controller
-from safety_harness.learning.evaluation import leaf
-from safety_harness.properties.hand_distance import HandDistance
-from safety_harness.settings import Settings
-from safety_harness.simulation.pybullet_world import PyBulletWorld
-from safety_harness.simulation.simulate import simulate
+from safety_harness.base.settings import Settings
+from safety_harness.cell.controller.around import ControllerWrapper
+from safety_harness.cell.controller.controller import Controller
+from safety_harness.cell.simulation.pybullet_world import PyBulletWorld
+from safety_harness.cell.simulation.simulate import simulate
+from safety_harness.claims.properties.hand_distance import HandDistance
+from safety_harness.extensions.lab.learning.evaluation import leaf
 from safety_harness.space.read import parse_space
 from safety_harness.trace.records import Mode
 from safety_harness.trace.trace import Trace

@@ -6,9 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from math import pi, sqrt
 
-from safety_harness.avoidance.model_file import Dropout
-from safety_harness.learning.recipes import Recipe
-from safety_harness.settings import DEFAULTS, Settings
+from safety_harness.base.settings import DEFAULTS, Settings
+from safety_harness.cell.avoidance.model_file import Dropout
+from safety_harness.extensions.lab.learning.recipes import Recipe
 
 LITERAL_EQ12 = 0.122  # p^l / (2 N tau) at N = 4,000,000, with l read as an exponent
 

@@ -22,10 +22,10 @@ from functools import cached_property, lru_cache, partial
 from pathlib import Path
 from typing import Any
 
-from safety_harness.campaign.pool import pool
-from safety_harness.compiled import sources_of
-from safety_harness.exceptions import InputError, OutputError
-from safety_harness.whole_file import write_whole
+from safety_harness.base.compiled import sources_of
+from safety_harness.base.exceptions import InputError, OutputError
+from safety_harness.base.pool import pool
+from safety_harness.base.whole_file import write_whole
 
 RESULT = "result.json"
 HEARTBEAT_S = 60.0  # of a step that takes long

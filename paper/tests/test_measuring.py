@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from safety_harness.avoidance.avoider import Proposal, Vector
-from safety_harness.avoidance.candidates import CandidateCap
-from safety_harness.avoidance.shipped import shipped_model
-from safety_harness.controller.desired import reachable
-from safety_harness.robot.description import load_arm
-from safety_harness.robot.inverse import InverseKinematics
-from safety_harness.settings import DEFAULTS
+from safety_harness.base.settings import DEFAULTS
+from safety_harness.cell.avoidance.avoider import Proposal, Vector
+from safety_harness.cell.avoidance.candidates import CandidateCap
+from safety_harness.cell.avoidance.shipped import shipped_model
+from safety_harness.cell.controller.desired import reachable
+from safety_harness.cell.robot.description import load_arm
+from safety_harness.cell.robot.inverse import InverseKinematics
 from safety_harness.space.read import read_space
 from safety_harness.space.regions import paper_seen
 from safety_harness_paper.avoiders import ExactOptimum, without_networks

@@ -7,9 +7,9 @@ from dataclasses import asdict
 import made_up
 import pytest
 
-from safety_harness.avoidance.model_file import Dropout
-from safety_harness.exceptions import SettingsError
-from safety_harness.settings import DEFAULTS
+from safety_harness.base.exceptions import SettingsError
+from safety_harness.base.settings import DEFAULTS
+from safety_harness.cell.avoidance.model_file import Dropout
 from safety_harness_paper.avoiders import BAYESIAN, OPPOSITE
 from safety_harness_paper.plan import PARTS, measuring_order, parts_named
 from safety_harness_paper.predictions import SEEN, TCP

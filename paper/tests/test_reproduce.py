@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
+from safety_harness.base.exceptions import ModelError
 from safety_harness.cli import main
 from safety_harness.cli.main import app
-from safety_harness.exceptions import ModelError
 from safety_harness_paper import reproduce as command
 from safety_harness_paper.plan import PARTS
 from safety_harness_paper.reproduce import DATA, PAGE, WORK, reproduce

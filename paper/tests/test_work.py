@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from safety_harness.exceptions import OutputError
+from safety_harness.base.exceptions import OutputError
 from safety_harness_paper.work import RESULT, Done, Task, Workshop, in_order
 
 CALLS: list[str] = []

@@ -44,26 +44,32 @@ from safety_harness.admission.poses import (
     check_stuck_joints,
     checked_start,
 )
-from safety_harness.avoidance.asking import Question, ask
-from safety_harness.avoidance.avoider import Avoider, decision_time_of, shown_to
-from safety_harness.avoidance.gate import Gate
-from safety_harness.controller.contract import UserController
-from safety_harness.controller.controller import AvoidingServo
-from safety_harness.controller.decision_times import decision_times_s, recorded_late, recorded_times_s
-from safety_harness.controller.driven import DrivenController
-from safety_harness.controller.shield import Guard, guard_of
-from safety_harness.exceptions import InadmissibleError, NoAnswerError, SettingsError, refuse_other_type
-from safety_harness.properties.base import Property
-from safety_harness.robot.description import ArmModel
-from safety_harness.robot.robots import arm_capsules, arm_model, drive_model, inverse_kinematics, refuse_unfit
-from safety_harness.robot.urdf import ArmFileError
+from safety_harness.base.exceptions import InadmissibleError, NoAnswerError, SettingsError, refuse_other_type
+from safety_harness.base.seeds import Branch, seed
+from safety_harness.base.settings import DecisionCost, Settings, Vector3
+from safety_harness.cell.avoidance.asking import Question, ask
+from safety_harness.cell.avoidance.avoider import Avoider, decision_time_of, shown_to
+from safety_harness.cell.avoidance.gate import Gate
+from safety_harness.cell.controller.controller import AvoidingServo
+from safety_harness.cell.controller.decision_times import decision_times_s, recorded_late, recorded_times_s
+from safety_harness.cell.controller.driven import DrivenController
+from safety_harness.cell.controller.shield import Guard, guard_of
+from safety_harness.cell.robot.description import ArmModel
+from safety_harness.cell.robot.robots import (
+    arm_capsules,
+    arm_model,
+    drive_model,
+    inverse_kinematics,
+    refuse_unfit,
+)
+from safety_harness.cell.robot.urdf import ArmFileError
+from safety_harness.cell.servoing.control import DesiredView
+from safety_harness.cell.simulation.truth import cell_capsules
+from safety_harness.claims.properties.base import Property
 from safety_harness.scenario.fault_table import fault_table
 from safety_harness.scenario.model import NO_AVOIDER, Scenario
 from safety_harness.scenario.robots import AnyRobot
-from safety_harness.seeds import Branch, seed
-from safety_harness.servoing.control import DesiredView
-from safety_harness.settings import DecisionCost, Settings, Vector3
-from safety_harness.simulation.truth import cell_capsules
+from safety_harness.seams.contract import UserController
 from safety_harness.space.regions import SeenRegions, seen_by
 from safety_harness.trace.trace import Trace
 

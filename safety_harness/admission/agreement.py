@@ -11,7 +11,7 @@ from dataclasses import asdict, dataclass
 from functools import lru_cache
 from pathlib import Path
 
-from safety_harness.compiled import PACKAGE, source_hash_of
+from safety_harness.base.compiled import PACKAGE, source_hash_of
 from safety_harness.scenario.typed_json import of_format, parsed, typed
 
 AGREEMENT_FILE = Path(__file__).with_name("agreement.json")

@@ -18,13 +18,15 @@ from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from safety_harness.avoidance.avoider import Avoider
-from safety_harness.avoidance.isolation.isolated import isolated_avoider, isolated_onnx
-from safety_harness.avoidance.model_file import LARGEST_BYTES, refuse_foreign_cell
-from safety_harness.avoidance.python_file import refuse_undefined
-from safety_harness.avoidance.shipped import SHIPPED, shipped_model
-from safety_harness.avoidance.simple import NearestCandidate, OppositePose
-from safety_harness.exceptions import InadmissibleError, Place, near_miss, refuse_other_type
+from safety_harness.base.exceptions import InadmissibleError, Place, near_miss, refuse_other_type
+from safety_harness.base.settings import DEFAULTS, Settings
+from safety_harness.base.shipped.contents import is_shipped, located
+from safety_harness.cell.avoidance.avoider import Avoider
+from safety_harness.cell.avoidance.isolation.isolated import isolated_avoider, isolated_onnx
+from safety_harness.cell.avoidance.model_file import LARGEST_BYTES, refuse_foreign_cell
+from safety_harness.cell.avoidance.python_file import refuse_undefined
+from safety_harness.cell.avoidance.shipped import SHIPPED, shipped_model
+from safety_harness.cell.avoidance.simple import NearestCandidate, OppositePose
 from safety_harness.scenario.fields import SENTENCE, is_sentence
 from safety_harness.scenario.files import resolved, told
 from safety_harness.scenario.kinds import avoider_in, command_for, kind_of
@@ -46,12 +48,10 @@ from safety_harness.scenario.references import (
     names_onnx,
 )
 from safety_harness.scenario.robots import OwnRobot
-from safety_harness.settings import DEFAULTS, Settings
-from safety_harness.shipped.contents import is_shipped, located
 from safety_harness.space.regions import exported_use
 
 if TYPE_CHECKING:
-    from safety_harness.avoidance.learned import LearnedAvoider
+    from safety_harness.cell.avoidance.learned import LearnedAvoider
 
 
 OPPOSITE, NEAREST = "opposite pose", "nearest candidate"
@@ -199,7 +199,7 @@ def reference_for(tested: str | None, reference: str | None) -> str | None:
 
     It is a ``Driver`` by its name, or if it is a program, or beside another if no avoider has its name.
     """
-    from safety_harness.controller.named import NAMES as CONTROLLERS  # loads what few commands need
+    from safety_harness.cell.controller.named import NAMES as CONTROLLERS  # loads what few commands need
 
     driver = reference in CONTROLLERS or names_a_program(reference or "")
     driver |= isinstance(tested, Driver) and reference not in NAMES
@@ -366,8 +366,8 @@ def _from_model_file(path: Path, settings: Settings) -> Avoider:
 
 @lru_cache(maxsize=4)  # a folder of scenarios names the same one or two over and over
 def _learned(path: Path, sha256: str) -> LearnedAvoider:
-    from safety_harness.avoidance.learned import LearnedAvoider
-    from safety_harness.avoidance.model_file import load_model
+    from safety_harness.cell.avoidance.learned import LearnedAvoider
+    from safety_harness.cell.avoidance.model_file import load_model
 
     return LearnedAvoider.of(load_model(path))
 

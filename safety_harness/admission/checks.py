@@ -7,19 +7,10 @@ import shlex
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.avoidance.avoider import Avoider, decision_time_of
-from safety_harness.controller.desired import view_of
-from safety_harness.controller.records import overhead_transform_sensor_to_base
-from safety_harness.exceptions import AvoiderError, InadmissibleError
-from safety_harness.geometry.segments import segment_segment_distance
-from safety_harness.geometry.transforms import inverse_transform
-from safety_harness.robot.drive import delay_ticks, settled_s
-from safety_harness.robot.robots import drive_model
-from safety_harness.scenario.fault_table import fault_table
-from safety_harness.scenario.faults import CameraHidden, CameraLate, FalseHand, HandSensorLate
-from safety_harness.scenario.model import Scenario
-from safety_harness.servoing.control import DesiredView
-from safety_harness.settings import (
+from safety_harness.base.exceptions import AvoiderError, InadmissibleError
+from safety_harness.base.geometry.segments import segment_segment_distance
+from safety_harness.base.geometry.transforms import inverse_transform
+from safety_harness.base.settings import (
     DecisionTimes,
     DetectorKind,
     GateKind,
@@ -28,8 +19,17 @@ from safety_harness.settings import (
     ImageSource,
     ObjectKind,
 )
-from safety_harness.simulation.cameras import RING, sensors
-from safety_harness.simulation.exact_views import hand_box
+from safety_harness.cell.avoidance.avoider import Avoider, decision_time_of
+from safety_harness.cell.controller.desired import view_of
+from safety_harness.cell.controller.records import overhead_transform_sensor_to_base
+from safety_harness.cell.robot.drive import delay_ticks, settled_s
+from safety_harness.cell.robot.robots import drive_model
+from safety_harness.cell.servoing.control import DesiredView
+from safety_harness.cell.simulation.cameras import RING, sensors
+from safety_harness.cell.simulation.exact_views import hand_box
+from safety_harness.scenario.fault_table import fault_table
+from safety_harness.scenario.faults import CameraHidden, CameraLate, FalseHand, HandSensorLate
+from safety_harness.scenario.model import Scenario
 
 TOUCHING_M = 1e-6
 # Triangles beyond it servo to 5 mm in raster images from at most two of eight starts, below 500 from

@@ -6,16 +6,16 @@ import re
 from dataclasses import replace
 from functools import lru_cache
 
-from safety_harness.exceptions import FormulaError, InadmissibleError, Place, near_miss
-from safety_harness.formulas.claim import FormulaClaim
-from safety_harness.formulas.formula import Always, Comparison, Relation, parts_of
-from safety_harness.formulas.parse import ALL_CLAIMS, looks_like_formula, parse_formula
-from safety_harness.formulas.signals import nearest_hand_to_tcp, predicted_hand_distance
-from safety_harness.properties.base import SI_UNITS, Property
-from safety_harness.properties.catalogue import CATALOGUE
-from safety_harness.properties.entry import CatalogueEntry
-from safety_harness.properties.protective_separation import ProtectiveSeparation
-from safety_harness.properties.separation import WALKING_MPS
+from safety_harness.base.exceptions import FormulaError, InadmissibleError, Place, near_miss
+from safety_harness.claims.formulas.claim import FormulaClaim
+from safety_harness.claims.formulas.formula import Always, Comparison, Relation, parts_of
+from safety_harness.claims.formulas.parse import ALL_CLAIMS, looks_like_formula, parse_formula
+from safety_harness.claims.formulas.signals import nearest_hand_to_tcp, predicted_hand_distance
+from safety_harness.claims.properties.base import SI_UNITS, Property
+from safety_harness.claims.properties.catalogue import CATALOGUE
+from safety_harness.claims.properties.entry import CatalogueEntry
+from safety_harness.claims.properties.protective_separation import ProtectiveSeparation
+from safety_harness.claims.properties.separation import WALKING_MPS
 from safety_harness.scenario.model import BY_AT_MOST, EDITION, Claim, Scenario
 
 

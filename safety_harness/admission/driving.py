@@ -10,8 +10,16 @@ from typing import Any
 import numpy as np
 
 from safety_harness.admission.avoiders import avoider_sha256, folder_of
-from safety_harness.avoidance.avoider import Avoider, Proposal, Vector
-from safety_harness.controller.contract import (
+from safety_harness.base.exceptions import AvoiderError, ControllerError, InadmissibleError, Place
+from safety_harness.base.settings import ImageSource
+from safety_harness.cell.avoidance.avoider import Avoider, Proposal, Vector
+from safety_harness.cell.controller.named import controller_of, controller_sha256, refuse_unusable_controller
+from safety_harness.cell.controller.python_file import checked_controller
+from safety_harness.cell.robot.robots import urdf_sha256_of
+from safety_harness.scenario.faults import AvoiderLate, AvoiderNaN, AvoiderSilent
+from safety_harness.scenario.model import NO_AVOIDER, Scenario
+from safety_harness.scenario.references import file_and_name, names_onnx
+from safety_harness.seams.contract import (
     DECISIONS,
     IMAGE,
     OBJECT,
@@ -20,14 +28,6 @@ from safety_harness.controller.contract import (
     reports_of,
     sees_of,
 )
-from safety_harness.controller.named import controller_of, controller_sha256, refuse_unusable_controller
-from safety_harness.controller.python_file import checked_controller
-from safety_harness.exceptions import AvoiderError, ControllerError, InadmissibleError, Place
-from safety_harness.robot.robots import urdf_sha256_of
-from safety_harness.scenario.faults import AvoiderLate, AvoiderNaN, AvoiderSilent
-from safety_harness.scenario.model import NO_AVOIDER, Scenario
-from safety_harness.scenario.references import file_and_name, names_onnx
-from safety_harness.settings import ImageSource
 from safety_harness.trace.records import TRACKS_PER_HAND
 from safety_harness.trace.system import Component, SystemUnderTest, system_of
 

@@ -5,16 +5,16 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.exceptions import InadmissibleError
-from safety_harness.geometry.arrays import ArrayN
-from safety_harness.robot.description import ArmModel
-from safety_harness.robot.distance import hand_distance, place_capsules
-from safety_harness.robot.kinematics import links_in_base
-from safety_harness.robot.robots import arm_capsules
+from safety_harness.base.exceptions import InadmissibleError
+from safety_harness.base.geometry.arrays import ArrayN
+from safety_harness.cell.robot.description import ArmModel
+from safety_harness.cell.robot.distance import hand_distance, place_capsules
+from safety_harness.cell.robot.kinematics import links_in_base
+from safety_harness.cell.robot.robots import arm_capsules
+from safety_harness.cell.simulation.hand_programs import hands_at_start
+from safety_harness.cell.simulation.truth import cell_capsules
 from safety_harness.scenario.model import JoinedHand, MovingHand, RecordedHand, Scenario
 from safety_harness.scenario.moves import MoveTo, Sweep, Wait, Wander
-from safety_harness.simulation.hand_programs import hands_at_start
-from safety_harness.simulation.truth import cell_capsules
 
 
 def check_hands(scenario: Scenario, arm: ArmModel, joint_position_rad: ArrayN) -> None:

@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 
 from safety_harness.admission.admit import FIRST_ANSWER_S, answers_at_first, first_question
 from safety_harness.admission.avoiders import avoider_sha256, resolve_avoider, scenario_of_avoider
-from safety_harness.avoidance.asking import Question, ask
-from safety_harness.avoidance.avoider import Avoider
-from safety_harness.exceptions import InadmissibleError, NoAnswerError, Place
+from safety_harness.base.exceptions import InadmissibleError, NoAnswerError, Place
+from safety_harness.base.seeds import Branch, generator
+from safety_harness.base.settings import DEFAULTS, DecisionTimes, Measured
+from safety_harness.cell.avoidance.asking import Question, ask
+from safety_harness.cell.avoidance.avoider import Avoider
 from safety_harness.scenario.fields import is_sentence
 from safety_harness.scenario.references import file_and_name
-from safety_harness.seeds import Branch, generator
-from safety_harness.settings import DEFAULTS, DecisionTimes, Measured
 
 QUANTILES = 101  # from the quickest answer to the slowest
 AROUND_M = 0.15  # the nominal hand and the desired TCP, on each axis

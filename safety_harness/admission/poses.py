@@ -5,23 +5,23 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.controller.desired import DOWN, desired_transform_tcp_to_base
-from safety_harness.exceptions import InadmissibleError
-from safety_harness.geometry.arrays import ArrayN
-from safety_harness.geometry.rotations import rotation_from_vector
-from safety_harness.perception.moments import MOMENT_COUNT
-from safety_harness.robot.description import ArmModel
-from safety_harness.robot.dynamics import holding_torques
-from safety_harness.robot.kinematics import geometric_jacobian, links_in_base, smallest_singular_value
-from safety_harness.robot.obstacles import box_records, distance_from
-from safety_harness.robot.robots import arm_capsules, drive_model, inverse_kinematics
+from safety_harness.base.exceptions import InadmissibleError
+from safety_harness.base.geometry.arrays import ArrayN
+from safety_harness.base.geometry.rotations import rotation_from_vector
+from safety_harness.base.settings import DEFAULTS, Settings
+from safety_harness.cell.controller.desired import DOWN, desired_transform_tcp_to_base
+from safety_harness.cell.perception.moments import MOMENT_COUNT
+from safety_harness.cell.robot.description import ArmModel
+from safety_harness.cell.robot.dynamics import holding_torques
+from safety_harness.cell.robot.kinematics import geometric_jacobian, links_in_base, smallest_singular_value
+from safety_harness.cell.robot.obstacles import box_records, distance_from
+from safety_harness.cell.robot.robots import arm_capsules, drive_model, inverse_kinematics
+from safety_harness.cell.simulation.cameras import SensorRecords, camera_state, object_polygon_in_base
+from safety_harness.cell.simulation.exact_views import exact_object
+from safety_harness.cell.simulation.truth import cell_capsules
 from safety_harness.scenario.faults import Joint, JointStuck
 from safety_harness.scenario.model import JointStart, PoseStart, Scenario
 from safety_harness.scenario.robots import OwnRobot
-from safety_harness.settings import DEFAULTS, Settings
-from safety_harness.simulation.cameras import SensorRecords, camera_state, object_polygon_in_base
-from safety_harness.simulation.exact_views import exact_object
-from safety_harness.simulation.truth import cell_capsules
 
 START, DESIRED = "tcp start", "settings.cell.desired tcp position"
 POSTURE = "settings.cell.preferred joint position"

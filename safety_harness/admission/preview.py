@@ -11,15 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.admission.admit import Checked
-from safety_harness.controller.desired import desired_transform_tcp_to_base
-from safety_harness.geometry.arrays import Array3, Array4x4
-from safety_harness.geometry.transforms import inverse_transform
-from safety_harness.perception.camera import principal_point_px, transform_camera_to_tcp
-from safety_harness.robot.kinematics import links_in_base
+from safety_harness.base.geometry.arrays import Array3, Array4x4
+from safety_harness.base.geometry.transforms import inverse_transform
+from safety_harness.cell.controller.desired import desired_transform_tcp_to_base
+from safety_harness.cell.perception.camera import principal_point_px, transform_camera_to_tcp
+from safety_harness.cell.robot.kinematics import links_in_base
+from safety_harness.cell.simulation.cameras import object_polygon_in_base
+from safety_harness.cell.simulation.hand_motion import advance_hands
+from safety_harness.cell.simulation.hand_programs import hands_at_start
 from safety_harness.scenario.model import Scenario
-from safety_harness.simulation.cameras import object_polygon_in_base
-from safety_harness.simulation.hand_motion import advance_hands
-from safety_harness.simulation.hand_programs import hands_at_start
 
 Floats = NDArray[np.float64]
 STEP_S = 0.02

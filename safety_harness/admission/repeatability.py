@@ -20,7 +20,8 @@ import numpy as np
 from safety_harness.admission.admit import Admitter, first_question
 from safety_harness.admission.avoiders import Avoiders, is_a_program
 from safety_harness.admission.trial import run_trial
-from safety_harness.avoidance.asking import (
+from safety_harness.base.exceptions import InputError, NoAnswerError, SimulationError, printable
+from safety_harness.cell.avoidance.asking import (
     Answer,
     OutOfProcessAvoider,
     Question,
@@ -28,12 +29,11 @@ from safety_harness.avoidance.asking import (
     ask,
     takes_many,
 )
-from safety_harness.avoidance.avoider import Avoider, shown_to
-from safety_harness.avoidance.flaky import Asked, asked_in, difference
-from safety_harness.avoidance.isolation.host import processes_apart
-from safety_harness.exceptions import InputError, NoAnswerError, SimulationError, printable
+from safety_harness.cell.avoidance.avoider import Avoider, shown_to
+from safety_harness.cell.avoidance.flaky import Asked, asked_in, difference
+from safety_harness.cell.avoidance.isolation.host import processes_apart
+from safety_harness.cell.simulation.worlds import world_of_trace
 from safety_harness.scenario.model import Scenario
-from safety_harness.simulation.worlds import world_of_trace
 from safety_harness.trace.trace import Trace
 
 SHARE = 0.02  # of the time that a command took, beside the start of the process

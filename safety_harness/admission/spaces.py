@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.admission.admit import Admitted, Admitter, Looker, admit
-from safety_harness.avoidance.avoider import Avoider
-from safety_harness.exceptions import InadmissibleError, InputError, ModelError, refuse_other_type
+from safety_harness.base.exceptions import InadmissibleError, InputError, ModelError, refuse_other_type
+from safety_harness.cell.avoidance.avoider import Avoider
 from safety_harness.scenario.model import Scenario
 from safety_harness.space.space import ScenarioSpace
 

@@ -13,7 +13,7 @@ from typing import TypeVar
 
 from safety_harness.admission.admit import check
 from safety_harness.admission.avoiders import refuse_same, told_avoider, with_avoider
-from safety_harness.exceptions import InadmissibleError, InputError, Place
+from safety_harness.base.exceptions import InadmissibleError, InputError, Place
 from safety_harness.scenario.model import Scenario
 from safety_harness.scenario.write import write_scenario
 

@@ -11,21 +11,26 @@ from typing import cast
 
 from safety_harness.admission.admit import Admitted
 from safety_harness.admission.claims import property_of
-from safety_harness.avoidance.asking import OutOfProcessAvoider, takes_many
-from safety_harness.avoidance.avoider import Avoider, shown_to
-from safety_harness.controller.controller import Controller
-from safety_harness.exceptions import ControllerError, InadmissibleError, InstallationError, refuse_other_type
-from safety_harness.perception.detector import BoundingBoxDetector
-from safety_harness.properties.base import Evaluations
-from safety_harness.properties.true_motion import refuse_contradictions
+from safety_harness.base.exceptions import (
+    ControllerError,
+    InadmissibleError,
+    InstallationError,
+    refuse_other_type,
+)
+from safety_harness.cell.avoidance.asking import OutOfProcessAvoider, takes_many
+from safety_harness.cell.avoidance.avoider import Avoider, shown_to
+from safety_harness.cell.controller.controller import Controller
+from safety_harness.cell.perception.detector import BoundingBoxDetector
+from safety_harness.cell.simulation.kinematic_world import KinematicWorld
+from safety_harness.cell.simulation.simulate import Episode, simulate, simulate_driven, simulate_many
+from safety_harness.cell.simulation.world import BatchWorld
+from safety_harness.cell.simulation.worlds import KINEMATIC, REFERENCE, WorldEntry
+from safety_harness.claims.properties.base import Evaluations
+from safety_harness.claims.properties.true_motion import refuse_contradictions
 from safety_harness.scenario.decision_times import refuse_wall_clock
-from safety_harness.simulation.kinematic_world import KinematicWorld
-from safety_harness.simulation.simulate import Episode, simulate, simulate_driven, simulate_many
-from safety_harness.simulation.world import BatchWorld
-from safety_harness.simulation.worlds import KINEMATIC, REFERENCE, WorldEntry
 from safety_harness.trace.trace import Trace
 
-LOGGER = logging.getLogger("safety_harness.controller")
+LOGGER = logging.getLogger("safety_harness.cell.controller")
 MOST_LANES = 64  # of a user's controller
 TICKS_AT_ONCE = 32_768  # of all episodes under way together: some 24 MB of trace
 

@@ -10,9 +10,10 @@ from pathlib import Path
 from safety_harness.admission.admit import Admitted, Admitter
 from safety_harness.admission.avoiders import is_a_program, option_of, with_avoider
 from safety_harness.admission.trial import judge
-from safety_harness.attribution.attribute import Attribution, AttributionAnswer, attribute, confirmed
-from safety_harness.attribution.shielding import attribute_shield
-from safety_harness.attribution.tally import AttributionTally
+from safety_harness.base.exceptions import InputError, Place, ScenarioError, TraceError, described
+from safety_harness.base.shipped.contents import located
+from safety_harness.base.whole_file import write_text
+from safety_harness.cell.simulation.worlds import PYBULLET
 from safety_harness.cli.console import (
     AS_EXPECTED,
     BAD_INPUT,
@@ -25,7 +26,6 @@ from safety_harness.cli.console import (
     usable,
 )
 from safety_harness.cli.progress import counting
-from safety_harness.exceptions import InputError, Place, ScenarioError, TraceError, described
 from safety_harness.report.attribution_picture import draw_attributions
 from safety_harness.report.page_parts import asset
 from safety_harness.report.search_attribution import confirming_line
@@ -34,11 +34,11 @@ from safety_harness.report.svg import standalone
 from safety_harness.scenario.expand import gather
 from safety_harness.scenario.kinds import FileKind, command_for, kind_of
 from safety_harness.scenario.model import Claim, Scenario, Verdict
-from safety_harness.shipped.contents import located
-from safety_harness.simulation.worlds import PYBULLET
+from safety_harness.search.attribution.attribute import Attribution, AttributionAnswer, attribute, confirmed
+from safety_harness.search.attribution.shielding import attribute_shield
+from safety_harness.search.attribution.tally import AttributionTally
 from safety_harness.trace.store import load_trace
 from safety_harness.trace.unmeasured import refuse_not_simulated
-from safety_harness.whole_file import write_text
 
 DATA, PICTURE = "attribution.json", "attribution.svg"
 TRACE = ".trace"

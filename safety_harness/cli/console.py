@@ -17,8 +17,8 @@ from dataclasses import dataclass, field
 from math import isfinite
 from typing import Any, TextIO, TypeVar
 
-from safety_harness.distribution import installed_version
-from safety_harness.exceptions import InputError, OutputError, SafetyHarnessError, explanation
+from safety_harness.base.distribution import installed_version
+from safety_harness.base.exceptions import InputError, OutputError, SafetyHarnessError, explanation
 
 _Item = TypeVar("_Item")
 _Made = TypeVar("_Made")

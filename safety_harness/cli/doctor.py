@@ -16,13 +16,13 @@ from operator import eq, ge, gt, le, lt, ne
 
 from safety_harness.admission.admit import admit
 from safety_harness.admission.trial import judge, run_kinematic
+from safety_harness.base.compiled import PACKAGE, cache_folder, cache_problem, cache_root, without_compiling
+from safety_harness.base.distribution import DISTRIBUTION, foreign_files
+from safety_harness.base.extras import EXTRAS
+from safety_harness.claims.properties.base import Evaluation
+from safety_harness.claims.properties.tally import table
 from safety_harness.cli.console import AS_EXPECTED, DIFFERS, columns_of, document, result
 from safety_harness.cli.warm import SHORT_RUN, machine_code_bytes, megabytes
-from safety_harness.compiled import PACKAGE, cache_folder, cache_problem, cache_root, without_compiling
-from safety_harness.distribution import DISTRIBUTION, foreign_files
-from safety_harness.extras import EXTRAS
-from safety_harness.properties.base import Evaluation
-from safety_harness.properties.tally import table
 from safety_harness.scenario.model import Verdict
 from safety_harness.scenario.read import parse_scenario
 from safety_harness.trace.provenance import shared_modules
@@ -93,7 +93,7 @@ def _installed(name: str, version: str, wanted: str, modules: list[str]) -> Exam
     if not within(version, wanted):
         return Examined(name, State.PROBLEM, f"{version}, which is not {wanted}")
     module = name if name in modules else next((one for one in modules if not one.startswith("_")), None)
-    module = "safety_harness.simulation.engine" if name == "pybullet" else module  # which is quiet
+    module = "safety_harness.cell.simulation.engine" if name == "pybullet" else module  # which is quiet
     try:
         if module is not None:
             with warnings.catch_warnings(action="ignore"):

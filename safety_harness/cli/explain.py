@@ -8,21 +8,21 @@ import textwrap
 from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING
 
+from safety_harness.base.exceptions import Place, ScenarioError, near_miss
 from safety_harness.cli.console import AS_EXPECTED, NARROW, columns_of, document, result, say
-from safety_harness.exceptions import Place, ScenarioError, near_miss
 from safety_harness.scenario.codec import REQUIRED, Below, Key, KeyTable, QuantityValue, Several, Value
 from safety_harness.scenario.reference_tables import every_table
 from safety_harness.scenario.units import Dimension
 
 if TYPE_CHECKING:
-    from safety_harness.properties.entry import CatalogueEntry
+    from safety_harness.claims.properties.entry import CatalogueEntry
 
 WIDTH = 110
 
 
 def explain_key(words: Sequence[str]) -> int:
     """Print what a key means, wherever it may stand, or which keys there are; returns the exit code."""
-    from safety_harness.campaign.plan_keys import TABLES
+    from safety_harness.extensions.assurance.campaign.plan_keys import TABLES
 
     tables = (*every_table(), *TABLES)
     asked = " ".join(" ".join(words).replace(":", " ").split())
@@ -42,9 +42,9 @@ def explain_claims(words: Sequence[str]) -> int:
 
     The words may be a whole sentence with a limit of one's own: what understands it is explained.
     """
-    from safety_harness.certification.standards import told_with_standards as told
-    from safety_harness.formulas.signals import SIGNALS
-    from safety_harness.properties.catalogue import CATALOGUE  # slow to import
+    from safety_harness.claims.formulas.signals import SIGNALS
+    from safety_harness.claims.properties.catalogue import CATALOGUE  # slow to import
+    from safety_harness.extensions.assurance.certification.standards import told_with_standards as told
 
     asked = " ".join(" ".join(words).split())
     examples = [entry.example for entry in CATALOGUE]
@@ -75,7 +75,7 @@ def _explain(
 
 
 def _claim_lines(entry: CatalogueEntry) -> Iterator[str]:
-    from safety_harness.certification.standards import told_with_standards as told
+    from safety_harness.extensions.assurance.certification.standards import told_with_standards as told
 
     yield entry.example
     columns = min(columns_of(sys.stdout) or WIDTH, WIDTH)

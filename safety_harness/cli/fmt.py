@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from safety_harness.base.exceptions import InputError, Place, ScenarioError
+from safety_harness.base.whole_file import write_text
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, DIFFERS, document, explain, result, say
-from safety_harness.exceptions import InputError, Place, ScenarioError
 from safety_harness.scenario.compose import MAX_BYTES, tree_of
 from safety_harness.scenario.files import decode, read_bytes
 from safety_harness.scenario.kinds import FileKind, refuse_other_kind
 from safety_harness.scenario.layout import laid_out
 from safety_harness.scenario.ours import aside_lines, files_of
-from safety_harness.whole_file import write_text
 
 TAKEN = (FileKind.SCENARIO, FileKind.SPACE, FileKind.SUITE, FileKind.PLAN)
 

@@ -8,6 +8,7 @@ from typing import Annotated
 
 from typer import Option, Typer
 
+from safety_harness.base.exceptions import ScenarioError
 from safety_harness.cli.console import (
     AS_EXPECTED,
     BAD_INPUT,
@@ -19,7 +20,6 @@ from safety_harness.cli.console import (
     say_shared_modules,
 )
 from safety_harness.cli.options import OfAvoider, OfController, OfReference, OfSpace, Seed, command
-from safety_harness.exceptions import ScenarioError
 
 commands = Typer()
 

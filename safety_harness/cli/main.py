@@ -9,9 +9,9 @@ from typing import Annotated
 
 import typer
 
-from safety_harness.cli.campaign import commands as of_campaigns
-from safety_harness.cli.certify import commands as of_reports
-from safety_harness.cli.certify import of_certify
+from safety_harness.base.compiling import CompilationLine, watchers
+from safety_harness.base.distribution import foreign_files, installed_version
+from safety_harness.base.exceptions import ModelError, SafetyHarnessError
 from safety_harness.cli.console import (
     BAD_INPUT,
     NARROW,
@@ -22,25 +22,25 @@ from safety_harness.cli.console import (
     result,
     say,
 )
-from safety_harness.cli.evaluate import commands as of_scoring
 from safety_harness.cli.fuzz import commands as of_search
-from safety_harness.cli.hands import commands as of_hands
-from safety_harness.cli.history import commands as of_history
-from safety_harness.cli.learning import commands as of_learning
-from safety_harness.cli.log import commands as of_logs
 from safety_harness.cli.machine import commands as of_machine
-from safety_harness.cli.monitor import commands as of_monitor
 from safety_harness.cli.new import commands as of_new
-from safety_harness.cli.prove import commands as of_proofs
-from safety_harness.cli.recorded import commands as of_recorded
-from safety_harness.cli.recorded import of_scenarios as of_scenario
-from safety_harness.cli.robot import commands as of_robots
 from safety_harness.cli.scenario_commands import commands as of_scenarios
-from safety_harness.cli.selftest import commands as of_selftest
 from safety_harness.cli.shipped import commands as of_shipped
-from safety_harness.compiling import CompilationLine, watchers
-from safety_harness.distribution import foreign_files, installed_version
-from safety_harness.exceptions import ModelError, SafetyHarnessError
+from safety_harness.extensions.arms.commands import commands as of_robots
+from safety_harness.extensions.assurance.commands.campaign import commands as of_campaigns
+from safety_harness.extensions.assurance.commands.certify import commands as of_reports
+from safety_harness.extensions.assurance.commands.certify import of_certify
+from safety_harness.extensions.assurance.commands.history import commands as of_history
+from safety_harness.extensions.field.commands.hands import commands as of_hands
+from safety_harness.extensions.field.commands.log import commands as of_logs
+from safety_harness.extensions.field.commands.monitor import commands as of_monitor
+from safety_harness.extensions.field.commands.recorded import commands as of_recorded
+from safety_harness.extensions.field.commands.recorded import of_scenarios as of_scenario
+from safety_harness.extensions.lab.commands.evaluate import commands as of_scoring
+from safety_harness.extensions.lab.commands.learning import commands as of_learning
+from safety_harness.extensions.lab.commands.prove import commands as of_proofs
+from safety_harness.extensions.selftest.commands import commands as of_selftest
 
 NAME = "safety-harness"
 app = typer.Typer(

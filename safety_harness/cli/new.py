@@ -13,10 +13,10 @@ from typing import Annotated
 import typer
 from typer import Argument, Option, Typer
 
+from safety_harness.base.exceptions import InputError, OutputError, near_miss
+from safety_harness.base.whole_file import writing
 from safety_harness.cli.console import AS_EXPECTED, document, result, say
 from safety_harness.cli.options import command
-from safety_harness.exceptions import InputError, OutputError, near_miss
-from safety_harness.whole_file import writing
 
 commands = Typer()
 FOLDER = Path(__file__).parent / "templates"
@@ -69,7 +69,7 @@ def new(
         result(*_listed())
         return AS_EXPECTED
     if template == "plan":
-        from safety_harness.cli.plans import draft_plan
+        from safety_harness.extensions.assurance.commands.plans import draft_plan
 
         return draft_plan(file, plan)
     if plan is not None:

@@ -10,8 +10,8 @@ from typing import Annotated, ParamSpec
 
 from typer import Argument, Exit, Option, Typer
 
+from safety_harness.base.exceptions import InputError, SafetyHarnessError
 from safety_harness.cli.console import BAD_INPUT, INTERRUPTED, answered_as_json, explain, say
-from safety_harness.exceptions import InputError, SafetyHarnessError
 
 Files = Annotated[
     list[Path],

@@ -23,8 +23,8 @@ from safety_harness.cli.console import no_escapes, say
 from safety_harness.scenario.model import Scenario
 
 if TYPE_CHECKING:  # searches and campaigns take a second to import
-    from safety_harness.campaign.plan import Plan
-    from safety_harness.campaign.runner import CampaignRunner
+    from safety_harness.extensions.assurance.campaign.plan import Plan
+    from safety_harness.extensions.assurance.campaign.runner import CampaignRunner
     from safety_harness.search.findings import Findings
 
 EVERY_S = 10.0
@@ -188,8 +188,8 @@ def watching_campaign(plan: Plan) -> Iterator[Callable[[CampaignRunner], None]]:
 
     It warns, once each, of claims that the planned runs will not show, as far as the first of them tell.
     """
-    from safety_harness.campaign.pilot import too_few
-    from safety_harness.cli.campaign_lines import worst_lines
+    from safety_harness.extensions.assurance.campaign.pilot import too_few
+    from safety_harness.extensions.assurance.commands.campaign_lines import worst_lines
 
     claims = tuple(claim.sentence for claim in plan.claims)
     units = tuple(claim.unit for claim in plan.claims)

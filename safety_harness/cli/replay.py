@@ -13,6 +13,10 @@ from safety_harness.admission.admit import Admitted, admit
 from safety_harness.admission.avoiders import is_a_program, replay_command, with_avoider
 from safety_harness.admission.repeatability import MOST, Repeatability
 from safety_harness.admission.trial import judge, run_trial
+from safety_harness.base.exceptions import InadmissibleError, InputError, LogError, Place, TraceError
+from safety_harness.base.whole_file import writing
+from safety_harness.cell.simulation.worlds import world_of_trace
+from safety_harness.claims.properties.answered import with_expectation
 from safety_harness.cli.console import (
     AS_EXPECTED,
     BAD_INPUT,
@@ -25,9 +29,7 @@ from safety_harness.cli.console import (
 )
 from safety_harness.cli.progress import watching_runs
 from safety_harness.cli.run import DATA, REPORT, TRACES, say_results
-from safety_harness.exceptions import InadmissibleError, InputError, LogError, Place, TraceError
-from safety_harness.logs.judging import recorded
-from safety_harness.properties.answered import with_expectation
+from safety_harness.extensions.field.logs.judging import recorded
 from safety_harness.report.evidence import JudgedRun, basis_of
 from safety_harness.report.knowledge import measured_lines, unmeasured_words
 from safety_harness.report.machine import refused_data, run_data
@@ -37,13 +39,11 @@ from safety_harness.scenario.kinds import is_log
 from safety_harness.scenario.model import VISUAL_SERVO, Claim, Scenario, Verdict
 from safety_harness.scenario.references import file_and_name
 from safety_harness.scenario.units import shown
-from safety_harness.simulation.worlds import world_of_trace
 from safety_harness.trace.compare import first_difference
 from safety_harness.trace.store import load_trace, save_trace
 from safety_harness.trace.system import Component
 from safety_harness.trace.trace import Trace
 from safety_harness.trace.unmeasured import refuse_not_simulated
-from safety_harness.whole_file import writing
 
 
 def replay(path: Path, avoider: str | None = None) -> int:

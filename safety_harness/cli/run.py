@@ -25,6 +25,14 @@ from safety_harness.admission.avoiders import (
 from safety_harness.admission.repeatability import Repeatability, RepeatabilityResult
 from safety_harness.admission.taking import NotTaken, made_equal, not_taken_words, taken
 from safety_harness.admission.trial import run_trial
+from safety_harness.base.exceptions import InputError, OutputError, SafetyHarnessError
+from safety_harness.base.extras import LOGS
+from safety_harness.base.interrupts import one_more_ctrl_c
+from safety_harness.base.whole_file import writing
+from safety_harness.cell.simulation.worlds import REFERENCE, WorldEntry
+from safety_harness.claims.properties.against import Against, RunDifference
+from safety_harness.claims.properties.tally import far_lines, table_lines, untested_lines
+from safety_harness.claims.properties.tried import TriedParts
 from safety_harness.cli.console import (
     AS_EXPECTED,
     BAD_INPUT,
@@ -41,12 +49,6 @@ from safety_harness.cli.console import (
 )
 from safety_harness.cli.progress import RunsShown, watching_runs
 from safety_harness.cli.run_processes import RunProcesses, run_processes
-from safety_harness.exceptions import InputError, OutputError, SafetyHarnessError
-from safety_harness.extras import LOGS
-from safety_harness.interrupts import one_more_ctrl_c
-from safety_harness.properties.against import Against, RunDifference
-from safety_harness.properties.tally import far_lines, table_lines, untested_lines
-from safety_harness.properties.tried import TriedParts
 from safety_harness.report.decisions import (
     DecisionTally,
     computing_time_lines,
@@ -62,9 +64,7 @@ from safety_harness.scenario.expand import gather
 from safety_harness.scenario.files import told
 from safety_harness.scenario.model import Scenario, Verdict
 from safety_harness.scenario.ours import aside_lines
-from safety_harness.simulation.worlds import REFERENCE, WorldEntry
 from safety_harness.trace.store import save_trace
-from safety_harness.whole_file import writing
 
 REPORT, DATA = "report.html", "report.json"
 TRACES, OF_REFERENCE, EARLIER = "traces", "traces-against", ".earlier"

@@ -13,10 +13,10 @@ from dataclasses import dataclass, field, replace
 from safety_harness.admission.admit import Admitted, admit
 from safety_harness.admission.avoiders import is_executed
 from safety_harness.admission.trial import run_trial
-from safety_harness.campaign.pool import pool
-from safety_harness.exceptions import described
+from safety_harness.base.exceptions import described
+from safety_harness.base.pool import pool
+from safety_harness.cell.simulation.worlds import WorldEntry, worlds_by_label
 from safety_harness.scenario.model import Scenario
-from safety_harness.simulation.worlds import WorldEntry, worlds_by_label
 from safety_harness.trace.trace import Trace
 
 FEWEST_RUNS = 8  # for which the start of a process pays

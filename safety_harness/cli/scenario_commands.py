@@ -57,8 +57,8 @@ def run(
     --keep-going only the rest; 130: interrupted, what was finished is kept.
     """
     from safety_harness.admission.avoiders import one_of, reference_for
+    from safety_harness.cell.simulation.worlds import world_named
     from safety_harness.cli.run import run as run_files
-    from safety_harness.simulation.worlds import world_named
 
     chosen = world_named(world, "--world")
     tested = one_of(avoider, controller)
@@ -111,12 +111,12 @@ def explain(
     Without a key, all are listed.
     Exit code 0; 2: there is no such key.
     """
+    from safety_harness.base.shipped.contents import located
     from safety_harness.cli.explain import explain_key
     from safety_harness.scenario.kinds import FileKind, kind_of
-    from safety_harness.shipped.contents import located
 
     if key and len(key) == 1 and kind_of(located(Path(key[0]))) is FileKind.PLAN:
-        from safety_harness.cli.plans import explain_plan
+        from safety_harness.extensions.assurance.commands.plans import explain_plan
 
         return explain_plan(Path(key[0]))
     return explain_key(key or [])
@@ -152,7 +152,7 @@ def schema(
 
     found = scenario_schema()
     if plans:
-        from safety_harness.campaign.plan_keys import PLAN, TITLE
+        from safety_harness.extensions.assurance.campaign.plan_keys import PLAN, TITLE
 
         found = table_schema(PLAN, TITLE)
     verbatim(json.dumps(found, indent=1, ensure_ascii=False))

@@ -9,10 +9,17 @@ from typing import Annotated
 
 from typer import Argument, Option, Typer
 
+from safety_harness.base.exceptions import OutputError, Place
+from safety_harness.base.shipped.contents import (
+    PREFIX,
+    ShippedKind,
+    contents,
+    is_shipped,
+    located,
+    shipped_files,
+)
 from safety_harness.cli.console import AS_EXPECTED, document, result, say
 from safety_harness.cli.options import command
-from safety_harness.exceptions import OutputError, Place
-from safety_harness.shipped.contents import PREFIX, ShippedKind, contents, is_shipped, located, shipped_files
 
 commands = Typer()
 REFERRING = ("arm", "avoider", "capsules", "extends", "recording", "robot", "scenarios", "space", "urdf")
@@ -53,7 +60,7 @@ def copy(
     was asked for first.
     Exit code 0; 2: there is no such name, or another file is there already: then nothing is copied.
     """
-    from safety_harness.whole_file import writing
+    from safety_harness.base.whole_file import writing
 
     source = located(name if is_shipped(name) else PREFIX + name)
     copies = {folder / way: path.read_bytes() for way, path in _with_references(source).items()}
@@ -91,7 +98,7 @@ def _with_references(source: Path) -> dict[Path, Path]:
 
 def _references(path: Path) -> Iterator[Path]:
     """The files that a text in a YAML file names."""
-    from safety_harness.campaign.identity import references_in
+    from safety_harness.extensions.assurance.campaign.identity import references_in
     from safety_harness.scenario.nodes import parse_tree
     from safety_harness.scenario.references import file_and_name
 
@@ -114,7 +121,7 @@ def docs(
     The path goes to standard output; without a terminal or a browser that is all.
     Exit code 0; 2: there is no such section, or the documents were not built (make docs).
     """
-    from safety_harness.shipped.documents import missing, path_of, section_named, site
+    from safety_harness.base.shipped.documents import missing, path_of, section_named, site
 
     words = " ".join(section or [])
     path, anchor = path_of(section_named(words)) if words else (site() / "index.html", "")

@@ -13,8 +13,9 @@ from safety_harness.admission.admit import Looker
 from safety_harness.admission.avoiders import as_seen_from
 from safety_harness.admission.preview import preview_of
 from safety_harness.admission.spaces import draw_admissible
+from safety_harness.base.exceptions import ScenarioError
+from safety_harness.base.whole_file import write_text, writing
 from safety_harness.cli.console import AS_EXPECTED, document, result, say
-from safety_harness.exceptions import ScenarioError
 from safety_harness.report.scene import Boxes, draw_scene
 from safety_harness.scenario.expand import gather
 from safety_harness.scenario.model import Scenario
@@ -22,7 +23,6 @@ from safety_harness.scenario.write import write_scenario
 from safety_harness.space.distributions import InBox, InRegion
 from safety_harness.space.read import read_space, space_of
 from safety_harness.space.space import ScenarioSpace, each_to_hold
-from safety_harness.whole_file import write_text, writing
 
 PICTURE = ".svg"
 

@@ -12,6 +12,11 @@ from safety_harness.admission.admit import Checked, Looker
 from safety_harness.admission.avoiders import with_avoider
 from safety_harness.admission.claims import property_of
 from safety_harness.admission.spaces import draw_admissible
+from safety_harness.base.compiled import without_compiling
+from safety_harness.base.exceptions import StatisticsError
+from safety_harness.base.shipped.contents import located
+from safety_harness.cell.robot.kinematics import links_in_base
+from safety_harness.claims.properties.tried import TriedParts
 from safety_harness.cli.console import (
     AS_EXPECTED,
     BAD_INPUT,
@@ -22,21 +27,16 @@ from safety_harness.cli.console import (
     say,
     usable,
 )
-from safety_harness.compiled import without_compiling
-from safety_harness.exceptions import StatisticsError
-from safety_harness.properties.tried import TriedParts
-from safety_harness.robot.kinematics import links_in_base
 from safety_harness.scenario.compose import Variant
 from safety_harness.scenario.expand import Gathered, gather
 from safety_harness.scenario.kinds import FileKind, kind_of
 from safety_harness.scenario.model import Scenario
 from safety_harness.scenario.ours import aside_lines
-from safety_harness.shipped.contents import located
 from safety_harness.space.read import space_of
 from safety_harness.space.space import ScenarioSpace
 
 if TYPE_CHECKING:  # a plan takes a second to import
-    from safety_harness.campaign.plan import Plan
+    from safety_harness.extensions.assurance.campaign.plan import Plan
 
 
 def validate(paths: Sequence[Path], avoider: str | None = None) -> int:
@@ -96,8 +96,8 @@ def validate(paths: Sequence[Path], avoider: str | None = None) -> int:
 
 def _checked_plan(path: Path, looker: Looker) -> Plan:
     """A plan of whose strata a draw can be tried; it is said if certify will refuse it."""
-    from safety_harness.campaign.plan import read_packable
-    from safety_harness.certification.results import refuse_hopeless
+    from safety_harness.extensions.assurance.campaign.plan import read_packable
+    from safety_harness.extensions.assurance.certification.results import refuse_hopeless
 
     plan = read_packable(path)
     try:

@@ -6,15 +6,15 @@ from collections.abc import Iterator
 
 from safety_harness.admission.admit import admit
 from safety_harness.admission.trial import run_many, run_trial
+from safety_harness.base.compiled import cache_root, compilation, forget_old_machine_code, machine_code
+from safety_harness.base.exceptions import InstallationError
+from safety_harness.cell.simulation.worlds import KINEMATIC, WORLDS, WorldEntry
+from safety_harness.claims.properties.catalogue import CATALOGUE
 from safety_harness.cli.console import AS_EXPECTED, DIFFERS, document, result, say
-from safety_harness.compiled import cache_root, compilation, forget_old_machine_code, machine_code
-from safety_harness.exceptions import InstallationError
-from safety_harness.monitoring.cell import cell_taken
-from safety_harness.monitoring.monitor import Monitor
-from safety_harness.monitoring.sample import HandSample, Sample, line_of
-from safety_harness.properties.catalogue import CATALOGUE
+from safety_harness.extensions.field.monitoring.cell import cell_taken
+from safety_harness.extensions.field.monitoring.monitor import Monitor
+from safety_harness.extensions.field.monitoring.sample import HandSample, Sample, line_of
 from safety_harness.scenario.read import parse_scenario
-from safety_harness.simulation.worlds import KINEMATIC, WORLDS, WorldEntry
 
 # A hand comes so near that the tool gives way; of the claims of the catalogue the first is known to hold.
 SHORT_RUN = """

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from safety_harness.cell.robot.description import ArmModel, Shape
 from safety_harness.report.packing import packed
-from safety_harness.robot.description import ArmModel, Shape
 
 MOST_TRIANGLES = 6_000  # of an arm: some 50 kB on a page
 CELLS_M = (0.0002, 0.002, 0.004, 0.006, 0.01, 0.016, 0.025)  # corners within one cell of a grid become one

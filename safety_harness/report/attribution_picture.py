@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from xml.etree.ElementTree import Element, SubElement, tostring
 
-from safety_harness.attribution.attribute import AttributionAnswer
-from safety_harness.attribution.tally import group_words
 from safety_harness.report.svg import Ink, describe, plain
+from safety_harness.search.attribution.attribute import AttributionAnswer
+from safety_harness.search.attribution.tally import group_words
 
 WIDTH_PX, LEFT_PX, ROW_PX, HEAD_PX = 640, 230, 24, 26
 LONGEST_PX = WIDTH_PX - LEFT_PX - 90  # room for the count

@@ -9,13 +9,13 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-from safety_harness.distribution import installed_version
-from safety_harness.properties.base import Evaluation
+from safety_harness.base.distribution import installed_version
+from safety_harness.base.whole_file import write_whole
+from safety_harness.claims.properties.base import Evaluation
 from safety_harness.report.evidence import JudgedRun, answer, basis_of
 from safety_harness.report.words import margin_words
 from safety_harness.scenario.files import told
 from safety_harness.scenario.model import Claim, Verdict
-from safety_harness.whole_file import write_whole
 
 SCHEMA = "https://json.schemastore.org/sarif-2.1.0.json"
 SUMMARY, SARIF = "summary.md", "report.sarif"

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from safety_harness.properties.answered import NOT_MODELLED, fallback_words, unanswered
+from safety_harness.base.settings import DecisionCost, DecisionTimes
+from safety_harness.claims.properties.answered import NOT_MODELLED, fallback_words, unanswered
 from safety_harness.report.words import (
     CHECK_MEANINGS,
     OUTCOME_WORDS,
@@ -23,7 +24,6 @@ from safety_harness.report.words import (
     point_words,
     spread_words,
 )
-from safety_harness.settings import DecisionCost, DecisionTimes
 from safety_harness.trace.answer_times import AnswersTook, most_cost_s
 from safety_harness.trace.overruling import Overruling, is_measured
 from safety_harness.trace.records import Check, DecisionOutcome, Trigger

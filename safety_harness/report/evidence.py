@@ -8,9 +8,9 @@ from functools import cached_property
 from math import inf, isfinite
 from pathlib import Path
 
-from safety_harness.properties.answered import DEFAULT_CLAIM, by_default, is_claimed
-from safety_harness.properties.base import Evaluation, Unit
-from safety_harness.properties.tally import ClaimTally, Judged, basis_of_tallies, made_in, tally_claims
+from safety_harness.claims.properties.answered import DEFAULT_CLAIM, by_default, is_claimed
+from safety_harness.claims.properties.base import Evaluation, Unit
+from safety_harness.claims.properties.tally import ClaimTally, Judged, basis_of_tallies, made_in, tally_claims
 from safety_harness.report.words import unknown_files
 from safety_harness.scenario.model import Claim, RecordedHand, Scenario, Verdict
 from safety_harness.trace.trace import Trace

@@ -16,10 +16,11 @@ from numpy.typing import NDArray
 
 from safety_harness.admission.repeatability import RepeatabilityResult
 from safety_harness.admission.taking import NotTaken
-from safety_harness.exceptions import InputError, refuse_other_type
-from safety_harness.properties.against import Against
-from safety_harness.properties.tally import ClaimTally
-from safety_harness.proportions import share_words
+from safety_harness.base.exceptions import InputError, refuse_other_type
+from safety_harness.base.proportions import share_words
+from safety_harness.base.whole_file import write_whole
+from safety_harness.claims.properties.against import Against
+from safety_harness.claims.properties.tally import ClaimTally
 from safety_harness.report.decisions import (
     MOST_DECISION_ROWS,
     DecisionTally,
@@ -57,7 +58,6 @@ from safety_harness.scenario.write import write_scenario
 from safety_harness.trace.records import Limit
 from safety_harness.trace.trace import Trace
 from safety_harness.trace.unmeasured import as_measured, decided, measured
-from safety_harness.whole_file import write_whole
 
 Row = dict[str, Any]
 MOST_SLOWINGS = 20  # stretches that a table has; the report for programs has all

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
-from safety_harness.properties.base import Evaluation
+from safety_harness.claims.properties.base import Evaluation
 from safety_harness.report.words import setting_words
 from safety_harness.trace.known import COLUMNS_OF_A_TRACE, OF_DECISIONS, Gap, Measurement, Source
 from safety_harness.trace.trace import Trace

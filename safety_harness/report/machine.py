@@ -13,11 +13,12 @@ from typing import Any
 
 from safety_harness.admission.repeatability import RepeatabilityResult
 from safety_harness.admission.taking import NotTaken
-from safety_harness.exceptions import InputError
-from safety_harness.properties.against import Against
-from safety_harness.properties.answered import AvoiderAnswered
-from safety_harness.properties.base import SI_UNITS, Evaluation
-from safety_harness.properties.tally import ClaimTally
+from safety_harness.base.exceptions import InputError
+from safety_harness.base.whole_file import write_whole
+from safety_harness.claims.properties.against import Against
+from safety_harness.claims.properties.answered import AvoiderAnswered
+from safety_harness.claims.properties.base import SI_UNITS, Evaluation
+from safety_harness.claims.properties.tally import ClaimTally
 from safety_harness.report.decisions import (
     DecisionTally,
     are_counted,
@@ -30,7 +31,6 @@ from safety_harness.report.possible_hands import asks_of_hands, refused_for_poss
 from safety_harness.report.shielding import shield_data
 from safety_harness.scenario.files import told
 from safety_harness.trace.overruling import Overruling, is_measured
-from safety_harness.whole_file import write_whole
 
 FORMAT = "safety-harness report 1"
 

@@ -18,22 +18,22 @@ from numpy.typing import NDArray
 
 from safety_harness.admission.avoiders import as_seen_from
 from safety_harness.admission.claims import property_of
-from safety_harness.exceptions import OutputError, Place, TraceError
-from safety_harness.extras import LOGS, PYBULLET
-from safety_harness.perception.detector import opencv
-from safety_harness.properties.base import SI_UNITS, Evaluation
-from safety_harness.properties.hand_distance import HandDistance
-from safety_harness.properties.limits import TcpSpeedLimit
-from safety_harness.properties.true_motion import capsules_of, finer_paths, true_motion
-from safety_harness.robot.kinematics import links_in_base
-from safety_harness.robot.robots import arm_model
+from safety_harness.base.exceptions import OutputError, Place, TraceError
+from safety_harness.base.extras import LOGS, PYBULLET
+from safety_harness.base.settings import ImageSource
+from safety_harness.base.whole_file import replacing, write_text, writing
+from safety_harness.cell.perception.detector import opencv
+from safety_harness.cell.robot.kinematics import links_in_base
+from safety_harness.cell.robot.robots import arm_model
+from safety_harness.claims.properties.base import SI_UNITS, Evaluation
+from safety_harness.claims.properties.hand_distance import HandDistance
+from safety_harness.claims.properties.limits import TcpSpeedLimit
+from safety_harness.claims.properties.true_motion import capsules_of, finer_paths, true_motion
 from safety_harness.scenario.model import Verdict
 from safety_harness.scenario.write import text_of, tree_of
-from safety_harness.settings import ImageSource
 from safety_harness.trace.records import DecisionOutcome, Limit, Mode, Trigger
 from safety_harness.trace.trace import Trace
 from safety_harness.trace.unmeasured import decided, measured
-from safety_harness.whole_file import replacing, write_text, writing
 
 LOG_FILE, NS = "LOG.yaml", 10**9
 OURS, FOXGLOVE, GEOMETRY = "safety_harness_msgs/msg/", "foxglove_msgs/msg/", "geometry_msgs/msg/"
@@ -281,7 +281,7 @@ class _Messages:
             return
         cv2 = opencv()
         with PYBULLET.needed("rendered images"):
-            from safety_harness.simulation.pybullet_world import PyBulletWorld
+            from safety_harness.cell.simulation.pybullet_world import PyBulletWorld
         with PyBulletWorld(scenario, self.arm, self.trace.ticks["joint_position_rad"][0]) as world:
             for image in world.images_of(self.trace):
                 at_ns, png = int(_stamps(image.time_s)), cv2.imencode(".png", image.pixels[:, :, ::-1])[1]

@@ -42,9 +42,10 @@ def _headings(page: str) -> list[tuple[str, Markup]]:
     return [(name, Markup(words)) for name, words in found if not name.endswith("-heading")]
 
 
-def asset(name: str) -> str:
-    """The text of a style sheet or script beside the templates."""
-    return (files(PACKAGE) / "templates" / name).read_text(encoding="utf-8")
+def asset(name: str, of: str = PACKAGE) -> str:
+    """The text of a style sheet or script beside the templates, of the package ``of`` if it has one."""
+    own = files(of) / "templates" / name
+    return (own if own.is_file() else files(PACKAGE) / "templates" / name).read_text(encoding="utf-8")
 
 
 def render_page(
@@ -64,7 +65,7 @@ def render_page(
     three.js as text that becomes a script, which the page's policy allows, when one is looked at.
     ``basis`` says what the page's verdicts rest on; empty for a page without any.
     """
-    script = "".join(map(asset, ("report.js", *scripts)))
+    script = "".join(asset(name, of) for name in ("report.js", *scripts))
     sheets, also = [style] if style else [], ""
     if replays:
         script += f'const THREE_DEFLATED="{_three()}";\n{asset("replay.js")}'
@@ -73,7 +74,7 @@ def render_page(
         templates(of)
         .get_template(template)
         .render(
-            style=Markup("".join(map(asset, ("report.css", *sheets)))),
+            style=Markup("".join(asset(name, of) for name in ("report.css", *sheets))),
             script=Markup(script),
             script_hash=Markup(_hash(script) + also),
             basis=basis,

@@ -12,15 +12,15 @@ from dataclasses import dataclass
 import numpy as np
 from markupsafe import Markup
 
-from safety_harness.geometry.arrays import Array3
+from safety_harness.base.geometry.arrays import Array3
+from safety_harness.base.settings import Cell, Settings
+from safety_harness.cell.robot.kinematics import links_in_base
+from safety_harness.cell.robot.robots import arm_model
 from safety_harness.report.axes import Axes, Picture, Share
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.svg import HANDS, Floats, Ink, keep_extremes
 from safety_harness.report.words import with_minus
-from safety_harness.robot.kinematics import links_in_base
-from safety_harness.robot.robots import arm_model
 from safety_harness.scenario.obstacles import Obstacle
-from safety_harness.settings import Cell, Settings
 from safety_harness.trace.trace import Trace
 from safety_harness.trace.unmeasured import decided
 

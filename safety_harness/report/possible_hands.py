@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from safety_harness.avoidance.gate import leads_away
+from safety_harness.cell.avoidance.gate import leads_away
 from safety_harness.trace.records import Check
 from safety_harness.trace.trace import Trace
 

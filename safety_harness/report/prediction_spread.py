@@ -10,10 +10,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.controller.records import overhead_transform_sensor_to_base
-from safety_harness.perception.camera import transform_camera_to_tcp
-from safety_harness.perception.hand_filter import filter_parameters
-from safety_harness.settings import HandSensorKind
+from safety_harness.base.settings import HandSensorKind
+from safety_harness.cell.controller.records import overhead_transform_sensor_to_base
+from safety_harness.cell.perception.camera import transform_camera_to_tcp
+from safety_harness.cell.perception.hand_filter import filter_parameters
 from safety_harness.trace.known import Source
 from safety_harness.trace.trace import Trace
 

@@ -14,7 +14,7 @@ from xml.etree.ElementTree import Element, SubElement
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.geometry.arrays import ArrayNx3
+from safety_harness.base.geometry.arrays import ArrayNx3
 from safety_harness.report.svg import Ink, describe
 
 CELLS, CELL_PX, LEFT_PX, TOP_PX, BELOW_PX, RIGHT_PX = 20, 14, 46, 10, 36, 14

@@ -13,10 +13,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.controller.records import overhead_transform_sensor_to_base
-from safety_harness.perception.camera import transform_camera_to_tcp
-from safety_harness.properties.protective_separation import times_left_s
-from safety_harness.properties.separation import REACHING_MPS, lengths
+from safety_harness.base.settings import HandSensorKind, Object, Settings
+from safety_harness.cell.controller.records import overhead_transform_sensor_to_base
+from safety_harness.cell.perception.camera import transform_camera_to_tcp
+from safety_harness.cell.robot.capsules import CapsuleSet
+from safety_harness.cell.robot.description import ArmModel
+from safety_harness.cell.robot.robots import arm_capsules, arm_model
+from safety_harness.cell.simulation.truth import cell_capsules
+from safety_harness.claims.properties.protective_separation import times_left_s
+from safety_harness.claims.properties.separation import REACHING_MPS, lengths
 from safety_harness.report.arm_meshes import arm_meshes
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.packing import as_attribute, packed
@@ -31,13 +36,8 @@ from safety_harness.report.words import (
     claimed_hand_distance_m,
     failed_words,
 )
-from safety_harness.robot.capsules import CapsuleSet
-from safety_harness.robot.description import ArmModel
-from safety_harness.robot.robots import arm_capsules, arm_model
 from safety_harness.scenario.model import Verdict
 from safety_harness.scenario.obstacles import Obstacle
-from safety_harness.settings import HandSensorKind, Object, Settings
-from safety_harness.simulation.truth import cell_capsules
 from safety_harness.trace.records import Check, DecisionOutcome, Trigger
 from safety_harness.trace.trace import Trace
 from safety_harness.trace.unmeasured import as_measured, decided, measured

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 
 from safety_harness.admission.preview import Preview
+from safety_harness.base.whole_file import write_whole
 from safety_harness.report.axes import Axes, Picture, Share
 from safety_harness.report.page_parts import asset
 from safety_harness.report.path_views import MM, capsule_outline, draw_cell, draw_obstacles, rectangle
 from safety_harness.report.svg import HANDS, Floats, Ink, plain, standalone
-from safety_harness.whole_file import write_whole
 
 Boxes = Sequence[tuple[str, Floats, Floats]]  # name, low (3,), high (3,) in the base frame [m]
 

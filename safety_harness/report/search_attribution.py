@@ -7,13 +7,19 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from safety_harness.admission.admit import Admitter
-from safety_harness.attribution.attribute import Attribution, AttributionAnswer, Replay, attribute, confirmed
-from safety_harness.attribution.tally import AttributionTally
-from safety_harness.exceptions import described
+from safety_harness.base.exceptions import described
+from safety_harness.cell.simulation.worlds import PYBULLET
 from safety_harness.scenario.model import Claim, Scenario
+from safety_harness.search.attribution.attribute import (
+    Attribution,
+    AttributionAnswer,
+    Replay,
+    attribute,
+    confirmed,
+)
+from safety_harness.search.attribution.tally import AttributionTally
 from safety_harness.search.findings import Group
 from safety_harness.search.session import SearchSession
-from safety_harness.simulation.worlds import PYBULLET
 
 MOST_ATTRIBUTED = 100  # groups of violations of one search
 

@@ -11,11 +11,12 @@ from math import isfinite
 
 from safety_harness.admission.agreement import measured_agreement
 from safety_harness.admission.avoiders import option_of, told_avoider
-from safety_harness.attribution.tally import as_json_of
-from safety_harness.exceptions import OutputError
-from safety_harness.interrupts import one_more_ctrl_c
-from safety_harness.properties.against import Against
-from safety_harness.properties.answered import fallback_words
+from safety_harness.base.exceptions import OutputError
+from safety_harness.base.interrupts import one_more_ctrl_c
+from safety_harness.base.whole_file import write_text
+from safety_harness.cell.simulation.worlds import KINEMATIC, PYBULLET
+from safety_harness.claims.properties.against import Against
+from safety_harness.claims.properties.answered import fallback_words
 from safety_harness.report.decisions import cost_words
 from safety_harness.report.page_parts import asset
 from safety_harness.report.search_attribution import SearchAttribution
@@ -23,12 +24,11 @@ from safety_harness.report.search_page import SearchEvidence, map_of, render
 from safety_harness.report.svg import standalone
 from safety_harness.scenario.files import told
 from safety_harness.scenario.model import Driver
+from safety_harness.search.attribution.tally import as_json_of
 from safety_harness.search.findings import Findings, Goal, Group
 from safety_harness.search.session import FINDINGS, NO_REFERENCE, SearchSession, basis_of_search, complaint_of
 from safety_harness.search.trials import Trials
-from safety_harness.simulation.worlds import KINEMATIC, PYBULLET
 from safety_harness.trace.provenance import provenance
-from safety_harness.whole_file import write_text
 
 PAGE, COVERAGE = "fuzz.html", "coverage.svg"
 

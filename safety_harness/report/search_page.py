@@ -13,11 +13,11 @@ from markupsafe import Markup
 from safety_harness.admission.agreement import Agreement
 from safety_harness.admission.avoiders import replay_command
 from safety_harness.admission.repeatability import RepeatabilityResult
-from safety_harness.attribution.attribute import Attribution
-from safety_harness.exceptions import described
-from safety_harness.properties.against import Against
-from safety_harness.properties.base import Evaluation, Unit
-from safety_harness.proportions import share_words
+from safety_harness.base.exceptions import described
+from safety_harness.base.proportions import share_words
+from safety_harness.cell.simulation.worlds import KINEMATIC, PYBULLET
+from safety_harness.claims.properties.against import Against
+from safety_harness.claims.properties.base import Evaluation, Unit
 from safety_harness.report.attribution_picture import draw_attributions
 from safety_harness.report.axes import Axes, Picture, stairs
 from safety_harness.report.coverage_map import coverage_map
@@ -29,12 +29,12 @@ from safety_harness.report.search_attribution import FaultsOfSearch, findings_of
 from safety_harness.report.svg import DASHES, Ink, plain
 from safety_harness.report.words import margin_words, with_minus
 from safety_harness.scenario.files import told
+from safety_harness.search.attribution.attribute import Attribution
 from safety_harness.search.confirm import Complaint, Disagreement, InOneWorld
 from safety_harness.search.counterexample import DRAWS
 from safety_harness.search.coverage import Coverage
 from safety_harness.search.findings import Findings, Group
 from safety_harness.search.session import WrittenCounterexample, basis_of_search, not_found_words
-from safety_harness.simulation.worlds import KINEMATIC, PYBULLET
 from safety_harness.trace.overruling import Overruling
 from safety_harness.trace.system import NOT_NOTED, SystemUnderTest
 from safety_harness.trace.trace import Provenance, Trace

@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from safety_harness.geometry.segments import point_segment_distance
-from safety_harness.properties.shield_theorem import broken_assumptions, counts_words
-from safety_harness.properties.touching import theorem_bits
-from safety_harness.properties.true_motion import capsules_of
-from safety_harness.robot.distance import place_capsules
-from safety_harness.robot.kinematics import links_in_base
-from safety_harness.robot.robots import arm_model
+from safety_harness.base.geometry.segments import point_segment_distance
+from safety_harness.cell.robot.distance import place_capsules
+from safety_harness.cell.robot.kinematics import links_in_base
+from safety_harness.cell.robot.robots import arm_model
+from safety_harness.claims.properties.shield_theorem import broken_assumptions, counts_words
+from safety_harness.claims.properties.touching import theorem_bits
+from safety_harness.claims.properties.true_motion import capsules_of
 from safety_harness.trace.trace import Trace
 
 NOTHING_SEEN = "before the first frame"

@@ -12,8 +12,8 @@ from itertools import cycle
 
 import numpy as np
 
-from safety_harness.properties.base import Evaluation
-from safety_harness.proportions import share_words
+from safety_harness.base.proportions import share_words
+from safety_harness.claims.properties.base import Evaluation
 from safety_harness.report.axes import Axes, Picture, Share, text_px
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.svg import (

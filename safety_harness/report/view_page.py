@@ -7,13 +7,13 @@ from pathlib import Path
 
 from markupsafe import Markup
 
+from safety_harness.base.whole_file import write_whole
 from safety_harness.report.evidence import JudgedRun, basis_of
 from safety_harness.report.html import claim_rows, notes
 from safety_harness.report.knowledge import measured_lines
 from safety_harness.report.page_parts import render_page
 from safety_harness.report.replay import Replays, start_s
 from safety_harness.report.timeline import timeline
-from safety_harness.whole_file import write_whole
 
 LANES = ("one", "two")
 

@@ -11,14 +11,14 @@ from typing import Any
 
 import numpy as np
 
-from safety_harness.geometry.arrays import Array3
-from safety_harness.properties.base import Evaluation, Unit
-from safety_harness.properties.positions import BEYOND_M, RepulsivePosesReachable
-from safety_harness.robot.drive import delay_ticks
+from safety_harness.base.geometry.arrays import Array3
+from safety_harness.base.settings import DEFAULTS, Settings
+from safety_harness.cell.robot.drive import delay_ticks
+from safety_harness.claims.properties.base import Evaluation, Unit
+from safety_harness.claims.properties.positions import BEYOND_M, RepulsivePosesReachable
 from safety_harness.scenario.model import Scenario
 from safety_harness.scenario.references import EXEC, names_a_program
 from safety_harness.scenario.robots import AnyRobot, OwnRobot, Robot
-from safety_harness.settings import DEFAULTS, Settings
 from safety_harness.trace.records import Check, DecisionOutcome, Mode, Trigger
 from safety_harness.trace.system import SystemUnderTest
 

@@ -14,14 +14,14 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from safety_harness.exceptions import Place, ScenarioError, near_miss
+from safety_harness.base.exceptions import Place, ScenarioError, near_miss
+from safety_harness.base.shipped.contents import located
 from safety_harness.scenario.fields import Field
 from safety_harness.scenario.files import ALL, decode, foreign, has_a_key, read_bytes, resolved
 from safety_harness.scenario.nodes import Mapping, Node, Scalar, Sequence, parse_tree
 from safety_harness.scenario.references import avoider_seen_from, file_and_name, seen_from
 from safety_harness.scenario.robots import FILES, robot_seen_from
 from safety_harness.scenario.units import shown
-from safety_harness.shipped.contents import located
 
 EXTENDS, WITHOUT, MATRIX, SUITE = "extends", "without", "matrix", "suite"
 SPACE_KEY = "scenario space"

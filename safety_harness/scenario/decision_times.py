@@ -13,13 +13,13 @@ from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from safety_harness.exceptions import InputError, Place, ScenarioError
+from safety_harness.base.exceptions import InputError, Place, ScenarioError
+from safety_harness.base.settings import DecisionCost, DecisionTimes, Measured
+from safety_harness.base.shipped.contents import located
 from safety_harness.scenario.fields import Field, is_sentence
 from safety_harness.scenario.files import decode, read_bytes
 from safety_harness.scenario.nodes import Mapping
 from safety_harness.scenario.units import TIME, format_quantity, parse_quantity
-from safety_harness.settings import DecisionCost, DecisionTimes, Measured
-from safety_harness.shipped.contents import located
 
 if TYPE_CHECKING:
     from safety_harness.scenario.model import Scenario

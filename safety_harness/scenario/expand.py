@@ -7,7 +7,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from safety_harness.exceptions import InputError, Place, ScenarioError
+from safety_harness.base.exceptions import InputError, Place, ScenarioError
+from safety_harness.base.shipped.contents import located
 from safety_harness.scenario.compose import (
     SUITE,
     Library,
@@ -26,7 +27,6 @@ from safety_harness.scenario.ours import files_of, yaml_files
 from safety_harness.scenario.read import scenario_of_variant
 from safety_harness.scenario.reference_tables import SUITE as SUITE_TABLE
 from safety_harness.scenario.reference_tables import TOP
-from safety_harness.shipped.contents import located
 
 DEEPEST_SUITE = 8
 MOST_FILES = 1_000

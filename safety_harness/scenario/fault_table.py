@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.compiled import compiled
+from safety_harness.base.compiled import compiled
 from safety_harness.scenario.faults import Fault, Joint, JointStuck
 
 TIME_EPS_S = 1e-9

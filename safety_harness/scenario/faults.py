@@ -13,7 +13,8 @@ from enum import Enum, IntEnum
 from math import inf
 from typing import Any, ClassVar, get_args
 
-from safety_harness.exceptions import near_miss
+from safety_harness.base.exceptions import near_miss
+from safety_harness.base.settings import Vector3
 from safety_harness.scenario.codec import (
     POINT,
     ROTATION,
@@ -31,7 +32,6 @@ from safety_harness.scenario.codec import (
 )
 from safety_harness.scenario.fields import Field, Fields
 from safety_harness.scenario.units import LENGTH, TIME
-from safety_harness.settings import Vector3
 
 MOST_FAULTS = 16  # a trace has a bit for each
 MOST_FALSE_HANDS = 2  # a frame holds two boxes for each hand that there is room for

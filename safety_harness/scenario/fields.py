@@ -17,7 +17,7 @@ from math import pi
 from pathlib import Path
 from typing import NamedTuple, TypeVar
 
-from safety_harness.exceptions import Place, ScenarioError, near_miss
+from safety_harness.base.exceptions import Place, ScenarioError, near_miss
 from safety_harness.scenario.nodes import Mapping, Node, Scalar, Sequence, join
 from safety_harness.scenario.units import Dimension, parse_quantity, shown
 

@@ -11,8 +11,8 @@ import os
 import re
 from pathlib import Path
 
-from safety_harness.exceptions import InputError, Place, ScenarioError, refuse_other_type
-from safety_harness.shipped.contents import is_installed, located, shipped_name
+from safety_harness.base.exceptions import InputError, Place, ScenarioError, refuse_other_type
+from safety_harness.base.shipped.contents import is_installed, located, shipped_name
 
 TITLES = ("scenario", "scenario space", "suite")
 # Keys that few others have.

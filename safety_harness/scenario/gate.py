@@ -7,9 +7,9 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from safety_harness.base.settings import Vector3
 from safety_harness.scenario.codec import POINT, Below, QuantityValue, declared, key, table_of
 from safety_harness.scenario.units import FRACTION
-from safety_harness.settings import Vector3
 
 _BOX = "{from: [600 mm, -500 mm, -200 mm], to: [700 mm, -400 mm, -100 mm]}"
 _REGION = f"{{hand: {_BOX}, tcp: {_BOX}}}"

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from enum import Enum
 from pathlib import Path
 
-from safety_harness.exceptions import InputError, Place, ScenarioError
+from safety_harness.base.exceptions import InputError, Place, ScenarioError
 from safety_harness.scenario.files import TITLES, TOP_KEY
 
 SUFFIXES = (".yaml", ".yml")

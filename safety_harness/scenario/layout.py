@@ -24,7 +24,7 @@ from ruamel.yaml.events import (
     SequenceEndEvent,
 )
 
-from safety_harness.exceptions import Place, ScenarioError
+from safety_harness.base.exceptions import Place, ScenarioError
 from safety_harness.scenario.codec import Below, FreeKeys, KeyTable, Several, Value, scalar_text
 from safety_harness.scenario.compose import SPACE_KEY, is_space
 from safety_harness.scenario.nodes import Mapping, Node, Scalar, parse_tree

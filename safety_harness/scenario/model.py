@@ -16,7 +16,8 @@ from typing import Any, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.exceptions import Place, ScenarioError, no_truth_value
+from safety_harness.base.exceptions import Place, ScenarioError, no_truth_value
+from safety_harness.base.settings import DEFAULTS, Settings, Vector3
 from safety_harness.scenario.codec import (
     POINT,
     ROTATION,
@@ -38,7 +39,6 @@ from safety_harness.scenario.obstacles import Obstacle
 from safety_harness.scenario.robots import DIGEST, AnyRobot, Robot
 from safety_harness.scenario.shield import Shield
 from safety_harness.scenario.units import ACCELERATION, NUMBER, SPEED, TIME
-from safety_harness.settings import DEFAULTS, Settings, Vector3
 
 HAND_SLOTS = (2, 4, 8)  # the records of a run have room for as many hands as one of these says
 MAX_HANDS = HAND_SLOTS[-1]

@@ -12,6 +12,7 @@ from dataclasses import replace
 from math import pi
 from typing import Any
 
+from safety_harness.base.settings import Vector3
 from safety_harness.scenario.codec import (
     POINT,
     Below,
@@ -25,7 +26,6 @@ from safety_harness.scenario.codec import (
 )
 from safety_harness.scenario.fields import LARGEST_COORDINATE_M
 from safety_harness.scenario.units import LENGTH, NUMBER, RATE, SPEED, TIME
-from safety_harness.settings import Vector3
 
 # ISO 13855 takes 2.0 m/s for a hand that reaches from close by (1.6 m/s for a person who walks up).
 REACHING_MPS = 2.0

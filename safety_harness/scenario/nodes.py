@@ -26,7 +26,7 @@ from ruamel.yaml.events import (
 )
 from ruamel.yaml.reader import ReaderError
 
-from safety_harness.exceptions import Place, ScenarioError
+from safety_harness.base.exceptions import Place, ScenarioError
 
 _MAX_DEPTH = 16  # the language itself needs six
 _MOST_NODES = 20_000  # in one file; reading that many takes a second or two

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from safety_harness.base.settings import Vector3
 from safety_harness.scenario.codec import POINT, TURN, Below, QuantityValue, Several, declared, key, table_of
 from safety_harness.scenario.units import LENGTH
-from safety_harness.settings import Vector3
 
 MAX_OBSTACLES = 50
 _EDGES = Several(

@@ -12,12 +12,12 @@ from collections.abc import Iterable, Iterator, Mapping
 from fnmatch import fnmatch
 from pathlib import Path
 
-from safety_harness.exceptions import Place, ScenarioError
+from safety_harness.base.exceptions import Place, ScenarioError
+from safety_harness.base.shipped.contents import PREFIX, located
 from safety_harness.scenario.files import TITLES, resolved, told
 from safety_harness.scenario.kinds import HEAD_BYTES, SUFFIXES, FileKind, kind_of
 from safety_harness.scenario.nodes import Mapping as MappingNode
 from safety_harness.scenario.nodes import Node, Scalar, Sequence, parse_tree
-from safety_harness.shipped.contents import PREFIX, located
 
 # What pytest does not enter either, by its own default.
 NOT_ENTERED = (".*", "*.egg", "build", "CVS", "dist", "node_modules", "venv", "__pycache__")

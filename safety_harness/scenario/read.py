@@ -17,7 +17,9 @@ from typing import Any
 
 import numpy as np
 
-from safety_harness.exceptions import RecordingError, ScenarioError, refuse_other_type
+from safety_harness.base.exceptions import RecordingError, ScenarioError, refuse_other_type
+from safety_harness.base.settings import DEFAULTS, Settings, Vector3
+from safety_harness.base.shipped.contents import located
 from safety_harness.scenario.compose import COMPOSING, SPACE_KEY, SUITE, Library, Variant, only_variant
 from safety_harness.scenario.faults import read_faults
 from safety_harness.scenario.fields import SENTENCE, Field, Fields, Places, is_sentence, walk
@@ -48,8 +50,6 @@ from safety_harness.scenario.reference_tables import CLAIMS, EXPECTED, TOP
 from safety_harness.scenario.robots import AnyRobot, OwnRobot, read_robot
 from safety_harness.scenario.settings_keys import SETTINGS_KEYS, TOP_GROUPS, read_group, setting_keys
 from safety_harness.scenario.units import DIMENSIONS, parse_quantity, shown
-from safety_harness.settings import DEFAULTS, Settings, Vector3
-from safety_harness.shipped.contents import located
 
 MOST_TICKS = 1_000_000
 SMALLEST_BOX_M = 0.01  # from corner to corner

@@ -23,12 +23,12 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.exceptions import Place, RecordingError, near_miss
+from safety_harness.base.exceptions import Place, RecordingError, near_miss
+from safety_harness.base.settings import Vector3
 from safety_harness.scenario.files import decode
 from safety_harness.scenario.model import RecordedHand, RecordedMotion
 from safety_harness.scenario.moves import shifted
 from safety_harness.scenario.units import shown
-from safety_harness.settings import Vector3
 
 MAX_BYTES = 20_000_000
 MAX_ROWS = 200_000  # half an hour at 100 Hz

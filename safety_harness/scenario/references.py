@@ -5,8 +5,8 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+from safety_harness.base.shipped.contents import is_installed, is_shipped, located, shipped_name
 from safety_harness.scenario.files import resolved
-from safety_harness.shipped.contents import is_installed, is_shipped, located, shipped_name
 
 MODEL_SUFFIX, ONNX_SUFFIX = ".safetensors", ".onnx"
 EXEC, TCP, UNIX = "exec:", "tcp:", "unix:"  # of a controller: a program that is started, or that listens

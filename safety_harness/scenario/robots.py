@@ -2,7 +2,7 @@
 
 An own arm is a URDF, the capsules that ``safety-harness robot fit`` wrote for it, how it stops, and where it
 stands.  Its texts are read with the scenario and kept by their SHA-256, as recordings are, so that a trace
-can be judged without them; ``safety_harness.robot.robots`` makes numbers of them.
+can be judged without them; ``safety_harness.cell.robot.robots`` makes numbers of them.
 """
 
 from __future__ import annotations
@@ -16,7 +16,9 @@ from enum import Enum
 from pathlib import Path
 from typing import Any
 
-from safety_harness.exceptions import ScenarioError
+from safety_harness.base.exceptions import ScenarioError
+from safety_harness.base.settings import Braking, Vector3
+from safety_harness.base.shipped.contents import is_shipped, located
 from safety_harness.scenario.codec import (
     POINT,
     ROTATION,
@@ -38,8 +40,6 @@ from safety_harness.scenario.nodes import Scalar, parse_tree
 from safety_harness.scenario.references import seen_from
 from safety_harness.scenario.units import ANGULAR_SPEED, FRACTION, LENGTH, MASS, TIME, TIME_PER_SPEED, TORQUE
 from safety_harness.scenario.urdf_packages import urdf_of_package
-from safety_harness.settings import Braking, Vector3
-from safety_harness.shipped.contents import is_shipped, located
 
 MAX_URDF_BYTES = 20_000_000
 MAX_CAPSULES_BYTES = 4_000_000

@@ -13,11 +13,11 @@ from dataclasses import fields, replace
 from enum import Enum
 from typing import Any
 
+from safety_harness.base.settings import DEFAULTS, DecisionCost, Settings
 from safety_harness.scenario.codec import Below, Key, KeyTable, QuantityValue, Several, Text, Value, Word
 from safety_harness.scenario.decision_times import FORM, read_decision_time, write_decision_time
 from safety_harness.scenario.fields import LARGEST_ANGLE_RAD, LARGEST_COORDINATE_M, Field
 from safety_harness.scenario.units import ANGLE, DIMENSIONS, LENGTH
-from safety_harness.settings import DEFAULTS, DecisionCost, Settings
 
 EVERY_TICK = "every tick"  # how a rate of None is written
 

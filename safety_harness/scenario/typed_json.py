@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 
 import msgspec
 
-from safety_harness.exceptions import InputError, Place
+from safety_harness.base.exceptions import InputError, Place
 from safety_harness.scenario.files import decode, read_bytes
 from safety_harness.scenario.kinds import JSON, command_for, kind_of, refuse_other_kind
 

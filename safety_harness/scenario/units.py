@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from functools import lru_cache
 
-from safety_harness.exceptions import Place, ScenarioError, near_miss
+from safety_harness.base.exceptions import Place, ScenarioError, near_miss
 
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 _LONGEST_NUMBER = 64  # characters; a float's shortest exact form has at most 24

@@ -6,7 +6,7 @@ from functools import lru_cache
 from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
 
-from safety_harness.exceptions import Place, ScenarioError, near_miss
+from safety_harness.base.exceptions import Place, ScenarioError, near_miss
 
 EXTRAS = {"example-robot-data": "arms", "pybullet": "pybullet"}
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from safety_harness.exceptions import refuse_other_type
+from safety_harness.base.exceptions import refuse_other_type
+from safety_harness.base.settings import DEFAULTS, Settings
 from safety_harness.scenario.codec import Tree, in_a_line
 from safety_harness.scenario.faults import write_fault
 from safety_harness.scenario.model import HAND, HandTrajectory, RecordedHand, Scenario
 from safety_harness.scenario.reference_tables import CLAIMS, TOP
 from safety_harness.scenario.robots import OwnRobot
 from safety_harness.scenario.settings_keys import SETTINGS_KEYS, TOP_GROUPS, setting_keys
-from safety_harness.settings import DEFAULTS, Settings
 
 # The keys of a recorded hand that come last.
 _LAST = ("speed at most", "from", "to", "elbow track", "elbow towards")

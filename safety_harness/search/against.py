@@ -10,11 +10,11 @@ from safety_harness.admission.admit import admit
 from safety_harness.admission.avoiders import told_avoider, with_avoider
 from safety_harness.admission.claims import property_of
 from safety_harness.admission.trial import run_all
-from safety_harness.exceptions import InputError, Place
-from safety_harness.properties.against import SCALES, TOLERANCE, tolerance
-from safety_harness.properties.base import Evaluation
+from safety_harness.base.exceptions import InputError, Place
+from safety_harness.cell.simulation.worlds import world_of_trace
+from safety_harness.claims.properties.against import SCALES, TOLERANCE, tolerance
+from safety_harness.claims.properties.base import Evaluation
 from safety_harness.scenario.model import Claim, Scenario, Verdict
-from safety_harness.simulation.worlds import world_of_trace
 from safety_harness.trace.trace import Trace
 
 

@@ -8,9 +8,9 @@ from collections.abc import Hashable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from safety_harness.base.seeds import Branch, generator
 from safety_harness.search.cube import Cube, Point, Points, Scores
 from safety_harness.search.search import least
-from safety_harness.seeds import Branch, generator
 
 _FLAT = 1e-9  # a population whose scores differ by less says nothing
 _PATIENCE = 10  # generations that find nothing better

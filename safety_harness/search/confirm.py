@@ -10,16 +10,16 @@ from typing import Any
 
 from safety_harness.admission.admit import Admitted, admit
 from safety_harness.admission.claims import property_of
-from safety_harness.avoidance.avoider import AvoiderAround, Proposal, Vector
-from safety_harness.exceptions import InputError, described
-from safety_harness.properties.answered import fault_of, without_numbers
-from safety_harness.properties.base import Evaluation
+from safety_harness.base.exceptions import InputError, described
+from safety_harness.base.seeds import Branch
+from safety_harness.base.seeds import seed as leaf
+from safety_harness.cell.avoidance.avoider import AvoiderAround, Proposal, Vector
+from safety_harness.claims.properties.answered import fault_of, without_numbers
+from safety_harness.claims.properties.base import Evaluation
 from safety_harness.scenario.model import Claim, Scenario, Verdict
 from safety_harness.search.against import Reference
 from safety_harness.search.findings import RUN_FAILED, Group
 from safety_harness.search.trials import ScenarioRunner
-from safety_harness.seeds import Branch
-from safety_harness.seeds import seed as leaf
 from safety_harness.trace.trace import Trace
 
 

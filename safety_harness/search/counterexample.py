@@ -17,7 +17,7 @@ import numpy as np
 
 from safety_harness.admission.admit import admit
 from safety_harness.admission.avoiders import folder_of
-from safety_harness.properties.base import Evaluation
+from safety_harness.claims.properties.base import Evaluation
 from safety_harness.scenario.model import Claim, Scenario, Verdict
 from safety_harness.scenario.write import write_scenario
 from safety_harness.search.confirm import Complaint, Confirm, in_one_world

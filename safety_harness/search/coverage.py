@@ -16,7 +16,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.compiled import compiled
+from safety_harness.base.compiled import compiled
 from safety_harness.space.regions import SeenRegions
 from safety_harness.trace.records import DecisionOutcome, Mode, as_compiled
 from safety_harness.trace.trace import Trace

@@ -15,10 +15,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from safety_harness.base.seeds import Branch, generator
 from safety_harness.search.cma_es import Descent
 from safety_harness.search.cube import Cube, Point, Points, Scores
 from safety_harness.search.sampling import Explorer
-from safety_harness.seeds import Branch, generator
 
 _KEPT = 256  # a claim
 

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from safety_harness.base.seeds import Branch, generator
 from safety_harness.search.cube import Cube, Point, Points, Scores
 from safety_harness.search.sampling import Explorer
 from safety_harness.search.search import least
-from safety_harness.seeds import Branch, generator
 
 _EXPLORING = 1.0 / 3.0
 _STEP, _ALONG = 0.05, 0.2

@@ -14,8 +14,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.properties.against import SCALES
-from safety_harness.properties.base import Property, Unit
+from safety_harness.claims.properties.against import SCALES
+from safety_harness.claims.properties.base import Property, Unit
 from safety_harness.search.cube import Cube, Point, Points, Scores
 
 RUN_FAILED = "the run failed: "  # how the mishap of a world that broke begins

@@ -12,9 +12,9 @@ from dataclasses import replace
 import numpy as np
 
 from safety_harness.admission.admit import Admitted, Admitter
-from safety_harness.exceptions import InputError
-from safety_harness.properties.against import TOLERANCE, ClaimDifference, VerdictChange
-from safety_harness.proportions import sign_test
+from safety_harness.base.exceptions import InputError
+from safety_harness.base.proportions import sign_test
+from safety_harness.claims.properties.against import TOLERANCE, ClaimDifference, VerdictChange
 from safety_harness.scenario.model import Verdict
 from safety_harness.search.against import difference_of
 from safety_harness.search.confirm import OtherDraws

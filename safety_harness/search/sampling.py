@@ -9,8 +9,8 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from safety_harness.base.seeds import Branch, generator
 from safety_harness.search.cube import Cube, Points, Scores
-from safety_harness.seeds import Branch, generator
 
 
 class UniformSampling:

@@ -11,7 +11,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.exceptions import InadmissibleError, SearchOrderError
+from safety_harness.base.exceptions import InadmissibleError, SearchOrderError
 from safety_harness.search.cube import Cube, Points, Scores
 from safety_harness.search.findings import Evaluate, Findings, Goal
 

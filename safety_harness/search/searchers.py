@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from safety_harness.exceptions import ScenarioError, near_miss, refuse_other_type
+from safety_harness.base.exceptions import ScenarioError, near_miss, refuse_other_type
 from safety_harness.search.cma_es import CmaEs
 from safety_harness.search.cube import Cube
 from safety_harness.search.default import Default

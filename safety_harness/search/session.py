@@ -18,11 +18,13 @@ import numpy as np
 
 from safety_harness.admission.avoiders import as_seen_from
 from safety_harness.admission.repeatability import RepeatabilityResult
-from safety_harness.exceptions import OutputError, explanation
-from safety_harness.properties.against import Against
-from safety_harness.properties.answered import fallback_words
-from safety_harness.properties.base import Unit, close_to, far_words
-from safety_harness.properties.tally import basis
+from safety_harness.base.exceptions import OutputError, explanation
+from safety_harness.base.whole_file import write_text, writing
+from safety_harness.cell.simulation.worlds import KINEMATIC, PYBULLET
+from safety_harness.claims.properties.against import Against
+from safety_harness.claims.properties.answered import fallback_words
+from safety_harness.claims.properties.base import Unit, close_to, far_words
+from safety_harness.claims.properties.tally import basis
 from safety_harness.scenario.model import Scenario, Verdict
 from safety_harness.scenario.write import write_scenario
 from safety_harness.search.confirm import Complaint, Disagreement, disagreement_of
@@ -42,10 +44,8 @@ from safety_harness.search.sampling import UniformSampling
 from safety_harness.search.search import find_violations
 from safety_harness.search.searchers import MakesSearcher, searcher_named
 from safety_harness.search.trials import ScenarioRunner, Trials, in_kinematic, in_pybullet
-from safety_harness.simulation.worlds import KINEMATIC, PYBULLET
 from safety_harness.trace.store import save_trace
 from safety_harness.trace.trace import Trace
-from safety_harness.whole_file import write_text, writing
 
 FINDINGS, AS_FOUND = "findings.json", "as-found"
 AS_EXPECTED = " (as the space expects)"

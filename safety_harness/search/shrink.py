@@ -13,7 +13,8 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, TypeVar
 
-from safety_harness.exceptions import InputError
+from safety_harness.base.exceptions import InputError
+from safety_harness.base.settings import DEFAULTS
 from safety_harness.scenario.model import (
     REACHING_MPS2,
     MovingHand,
@@ -25,7 +26,6 @@ from safety_harness.scenario.model import (
 from safety_harness.scenario.moves import REACHING_MPS, ReachForObject, ReachForTcp
 from safety_harness.scenario.read import parse_scenario
 from safety_harness.scenario.write import write_scenario
-from safety_harness.settings import DEFAULTS
 from safety_harness.space.tracing import Path, leaves, value_at, with_value, words
 
 FINER = 3  # how many times a step is divided by ten before a number is left as it is

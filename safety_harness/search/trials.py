@@ -19,8 +19,7 @@ from safety_harness.admission.claims import property_of
 from safety_harness.admission.repeatability import Repeatability
 from safety_harness.admission.spaces import why_refused
 from safety_harness.admission.trial import run_all
-from safety_harness.avoidance.avoider import decision_time_of
-from safety_harness.exceptions import (
+from safety_harness.base.exceptions import (
     InadmissibleError,
     InputError,
     Place,
@@ -28,8 +27,13 @@ from safety_harness.exceptions import (
     described,
     refuse_other_type,
 )
-from safety_harness.properties.against import Against, RunDifference
-from safety_harness.properties.answered import (
+from safety_harness.base.seeds import Branch
+from safety_harness.base.seeds import seed as leaf
+from safety_harness.cell.avoidance.avoider import decision_time_of
+from safety_harness.cell.simulation.simulate import INTERRUPTED
+from safety_harness.cell.simulation.worlds import KINEMATIC, PYBULLET, WorldEntry
+from safety_harness.claims.properties.against import Against, RunDifference
+from safety_harness.claims.properties.answered import (
     DEFAULT_CLAIM,
     fault_of,
     is_claimed,
@@ -37,17 +41,13 @@ from safety_harness.properties.answered import (
     with_expectation,
     without_numbers,
 )
-from safety_harness.properties.base import Evaluation, Property
-from safety_harness.properties.tried import TriedParts
+from safety_harness.claims.properties.base import Evaluation, Property
+from safety_harness.claims.properties.tried import TriedParts
 from safety_harness.scenario.model import Claim, Scenario, Verdict
 from safety_harness.search.against import Reference, difference_of
 from safety_harness.search.coverage import Coverage, CoverageCell, cell_of
 from safety_harness.search.cube import Point, Points
 from safety_harness.search.findings import RUN_FAILED, Goal, Outcomes
-from safety_harness.seeds import Branch
-from safety_harness.seeds import seed as leaf
-from safety_harness.simulation.simulate import INTERRUPTED
-from safety_harness.simulation.worlds import KINEMATIC, PYBULLET, WorldEntry
 from safety_harness.space.space import ScenarioSpace, each_to_hold
 from safety_harness.trace.answer_times import AnswersTook
 from safety_harness.trace.overruling import Overruling

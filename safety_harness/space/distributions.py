@@ -17,8 +17,8 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.geometry.regions import Box, Region
-from safety_harness.settings import Vector3
+from safety_harness.base.geometry.regions import Box, Region
+from safety_harness.base.settings import Vector3
 
 Vector = NDArray[np.float64]
 Rows = NDArray[np.float64]  # (n, d): a row a draw, a column a number

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.exceptions import ScenarioError, refuse_other_type
-from safety_harness.geometry.regions import Box, Region
+from safety_harness.base.exceptions import ScenarioError, refuse_other_type
+from safety_harness.base.geometry.regions import Box, Region
 from safety_harness.scenario.compose import SPACE_KEY, Library, only_variant
 from safety_harness.scenario.fields import Field
 from safety_harness.scenario.files import as_path

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from safety_harness.exceptions import ScenarioError, near_miss
+from safety_harness.base.exceptions import ScenarioError, near_miss
+from safety_harness.base.settings import Vector3
 from safety_harness.scenario.compose import SPACE_KEY
 from safety_harness.scenario.fields import Field
 from safety_harness.scenario.model import LARGEST_SEED
 from safety_harness.scenario.nodes import Mapping, Node, Scalar, Sequence
-from safety_harness.settings import Vector3
 from safety_harness.space.distributions import Choice, Distribution, InBox, InRegion, InShell
 from safety_harness.space.regions import REGIONS
 from safety_harness.space.sentences import fixed_quantity, listed_options, options_of, sentence, times

@@ -21,7 +21,11 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
-from safety_harness.avoidance.model_file import (
+from safety_harness.base.exceptions import ModelError, RegionError, near_miss
+from safety_harness.base.geometry.regions import Box, Region
+from safety_harness.base.settings import Settings, Vector3
+from safety_harness.base.shipped.contents import located
+from safety_harness.cell.avoidance.model_file import (
     KEY,
     NetworkUse,
     SeenSpace,
@@ -30,13 +34,9 @@ from safety_harness.avoidance.model_file import (
     onnx_bytes,
     onnx_metadata,
 )
-from safety_harness.avoidance.shipped import SHIPPED, shipped_model
-from safety_harness.exceptions import ModelError, RegionError, near_miss
-from safety_harness.geometry.regions import Box, Region
+from safety_harness.cell.avoidance.shipped import SHIPPED, shipped_model
 from safety_harness.scenario.references import MODEL_SUFFIX, file_and_name, names_onnx
 from safety_harness.scenario.typed_json import parsed
-from safety_harness.settings import Settings, Vector3
-from safety_harness.shipped.contents import located
 
 SEEN_TCP_HALF_SIZE_M: Vector3 = (0.060, 0.150, 0.100)
 SEEN_HAND_HALF_SIZE_M: Vector3 = (0.300, 0.300, 0.300)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from safety_harness.exceptions import near_miss
+from safety_harness.base.exceptions import near_miss
 from safety_harness.scenario.fields import Field
 from safety_harness.scenario.units import DIMENSIONS, NUMBER, normal_unit, parse_quantity, shown
 from safety_harness.space.distributions import LEAST_MASS, TruncatedNormal, Uniform

@@ -17,15 +17,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from safety_harness.exceptions import InputError, Place, ScenarioError
+from safety_harness.base.exceptions import InputError, Place, ScenarioError
+from safety_harness.base.seeds import Branch, generator
+from safety_harness.base.seeds import seed as leaf
 from safety_harness.scenario.decision_times import refuse_wall_clock
 from safety_harness.scenario.model import Claim, Scenario, Verdict
 from safety_harness.scenario.nodes import Node
 from safety_harness.scenario.read import scenario_of
 from safety_harness.scenario.settings_keys import TOP_GROUPS
 from safety_harness.scenario.write import tree_of
-from safety_harness.seeds import Branch, generator
-from safety_harness.seeds import seed as leaf
 from safety_harness.space.distributions import Choice, InShell, Rows
 from safety_harness.space.template import Condition, Keyed, Parameter, filled, matches
 from safety_harness.space.tracing import Form, Values

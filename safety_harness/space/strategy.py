@@ -17,7 +17,7 @@ from hypothesis import reject
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from safety_harness.exceptions import InputError, refuse_other_type
+from safety_harness.base.exceptions import InputError, refuse_other_type
 from safety_harness.scenario.model import LARGEST_SEED, Scenario
 from safety_harness.space.distributions import Choice, Distribution, InBox, InRegion, InShell
 from safety_harness.space.space import ScenarioSpace

@@ -17,7 +17,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from safety_harness.exceptions import Place, ScenarioError
+from safety_harness.base.exceptions import Place, ScenarioError
 from safety_harness.scenario.codec import Tree, scalar_text
 from safety_harness.scenario.fields import Field
 from safety_harness.scenario.nodes import Mapping, Node, Scalar, Sequence

@@ -20,8 +20,8 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from safety_harness.base.settings import DEFAULTS
 from safety_harness.scenario.model import Scenario
-from safety_harness.settings import DEFAULTS
 
 Path = tuple[str | int, ...]
 T = TypeVar("T")

@@ -18,7 +18,7 @@ from collections.abc import Sequence as Values
 from dataclasses import dataclass
 from typing import TypeAlias
 
-from safety_harness.exceptions import Place, ScenarioError, near_miss
+from safety_harness.base.exceptions import Place, ScenarioError, near_miss
 from safety_harness.scenario.compose import SPACE_KEY
 from safety_harness.scenario.fields import Field, walk
 from safety_harness.scenario.model import Scenario

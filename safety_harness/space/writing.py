@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from safety_harness.exceptions import refuse_other_type
+from safety_harness.base.exceptions import refuse_other_type
 from safety_harness.scenario.codec import Tree, scalar_text
 from safety_harness.scenario.nodes import Mapping, Node, Scalar
 from safety_harness.scenario.write import text_of

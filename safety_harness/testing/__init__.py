@@ -9,7 +9,7 @@
 
 A claim is a formula, a property of the catalogue or a sentence as in a scenario file.  ``simulate`` is a
 fixture of the pytest plug-in, which comes with the package.  Public are the names below and all of
-``formulas.language``; they are imported when they are first used, so that nobody waits for a physics engine
+``claims.formulas.language``; they are imported when they are first used, so that nobody waits for a physics engine
 who does not need one.
 """
 
@@ -20,7 +20,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from safety_harness.formulas.language import *
+    from safety_harness.claims.formulas.language import *
     from safety_harness.testing.asserting import NotEstablished as NotEstablished
     from safety_harness.testing.asserting import SafetyViolation as SafetyViolation
     from safety_harness.testing.asserting import assert_holds as assert_holds
@@ -40,7 +40,7 @@ def __getattr__(name: str) -> object:
     if name in _HOMES:
         return getattr(import_module(f"safety_harness.testing.{_HOMES[name]}"), name)
     if name == "__all__" or not name.startswith("_"):
-        language = import_module("safety_harness.formulas.language")
+        language = import_module("safety_harness.claims.formulas.language")
         if name == "__all__":
             return sorted([*language.__all__, *_HOMES])
         if name in language.__all__:

@@ -6,8 +6,8 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from safety_harness.admission.avoiders import told_avoider
-from safety_harness.properties.against import ClaimDifference, RunDifference, VerdictChange
-from safety_harness.properties.base import Evaluation
+from safety_harness.claims.properties.against import ClaimDifference, RunDifference, VerdictChange
+from safety_harness.claims.properties.base import Evaluation
 from safety_harness.testing.session import session
 from safety_harness.testing.simulating import digest_of, simulate
 from safety_harness.trace.overruling import Overruling

@@ -11,20 +11,20 @@ from math import isfinite
 from pathlib import Path
 
 from safety_harness.admission.claims import property_of
-from safety_harness.exceptions import (
+from safety_harness.base.exceptions import (
     InadmissibleError,
     InputError,
     Place,
     SafetyHarnessError,
     refuse_other_type,
 )
-from safety_harness.formulas.claim import FormulaClaim
-from safety_harness.formulas.formula import Formula
-from safety_harness.properties.against import ClaimDifference
-from safety_harness.properties.answered import AvoiderAnswered, by_default
-from safety_harness.properties.base import Evaluation, Property, inconclusive, unreadable
-from safety_harness.properties.measured import columns_read_by
-from safety_harness.properties.tally import made_in
+from safety_harness.claims.formulas.claim import FormulaClaim
+from safety_harness.claims.formulas.formula import Formula
+from safety_harness.claims.properties.against import ClaimDifference
+from safety_harness.claims.properties.answered import AvoiderAnswered, by_default
+from safety_harness.claims.properties.base import Evaluation, Property, inconclusive, unreadable
+from safety_harness.claims.properties.measured import columns_read_by
+from safety_harness.claims.properties.tally import made_in
 from safety_harness.report.words import tested_words
 from safety_harness.scenario.model import Claim, Scenario, Verdict
 from safety_harness.testing.against import against_reference, is_shared, note_of

@@ -10,7 +10,7 @@ from hypothesis import reject
 from hypothesis import strategies as st
 
 from safety_harness.admission.spaces import draw_admissible
-from safety_harness.exceptions import InputError, refuse_other_type
+from safety_harness.base.exceptions import InputError, refuse_other_type
 from safety_harness.scenario.expand import gather
 from safety_harness.scenario.files import as_path
 from safety_harness.scenario.model import Scenario

@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.properties.base import Evaluation
+from safety_harness.base.shipped.contents import shipped_name
+from safety_harness.claims.properties.base import Evaluation
 from safety_harness.report.decisions import DecisionRow, decision_rows
 from safety_harness.report.words import (
     claimed_hand_distance_m,
@@ -21,7 +22,6 @@ from safety_harness.report.words import (
 from safety_harness.scenario.expand import gather
 from safety_harness.scenario.model import Scenario, Verdict
 from safety_harness.scenario.write import write_scenario
-from safety_harness.shipped.contents import shipped_name
 from safety_harness.testing.session import TestRun, session
 from safety_harness.testing.simulating import digest_of, is_of_an_object
 from safety_harness.trace.trace import Trace

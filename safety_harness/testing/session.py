@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from safety_harness.exceptions import SafetyHarnessError
-    from safety_harness.properties.against import RunDifference
-    from safety_harness.properties.base import Evaluation
-    from safety_harness.properties.tried import TriedParts
+    from safety_harness.base.exceptions import SafetyHarnessError
+    from safety_harness.claims.properties.against import RunDifference
+    from safety_harness.claims.properties.base import Evaluation
+    from safety_harness.claims.properties.tried import TriedParts
     from safety_harness.report.decisions import ComputingTime
     from safety_harness.scenario.model import Verdict
     from safety_harness.trace.overruling import Overruling

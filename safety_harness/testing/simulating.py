@@ -14,19 +14,19 @@ from weakref import WeakKeyDictionary, WeakSet
 from safety_harness.admission.admit import Admitted, Admitter, Looker, admit
 from safety_harness.admission.avoiders import command_line_reference, option_of, with_avoider
 from safety_harness.admission.trial import run_trial
-from safety_harness.avoidance.avoider import Avoider
-from safety_harness.avoidance.flaky import refuse_flaky
-from safety_harness.controller.contract import UserController
-from safety_harness.exceptions import FlakyAvoiderError, InputError, Place
-from safety_harness.properties.answered import by_default
-from safety_harness.properties.tried import TriedParts
+from safety_harness.base.exceptions import FlakyAvoiderError, InputError, Place
+from safety_harness.cell.avoidance.avoider import Avoider
+from safety_harness.cell.avoidance.flaky import refuse_flaky
+from safety_harness.cell.simulation.simulate import INTERRUPTED
+from safety_harness.cell.simulation.worlds import world_named
+from safety_harness.claims.properties.answered import by_default
+from safety_harness.claims.properties.tried import TriedParts
 from safety_harness.report.decisions import computing_times
 from safety_harness.scenario.files import as_path
 from safety_harness.scenario.model import RecordedHand, Scenario
 from safety_harness.scenario.read import read_scenario
 from safety_harness.scenario.write import write_scenario
-from safety_harness.simulation.simulate import INTERRUPTED
-from safety_harness.simulation.worlds import world_named
+from safety_harness.seams.contract import UserController
 from safety_harness.testing.session import TestRun, session
 from safety_harness.trace.overruling import Overruling
 from safety_harness.trace.trace import Trace

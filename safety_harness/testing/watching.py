@@ -23,7 +23,8 @@ from hypothesis.internal.conjecture.providers import AVAILABLE_PROVIDERS, Hypoth
 
 from safety_harness.admission.avoiders import as_seen_from, with_system_of
 from safety_harness.admission.claims import property_of
-from safety_harness.exceptions import InputError, OutputError
+from safety_harness.base.exceptions import InputError, OutputError
+from safety_harness.base.whole_file import write_whole
 from safety_harness.scenario.model import Claim, Scenario, Verdict
 from safety_harness.scenario.read import read_scenario
 from safety_harness.scenario.write import write_scenario
@@ -31,7 +32,6 @@ from safety_harness.testing.asserting import SafetyViolation
 from safety_harness.testing.drawing import one_system_of
 from safety_harness.testing.session import TestRun, session
 from safety_harness.testing.simulating import digest_of
-from safety_harness.whole_file import write_whole
 
 PHASES = (Phase.explicit, Phase.generate, Phase.target, Phase.shrink)
 # A simulation takes as long as it takes, and which draws can be tried is not up to the test.

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from safety_harness.proportions import share_words
-from safety_harness.settings import DecisionTimes
+from safety_harness.base.proportions import share_words
+from safety_harness.base.settings import DecisionTimes
 from safety_harness.trace.trace import Trace
 
 UNHEEDED = "it was tested as if it answered in time"

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.exceptions import refuse_other_type
+from safety_harness.base.exceptions import refuse_other_type
 from safety_harness.trace.known import COLUMNS_OF_A_TRACE, Measurement
 from safety_harness.trace.trace import Trace
 from safety_harness.trace.unmeasured import as_measured

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.exceptions import Place, TraceError
+from safety_harness.base.exceptions import Place, TraceError
 from safety_harness.trace.records import DECISION, TICK
 
 if TYPE_CHECKING:

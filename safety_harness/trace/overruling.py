@@ -11,7 +11,7 @@ from operator import add
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.proportions import share_words
+from safety_harness.base.proportions import share_words
 from safety_harness.trace.records import ENDLESS, Check, DecisionOutcome
 from safety_harness.trace.trace import Trace
 from safety_harness.trace.unmeasured import decided

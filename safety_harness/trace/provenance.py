@@ -20,11 +20,11 @@ from types import ModuleType
 
 import numpy as np
 
-from safety_harness.compiled import PACKAGE, cache_root, source_hash
-from safety_harness.distribution import installed_version
-from safety_harness.exceptions import InstallationError, Place
+from safety_harness.base.compiled import PACKAGE, cache_root, source_hash
+from safety_harness.base.distribution import installed_version
+from safety_harness.base.exceptions import InstallationError, Place
+from safety_harness.base.whole_file import sha256_of, write_whole
 from safety_harness.trace.trace import Provenance
-from safety_harness.whole_file import sha256_of, write_whole
 
 # Each with the compiled module that does its work.
 LIBRARIES = {

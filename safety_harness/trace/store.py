@@ -22,7 +22,9 @@ from typing import IO, Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.exceptions import InputError, Place, TraceError, refuse_other_type
+from safety_harness.base.exceptions import InputError, Place, TraceError, refuse_other_type
+from safety_harness.base.shipped.contents import located
+from safety_harness.base.whole_file import replacing
 from safety_harness.scenario.faults import AvoiderLate, AvoiderSilent, Fault
 from safety_harness.scenario.files import as_path, refuse_no_file, told
 from safety_harness.scenario.kinds import FileKind, refuse_other_kind
@@ -33,7 +35,6 @@ from safety_harness.scenario.references import file_and_name, portable
 from safety_harness.scenario.robots import OwnRobot
 from safety_harness.scenario.typed_json import parsed, plain, typed
 from safety_harness.scenario.write import write_scenario
-from safety_harness.shipped.contents import located
 from safety_harness.trace.certified import CertifiedDecisions
 from safety_harness.trace.consistency import first_inconsistency
 from safety_harness.trace.known import WHOLLY_KNOWN, Knowledge, Measurement
@@ -46,7 +47,6 @@ from safety_harness.trace.records import (
 )
 from safety_harness.trace.system import Component, Line, SystemUnderTest, system_of
 from safety_harness.trace.trace import Provenance, Trace, no_interventions, not_recorded
-from safety_harness.whole_file import replacing
 
 FORMAT = "safety-harness trace 4"
 IN_PART = "safety-harness trace 5"  # that says what is known of its columns, which others know all of

@@ -11,10 +11,10 @@ from typing import Annotated, Any
 
 from msgspec import Meta
 
+from safety_harness.base.settings import GateKind, HandSensorKind, ImageSource, Settings
 from safety_harness.scenario.model import VISUAL_SERVO, Scenario
 from safety_harness.scenario.robots import OwnRobot, Robot
 from safety_harness.scenario.shield import Shield
-from safety_harness.settings import GateKind, HandSensorKind, ImageSource, Settings
 
 Line = Annotated[str, Meta(max_length=4_096, pattern=r"\A[^\0\n\r]*\Z")]  # it is printed, and may name a file
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.exceptions import Place, TraceError
+from safety_harness.base.exceptions import Place, TraceError
 from safety_harness.trace.known import OF_DECISIONS, Measurement, knowing
 from safety_harness.trace.records import DECISION
 from safety_harness.trace.trace import Trace

@@ -8,7 +8,7 @@ import pytest
 
 from safety_harness import admit, parse_space, read_space
 from safety_harness.admission.spaces import MAX_REJECTION_RATIO, draw_admissible
-from safety_harness.exceptions import InadmissibleError, ModelError
+from safety_harness.base.exceptions import InadmissibleError, ModelError
 
 FOLDER = Path(__file__).parents[2] / "scenarios/spaces"
 TEXT = """\

@@ -12,11 +12,12 @@ from examples import TowardsTheHand, hand, scenario
 from safety_harness import admit
 from safety_harness.admission.claims import property_of
 from safety_harness.admission.poses import start_joint_position
-from safety_harness.controller.desired import desired_transform_tcp_to_base
-from safety_harness.exceptions import InadmissibleError, Place
-from safety_harness.properties.catalogue import CATALOGUE
-from safety_harness.robot.description import load_arm
-from safety_harness.robot.kinematics import forward_kinematics
+from safety_harness.base.exceptions import InadmissibleError, Place
+from safety_harness.base.settings import DEFAULTS, Avoidance, Camera, HandSensor, HandSensorKind, Object
+from safety_harness.cell.controller.desired import desired_transform_tcp_to_base
+from safety_harness.cell.robot.description import load_arm
+from safety_harness.cell.robot.kinematics import forward_kinematics
+from safety_harness.claims.properties.catalogue import CATALOGUE
 from safety_harness.scenario.model import (
     Claim,
     JoinedHand,
@@ -28,7 +29,6 @@ from safety_harness.scenario.model import (
 )
 from safety_harness.scenario.moves import MoveTo, Tremor
 from safety_harness.scenario.shield import Shield
-from safety_harness.settings import DEFAULTS, Avoidance, Camera, HandSensor, HandSensorKind, Object
 
 DOWNWARD = DEFAULTS.cell.preferred_joint_position_rad
 

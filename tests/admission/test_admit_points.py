@@ -11,7 +11,7 @@ from examples import Displaced
 from safety_harness.admission.admit import Admitted, admit
 from safety_harness.admission.spaces import admit_points
 from safety_harness.admission.trial import run_many
-from safety_harness.exceptions import InputError
+from safety_harness.base.exceptions import InputError
 from safety_harness.space.read import read_space
 from safety_harness.space.space import ScenarioSpace
 

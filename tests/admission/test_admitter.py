@@ -15,10 +15,10 @@ from onnx import TensorProto, helper, numpy_helper
 
 from safety_harness.admission.admit import Admitted, Admitter, admit, check
 from safety_harness.admission.spaces import admit_points, draw_admissible
-from safety_harness.exceptions import InputError
+from safety_harness.base.exceptions import InputError
+from safety_harness.base.settings import DEFAULTS, Vector3
 from safety_harness.scenario.model import Scenario
 from safety_harness.search.trials import Trials, in_kinematic
-from safety_harness.settings import DEFAULTS, Vector3
 from safety_harness.space.read import parse_space
 from safety_harness.trace.trace import Trace
 

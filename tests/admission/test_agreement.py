@@ -16,7 +16,7 @@ from safety_harness.admission.agreement import (
     present_source,
     to_json,
 )
-from safety_harness.exceptions import InputError
+from safety_harness.base.exceptions import InputError
 
 EXAMPLE = Agreement(
     source="0" * 16,

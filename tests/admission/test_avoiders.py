@@ -15,12 +15,12 @@ from examples import VISIT, Displaced, run, scenario
 
 from safety_harness import admit, judge, parse_scenario, write_scenario
 from safety_harness.admission.avoiders import NAMES, resolve_avoider, shipped_avoider, with_avoider
-from safety_harness.avoidance.avoider import Avoider
-from safety_harness.avoidance.learned import LearnedAvoider
-from safety_harness.avoidance.shipped import SHIPPED, shipped_model
-from safety_harness.exceptions import InadmissibleError, Place
+from safety_harness.base.exceptions import InadmissibleError, Place
+from safety_harness.base.settings import DEFAULTS
+from safety_harness.cell.avoidance.avoider import Avoider
+from safety_harness.cell.avoidance.learned import LearnedAvoider
+from safety_harness.cell.avoidance.shipped import SHIPPED, shipped_model
 from safety_harness.scenario.model import Claim, Scenario, Verdict
-from safety_harness.settings import DEFAULTS
 
 PROPOSE = """
     def propose(self, *, hand_position_in_base_m, tcp_position_in_base_m, seed):

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from safety_harness import admit
-from safety_harness.exceptions import InadmissibleError, Place
+from safety_harness.base.exceptions import InadmissibleError, Place
 from safety_harness.scenario.read import parse_scenario
 
 FILE = Path("folder/slip.yaml")

@@ -13,11 +13,11 @@ import pytest
 
 from safety_harness import admit, read_scenario, run_trial
 from safety_harness.admission.avoiders import NAMES
-from safety_harness.controller.contract import SIGHTS
-from safety_harness.exceptions import ModelError
+from safety_harness.base.exceptions import ModelError
+from safety_harness.base.settings import DEFAULTS, Avoidance
 from safety_harness.report.words import flag_words
 from safety_harness.scenario.model import Scenario
-from safety_harness.settings import DEFAULTS, Avoidance
+from safety_harness.seams.contract import SIGHTS
 from safety_harness.trace.records import Check, DecisionOutcome
 from safety_harness.trace.trace import Trace
 

@@ -17,7 +17,7 @@ from safety_harness.admission.admit import Admitter
 from safety_harness.admission.avoiders import NAMES
 from safety_harness.admission.repeatability import LEAST, Repeatability, RepeatabilityResult
 from safety_harness.admission.trial import run_many
-from safety_harness.avoidance.flaky import asked_in
+from safety_harness.cell.avoidance.flaky import asked_in
 from safety_harness.scenario.faults import AvoiderLate, AvoiderNaN
 from safety_harness.scenario.model import OffsetStart
 from safety_harness.trace.compare import first_difference

@@ -8,18 +8,18 @@ from pathlib import Path
 
 import pytest
 
-from safety_harness.campaign.ledger import Ledger
-from safety_harness.cli.campaign import merge, resume, status
-from safety_harness.cli.campaign import run as run_campaign
+from safety_harness.base.exceptions import StatisticsError
 from safety_harness.cli.console import AS_EXPECTED, DIFFERS
 from safety_harness.cli.fuzz import fuzz
 from safety_harness.cli.replay import replay
 from safety_harness.cli.run import run
-from safety_harness.exceptions import StatisticsError
+from safety_harness.extensions.assurance.campaign.ledger import Ledger
+from safety_harness.extensions.assurance.commands.campaign import merge, resume, status
+from safety_harness.extensions.assurance.commands.campaign import run as run_campaign
 from safety_harness.trace.store import load_trace
 from tests.admission.remembering import NO_FUNCTIONS
 from tests.admission.remembering import TEXT as MINE
-from tests.campaign.plans import PLAN
+from tests.assurance.campaign.plans import PLAN
 from tests.kinds_of_files import VISIT
 from tests.search.short_space import TEXT as SPACE
 

@@ -12,23 +12,29 @@ from xml.etree import ElementTree
 import pytest
 from typer.testing import CliRunner
 
-from safety_harness.campaign.identity import Identity
-from safety_harness.certification.delta import delta_between
-from safety_harness.certification.delta_page import render as delta_page
-from safety_harness.certification.folder import junit_xml
-from safety_harness.certification.page import render as evidence_page
-from safety_harness.cli import campaign
-from safety_harness.cli.certify import certify, verify
+from safety_harness.claims.properties.tally import (
+    BASIS_OF_ANSWERS,
+    EXCLUSIONS,
+    UNWATCHED,
+    UNWATCHED_IN_LOGS,
+    basis,
+)
 from safety_harness.cli.fuzz import fuzz
-from safety_harness.cli.history import history
 from safety_harness.cli.main import app
 from safety_harness.cli.scenario_commands import judge, run, view
-from safety_harness.properties.tally import BASIS_OF_ANSWERS, EXCLUSIONS, UNWATCHED, UNWATCHED_IN_LOGS, basis
+from safety_harness.extensions.assurance.campaign.identity import Identity
+from safety_harness.extensions.assurance.certification.delta import delta_between
+from safety_harness.extensions.assurance.certification.delta_page import render as delta_page
+from safety_harness.extensions.assurance.certification.folder import junit_xml
+from safety_harness.extensions.assurance.certification.page import render as evidence_page
+from safety_harness.extensions.assurance.commands import campaign
+from safety_harness.extensions.assurance.commands.certify import certify, verify
+from safety_harness.extensions.assurance.commands.history import history
 from safety_harness.report.page_parts import PACKAGE
 from safety_harness.search import session as search_session
+from tests.assurance.campaign.plans import plan_in
+from tests.assurance.certification.made_up_evidence import evidence
 from tests.basis import rests_on
-from tests.campaign.plans import plan_in
-from tests.certification.made_up_evidence import evidence
 from tests.cli.test_overruled_everywhere import PLAN
 from tests.cli.test_own_avoider import VISIT
 from tests.search.short_space import TEXT

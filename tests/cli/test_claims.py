@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 
+from safety_harness.claims.properties.base import Unit
+from safety_harness.claims.properties.catalogue import CATALOGUE
+from safety_harness.claims.properties.entry import told
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT
 from safety_harness.cli.scenario_commands import claims as explain_claims
-from safety_harness.properties.base import Unit
-from safety_harness.properties.catalogue import CATALOGUE
-from safety_harness.properties.entry import told
 
 DOCS = Path(__file__).parents[2] / "docs"
 PAGE = (DOCS / "claims.md").read_text()

@@ -15,6 +15,7 @@ import pytest
 from typer.main import get_command
 from typer.testing import CliRunner
 
+from safety_harness.base.exceptions import Place, ScenarioError
 from safety_harness.cli import console
 from safety_harness.cli.console import (
     BAD_INPUT,
@@ -27,7 +28,6 @@ from safety_harness.cli.console import (
 )
 from safety_harness.cli.main import app
 from safety_harness.cli.progress import EVERY_S, PacedLines, where
-from safety_harness.exceptions import Place, ScenarioError
 
 ESCAPE = "\x1b"
 OWN = {

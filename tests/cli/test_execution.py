@@ -13,13 +13,13 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from safety_harness.avoidance.isolation import host
-from safety_harness.campaign.ledger import Ledger
-from safety_harness.campaign.plan import read_plan
+from safety_harness.cell.avoidance.isolation import host
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT
 from safety_harness.cli.main import app
-from safety_harness.isolation import telling
-from tests.campaign.plans import PLAN
+from safety_harness.extensions.assurance.campaign.ledger import Ledger
+from safety_harness.extensions.assurance.campaign.plan import read_plan
+from safety_harness.seams.isolation import telling
+from tests.assurance.campaign.plans import PLAN
 from tests.search.short_space import TEXT
 
 MINE = """\

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from safety_harness.base.exceptions import OutputError
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, DIFFERS, INTERRUPTED
 from safety_harness.cli.fuzz import fuzz
 from safety_harness.cli.scenario_commands import replay, run
 from safety_harness.cli.show import sample
-from safety_harness.exceptions import OutputError
 from safety_harness.report import search_attribution
 from safety_harness.scenario.expand import gather
 from safety_harness.search import session as search_session

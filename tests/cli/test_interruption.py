@@ -9,12 +9,12 @@ from pathlib import Path
 
 import pytest
 
+from safety_harness.base.exceptions import SimulationError
+from safety_harness.cell.simulation.pybullet_world import PyBulletWorld
 from safety_harness.cli import run as run_module
 from safety_harness.cli.console import AS_EXPECTED, DIFFERS, INTERRUPTED
 from safety_harness.cli.scenario_commands import replay, run
-from safety_harness.exceptions import SimulationError
 from safety_harness.report import html
-from safety_harness.simulation.pybullet_world import PyBulletWorld
 
 TEXT = """\
 scenario: a short run

@@ -13,13 +13,13 @@ from types import SimpleNamespace
 import pytest
 from typer.testing import CliRunner
 
+from safety_harness.base.compiled import cache_root
+from safety_harness.base.extras import EXTRAS, Extra
+from safety_harness.cell.simulation.worlds import OpensWorld, WorldEntry
 from safety_harness.cli import doctor, warm
 from safety_harness.cli.doctor import State, required, within
 from safety_harness.cli.main import app
-from safety_harness.compiled import cache_root
-from safety_harness.extras import EXTRAS, Extra
 from safety_harness.scenario.model import Verdict
-from safety_harness.simulation.worlds import OpensWorld, WorldEntry
 
 SCENARIOS = Path(__file__).parents[2] / "scenarios"
 HEAVY = (
@@ -36,7 +36,7 @@ VALIDATE = f"""
 import sys
 from safety_harness.cli.main import app
 app(["validate", *sys.argv[1:]], standalone_mode=False)
-from safety_harness.compiled import _functions
+from safety_harness.base.compiled import _functions
 print("compiled or loaded:", [one.py_func.__name__ for one in _functions if one.signatures])
 print("heavy:", [name for name in {HEAVY} if name in sys.modules])
 """

@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
+from safety_harness.claims.properties.catalogue import CATALOGUE
 from safety_harness.cli.console import BAD_INPUT
 from safety_harness.cli.main import app
-from safety_harness.properties.catalogue import CATALOGUE
 from tests.kinds_of_files import SCENARIO
 
 NEAR = [

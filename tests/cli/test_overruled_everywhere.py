@@ -8,14 +8,14 @@ from pathlib import Path
 
 import pytest
 
-from safety_harness.certification.evidence import read_evidence
-from safety_harness.cli import campaign
-from safety_harness.cli.certify import certify, verify
 from safety_harness.cli.console import AS_EXPECTED
 from safety_harness.cli.fuzz import fuzz
 from safety_harness.cli.scenario_commands import run
+from safety_harness.extensions.assurance.certification.evidence import read_evidence
+from safety_harness.extensions.assurance.commands import campaign
+from safety_harness.extensions.assurance.commands.certify import certify, verify
 from safety_harness.search import session as search_session
-from tests.campaign.plans import plan_in
+from tests.assurance.campaign.plans import plan_in
 from tests.cli.test_own_avoider import VISIT
 from tests.search.short_space import TEXT
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from safety_harness import load_trace
-from safety_harness.avoidance.shipped import SHIPPED
+from safety_harness.cell.avoidance.shipped import SHIPPED
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, DIFFERS
 from safety_harness.cli.scenario_commands import replay, run
 from safety_harness.trace.compare import first_difference

@@ -33,7 +33,7 @@ MINE = (
 from dataclasses import replace
 
 from safety_harness import Report
-from safety_harness.controller.contract import Decision
+from safety_harness.seams.contract import Decision
 from safety_harness.trace.records import Mode
 
 

@@ -10,10 +10,10 @@ from typing import Any
 
 import pytest
 
+from safety_harness.cell.simulation.worlds import KINEMATIC
 from safety_harness.cli import run_processes as processes
 from safety_harness.cli.console import AS_EXPECTED, DIFFERS, INTERRUPTED
 from safety_harness.cli.run import run
-from safety_harness.simulation.worlds import KINEMATIC
 from safety_harness.trace.compare import first_difference
 from safety_harness.trace.store import load_trace
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
+from safety_harness.base.exceptions import OutputError
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, DIFFERS
 from safety_harness.cli.fmt import format_files
 from safety_harness.cli.main import app
@@ -15,7 +16,6 @@ from safety_harness.cli.scenario_commands import explain as explain_key
 from safety_harness.cli.scenario_commands import judge as judge_again
 from safety_harness.cli.scenario_commands import replay, run
 from safety_harness.cli.validate import validate
-from safety_harness.exceptions import OutputError
 from safety_harness.scenario.read import parse_scenario
 from safety_harness.scenario.reference_tables import every_table
 from safety_harness.scenario.schema import scenario_schema

@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner, Result
 
+from safety_harness.base.exceptions import InputError
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, DIFFERS
 from safety_harness.cli.main import app
-from safety_harness.exceptions import InputError
 from safety_harness.scenario.read import parse_scenario, read_scenario
 from safety_harness.scenario.write import write_scenario
 from safety_harness.space.read import parse_space

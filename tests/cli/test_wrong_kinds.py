@@ -7,12 +7,12 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
+from safety_harness.base.exceptions import InstallationError
+from safety_harness.cell.simulation.worlds import OpensWorld, WorldEntry
 from safety_harness.cli.console import BAD_INPUT
 from safety_harness.cli.main import app
 from safety_harness.cli.run import run
-from safety_harness.exceptions import InstallationError
 from safety_harness.scenario.kinds import FileKind, kind_of
-from safety_harness.simulation.worlds import OpensWorld, WorldEntry
 from tests.kinds_of_files import SCENARIO, WORDS, make_all
 
 # What to type for each file, as a message has it; none for what no command takes.

@@ -10,8 +10,8 @@ from tutorial import TutorialError, blocks_of, follow
 from typer.testing import CliRunner
 
 from safety_harness.cli.main import app
-from safety_harness.logs.read import read_log
-from safety_harness.proof.plan import read_proof_plan
+from safety_harness.extensions.field.logs.read import read_log
+from safety_harness.extensions.lab.proof.plan import read_proof_plan
 
 TUTORIALS = sorted((Path(__file__).parents[2] / "docs" / "tutorials").glob("*.md"))
 

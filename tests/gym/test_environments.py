@@ -18,12 +18,12 @@ from gymnasium.utils.env_checker import check_env
 
 from safety_harness.admission.admit import admit
 from safety_harness.admission.trial import run_kinematic
-from safety_harness.controller.contract import Move
-from safety_harness.exceptions import ControllerError, InputError, MissingPackageError
-from safety_harness.gym.environment import HarnessEnv
-from safety_harness.gym.stable_baselines import StableBaselinesEnv
-from safety_harness.gym.vector import HarnessVectorEnv
+from safety_harness.base.exceptions import ControllerError, InputError, MissingPackageError
+from safety_harness.extensions.gym.environment import HarnessEnv
+from safety_harness.extensions.gym.stable_baselines import StableBaselinesEnv
+from safety_harness.extensions.gym.vector import HarnessVectorEnv
 from safety_harness.scenario.read import parse_scenario
+from safety_harness.seams.contract import Move
 from safety_harness.space.read import parse_space
 
 VISIT = """
@@ -88,7 +88,7 @@ def test_what_the_page_begins_with_works_in_a_program_of_its_own() -> None:
 
 @pytest.mark.filterwarnings("ignore")  # that positions have no bounds, and are no pixels
 def test_it_passes_the_checks_of_gymnasium_and_of_stable_baselines() -> None:
-    env = gymnasium.make("safety_harness.gym:SafetyHarness-v0", space="shipped:unseen-both")
+    env = gymnasium.make("safety_harness.extensions.gym:SafetyHarness-v0", space="shipped:unseen-both")
     check_env(env.unwrapped, skip_render_check=True)
     from stable_baselines3.common.env_checker import check_env as check_for_sb3
 
@@ -186,7 +186,7 @@ def test_each_lane_has_its_own_stream_without_a_seed(kind: str, varied: dict[str
     """After ``reset()`` no two lanes of a vector run the same episode, of whichever kind it is."""
     if kind in ("sync", "async"):
         envs: Any = gymnasium.make_vec(
-            "safety_harness.gym:SafetyHarness-v0", num_envs=3, vectorization_mode=kind, **varied
+            "safety_harness.extensions.gym:SafetyHarness-v0", num_envs=3, vectorization_mode=kind, **varied
         )
     else:
         envs = HarnessVectorEnv(3, **varied)
@@ -276,8 +276,8 @@ def test_without_gymnasium_or_stable_baselines_it_says_what_to_install(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     for module, package, extra in (
-        ("safety_harness.gym.stable_baselines", "stable_baselines3", "policies"),
-        ("safety_harness.gym", "gymnasium", "gym"),
+        ("safety_harness.extensions.gym.stable_baselines", "stable_baselines3", "policies"),
+        ("safety_harness.extensions.gym", "gymnasium", "gym"),
     ):
         for name in [one for one in sys.modules if one.partition(".")[0] == package]:
             monkeypatch.setitem(sys.modules, name, None)

@@ -19,31 +19,31 @@ import numpy as np
 
 from safety_harness.admission.admit import admit
 from safety_harness.admission.trial import run_kinematic
-from safety_harness.avoidance.model_file import load_model
-from safety_harness.avoidance.shipped import shipped_model
-from safety_harness.campaign.ledger import Ledger
-from safety_harness.campaign.plan import read_plan
-from safety_harness.campaign.rows import ClaimJudgement, Row
-from safety_harness.campaign.summary import fingerprint_of, tally_of
-from safety_harness.certification.counterexamples import FINDINGS, read_findings
-from safety_harness.certification.evidence import as_text, read_evidence
-from safety_harness.certification.folder import FORMAT as REPORT_FORMAT
-from safety_harness.certification.folder import MANIFEST as MANIFEST_OF_REPORT
-from safety_harness.certification.folder import read_manifest
-from safety_harness.certification.tools import read_oracles, read_selftest
-from safety_harness.learning.dataset import generate, space_named
-from safety_harness.learning.manifest import ARRAYS, MANIFEST, load_dataset, save_dataset
-from safety_harness.recorded.compare import as_json, read_comparison
+from safety_harness.base.settings import DEFAULTS, ObjectKind
+from safety_harness.cell.avoidance.model_file import load_model
+from safety_harness.cell.avoidance.shipped import shipped_model
+from safety_harness.extensions.assurance.campaign.ledger import Ledger
+from safety_harness.extensions.assurance.campaign.plan import read_plan
+from safety_harness.extensions.assurance.campaign.rows import ClaimJudgement, Row
+from safety_harness.extensions.assurance.campaign.summary import fingerprint_of, tally_of
+from safety_harness.extensions.assurance.certification.counterexamples import FINDINGS, read_findings
+from safety_harness.extensions.assurance.certification.evidence import as_text, read_evidence
+from safety_harness.extensions.assurance.certification.folder import FORMAT as REPORT_FORMAT
+from safety_harness.extensions.assurance.certification.folder import MANIFEST as MANIFEST_OF_REPORT
+from safety_harness.extensions.assurance.certification.folder import read_manifest
+from safety_harness.extensions.assurance.certification.tools import read_oracles, read_selftest
+from safety_harness.extensions.assurance.statistics.sample import EpisodeOutcome
+from safety_harness.extensions.field.recorded.compare import as_json, read_comparison
+from safety_harness.extensions.lab.learning.dataset import generate, space_named
+from safety_harness.extensions.lab.learning.manifest import ARRAYS, MANIFEST, load_dataset, save_dataset
+from safety_harness.extensions.selftest.document import document
 from safety_harness.scenario.expand import gather
 from safety_harness.scenario.read import read_scenario
-from safety_harness.selftest.document import document
-from safety_harness.settings import DEFAULTS, ObjectKind
 from safety_harness.space.read import read_space
-from safety_harness.statistics.sample import EpisodeOutcome
 from safety_harness.trace.store import load_trace, save_trace
-from tests.campaign.plans import PLAN, ledger_in, plan_in
-from tests.certification.made_up_comparison import cell
-from tests.certification.made_up_evidence import evidence
+from tests.assurance.campaign.plans import PLAN, ledger_in, plan_in
+from tests.assurance.certification.made_up_comparison import cell
+from tests.assurance.certification.made_up_evidence import evidence
 from tests.hostile.readers import checkpoint_bytes, checkpoint_read, kept_read, onnx_read
 from tests.search.short_space import TEXT as SHORT
 from tests.selftest.made_up_faults import CAUGHT, LIMIT, SURVIVES, about

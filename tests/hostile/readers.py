@@ -9,10 +9,15 @@ from pathlib import Path
 
 import numpy as np
 
-from safety_harness.avoidance.model_file import onnx_bytes
-from safety_harness.avoidance.onnx_model import OnnxAvoider
-from safety_harness.learning.checkpoint import Checkpoint, Epoch, load_checkpoint, save_checkpoint
-from safety_harness.learning.recipes import OURS_DETERMINISTIC
+from safety_harness.cell.avoidance.model_file import onnx_bytes
+from safety_harness.cell.avoidance.onnx_model import OnnxAvoider
+from safety_harness.extensions.lab.learning.checkpoint import (
+    Checkpoint,
+    Epoch,
+    load_checkpoint,
+    save_checkpoint,
+)
+from safety_harness.extensions.lab.learning.recipes import OURS_DETERMINISTIC
 from safety_harness.scenario.read import read_scenario
 from safety_harness.testing.session import TestRun, begin, session
 from safety_harness.testing.watching import kept_for

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from safety_harness.exceptions import InputError
+from safety_harness.base.exceptions import InputError
 from tests.hostile.formats import FORMATS, Format, repacked, trace_bytes
 
 ROOM_BYTES = 512 << 20

@@ -10,8 +10,8 @@ from hypothesis import HealthCheck, given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 
-from safety_harness.avoidance.onnx_names import HAND
-from safety_harness.exceptions import InputError, ModelError
+from safety_harness.base.exceptions import InputError, ModelError
+from safety_harness.cell.avoidance.onnx_names import HAND
 from tests.hostile.formats import FORMATS, Format, onnx_bytes, onnx_read
 
 quick = hypothesis_settings(

@@ -24,43 +24,43 @@ import test_search_page as search
 
 import safety_harness
 import safety_harness_paper
-from safety_harness.campaign.episodes import failed_row
-from safety_harness.campaign.identity import Identity
-from safety_harness.campaign.summary import state_of
-from safety_harness.certification.delta import delta_between
-from safety_harness.certification.delta_page import render as delta_page
-from safety_harness.certification.folder import junit_xml
-from safety_harness.certification.page import render as evidence_page
-from safety_harness.proof.certificate import Proof, WrongQuestion
-from safety_harness.proof.plan import read_proof_plan
-from safety_harness.proof.session import fresh
-from safety_harness.proof.together import joint_bounds
-from safety_harness.proof.tree import BoxTree
-from safety_harness.report import arm_page
-from safety_harness.report.campaign_page import write_page as write_campaign
+from safety_harness.cell.robot.robots import arm_capsules, arm_model
+from safety_harness.cell.simulation.worlds import KINEMATIC
+from safety_harness.extensions.arms import page as arm_page
+from safety_harness.extensions.assurance.campaign.episodes import failed_row
+from safety_harness.extensions.assurance.campaign.identity import Identity
+from safety_harness.extensions.assurance.campaign.summary import state_of
+from safety_harness.extensions.assurance.certification.delta import delta_between
+from safety_harness.extensions.assurance.certification.delta_page import render as delta_page
+from safety_harness.extensions.assurance.certification.folder import junit_xml
+from safety_harness.extensions.assurance.certification.page import render as evidence_page
+from safety_harness.extensions.assurance.pages.campaign_page import write_page as write_campaign
+from safety_harness.extensions.assurance.pages.history import read_history
+from safety_harness.extensions.assurance.pages.history import write_page as write_history
+from safety_harness.extensions.lab.pages.proof_page import ProofEvidence
+from safety_harness.extensions.lab.pages.proof_page import render as proof_page
+from safety_harness.extensions.lab.pages.score_page import OFF, ScoreEvidence
+from safety_harness.extensions.lab.pages.score_page import render as score_page
+from safety_harness.extensions.lab.proof.certificate import Proof, WrongQuestion
+from safety_harness.extensions.lab.proof.plan import read_proof_plan
+from safety_harness.extensions.lab.proof.session import fresh
+from safety_harness.extensions.lab.proof.together import joint_bounds
+from safety_harness.extensions.lab.proof.tree import BoxTree
+from safety_harness.extensions.selftest.document import render as selftest_page
 from safety_harness.report.coverage_map import coverage_map
-from safety_harness.report.history import read_history
-from safety_harness.report.history import write_page as write_history
 from safety_harness.report.html import render as report_page
 from safety_harness.report.machine import FORMAT
 from safety_harness.report.page_parts import asset
-from safety_harness.report.proof_page import ProofEvidence
-from safety_harness.report.proof_page import render as proof_page
 from safety_harness.report.question_maps import VIEWS, question_map
-from safety_harness.report.score_page import OFF, ScoreEvidence
-from safety_harness.report.score_page import render as score_page
 from safety_harness.report.search_page import render as search_page
 from safety_harness.report.svg import standalone
 from safety_harness.report.view_page import write_view
-from safety_harness.robot.robots import arm_capsules, arm_model
 from safety_harness.scenario.robots import Robot
-from safety_harness.selftest.document import render as selftest_page
-from safety_harness.simulation.worlds import KINEMATIC
 from safety_harness_paper import figure7, table1
 from safety_harness_paper.page import render as reproduction_page
 from safety_harness_paper.scale import DEFAULT
-from tests.campaign.plans import ledger_in, plan_in
-from tests.proof.regions import PLAN, plan_file
+from tests.assurance.campaign.plans import ledger_in, plan_in
+from tests.lab.proof.regions import PLAN, plan_file
 
 MARKUP = "</script></style></svg><img src=x onerror=alert(1)><script>alert(2)</script>\"'&{{7*7}}"
 IN_PLACE = {  # what is looked up, never shown as it came
@@ -263,7 +263,7 @@ def coverage_file() -> str:
 
 
 XML: dict[str, Callable[[], str]] = {
-    "certification/folder.py": lambda: junit_xml(spoilt(made_up_evidence.evidence())),
+    "extensions/assurance/certification/folder.py": lambda: junit_xml(spoilt(made_up_evidence.evidence())),
     "report/coverage_map.py": coverage_file,
     "report/question_maps.py": question_map_file,
     "report/svg.py": coverage_file,

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
+from safety_harness.base.exceptions import InputError
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT
 from safety_harness.cli.scenario_commands import run
-from safety_harness.exceptions import InputError
 from safety_harness.scenario.read import read_scenario
 from safety_harness.space.read import read_space
 from tests.hostile.formats import SCENARIO, SPACE

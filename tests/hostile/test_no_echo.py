@@ -7,14 +7,14 @@ from pathlib import Path
 
 import pytest
 
-from safety_harness.campaign.plan import read_plan
-from safety_harness.certification.evidence import read_evidence
-from safety_harness.certification.tools import read_oracles, read_selftest
-from safety_harness.cli.certify import verify
 from safety_harness.cli.fmt import format_files
 from safety_harness.cli.scenario_commands import judge as judge_again
 from safety_harness.cli.scenario_commands import sample
 from safety_harness.cli.validate import validate
+from safety_harness.extensions.assurance.campaign.plan import read_plan
+from safety_harness.extensions.assurance.certification.evidence import read_evidence
+from safety_harness.extensions.assurance.certification.tools import read_oracles, read_selftest
+from safety_harness.extensions.assurance.commands.certify import verify
 from tests.search.short_space import TEXT
 
 SECRET = "hunter2"
@@ -111,7 +111,7 @@ WAYS: dict[str, Callable[[Path, Path], int]] = {
 
 
 def _status(file: Path) -> int:
-    from safety_harness.cli.campaign import status
+    from safety_harness.extensions.assurance.commands.campaign import status
 
     return status(file)
 
@@ -120,7 +120,7 @@ def _status(file: Path) -> int:
 def test_nothing_of_a_file_that_is_not_ours_is_shown(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], way: Callable[[Path, Path], int]
 ) -> None:
-    from safety_harness.exceptions import InputError
+    from safety_harness.base.exceptions import InputError
 
     for number, (kind, text) in enumerate(SECRETS.items()):
         folder = tmp_path / str(number)
@@ -155,7 +155,7 @@ def test_a_broken_file_of_ours_is_quoted_all_the_same(
 def test_a_plan_brings_no_file_into_its_ledger_that_it_does_not_use(tmp_path: Path) -> None:
     (tmp_path / "secret").write_text(SECRET)
     (tmp_path / "short.yaml").write_text(TEXT.replace("hand: right hand", "hand: secret"))
-    from tests.campaign.plans import PLAN
+    from tests.assurance.campaign.plans import PLAN
 
     (tmp_path / "plan.yaml").write_text(PLAN)
     names = [file.name for file in read_plan(tmp_path / "plan.yaml").files]

@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from safety_harness.base.exceptions import TraceError
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT
 from safety_harness.cli.scenario_commands import judge as judge_again
-from safety_harness.exceptions import TraceError
 from safety_harness.trace.records import TICK
 from safety_harness.trace.store import load_trace
 from tests.hostile.formats import SCENARIO, npy, repacked, run_json, trace_bytes

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from safety_harness.distribution import DISTRIBUTION, foreign_files, installed_version
-from safety_harness.extras import EXTRAS
+from safety_harness.base.distribution import DISTRIBUTION, foreign_files, installed_version
+from safety_harness.base.extras import EXTRAS
 
 ROOT = Path(__file__).parents[2]
 FOREIGN_INSTALL = re.compile(r"pip install [^`\n]*(?<![\w./-])safety-harness(?!-)")

@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from safety_harness.properties.base import Evaluation, Unit
+from safety_harness.base.settings import DEFAULTS, Settings
+from safety_harness.claims.properties.base import Evaluation, Unit
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.scenario.model import Claim, MovingHand, OffsetStart, Scenario, Verdict
 from safety_harness.scenario.moves import ReachForTcp, Withdraw
-from safety_harness.settings import DEFAULTS, Settings
 from safety_harness.trace.records import DECISION, Check, DecisionOutcome, Limit, Mode, Trigger, tick_dtype
 from safety_harness.trace.system import NOT_NOTED, Component
 from safety_harness.trace.trace import Provenance, Trace

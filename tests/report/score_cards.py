@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
-from safety_harness.avoidance.measures import gained_m, off_m, optimum_in_base_m
-from safety_harness.proportions import Proportion
-from safety_harness.scenario.model import Claim, Verdict
-from safety_harness.scoring.question_file import QuestionFile
-from safety_harness.scoring.questions import Answers, Questions
-from safety_harness.scoring.results import Scored, ScoredAvoider, ShownQuestion
-from safety_harness.scoring.scorecard import (
+from safety_harness.base.proportions import Proportion
+from safety_harness.base.settings import DEFAULTS
+from safety_harness.cell.avoidance.measures import gained_m, off_m, optimum_in_base_m
+from safety_harness.extensions.lab.scoring.question_file import QuestionFile
+from safety_harness.extensions.lab.scoring.questions import Answers, Questions
+from safety_harness.extensions.lab.scoring.results import Scored, ScoredAvoider, ShownQuestion
+from safety_harness.extensions.lab.scoring.scorecard import (
     AnswerChange,
     AnswerTimes,
     AskedAgain,
@@ -27,8 +27,8 @@ from safety_harness.scoring.scorecard import (
     Spreads,
     WayOfAsking,
 )
-from safety_harness.scoring.worst import Objective, QuestionSearch, Tried
-from safety_harness.settings import DEFAULTS
+from safety_harness.extensions.lab.scoring.worst import Objective, QuestionSearch, Tried
+from safety_harness.scenario.model import Claim, Verdict
 
 
 def region_score(name: str = "seen", *, questions: int = 200, shift_m: float = 0.0) -> RegionScore:

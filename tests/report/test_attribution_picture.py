@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from xml.etree import ElementTree
 
-from safety_harness.attribution.attribute import Attribution, AttributionAnswer
-from safety_harness.attribution.tally import AttributionTally
-from safety_harness.properties.base import Unit
+from safety_harness.claims.properties.base import Unit
 from safety_harness.report.attribution_picture import LONGEST_PX, draw_attributions
 from safety_harness.scenario.model import Claim, Verdict
+from safety_harness.search.attribution.attribute import Attribution, AttributionAnswer
+from safety_harness.search.attribution.tally import AttributionTally
 
 
 def of(answer: AttributionAnswer) -> Attribution:

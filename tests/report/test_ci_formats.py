@@ -13,7 +13,7 @@ import factory
 import yaml
 from jsonschema.validators import validator_for
 
-from safety_harness.exceptions import Place
+from safety_harness.base.exceptions import Place
 from safety_harness.report.ci_formats import MOST_LINES, markdown, sarif
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.scenario.model import Claim

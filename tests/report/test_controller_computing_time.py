@@ -11,9 +11,9 @@ import pytest
 from safety_harness.admission.admit import Admitter
 from safety_harness.admission.avoiders import with_avoider
 from safety_harness.admission.trial import run_trial
+from safety_harness.cell.simulation.worlds import KINEMATIC
 from safety_harness.report.decisions import computing_time_lines
 from safety_harness.scenario.model import Driver
-from safety_harness.simulation.worlds import KINEMATIC
 from safety_harness.trace.compare import first_difference
 from safety_harness.trace.store import load_trace, save_trace
 from safety_harness.trace.trace import Trace

@@ -5,7 +5,7 @@ from dataclasses import replace
 import factory
 import pytest
 
-from safety_harness.properties.base import Unit
+from safety_harness.claims.properties.base import Unit
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.scenario.model import Verdict
 

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from page import Node, parse
 
+from safety_harness.base.settings import DEFAULTS
 from safety_harness.report.decisions import MOST_DECISION_ROWS
 from safety_harness.report.evidence import JudgedRun, notes_of
 from safety_harness.report.html import MOST_IN_FULL, notes, render
@@ -22,7 +23,6 @@ from safety_harness.scenario.model import Verdict
 from safety_harness.scenario.read import read_scenario
 from safety_harness.scenario.robots import Robot
 from safety_harness.scenario.write import write_scenario
-from safety_harness.settings import DEFAULTS
 from safety_harness.trace.records import DECISION, TICK
 
 WHEN = datetime(2025, 11, 21, 9, 30, tzinfo=UTC)

@@ -10,7 +10,7 @@ import factory
 import numpy as np
 import pytest
 
-from safety_harness.properties.base import Unit
+from safety_harness.claims.properties.base import Unit
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.machine import SI_UNITS, report_data, write_json
 

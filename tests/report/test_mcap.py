@@ -14,18 +14,18 @@ from rosbags.highlevel import AnyReader
 from typer.testing import CliRunner
 
 from safety_harness import admit, judge, run_trial
+from safety_harness.base.exceptions import OutputError, TraceError
+from safety_harness.cell.simulation.pybullet_world import PyBulletWorld
+from safety_harness.cell.simulation.worlds import world_named
+from safety_harness.claims.properties.base import Unit
+from safety_harness.claims.properties.true_motion import true_motion
 from safety_harness.cli.main import app
-from safety_harness.controller.contract import Image
-from safety_harness.exceptions import OutputError, TraceError
-from safety_harness.logs.judging import recorded
-from safety_harness.properties.base import Unit
-from safety_harness.properties.true_motion import true_motion
+from safety_harness.extensions.field.logs.judging import recorded
 from safety_harness.report import mcap
 from safety_harness.report.mcap import LOG_FILE, write_mcap
 from safety_harness.scenario.expand import read_all_scenarios
 from safety_harness.scenario.model import Verdict
-from safety_harness.simulation.pybullet_world import PyBulletWorld
-from safety_harness.simulation.worlds import world_named
+from safety_harness.seams.contract import Image
 from safety_harness.trace.store import save_trace
 from safety_harness.trace.trace import Trace
 
@@ -223,7 +223,7 @@ def test_every_panel_of_the_layout_has_a_place_in_it_and_its_settings() -> None:
 
 def test_faster_hands_than_said_would_be_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The bounds that LOG.yaml states are held against the samples when it is read."""
-    from safety_harness.exceptions import LogError
+    from safety_harness.base.exceptions import LogError
 
     monkeypatch.setattr(mcap, "_bounds", lambda trace: (3.2, 1e3, 0.1))
     with pytest.raises(LogError, match=r"possible at 0\.1 m/s"):

@@ -16,7 +16,7 @@ from browsing import forget, show
 from page import parse
 from partly_measured import partly_measured
 
-from safety_harness.properties.base import Evaluation, inconclusive
+from safety_harness.claims.properties.base import Evaluation, inconclusive
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.html import render, write_report
 from safety_harness.report.machine import report_data

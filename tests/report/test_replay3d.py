@@ -15,14 +15,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from safety_harness.perception.hand_filter import TRACK, filter_parameters, initialise, predict, update
+from safety_harness.cell.perception.hand_filter import TRACK, filter_parameters, initialise, predict, update
+from safety_harness.cell.robot.capsules import load_capsules
+from safety_harness.cell.robot.robots import arm_capsules, arm_model
 from safety_harness.report.arm_meshes import MOST_TRIANGLES, arm_meshes, clustered
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.packing import INF, NAN, as_attribute, packed
 from safety_harness.report.prediction_spread import UPPER, prediction_spread_m
 from safety_harness.report.replay import MOST_TICKS, Replays, kept_ticks, replay_data, start_s
-from safety_harness.robot.capsules import load_capsules
-from safety_harness.robot.robots import arm_capsules, arm_model
 from safety_harness.scenario.robots import Robot
 from safety_harness.trace.known import Measurement, Source, knowing
 

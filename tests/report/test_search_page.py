@@ -17,8 +17,8 @@ import pytest
 from page import Node, parse
 
 from safety_harness.admission.agreement import Agreement, LargestDifference, present_source
-from safety_harness.exceptions import Place, ScenarioError
-from safety_harness.properties.base import Unit
+from safety_harness.base.exceptions import Place, ScenarioError
+from safety_harness.claims.properties.base import Unit
 from safety_harness.report.search_page import SearchEvidence, render
 from safety_harness.search.confirm import Complaint, Disagreement, InOneWorld, disagreement_of
 from safety_harness.search.counterexample import Counterexample

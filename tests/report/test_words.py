@@ -6,8 +6,9 @@ import factory
 import numpy as np
 import pytest
 
-from safety_harness.properties.base import Unit
-from safety_harness.properties.positions import BEYOND_M, RepulsivePosesReachable
+from safety_harness.base.settings import DEFAULTS, HandSensorKind
+from safety_harness.claims.properties.base import Unit
+from safety_harness.claims.properties.positions import BEYOND_M, RepulsivePosesReachable
 from safety_harness.report.words import (
     changed_settings,
     claimed_hand_distance_m,
@@ -22,7 +23,6 @@ from safety_harness.report.words import (
 )
 from safety_harness.scenario.model import Verdict
 from safety_harness.scenario.robots import Drives, OwnRobot, Payload, Robot, StopTimes
-from safety_harness.settings import DEFAULTS, HandSensorKind
 from safety_harness.trace.records import Check, Limit
 
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from hypothesis import strategies as st
 
+from safety_harness.base.settings import DEFAULTS, DecisionCost, DecisionTimes, Settings, Vector3
 from safety_harness.scenario.codec import Key, QuantityValue, Several
 from safety_harness.scenario.faults import EVERY_FAULT, MOST_FALSE_HANDS, OWN_KEYS, FalseHand, Fault, Joint
 from safety_harness.scenario.fields import LARGEST_COORDINATE_M
@@ -52,7 +53,6 @@ from safety_harness.scenario.read import MOST_TICKS
 from safety_harness.scenario.recording import load_recording, parse_recording
 from safety_harness.scenario.settings_keys import setting_keys
 from safety_harness.scenario.units import TIME
-from safety_harness.settings import DEFAULTS, DecisionCost, DecisionTimes, Settings, Vector3
 
 
 def csv_of(

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from scenario_strategies import RECORDING, RECORDINGS
 
-from safety_harness.exceptions import InputError, RecordingError, ScenarioError
+from safety_harness.base.exceptions import InputError, RecordingError, ScenarioError
 from safety_harness.scenario.model import Scenario
 from safety_harness.scenario.read import parse_scenario
 

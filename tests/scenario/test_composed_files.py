@@ -9,7 +9,7 @@ import pytest
 from scenario_strategies import RECORDING
 from scenario_texts import VALID
 
-from safety_harness.exceptions import InputError, Place
+from safety_harness.base.exceptions import InputError, Place
 from safety_harness.scenario import compose, expand
 from safety_harness.scenario.compose import MOST_COMBINATIONS
 from safety_harness.scenario.expand import gather, read_all_scenarios

@@ -8,12 +8,12 @@ from pathlib import Path
 
 import pytest
 
-from safety_harness.exceptions import ScenarioError
+from safety_harness.base.exceptions import ScenarioError
+from safety_harness.base.settings import DEFAULTS, DecisionCost, DecisionTimes, Measured
 from safety_harness.scenario.decision_times import profile_text
 from safety_harness.scenario.model import Scenario
 from safety_harness.scenario.read import parse_scenario, read_scenario
 from safety_harness.scenario.write import write_scenario
-from safety_harness.settings import DEFAULTS, DecisionCost, DecisionTimes, Measured
 from safety_harness.space.read import parse_space
 from tests.search.short_space import TEXT as SPACE
 

@@ -10,7 +10,7 @@ from hypothesis import settings as hypothesis_settings
 from scenario_strategies import scenarios
 from scenario_texts import SHORTEST, VALID, parse
 
-from safety_harness.exceptions import ScenarioError
+from safety_harness.base.exceptions import ScenarioError
 from safety_harness.scenario.layout import laid_out
 from safety_harness.scenario.model import Scenario
 from safety_harness.scenario.write import write_scenario

@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 from scenario_strategies import RECORDINGS
 from scenario_texts import FILE, VALID
 
-from safety_harness.exceptions import InputError, RecordingError, ScenarioError
+from safety_harness.base.exceptions import InputError, RecordingError, ScenarioError
 from safety_harness.scenario.files import decode
 from safety_harness.scenario.layout import laid_out, meaning
 from safety_harness.scenario.model import Scenario

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from safety_harness.admission.admit import admit
-from safety_harness.exceptions import ArmModelError, InadmissibleError, InputError
-from safety_harness.robot.robots import arm_capsules, arm_model, refuse_unfit
+from safety_harness.base.exceptions import ArmModelError, InadmissibleError, InputError
+from safety_harness.base.shipped.contents import ShippedKind, located, shipped_files
+from safety_harness.cell.robot.robots import arm_capsules, arm_model, refuse_unfit
 from safety_harness.scenario.model import Scenario
 from safety_harness.scenario.read import read_scenario
 from safety_harness.scenario.robots import OwnRobot
 from safety_harness.scenario.write import write_scenario
-from safety_harness.shipped.contents import ShippedKind, located, shipped_files
 
 SHIPPED = [one.name for one in shipped_files() if one.kind is ShippedKind.ROBOTS]
 TEXT = located("shipped:robot-ur10e").read_text()

@@ -6,7 +6,14 @@ from pathlib import Path
 import pytest
 from scenario_texts import FILE, SHA256, SHORTEST, VALID, changed, line_of, parse, refusal
 
-from safety_harness.exceptions import Place
+from safety_harness.base.exceptions import Place
+from safety_harness.base.settings import (
+    DEFAULTS,
+    DetectorKind,
+    HandSensorKind,
+    ImageSource,
+    InteractionChoice,
+)
 from safety_harness.scenario.model import (
     DEFAULT_AVOIDER,
     REACHING_MPS2,
@@ -32,7 +39,6 @@ from safety_harness.scenario.moves import (
     Wander,
     Withdraw,
 )
-from safety_harness.settings import DEFAULTS, DetectorKind, HandSensorKind, ImageSource, InteractionChoice
 
 
 class TestWhatAFileSays:

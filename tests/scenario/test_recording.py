@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scenario_strategies import RECORDING, csv_of
 
-from safety_harness.exceptions import Place, RecordingError
+from safety_harness.base.exceptions import Place, RecordingError
 from safety_harness.scenario import recording
 from safety_harness.scenario.model import NOT_LOADED, RecordedHand, RecordedMotion
 from safety_harness.scenario.recording import load_recording, parse_recording

@@ -12,12 +12,12 @@ from hypothesis import strategies as st
 from scenario_strategies import number_of
 from scenario_texts import FILE, SHORTEST, VALID, changed, line_of, parse, refusal
 
-from safety_harness.exceptions import InputError, Place, RecordingError, ScenarioError
+from safety_harness.base.exceptions import InputError, Place, RecordingError, ScenarioError
+from safety_harness.base.settings import DEFAULTS
 from safety_harness.scenario.codec import Key
 from safety_harness.scenario.model import Scenario
 from safety_harness.scenario.settings_keys import SETTINGS_KEYS, TOP_GROUPS, setting_keys
 from safety_harness.scenario.units import format_quantity
-from safety_harness.settings import DEFAULTS
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 from scenario_strategies import number_of
 
-from safety_harness.exceptions import Place, ScenarioError
+from safety_harness.base.exceptions import Place, ScenarioError
+from safety_harness.base.settings import DEFAULTS
 from safety_harness.scenario import model, moves, units
 from safety_harness.scenario.compose import COMPOSING
 from safety_harness.scenario.expand import read_all_scenarios
@@ -20,7 +21,6 @@ from safety_harness.scenario.read import parse_scenario
 from safety_harness.scenario.reference_tables import TCP_START, TOP
 from safety_harness.scenario.settings_keys import SETTINGS_KEYS, setting_keys
 from safety_harness.scenario.units import Dimension
-from safety_harness.settings import DEFAULTS
 
 ROOT = Path(__file__).parents[2]
 _SPEC = importlib.util.spec_from_file_location("tables", ROOT / "docs/tables.py")

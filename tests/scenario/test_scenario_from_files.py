@@ -7,7 +7,7 @@ import pytest
 from scenario_strategies import RECORDING
 from scenario_texts import FILE, SHA256, SHORTEST, VALID, changed, line_of, parse
 
-from safety_harness.exceptions import Place, RecordingError, ScenarioError
+from safety_harness.base.exceptions import Place, RecordingError, ScenarioError
 from safety_harness.scenario.compose import MAX_BYTES
 from safety_harness.scenario.read import parse_scenario, read_scenario
 

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 
-from safety_harness.exceptions import ScenarioError
+from safety_harness.base.exceptions import ScenarioError
 from safety_harness.scenario.nodes import Mapping, Node, Scalar, Sequence, parse_tree
 
 FILE = Path("example.yaml")

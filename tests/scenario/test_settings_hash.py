@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pickle
 
-from safety_harness.settings import Settings
+from safety_harness.base.settings import Settings
 
 
 def test_equal_settings_have_equal_hashes_and_what_is_kept_does_not_travel() -> None:

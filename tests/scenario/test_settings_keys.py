@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scenario_strategies import number_of
 
+from safety_harness.base.settings import DEFAULTS, Clock, Servo
 from safety_harness.scenario.settings_keys import setting_keys
-from safety_harness.settings import DEFAULTS, Clock, Servo
 
 GROUPS = [type(getattr(DEFAULTS, field.name)) for field in fields(DEFAULTS)]
 

@@ -8,15 +8,15 @@ import pytest
 from typer.testing import CliRunner
 
 from safety_harness.admission.admit import check
+from safety_harness.base.exceptions import InadmissibleError, ScenarioError
+from safety_harness.cell.simulation.worlds import KINEMATIC
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT
 from safety_harness.cli.main import app
 from safety_harness.cli.validate import validate
-from safety_harness.exceptions import InadmissibleError, ScenarioError
-from safety_harness.gym.episodes import Episodes
+from safety_harness.extensions.gym.episodes import Episodes
 from safety_harness.scenario.read import parse_scenario
 from safety_harness.scenario.shield import Shield
 from safety_harness.scenario.write import write_scenario
-from safety_harness.simulation.worlds import KINEMATIC
 
 ROOT = Path(__file__).parents[2]
 TEXT = """

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 import safety_harness
-from safety_harness.exceptions import InputError
+from safety_harness.base.exceptions import InputError
 from safety_harness.scenario.expand import read_all_scenarios
 from safety_harness.scenario.model import Scenario
 from safety_harness.testing.drawing import scenarios

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 
-from safety_harness.exceptions import Place, ScenarioError
+from safety_harness.base.exceptions import Place, ScenarioError
 from safety_harness.scenario import units
 from safety_harness.scenario.units import Dimension, format_quantity, normal_unit, parse_quantity
 

@@ -7,10 +7,10 @@ from hypothesis import HealthCheck, given
 from hypothesis import settings as hypothesis_settings
 from scenario_strategies import RECORDINGS, scenarios, settings
 
+from safety_harness.base.settings import DEFAULTS, Settings
 from safety_harness.scenario.model import Claim, MovingHand, OffsetStart, Scenario, Verdict
 from safety_harness.scenario.read import parse_scenario
 from safety_harness.scenario.write import write_scenario
-from safety_harness.settings import DEFAULTS, Settings
 
 FILE = Path("example.yaml")
 PLAIN = Scenario(

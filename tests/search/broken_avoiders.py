@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.avoidance.avoider import Proposal
+from safety_harness.cell.avoidance.avoider import Proposal
 from safety_harness.space.read import parse_space
 
 Vector = NDArray[np.float64]

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from safety_harness.properties.base import Unit
+from safety_harness.claims.properties.base import Unit
 from safety_harness.search.cube import Cube, Points
 from safety_harness.search.findings import Goal, Outcomes
 from safety_harness.space.read import parse_space

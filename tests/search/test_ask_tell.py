@@ -7,7 +7,7 @@ from collections.abc import Hashable, Sequence
 import numpy as np
 import pytest
 
-from safety_harness.exceptions import SearchOrderError
+from safety_harness.base.exceptions import SearchOrderError
 from safety_harness.search.cube import Column, Cube, Points
 from safety_harness.search.sampling import UniformSampling
 from safety_harness.search.search import AskTell, least

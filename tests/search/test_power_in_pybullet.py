@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from safety_harness.admission.admit import Admitted, Admitter, admit
-from safety_harness.avoidance.avoider import Avoider
-from safety_harness.avoidance.simple import OppositePose
+from safety_harness.cell.avoidance.avoider import Avoider
+from safety_harness.cell.avoidance.simple import OppositePose
 from safety_harness.scenario.model import Scenario
 from safety_harness.search.cube import Cube
 from safety_harness.search.default import Default

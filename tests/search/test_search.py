@@ -7,9 +7,9 @@ from collections.abc import Hashable, Sequence
 import numpy as np
 import pytest
 
-from safety_harness.exceptions import InadmissibleError
-from safety_harness.properties.against import SCALES
-from safety_harness.properties.base import Unit
+from safety_harness.base.exceptions import InadmissibleError
+from safety_harness.claims.properties.against import SCALES
+from safety_harness.claims.properties.base import Unit
 from safety_harness.search.cube import Column, Cube, Points
 from safety_harness.search.findings import Findings, Goal, Outcomes
 from safety_harness.search.sampling import UniformSampling

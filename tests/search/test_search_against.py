@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from safety_harness.avoidance.shipped import shipped_model
+from safety_harness.cell.avoidance.shipped import shipped_model
+from safety_harness.claims.properties.against import VerdictChange
+from safety_harness.claims.properties.base import Evaluation, Unit
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, DIFFERS
 from safety_harness.cli.fuzz import fuzz
 from safety_harness.cli.scenario_commands import run
-from safety_harness.properties.against import VerdictChange
-from safety_harness.properties.base import Evaluation, Unit
 from safety_harness.scenario.model import Verdict
 from safety_harness.search import session as search_session
 from safety_harness.search.against import Reference, difference, difference_of

@@ -11,14 +11,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from safety_harness.base.settings import DEFAULTS
+from safety_harness.base.shipped.contents import located
 from safety_harness.scenario.faults import HandSensorBlind, Joint, JointStuck
 from safety_harness.scenario.model import Claim, MovingHand, OffsetStart, RecordedHand, Scenario, Verdict
 from safety_harness.scenario.moves import MoveTo, ReachForTcp, Tremor, Wait, Withdraw
 from safety_harness.scenario.read import parse_scenario, read_scenario
 from safety_harness.scenario.write import write_scenario
 from safety_harness.search.shrink import shrink
-from safety_harness.settings import DEFAULTS
-from safety_harness.shipped.contents import located
 from safety_harness.space.read import read_space
 from tests.examples import hand, scenario
 

@@ -13,14 +13,14 @@ from partly_measured import partly_measured
 from safety_harness.admission import trial
 from safety_harness.admission.admit import Admitted, admit
 from safety_harness.admission.trial import judge, run_many, run_trial
-from safety_harness.exceptions import InadmissibleError, ScenarioError, SimulationError
+from safety_harness.base.exceptions import InadmissibleError, ScenarioError, SimulationError
+from safety_harness.cell.simulation.worlds import WorldEntry
 from safety_harness.scenario.model import Scenario, Verdict
 from safety_harness.search.confirm import Complaint, Confirm, OtherDraws
 from safety_harness.search.counterexample import circumstances, seen_of
 from safety_harness.search.coverage import AXES, Coverage, CoverageCell, cell_of
 from safety_harness.search.findings import Outcomes
 from safety_harness.search.trials import Trials, in_kinematic, in_pybullet, least_hand_distance_m
-from safety_harness.simulation.worlds import WorldEntry
 from safety_harness.space.read import parse_space
 from safety_harness.trace.known import NOT_MEASURED, Gap, Measurement, knowing
 from safety_harness.trace.trace import Trace
@@ -112,7 +112,7 @@ def test_an_avoider_that_raises_in_a_corner_is_a_mishap_of_one_kind_whatever_its
 
 
 def test_ctrl_c_in_a_run_is_not_taken_for_a_result(monkeypatch: pytest.MonkeyPatch) -> None:
-    from safety_harness.simulation.pybullet_world import PyBulletWorld
+    from safety_harness.cell.simulation.pybullet_world import PyBulletWorld
 
     def step(world: PyBulletWorld, command: object) -> bool:
         raise KeyboardInterrupt

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 from datetime import UTC, datetime
 
-from safety_harness.selftest.document import SelfTestRun
-from safety_harness.selftest.outcome import FaultOutcome
-from safety_harness.selftest.trial import Alarm, Geometry, Rung
+from safety_harness.extensions.selftest.document import SelfTestRun
+from safety_harness.extensions.selftest.outcome import FaultOutcome
+from safety_harness.extensions.selftest.trial import Alarm, Geometry, Rung
 
 ALARM = Alarm(claim="hand distance never below 50 mm", scenario="a visit", margin="-3.0 mm", before="+9 mm")
 

@@ -6,8 +6,8 @@ from functools import lru_cache
 from pathlib import Path
 
 from safety_harness.admission.admit import Admitted, admit
+from safety_harness.extensions.selftest.trial import FaultTrials
 from safety_harness.scenario.read import read_scenario
-from safety_harness.selftest.trial import FaultTrials
 
 SCENARIOS = Path(__file__).parents[2] / "scenarios"
 

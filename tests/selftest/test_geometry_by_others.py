@@ -13,22 +13,22 @@ from examples import PassingGate, TowardsTheHand, hand, run, scenario
 from small import shipped, trials
 
 from safety_harness.admission.claims import property_of
-from safety_harness.certification.tools import FaultState
-from safety_harness.properties.base import Evaluation
-from safety_harness.properties.hand_distance import HAND_DISTANCE, HandDistance
-from safety_harness.properties.true_motion import capsules_of
-from safety_harness.robot.description import load_arm
-from safety_harness.robot.distance import place_capsules
-from safety_harness.robot.kinematics import forward_kinematics
+from safety_harness.cell.robot.description import load_arm
+from safety_harness.cell.robot.distance import place_capsules
+from safety_harness.cell.robot.kinematics import forward_kinematics
+from safety_harness.claims.properties.base import Evaluation
+from safety_harness.claims.properties.hand_distance import HAND_DISTANCE, HandDistance
+from safety_harness.claims.properties.true_motion import capsules_of
+from safety_harness.extensions.assurance.certification.tools import FaultState
+from safety_harness.extensions.selftest import trial
+from safety_harness.extensions.selftest.catalogue import HARMLESS
+from safety_harness.extensions.selftest.fault import FaultyPart, SeededFault
+from safety_harness.extensions.selftest.geometry import BODIES, Kept, PyBulletArm, hand_distance_kept
+from safety_harness.extensions.selftest.session import try_out
+from safety_harness.extensions.selftest.system import ChangedSystem
+from safety_harness.extensions.selftest.trial import LEAST_M, SAME_TWICE, confirmed_by
 from safety_harness.scenario.model import Claim, Verdict
 from safety_harness.scenario.moves import Wait
-from safety_harness.selftest import trial
-from safety_harness.selftest.catalogue import HARMLESS
-from safety_harness.selftest.fault import FaultyPart, SeededFault
-from safety_harness.selftest.geometry import BODIES, Kept, PyBulletArm, hand_distance_kept
-from safety_harness.selftest.session import try_out
-from safety_harness.selftest.system import ChangedSystem
-from safety_harness.selftest.trial import LEAST_M, SAME_TWICE, confirmed_by
 from safety_harness.trace.trace import Trace
 
 PROVEN_BY_COAL: set[tuple[bytes, ...]] = set()

@@ -23,10 +23,10 @@ from made_up_faults import (
     rung,
 )
 
-from safety_harness.certification.tools import FaultState
-from safety_harness.exceptions import ScenarioError
-from safety_harness.selftest.document import document, render, write_document
-from safety_harness.selftest.outcome import (
+from safety_harness.base.exceptions import ScenarioError
+from safety_harness.extensions.assurance.certification.tools import FaultState
+from safety_harness.extensions.selftest.document import document, render, write_document
+from safety_harness.extensions.selftest.outcome import (
     HARMLESS_HEAD,
     HEAD,
     FaultOutcome,
@@ -38,7 +38,7 @@ from safety_harness.selftest.outcome import (
     summary,
     tally_of,
 )
-from safety_harness.selftest.suite import NIGHTLY, QUICK, profile_named
+from safety_harness.extensions.selftest.suite import NIGHTLY, QUICK, profile_named
 
 
 @pytest.mark.parametrize(

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from small import shipped, trials
 
+from safety_harness.extensions.selftest.catalogue import EVERY
+from safety_harness.extensions.selftest.outcome import outcome_of
+from safety_harness.extensions.selftest.replayed import caught_runs
 from safety_harness.scenario.model import Verdict
-from safety_harness.selftest.catalogue import EVERY
-from safety_harness.selftest.outcome import outcome_of
-from safety_harness.selftest.replayed import caught_runs
 
 
 def test_a_caught_fault_is_run_again_and_violates_what_it_violated() -> None:

@@ -6,10 +6,10 @@ import pytest
 from small import shipped
 
 from safety_harness.admission.trial import run_kinematic, run_trial
-from safety_harness.avoidance.gate import Gate
-from safety_harness.selftest.system import ChangedSystem, Delayed, Records
-from safety_harness.settings import GateKind
-from safety_harness.simulation.worlds import PYBULLET
+from safety_harness.base.settings import GateKind
+from safety_harness.cell.avoidance.gate import Gate
+from safety_harness.cell.simulation.worlds import PYBULLET
+from safety_harness.extensions.selftest.system import ChangedSystem, Delayed, Records
 from safety_harness.trace.compare import first_difference
 
 

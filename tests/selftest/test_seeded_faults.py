@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from small import SCENARIOS, shipped, trials
 
-from safety_harness.controller.around import ControllerWrapper
-from safety_harness.controller.controller import AvoidingServo
-from safety_harness.selftest.catalogue import EVERY, FAULTS, HARMLESS
-from safety_harness.selftest.fault import FaultyPart, SeededFault
-from safety_harness.selftest.suite import TELLING
-from safety_harness.selftest.system import Change, ChangedSystem, Records, WorldWrapper
+from safety_harness.cell.controller.around import ControllerWrapper
+from safety_harness.cell.controller.controller import AvoidingServo
+from safety_harness.extensions.selftest.catalogue import EVERY, FAULTS, HARMLESS
+from safety_harness.extensions.selftest.fault import FaultyPart, SeededFault
+from safety_harness.extensions.selftest.suite import TELLING
+from safety_harness.extensions.selftest.system import Change, ChangedSystem, Records, WorldWrapper
 from safety_harness.trace.compare import first_difference
 
 NAMES = {fault.name for fault in FAULTS}

@@ -9,18 +9,18 @@ import pytest
 from small import shipped, trials
 
 from safety_harness.admission.admit import admit
-from safety_harness.avoidance.avoider import Avoider
-from safety_harness.certification.tools import FaultState
-from safety_harness.properties.base import Evaluation, Unit
+from safety_harness.cell.avoidance.avoider import Avoider
+from safety_harness.claims.properties.base import Evaluation, Unit
+from safety_harness.extensions.assurance.certification.tools import FaultState
+from safety_harness.extensions.selftest import trial
+from safety_harness.extensions.selftest.fault import FaultyPart, SeededFault, SeverityLevels
+from safety_harness.extensions.selftest.outcome import outcome_of
+from safety_harness.extensions.selftest.session import sound_remarks, try_out
+from safety_harness.extensions.selftest.system import ChangedSystem
+from safety_harness.extensions.selftest.trial import RUN_FAILED, FaultTrials, alarms_between
 from safety_harness.scenario.model import Verdict
 from safety_harness.scenario.read import parse_scenario
-from safety_harness.selftest import trial
-from safety_harness.selftest.fault import FaultyPart, SeededFault, SeverityLevels
-from safety_harness.selftest.outcome import outcome_of
-from safety_harness.selftest.session import sound_remarks, try_out
-from safety_harness.selftest.system import ChangedSystem
-from safety_harness.selftest.trial import RUN_FAILED, FaultTrials, alarms_between
-from tests.controller.test_shield import ONLY_THE_ARM, REACH, Swings, forgetful
+from tests.cell.controller.test_shield import ONLY_THE_ARM, REACH, Swings, forgetful
 
 HOLDS = Evaluation(
     sentence="a claim",

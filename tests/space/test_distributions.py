@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from safety_harness.geometry.regions import Box, Region
+from safety_harness.base.geometry.regions import Box, Region
 from safety_harness.space.distributions import (
     Choice,
     Distribution,

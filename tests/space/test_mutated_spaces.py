@@ -9,7 +9,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from spaces import HEAD
 
-from safety_harness.exceptions import InputError
+from safety_harness.base.exceptions import InputError
 from safety_harness.space.read import parse_space
 from safety_harness.space.space import ScenarioSpace
 

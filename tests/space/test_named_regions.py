@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from safety_harness.avoidance.model_file import SeenSpace, load_model, save_model
-from safety_harness.avoidance.shipped import SHIPPED, shipped_model
-from safety_harness.exceptions import ModelError, RegionError
-from safety_harness.geometry.regions import Box
-from safety_harness.learning.dataset import SPACES, space_named
-from safety_harness.settings import DEFAULTS
+from safety_harness.base.exceptions import ModelError, RegionError
+from safety_harness.base.geometry.regions import Box
+from safety_harness.base.settings import DEFAULTS
+from safety_harness.cell.avoidance.model_file import SeenSpace, load_model, save_model
+from safety_harness.cell.avoidance.shipped import SHIPPED, shipped_model
+from safety_harness.extensions.lab.learning.dataset import SPACES, space_named
 from safety_harness.space.distributions import InRegion
 from safety_harness.space.read import parse_space
 from safety_harness.space.regions import REGIONS, paper_seen, region_named, seen_by

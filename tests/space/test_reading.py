@@ -8,7 +8,7 @@ import pytest
 from spaces import EVERYTHING, FILES, HEAD, everything, of_duration
 
 from safety_harness import parse_scenario
-from safety_harness.exceptions import InputError, ScenarioError
+from safety_harness.base.exceptions import InputError, ScenarioError
 from safety_harness.scenario.nodes import parse_tree
 from safety_harness.space.distributions import Choice, InBox, InRegion, InShell, TruncatedNormal, Uniform
 from safety_harness.space.read import parse_space, read_space

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from spaces import FILES, ROOT
 
-from safety_harness.exceptions import ScenarioError
+from safety_harness.base.exceptions import ScenarioError
 from safety_harness.space.distributions import LEAST_MASS
 from safety_harness.space.read import parse_space
 from safety_harness.space.reading import MOST_COLUMNS

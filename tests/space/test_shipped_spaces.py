@@ -10,8 +10,8 @@ from spaces import FILES, FOLDER
 
 from safety_harness import admit, judge, read_space, run_trial
 from safety_harness.admission.spaces import draw_admissible
+from safety_harness.base.settings import DEFAULTS
 from safety_harness.scenario.model import OffsetStart, RecordedHand, Verdict
-from safety_harness.settings import DEFAULTS
 from safety_harness.space.distributions import InRegion
 from safety_harness.space.regions import region_named, seen_by
 

@@ -16,7 +16,7 @@ from scipy import stats
 from spaces import FILES, HEAD, everything, of_duration
 
 from safety_harness import parse_scenario, write_scenario
-from safety_harness.exceptions import ScenarioError
+from safety_harness.base.exceptions import ScenarioError
 from safety_harness.scenario.model import Scenario
 from safety_harness.scenario.read import scenario_of
 from safety_harness.space.distributions import Choice, Uniform

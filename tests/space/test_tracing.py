@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from spaces import FILES, HEAD, everything
 
-from safety_harness.exceptions import ScenarioError
+from safety_harness.base.exceptions import ScenarioError
 from safety_harness.scenario.model import Scenario
 from safety_harness.scenario.read import scenario_of
 from safety_harness.space.read import parse_space, read_space

@@ -6,7 +6,7 @@ import pytest
 from spaces import EVERYTHING, FILES, FOLDER, everything
 
 from safety_harness import parse_scenario
-from safety_harness.exceptions import ScenarioError
+from safety_harness.base.exceptions import ScenarioError
 from safety_harness.scenario.model import Scenario
 from safety_harness.space.distributions import InBox, InRegion, InShell, TruncatedNormal, Uniform
 from safety_harness.space.read import parse_space, read_space

@@ -12,16 +12,16 @@ import pytest
 from examples import VISIT, scenario
 
 from safety_harness import Proposal, admit, read_scenario, run_trial
-from safety_harness.avoidance.flaky import refuse_flaky
-from safety_harness.exceptions import FlakyAvoiderError, InputError
-from safety_harness.properties.base import Evaluation, Unit
-from safety_harness.pytest_plugin.running import judgements, junit_properties, packed, payload, unpacked
+from safety_harness.base.exceptions import FlakyAvoiderError, InputError
+from safety_harness.cell.avoidance.flaky import refuse_flaky
+from safety_harness.claims.properties.base import Evaluation, Unit
 from safety_harness.scenario.faults import AvoiderLate
 from safety_harness.scenario.model import Scenario, Verdict
 from safety_harness.space.read import parse_space
 from safety_harness.testing import SafetyViolation, assert_holds, hand_distance, mm
 from safety_harness.testing.drawing import one_system
 from safety_harness.testing.failure_text import picture
+from safety_harness.testing.plugin.running import judgements, junit_properties, packed, payload, unpacked
 from safety_harness.testing.session import Judgement, Run, Session, TestRun, begin
 from safety_harness.testing.simulating import Simulate, digest_of
 from safety_harness.testing.watching import folder_of, keep, kept_for

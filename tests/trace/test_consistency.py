@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from examples import run, scenario
 
-from safety_harness.exceptions import TraceError
+from safety_harness.base.exceptions import TraceError
 from safety_harness.scenario.faults import AvoiderLate, CameraBlind
 from safety_harness.trace.consistency import CHECKS, first_inconsistency
 from safety_harness.trace.store import load_trace, save_trace

@@ -18,7 +18,7 @@ from examples import VISIT, scenario
 
 from safety_harness import admit
 from safety_harness.admission.trial import run_kinematic
-from safety_harness.exceptions import Place, TraceError
+from safety_harness.base.exceptions import Place, TraceError
 from safety_harness.trace.compare import first_difference
 from safety_harness.trace.known import (
     COLUMNS_OF_A_TRACE,

@@ -13,13 +13,13 @@ from pathlib import Path
 import pytest
 from examples import scenario
 
-from safety_harness.campaign.identity import identity_of
-from safety_harness.cli.certify import certify
+from safety_harness.base.exceptions import InstallationError
+from safety_harness.base.settings import DEFAULTS, ImageSource
+from safety_harness.cell.simulation.worlds import libraries_of
 from safety_harness.cli.console import BAD_INPUT
 from safety_harness.cli.scenario_commands import run
-from safety_harness.exceptions import InstallationError
-from safety_harness.settings import DEFAULTS, ImageSource
-from safety_harness.simulation.worlds import libraries_of
+from safety_harness.extensions.assurance.campaign.identity import identity_of
+from safety_harness.extensions.assurance.commands.certify import certify
 from safety_harness.trace import provenance as software
 from safety_harness.trace.provenance import provenance, refuse_shared_modules, shared_modules
 from safety_harness.trace.trace import Provenance

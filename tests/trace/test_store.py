@@ -14,7 +14,7 @@ import pytest
 from examples import scenario
 
 from safety_harness import admit, judge, read_scenario, run_trial
-from safety_harness.exceptions import TraceError
+from safety_harness.base.exceptions import TraceError
 from safety_harness.scenario.model import EDITION, Claim, RecordedHand, Verdict
 from safety_harness.trace.compare import first_difference
 from safety_harness.trace.store import load_trace, save_trace

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from partly_measured import UNSEEN, partly_measured
 
-from safety_harness.exceptions import TraceError
-from safety_harness.properties.finite import bad_decisions, bad_ticks
+from safety_harness.base.exceptions import TraceError
+from safety_harness.claims.properties.finite import bad_decisions, bad_ticks
 from safety_harness.trace.compare import first_difference
 from safety_harness.trace.known import (
     COLUMNS_OF_A_TRACE,

@@ -1,0 +1,112 @@
+"""Small dense linear systems and copies in compiled code (numba's own solver would need scipy)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.base.compiled import compiled, inlined, njit_no_nrt
+
+
+@compiled
+def solve_in_place(matrix: NDArray[np.float64], vector: NDArray[np.float64]) -> bool:
+    """Solve A x = b by Gaussian elimination with partial pivoting (Golub and Van Loan, 2013, section 3.4).
+
+    A is ``matrix`` (n, n), b ``vector`` (n,).  Overwrites both: ``vector`` becomes x, ``matrix`` is used up.
+    False, with unusable contents, when a pivot is zero or not finite.
+    """
+    n = vector.shape[0]
+    for column in range(n):
+        pivot = column
+        for row in range(column + 1, n):
+            if abs(matrix[row, column]) > abs(matrix[pivot, column]):
+                pivot = row
+        largest = abs(matrix[pivot, column])
+        if not (largest > 0.0 and largest < np.inf):  # also catches NaN
+            return False
+        if pivot != column:
+            for j in range(column, n):
+                matrix[column, j], matrix[pivot, j] = matrix[pivot, j], matrix[column, j]
+            vector[column], vector[pivot] = vector[pivot], vector[column]
+        for row in range(column + 1, n):
+            factor = matrix[row, column] / matrix[column, column]
+            for j in range(column + 1, n):
+                matrix[row, j] -= factor * matrix[column, j]
+            vector[row] -= factor * vector[column]
+    for row in range(n - 1, -1, -1):
+        total = vector[row]
+        for j in range(row + 1, n):
+            total -= matrix[row, j] * vector[j]
+        vector[row] = total / matrix[row, row]
+    return True
+
+
+@njit_no_nrt
+def invert(matrix: NDArray[np.float64], inverse_out: NDArray[np.float64]) -> bool:
+    """Gauss-Jordan inverse with partial pivoting; False if a pivot is 0 or not finite.
+
+    ``matrix`` (n, n) is left as it is; ``inverse_out`` (n, n) gets A^-1, by the row operations that turn
+    (A | I) into (I | A^-1); n is at most 15.  An exactly singular matrix (a straight elbow gives one) is an
+    answer here, not an exception.
+    """
+    return invert_with(matrix, matrix.shape[0], inverse_out)
+
+
+@inlined
+def invert_with(matrix: NDArray[np.float64], n: int, inverse_out: NDArray[np.float64]) -> bool:
+    """``invert``; where n is a constant of the caller, loops are laid open.
+
+    ``matrix`` and ``inverse_out`` (n, n).  A column of A that is done with gives its place to the column of
+    A^-1 that is begun; rows that were swapped leave columns to be swapped back.
+    """
+    work, pivots = inverse_out, 0
+    for i in range(n):
+        for j in range(n):
+            work[i, j] = matrix[i, j]
+    for column in range(n):
+        pivot = column
+        for row in range(column + 1, n):
+            if abs(work[row, column]) > abs(work[pivot, column]):
+                pivot = row
+        largest = abs(work[pivot, column])
+        if not (largest > 0.0 and largest < np.inf):  # also catches NaN
+            return False
+        if pivot != column:
+            pivots |= pivot << 4 * column
+            for j in range(n):
+                work[column, j], work[pivot, j] = work[pivot, j], work[column, j]
+        scale = 1.0 / work[column, column]
+        work[column, column] = 1.0
+        for j in range(n):
+            work[column, j] *= scale
+        for row in range(n):
+            if row != column:
+                factor = work[row, column]
+                work[row, column] = 0.0
+                for j in range(n):
+                    work[row, j] -= factor * work[column, j]
+    if pivots != 0:
+        for column in range(n - 1, -1, -1):
+            pivot = (pivots >> 4 * column) & 15  # never row 0, which only column 0 could have
+            if pivot != 0:
+                for i in range(n):
+                    work[i, column], work[i, pivot] = work[i, pivot], work[i, column]
+    return True
+
+
+@inlined
+def copy_vector(source: NDArray[np.float64], out: NDArray[np.float64]) -> None:
+    """Fill ``out`` with ``source``, both (n,).
+
+    An assignment to a slice would first look for an overlap, and have numba compile the words of an error.
+    """
+    for i in range(out.shape[0]):
+        out[i] = source[i]
+
+
+@inlined
+def copy_matrix(source: NDArray[np.float64], out: NDArray[np.float64]) -> None:
+    """Fill ``out`` with ``source``, both (m, n): as ``copy_vector``."""
+    for i in range(out.shape[0]):
+        for j in range(out.shape[1]):
+            out[i, j] = source[i, j]

@@ -1,0 +1,143 @@
+"""How near a segment comes to a pyramid: what stands between a camera and a flat object."""
+
+from __future__ import annotations
+
+from math import sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.base.compiled import compiled
+from safety_harness.base.geometry.arrays import Array3, ArrayNx3
+from safety_harness.base.geometry.linear import copy_vector
+from safety_harness.base.geometry.segments import segment_segment_distance
+
+
+@compiled
+def segment_pyramid_distance(start: Array3, end: Array3, apex: Array3, base: ArrayNx3) -> float:
+    """Distance [m] from a segment to the solid pyramid over ``base``; 0 where they meet.
+
+    All points [m] in one frame; the segment's ends may be the same, and ``base`` has the corners of a flat
+    simple polygon, one after another.
+
+    The pyramid's surface is its base and a triangle for each side.  A segment outside it is nearest
+    to one of these faces, at one of its own ends or at an edge; one that reaches in crosses a face or
+    has an end within.
+    """
+    n = base.shape[0]
+    normal = _normal(base)
+    if _within(start, apex, base, normal) or _within(end, apex, base, normal):
+        return 0.0
+    least = min(_base_distance(start, base, normal), _base_distance(end, base, normal))
+    if _crosses(start, end, base, normal):
+        return 0.0
+    triangle = np.empty((3, 3))
+    for k in range(n):
+        a, b = base[k], base[(k + 1) % n]
+        least = min(least, segment_segment_distance(start, end, a, b))
+        least = min(least, segment_segment_distance(start, end, apex, a))
+        copy_vector(apex, triangle[0])
+        copy_vector(a, triangle[1])
+        copy_vector(b, triangle[2])
+        side = _normal(triangle)
+        if _crosses(start, end, triangle, side):
+            return 0.0
+        least = min(least, _base_distance(start, triangle, side), _base_distance(end, triangle, side))
+    return least
+
+
+@compiled
+def _normal(polygon: ArrayNx3) -> NDArray[np.float64]:
+    """(3,) unit normal of a flat ``polygon`` (n, 3) by Newell's sum; zeros for one without an area.
+
+    It is N/|N| with N = sum_k (p_k - p_0) x (p_(k+1) - p_0) over the corners p_k, |N| twice the area.
+    """
+    normal = np.zeros(3)
+    n = polygon.shape[0]
+    for k in range(n):
+        a, b = polygon[k] - polygon[0], polygon[(k + 1) % n] - polygon[0]
+        normal[0] += a[1] * b[2] - a[2] * b[1]
+        normal[1] += a[2] * b[0] - a[0] * b[2]
+        normal[2] += a[0] * b[1] - a[1] * b[0]
+    length = sqrt(normal[0] ** 2 + normal[1] ** 2 + normal[2] ** 2)
+    if length > 0.0:
+        for i in range(3):
+            normal[i] /= length
+    return normal
+
+
+@compiled
+def _height(point: Array3, polygon: ArrayNx3, normal: Array3) -> float:
+    """Height n . (p - p_0) [m] of ``point`` (3,) over ``polygon`` (n, 3) with ``normal`` (3,)."""
+    height = 0.0
+    for i in range(3):
+        height += normal[i] * (point[i] - polygon[0, i])
+    return height
+
+
+@compiled
+def _over(point: Array3, polygon: ArrayNx3, normal: Array3) -> bool:
+    """Is ``point`` (3,) in the prism along ``normal`` (3,) over ``polygon`` (n, 3)?
+
+    The even-odd rule: a ray from the point's foot in the plane crosses the outline an odd number of times.
+    The coordinate along which the normal is largest is left out, so that the outline keeps its area.
+    """
+    drop = 0
+    for i in range(1, 3):
+        if abs(normal[i]) > abs(normal[drop]):
+            drop = i
+    if normal[drop] == 0.0:
+        return False
+    u, v = (drop + 1) % 3, (drop + 2) % 3
+    height = _height(point, polygon, normal)
+    x, y = point[u] - height * normal[u], point[v] - height * normal[v]
+    odd = False
+    n = polygon.shape[0]
+    for k in range(n):
+        a, b = polygon[k], polygon[(k + 1) % n]
+        if (a[v] > y) != (b[v] > y) and x < a[u] + (y - a[v]) / (b[v] - a[v]) * (b[u] - a[u]):
+            odd = not odd
+    return odd
+
+
+@compiled
+def _base_distance(point: Array3, polygon: ArrayNx3, normal: Array3) -> float:
+    """|n . (p - p_0)| [m] for a point over the polygon, else infinity: its edges are nearer.
+
+    ``point`` (3,), ``polygon`` (n, 3) and ``normal`` (3,) as in ``_height``.
+    """
+    return abs(_height(point, polygon, normal)) if _over(point, polygon, normal) else np.inf
+
+
+@compiled
+def _crosses(start: Array3, end: Array3, polygon: ArrayNx3, normal: Array3) -> bool:
+    """Does the segment from ``start`` (3,) to ``end`` (3,) go through ``polygon`` (n, 3), ``normal`` (3,)?
+
+    Its ends have heights h_0 and h_1 of different sign, and the polygon holds the point at the share
+    h_0/(h_0 - h_1) of the way.
+    """
+    below, above = _height(start, polygon, normal), _height(end, polygon, normal)
+    if below == above or (below > 0.0) == (above > 0.0):
+        return False
+    share = below / (below - above)
+    point = np.empty(3)
+    for i in range(3):
+        point[i] = start[i] + share * (end[i] - start[i])
+    return _over(point, polygon, normal)
+
+
+@compiled
+def _within(point: Array3, apex: Array3, base: ArrayNx3, normal: Array3) -> bool:
+    """Is ``point`` (3,) in the pyramid: between base and apex, and seen from there over the base?
+
+    With h its height over ``base`` (n, 3) of ``normal`` (3,) and H that of ``apex`` (3,): 0 <= h/H < 1, and
+    the line from the apex a through the point p meets the base, at a + (p - a)/(1 - h/H).
+    """
+    top, height = _height(apex, base, normal), _height(point, base, normal)
+    if top == 0.0 or not 0.0 <= height / top < 1.0:
+        return False
+    share = 1.0 / (1.0 - height / top)
+    shadow = np.empty(3)
+    for i in range(3):
+        shadow[i] = apex[i] + share * (point[i] - apex[i])
+    return _over(shadow, base, normal)

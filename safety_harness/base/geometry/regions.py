@@ -1,0 +1,155 @@
+"""Where points may be: axis-parallel boxes, and the shells between a box and a hole in it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.base.exceptions import Place, RegionError
+from safety_harness.base.settings import Vector3
+
+Vector = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Box:
+    """An axis-parallel box in the base frame, its boundary included; RegionError unless low < high."""
+
+    low_m: Vector3
+    high_m: Vector3
+
+    def __post_init__(self) -> None:
+        low, high = np.array(self.low_m), np.array(self.high_m)
+        right = low.shape == high.shape == (3,) and bool(
+            np.all(low < high) and np.all(np.isfinite(high - low))
+        )
+        if not right:
+            raise RegionError(
+                place=Place(field="box"),
+                expected="three finite lower bounds, each below its upper bound",
+                got=f"{self.low_m} and {self.high_m}",
+            )
+
+    @classmethod
+    def about(cls, centre_m: Vector3, half_size_m: Vector3, factor: float = 1.0) -> Box:
+        """The box of ``factor`` times the half-sizes about a centre."""
+        centre, half = np.array(centre_m), factor * np.array(half_size_m)
+        return cls(_vector3(centre - half), _vector3(centre + half))
+
+    def grown(self, factor: float) -> Box:
+        """The box of ``factor`` times the size about the same centre.
+
+        Corners are rounded to a picometre, so that they do not depend on how this box came about.
+        """
+        low, high = np.array(self.low_m), np.array(self.high_m)
+        centre, half = (low + high) / 2.0, factor * (high - low) / 2.0
+        return Box(_vector3(np.round(centre - half, 12) + 0.0), _vector3(np.round(centre + half, 12) + 0.0))
+
+    @property
+    def centre_m(self) -> Vector3:
+        """Its middle, rounded to a picometre."""
+        return _vector3(np.round((np.array(self.low_m) + self.high_m) / 2.0, 12) + 0.0)
+
+    @property
+    def volume_m3(self) -> float:
+        """What is in it."""
+        return float(np.prod(np.array(self.high_m) - self.low_m))
+
+    def shifted(self, by_m: Vector3) -> Box:
+        """The same box elsewhere, its corners rounded to a picometre."""
+        low, high = (np.round(np.array(corner) + by_m, 12) + 0.0 for corner in (self.low_m, self.high_m))
+        return Box(_vector3(low), _vector3(high))
+
+    def contains(self, points_in_base_m: Vector) -> NDArray[np.bool_]:
+        """``points_in_base_m`` (..., 3) -> (...): which points are in the box; NaN is not."""
+        inside: NDArray[np.bool_] = np.all(
+            (points_in_base_m >= self.low_m) & (points_in_base_m <= self.high_m), axis=-1
+        )
+        return inside
+
+    def outside_m(self, points_in_base_m: Vector) -> Vector:
+        """``points_in_base_m`` (..., 3) -> (...): how far each is from the box [m], 0 within; NaN of NaN."""
+        beyond = np.maximum(np.array(self.low_m) - points_in_base_m, points_in_base_m - np.array(self.high_m))
+        outside: Vector = np.linalg.norm(np.maximum(beyond, 0.0), axis=-1)
+        return outside
+
+
+@dataclass(frozen=True)
+class Region:
+    """A box, or the shell between it and a hole inside it.  RegionError if nothing is left."""
+
+    outer: Box
+    hole: Box | None = None
+
+    def __post_init__(self) -> None:
+        if self.hole is None:
+            return
+        inside = np.all(np.array(self.hole.low_m) >= self.outer.low_m) and np.all(
+            np.array(self.hole.high_m) <= self.outer.high_m
+        )
+        if not inside or self.hole == self.outer:
+            raise RegionError(
+                place=Place(field="shell"),
+                expected="a hole inside the outer box that leaves something of it",
+                got=f"the hole {self.hole} in {self.outer}",
+            )
+
+    def contains(self, points_in_base_m: Vector) -> NDArray[np.bool_]:
+        """``points_in_base_m`` (..., 3) -> (...): which are in the box and not in the hole.
+
+        The hole's boundary belongs to the shell.
+        """
+        inside = self.outer.contains(points_in_base_m)
+        if self.hole is not None:
+            inside &= ~np.all(
+                (points_in_base_m > self.hole.low_m) & (points_in_base_m < self.hole.high_m), axis=-1
+            )
+        return inside
+
+    def draw(self, rng: np.random.Generator, count: int) -> Vector:
+        """(count, 3) points, uniform over the region, four uniform numbers a point.
+
+        The shell is cut into at most six boxes; one is chosen by its volume and drawn into, so nothing
+        is ever thrown away.
+        """
+        boxes = self.pieces
+        low = np.array([box.low_m for box in boxes])  # (pieces, 3)
+        size = np.array([box.high_m for box in boxes]) - low
+        volume = np.prod(size, axis=1)
+        uniform = rng.random((count, 4))
+        chosen = np.searchsorted(np.cumsum(volume)[:-1] / volume.sum(), uniform[:, 0], side="right")
+        points: Vector = low[chosen] + uniform[:, 1:] * size[chosen]
+        return points
+
+    @property
+    def pieces(self) -> tuple[Box, ...]:
+        """At most six boxes that fill the region without overlap."""
+        return tuple(self._pieces())
+
+    def shifted(self, by_m: Vector3) -> Region:
+        """The same region elsewhere."""
+        return Region(self.outer.shifted(by_m), None if self.hole is None else self.hole.shifted(by_m))
+
+    def _pieces(self) -> Iterator[Box]:
+        """Below and above the hole, axis by axis."""
+        if self.hole is None:
+            yield self.outer
+            return
+        low, high = list(self.outer.low_m), list(self.outer.high_m)
+        for axis in range(3):
+            for first, last in (
+                (low[axis], self.hole.low_m[axis]),
+                (self.hole.high_m[axis], high[axis]),
+            ):
+                if first < last:
+                    piece_low, piece_high = low.copy(), high.copy()
+                    piece_low[axis], piece_high[axis] = first, last
+                    yield Box(_vector3(np.array(piece_low)), _vector3(np.array(piece_high)))
+            low[axis], high[axis] = self.hole.low_m[axis], self.hole.high_m[axis]
+
+
+def _vector3(array: Vector) -> Vector3:
+    return float(array[0]), float(array[1]), float(array[2])

@@ -1,0 +1,119 @@
+"""Exact distances between points and line segments in space, all of a call [m] in one frame."""
+
+from __future__ import annotations
+
+from math import sqrt
+
+import numpy as np
+
+from safety_harness.base.compiled import inlined
+from safety_harness.base.geometry.arrays import Array2x3, Array3
+
+ROUNDING_M = 1e-9  # by which a bound of a distance, computed otherwise, may be off
+
+
+@inlined
+def point_segment_distance(point: Array3, start: Array3, end: Array3) -> float:
+    """Distance [m] from ``point`` (3,) p to the segment from ``start`` (3,) a to ``end`` (3,) b.
+
+    |p - a - t u| with u = b - a and t = (p - a) . u / |u|^2, cut to [0, 1]; t = 0 where u = 0,
+    for the segment may be a point.
+    """
+    ux, uy, uz = end[0] - start[0], end[1] - start[1], end[2] - start[2]
+    wx, wy, wz = point[0] - start[0], point[1] - start[1], point[2] - start[2]
+    squared = ux * ux + uy * uy + uz * uz
+    t = 0.0
+    if squared > 0.0:
+        t = min(max((wx * ux + wy * uy + wz * uz) / squared, 0.0), 1.0)
+    dx, dy, dz = wx - t * ux, wy - t * uy, wz - t * uz
+    return sqrt(dx * dx + dy * dy + dz * dz)
+
+
+@inlined
+def axes_lower_m(a: Array2x3, b: Array2x3) -> float:
+    """Segments ``a`` (2, 3) and ``b`` (2, 3), ends by row, are no nearer than this [m], but for ROUNDING_M.
+
+    |m_a - m_b| - (l_a + l_b)/2 with middles m and lengths l, as no point of a segment is farther from its
+    middle than half of it (triangle inequality).  A third of the work of ``segment_segment_distance``; below
+    zero where they may touch.
+    """
+    between, one, other = 0.0, 0.0, 0.0
+    for i in range(3):
+        between += (0.5 * (a[0, i] + a[1, i]) - 0.5 * (b[0, i] + b[1, i])) ** 2
+        one += (a[1, i] - a[0, i]) ** 2
+        other += (b[1, i] - b[0, i]) ** 2
+    return sqrt(between) - 0.5 * (sqrt(one) + sqrt(other))
+
+
+@inlined
+def segment_segment_distance(a_start: Array3, a_end: Array3, b_start: Array3, b_end: Array3) -> float:
+    """Distance [m] between two segments: the length of ``segment_segment_vector``."""
+    x, y, z = segment_segment_vector(a_start, a_end, b_start, b_end)
+    return sqrt(x * x + y * y + z * z)
+
+
+@inlined
+def segment_segment_vector(
+    a_start: Array3, a_end: Array3, b_start: Array3, b_end: Array3
+) -> tuple[float, float, float]:
+    """Shortest vector (x, y, z) [m] from segment a to segment b: that of ``nearest_of_segments``."""
+    x, y, z, _, _ = nearest_of_segments(a_start, a_end, b_start, b_end)
+    return x, y, z
+
+
+@inlined
+def nearest_of_segments(
+    a_start: Array3, a_end: Array3, b_start: Array3, b_end: Array3
+) -> tuple[float, float, float, float, float]:
+    """(x, y, z) [m] from the point of segment a that is nearest to segment b to that of b, and both shares.
+
+    A share is how far along its segment, 0 to 1, the point lies; all is NaN if an end is.  With u and v the
+    segments' vectors and w = b_start - a_start it is the least |w + t v - s u| over s and t in [0, 1].
+    Inside, with n = u x v (Ericson, 2005, section 5.1.9, which divides by |u|^2 |v|^2 - (u . v)^2 instead),
+
+        s = (w x v) . n / |n|^2,   t = (w x u) . n / |n|^2;
+
+    at an end the other share is that of ``point_segment_distance``.  Segments may be parallel or points.
+    The least distance is taken either at an end of one of the segments, or at two inner points whose joining
+    line is perpendicular to both.  All four ends are tried beside the inner solution, so an ill-conditioned
+    one (nearly parallel segments) never makes the answer wrong.
+    """
+    ux, uy, uz = a_end[0] - a_start[0], a_end[1] - a_start[1], a_end[2] - a_start[2]
+    vx, vy, vz = b_end[0] - b_start[0], b_end[1] - b_start[1], b_end[2] - b_start[2]
+    wx, wy, wz = b_start[0] - a_start[0], b_start[1] - a_start[1], b_start[2] - a_start[2]
+    uu = ux * ux + uy * uy + uz * uz
+    vv = vx * vx + vy * vy + vz * vz
+    uv = ux * vx + uy * vy + uz * vz
+    uw = ux * wx + uy * wy + uz * wz
+    vw = vx * wx + vy * wy + vz * wz
+    per_uu = 1.0 / uu if uu > 0.0 else 0.0
+    per_vv = 1.0 / vv if vv > 0.0 else 0.0
+    best_x, best_y, best_z = wx, wy, wz
+    best, best_s, best_t = np.inf, 0.0, 0.0
+    # The vector is w + t v - s u.  The normal of both, and not uu vv - uv^2, which cancels.
+    nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+    nn = nx * nx + ny * ny + nz * nz
+    for candidate in range(5):
+        if candidate == 0:
+            s, t = 0.0, min(max(-vw * per_vv, 0.0), 1.0)
+        elif candidate == 1:
+            s, t = 1.0, min(max((uv - vw) * per_vv, 0.0), 1.0)
+        elif candidate == 2:
+            s, t = min(max(uw * per_uu, 0.0), 1.0), 0.0
+        elif candidate == 3:
+            s, t = min(max((uw + uv) * per_uu, 0.0), 1.0), 1.0
+        else:
+            if not nn > 0.0:
+                break
+            s = ((wy * vz - wz * vy) * nx + (wz * vx - wx * vz) * ny + (wx * vy - wy * vx) * nz) / nn
+            t = ((wy * uz - wz * uy) * nx + (wz * ux - wx * uz) * ny + (wx * uy - wy * ux) * nz) / nn
+            if not (0.0 < s < 1.0 and 0.0 < t < 1.0):
+                break
+        x, y, z = wx + t * vx - s * ux, wy + t * vy - s * uy, wz + t * vz - s * uz
+        squared = x * x + y * y + z * z
+        if not squared >= best:  # also takes over a NaN
+            best, best_s, best_t = squared, s, t
+            best_x, best_y, best_z = x, y, z
+    if np.isnan(best):
+        return np.nan, np.nan, np.nan, np.nan, np.nan
+    return best_x, best_y, best_z, best_s, best_t

@@ -1,0 +1,60 @@
+"""Rigid transforms as 4 x 4 matrices: ``transform_a_to_b`` takes coordinates in a to b."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.base.compiled import compiled, inlined
+from safety_harness.base.geometry.arrays import Array3, Array3x3, Array4x4
+
+
+@compiled
+def transform_from(rotation: Array3x3, translation: Array3) -> NDArray[np.float64]:
+    """Transform (4, 4) that turns by ``rotation`` (3, 3), then shifts by ``translation`` (3,) [m]."""
+    transform = np.zeros((4, 4))
+    for i in range(3):
+        for j in range(3):
+            transform[i, j] = rotation[i, j]
+        transform[i, 3] = translation[i]
+    transform[3, 3] = 1.0
+    return transform
+
+
+@compiled
+def inverse_transform(transform: Array4x4) -> NDArray[np.float64]:
+    """Inverse (4, 4) of a rigid ``transform`` (4, 4) of rotation R and shift t: (R^T, -R^T t)."""
+    inverse = np.empty((4, 4))
+    invert_into(transform, inverse)
+    return inverse
+
+
+@inlined
+def invert_into(transform: Array4x4, inverse_out: Array4x4) -> None:
+    """Fill ``inverse_out`` with the ``inverse_transform``, both (4, 4); it must not be the same array."""
+    for i in range(3):
+        shift = 0.0
+        for j in range(3):
+            inverse_out[i, j] = transform[j, i]
+            shift -= transform[j, i] * transform[j, 3]
+        inverse_out[i, 3] = shift
+        inverse_out[3, i] = 0.0
+    inverse_out[3, 3] = 1.0
+
+
+@inlined
+def compose_into(outer: Array4x4, inner: Array4x4, transform_out: Array4x4) -> None:
+    """Fill ``transform_out`` with ``outer`` @ ``inner``, all (4, 4); it must not be one of the two.
+
+    (R, t) (S, u) = (R S, R u + t): first the inner one, so that b_to_c and a_to_b give a_to_c.
+    """
+    for i in range(3):
+        for j in range(4):
+            transform_out[i, j] = (
+                outer[i, 0] * inner[0, j] + outer[i, 1] * inner[1, j] + outer[i, 2] * inner[2, j]
+            )
+        transform_out[i, 3] += outer[i, 3]
+    transform_out[3, 0] = 0.0
+    transform_out[3, 1] = 0.0
+    transform_out[3, 2] = 0.0
+    transform_out[3, 3] = 1.0

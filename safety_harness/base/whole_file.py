@@ -1,0 +1,61 @@
+"""Files that are there whole or not at all, and the hash of one."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from safety_harness.base.exceptions import OutputError
+
+
+def sha256_of(file: Path) -> str:
+    """Return the SHA-256 of a file's bytes, read piece by piece; OSError where it cannot be read."""
+    with file.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """Yield a place beside ``path`` to write to; what is there at the end of the block becomes ``path``.
+
+    What was there before stays until all of the new is on disk, and for good if the block raises; then
+    nothing is left of the new.  Folders that are missing are made.  Raises OSError.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    part = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        part.unlink(missing_ok=True)  # of an earlier process that had our number
+        yield part
+        with part.open("rb") as file:
+            os.fsync(file.fileno())  # the renaming must not reach the disk before the contents
+        os.replace(part, path)
+    finally:
+        with suppress(OSError):
+            part.unlink(missing_ok=True)
+
+
+def write_whole(path: Path, text: str) -> None:
+    """Write ``text`` to ``path`` as UTF-8, whole or not at all.  Raises OSError."""
+    with (
+        replacing(path) as part,
+        part.open("w", encoding="utf-8", errors="backslashreplace", newline="\n") as file,
+    ):
+        file.write(text)
+
+
+@contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """OutputError that names ``path`` where the block raises OSError."""
+    try:
+        yield
+    except OSError as error:
+        raise OutputError.of(path, error) from error
+
+
+def write_text(path: Path, text: str) -> None:
+    """``write_whole``; OutputError if it cannot be written."""
+    with writing(path):
+        write_whole(path, text)

@@ -1,0 +1,168 @@
+"""Repulsive candidates on a quarter sphere around the TCP (section 4.1 and figure 5 of the paper).
+
+The paper draws 100 candidates per TCP "on a quarter of a sphere", "Gaussian".  We read: on the
+sphere of radius R about the TCP, azimuth and elevation normal with one sigma about the direction
+from the nominal hand position to the desired TCP, kept if within the cone of 60 degrees about
+that direction, which covers exactly a quarter of the sphere.  R and sigma are our choice.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.base.compiled import compiled
+from safety_harness.base.exceptions import Place, SettingsError
+from safety_harness.base.settings import Settings
+
+NARROWEST_CONE_RAD = np.radians(1.0)  # rejection sampling would hardly end in a narrower one
+SAME_PLACE_M = 1e-9  # nearer than this a direction is rounding, or the solver's noise
+
+
+@dataclass(frozen=True, eq=False)
+class CandidateCap:
+    """The spherical cap that candidates are drawn from.
+
+    ``axis_in_base`` (3,) is a unit vector; the cap is all directions within ``cone_rad`` of it.
+    """
+
+    axis_in_base: NDArray[np.float64]
+    radius_m: float
+    sigma_rad: float
+    cone_rad: float
+    count: int
+
+    @classmethod
+    def of(cls, settings: Settings) -> CandidateCap:
+        """The cap of the settings: away from the nominal hand, towards the desired TCP.
+
+        SettingsError if that is no direction, or the cone too narrow ever to draw into.
+        """
+        avoidance = settings.avoidance
+        axis = np.subtract(
+            settings.cell.desired_tcp_position_in_base_m, avoidance.nominal_hand_position_in_base_m
+        )
+        if not np.linalg.norm(axis) > 0.0:
+            raise SettingsError(
+                place=Place(field="nominal hand position"),
+                expected="a nominal hand position apart from the desired TCP position",
+                got="the same position",
+            )
+        if not avoidance.candidate_cone_rad >= NARROWEST_CONE_RAD:
+            raise SettingsError(
+                place=Place(field="candidate cone"),
+                expected=f"a candidate cone of at least {np.degrees(NARROWEST_CONE_RAD):.0f} deg",
+                got=f"{np.degrees(avoidance.candidate_cone_rad):g} deg",
+            )
+        return cls(
+            axis / np.linalg.norm(axis),
+            avoidance.radius_m,
+            avoidance.candidate_sigma_rad,
+            avoidance.candidate_cone_rad,
+            avoidance.candidate_count,
+        )
+
+    def draw(self, rng: np.random.Generator) -> NDArray[np.float64]:
+        """(count, 3) offsets from the TCP in the base frame, each of length ``radius_m``.
+
+        Rejection terminates: with sigma 45 degrees some 61 % of the draws fall into the cone.
+        """
+        frame = self._frame()
+        kept = np.empty((0, 3))
+        while len(kept) < self.count:
+            azimuth, elevation = rng.normal(0.0, self.sigma_rad, (2, 2 * self.count))  # both from the axis
+            along, aside = np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth)
+            directions = np.stack([along, aside, np.sin(elevation)], axis=1) @ frame  # (n, 3) unit vectors
+            inside = directions @ self.axis_in_base >= np.cos(self.cone_rad)
+            kept = np.concatenate([kept, directions[inside]])
+        return self.radius_m * kept[: self.count]
+
+    def draw_many(self, generators: Sequence[np.random.Generator]) -> NDArray[np.float64]:
+        """(n, count, 3) offsets, set k from generator k: what ``draw`` gives, to rounding, but much faster.
+
+        One generator may stand more than once; it is then drawn from in turn.
+        """
+        frame = self._frame()
+        offsets = np.empty((len(generators), self.count, 3))
+        angles = np.empty((len(generators), 2, 2 * self.count))
+        for k, rng in enumerate(generators):
+            rng.standard_normal(out=angles[k])
+        kept = np.zeros(len(generators), np.int64)
+        while True:
+            _keep(self.sigma_rad * angles, frame, np.cos(self.cone_rad), self.radius_m, offsets, kept)
+            short = np.flatnonzero(kept < self.count)
+            if not len(short):
+                return offsets
+            for one in short.tolist():
+                generators[one].standard_normal(out=angles[one])
+
+    def _frame(self) -> NDArray[np.float64]:
+        """(3, 3) rows: the axis, the horizontal direction beside it, and up."""
+        vertical = abs(self.axis_in_base[2]) > 1.0 - 1e-12  # then any direction will do as the side
+        side = np.array([0.0, 1.0, 0.0]) if vertical else np.cross([0.0, 0.0, 1.0], self.axis_in_base)
+        side = side - (side @ self.axis_in_base) * self.axis_in_base
+        side /= np.linalg.norm(side)
+        up = np.cross(self.axis_in_base, side)
+        return np.stack([self.axis_in_base, side, up])
+
+
+def continuous_optimum(settings: Settings, tcp_in_base: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(n, 3): the point of the whole cap about each TCP that is nearest to the desired position [m].
+
+    |tcp + R u - desired|^2 = R^2 + |d|^2 - 2 R u . d with d = desired - tcp: the unit vector u of the cap
+    nearest in angle to d is wanted.  That is d's own direction where the cap has it, else the point of
+    the rim in the plane of the axis a and d.  Where d singles out no direction (TCP at the desired
+    position, or d opposite to the axis) all of the cap, or of its rim, is equally near, and the choice
+    is fixed: the axis, or the rim's point beside it.
+
+    ``tcp_in_base`` (n, 3).
+    """
+    cap = CandidateCap.of(settings)
+    axis = cap.axis_in_base
+    way = np.array(settings.cell.desired_tcp_position_in_base_m) - tcp_in_base  # (n, 3)
+    along = way @ axis
+    aside = way - along[:, None] * axis
+    aside -= (aside @ axis)[:, None] * axis  # once more: what is left of a small one is mostly rounding
+    distance = np.linalg.norm(way, axis=1)
+    sideways = np.linalg.norm(aside, axis=1)
+    fixed = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
+    fixed /= np.linalg.norm(fixed)
+    there = distance <= SAME_PLACE_M
+    with np.errstate(invalid="ignore"):  # 0/0 is replaced
+        direct = np.where(there[:, None], axis, way / distance[:, None])
+        beside = np.where((sideways > 1e-12 * distance)[:, None], aside / sideways[:, None], fixed)
+    in_cap = there | (np.arctan2(sideways, along) <= cap.cone_rad)
+    rim = np.cos(cap.cone_rad) * axis + np.sin(cap.cone_rad) * beside
+    optimum: NDArray[np.float64] = tcp_in_base + cap.radius_m * np.where(in_cap[:, None], direct, rim)
+    return optimum
+
+
+@compiled
+def _keep(
+    angles_rad: NDArray[np.float64],  # (n, 2, m): azimuths, elevations
+    frame: NDArray[np.float64],  # (3, 3) rows: axis, side, up
+    least_cosine: float,
+    radius_m: float,
+    offsets_out: NDArray[np.float64],  # (n, count, 3)
+    kept: NDArray[np.int64],  # (n,) how many there are already; counted on
+) -> None:
+    """Append to every set that is not full the directions that lie within the cone."""
+    sets, _, proposals = angles_rad.shape
+    count = offsets_out.shape[1]
+    for k in range(sets):
+        for i in range(proposals):
+            if kept[k] == count:
+                break
+            cos_elevation = np.cos(angles_rad[k, 1, i])
+            along = cos_elevation * np.cos(angles_rad[k, 0, i])
+            if along >= least_cosine:
+                aside = cos_elevation * np.sin(angles_rad[k, 0, i])
+                upward = np.sin(angles_rad[k, 1, i])
+                for j in range(3):
+                    offsets_out[k, kept[k], j] = radius_m * (
+                        along * frame[0, j] + aside * frame[1, j] + upward * frame[2, j]
+                    )
+                kept[k] += 1

@@ -1,0 +1,272 @@
+"""The gate between an avoider and the arm: a proposed position is used only if it stands every check.
+
+In turn: the avoider's proposal, the opposite pose under the same checks, a protective stop.
+Every check that fails is recorded.  (Reachability means inverse kinematics within the joint
+limits along the whole straight way, not a radius.)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from math import ceil
+
+import numpy as np
+
+from safety_harness.base.settings import GateKind, Settings
+from safety_harness.cell.avoidance.asking import (
+    NAN_PROPOSAL,
+    WALL_LIMIT_S,
+    Answer,
+    OutOfProcessAvoider,
+    Question,
+    answers_together,
+    ask,
+    takes_many,
+)
+from safety_harness.cell.avoidance.avoider import Avoider, Proposal, Vector
+from safety_harness.cell.avoidance.own_body import own_distances
+from safety_harness.cell.avoidance.simple import OppositePose
+from safety_harness.cell.robot.capsules import CapsuleSet, arm_with
+from safety_harness.cell.robot.inverse import InverseKinematics
+from safety_harness.cell.robot.obstacles import BoxRecords, box_records, distances_m
+from safety_harness.scenario.gate import GateRule
+from safety_harness.scenario.obstacles import Obstacle
+from safety_harness.seams.contract import Seen
+from safety_harness.trace.records import Check, DecisionOutcome
+
+REACH_MARGIN_M = 0.010  # how far beyond the position the straight way must go on being reachable
+OWN_CLEARANCE_M = 0.020  # how near the wrist's capsules may come to those of base, shoulder and upper arm
+WAY_STEP_M = 0.025  # between two samples of a way they come nearer by half of that, about
+
+
+@dataclass(frozen=True, eq=False)
+class Query:
+    """What is asked: where the nearest predicted hand, the TCP and the joints are, and a seed.
+
+    ``hands_in_base_m`` is every predicted hand, the nearest among them; only the gate sees it, and the
+    ``half_widths_m`` of the boxes about them in which they may be; None where no rule asks for them.
+    ``asked_of``: the hand and the TCP (3,) of an earlier question, where a fault has its answer count.
+    """
+
+    hand_position_in_base_m: Vector
+    tcp_position_in_base_m: Vector
+    transform_tcp_to_base: Vector  # (4, 4)
+    joint_position_rad: Vector  # (n,)
+    hands_in_base_m: Vector  # (k, 3)
+    seed: int
+    late: str = ""  # why there is no answer in simulated time; empty if there is one
+    limit_s: float = WALL_LIMIT_S
+    asked_of: tuple[Vector, Vector] | None = None
+    seen: Seen | None = None  # when it was asked
+    half_widths_m: Vector | None = None  # (k, 3)
+
+    @property
+    def question(self) -> Question:
+        """What the avoider is asked."""
+        hand, tcp = self.asked_of or (self.hand_position_in_base_m, self.tcp_position_in_base_m)
+        return Question(hand, tcp, self.seed, self.limit_s, self.seen)
+
+
+@dataclass(frozen=True, eq=False)
+class GateDecision:
+    """What the gate decided, and on what grounds.  Positions are NaN where there is none.
+
+    ``fault`` says why the avoider gave no usable answer; it is empty if it gave one.
+    ``latency_s`` is how long it took, on the wall's clock.
+    """
+
+    outcome: DecisionOutcome
+    chosen_position_in_base_m: Vector
+    proposed: Proposal
+    opposite: Proposal
+    proposed_failed: Check
+    opposite_failed: Check
+    spread_threshold_m: float = np.nan
+    fault: str = ""
+    latency_s: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Gate:
+    """Rules on proposals; holds no state between decisions."""
+
+    kinematics: InverseKinematics
+    fallback: Avoider
+    min_singular_value: float
+    lowest_tcp_height_m: float
+    capsules: CapsuleSet
+    kind: GateKind = GateKind.FULL
+    boxes: BoxRecords = field(default_factory=lambda: box_records(()))
+    more: GateRule | None = None
+
+    @classmethod
+    def of(
+        cls,
+        settings: Settings,
+        kinematics: InverseKinematics,
+        capsules: CapsuleSet,
+        obstacles: Sequence[Obstacle] = (),
+        more: GateRule | None = None,
+    ) -> Gate:
+        """The gate of the settings and a scenario's rule, for an arm, its capsules and the cell's boxes."""
+        return cls(
+            kinematics,
+            OppositePose(settings.avoidance.radius_m),
+            settings.motion.min_singular_value,
+            settings.cell.table_height_m + settings.avoidance.table_clearance_m,
+            capsules,
+            settings.avoidance.gate,
+            box_records(obstacles),
+            more,
+        )
+
+    def rule(self, avoider: Avoider, query: Query) -> GateDecision:
+        """Ask the avoider, then ``rule_on`` its answer."""
+        return self.rule_on(answer_to(avoider, query), query)
+
+    def rule_on(self, proposed: Answer, query: Query) -> GateDecision:
+        """Check the avoider's answer, fall back to the opposite pose, else stop."""
+        opposite = answer_to(self.fallback, replace(query, late="", asked_of=None))
+        proposed_failed, opposite_failed = self._failed(proposed, query), self._failed(opposite, query)
+        if not (proposed.late or proposed.fault):
+            proposed_failed |= self._outside(query.question)
+        if not proposed_failed:
+            outcome, chosen = DecisionOutcome.PROPOSED, proposed.proposal
+        elif not opposite_failed:
+            outcome, chosen = DecisionOutcome.OPPOSITE, opposite.proposal
+        else:
+            outcome, chosen = DecisionOutcome.STOP, NAN_PROPOSAL
+        return GateDecision(
+            outcome,
+            chosen.position_in_base_m,
+            proposed.proposal,
+            opposite.proposal,
+            proposed_failed,
+            opposite_failed,
+            proposed.spread_threshold_m,
+            proposed.fault,
+            proposed.latency_s,
+        )
+
+    def _failed(self, answer: Answer, query: Query) -> Check:
+        """Which checks an answer fails."""
+        if answer.late:
+            return Check.LATE
+        if answer.fault:
+            return Check.NOT_FINITE
+        failed = self.check(answer.proposal.position_in_base_m, query)
+        spread_m, threshold_m = answer.proposal.spread_m.max(), answer.spread_threshold_m
+        if self.kind is GateKind.FULL and spread_m > threshold_m:  # never above NaN: no threshold
+            failed |= Check.UNCERTAIN
+        return failed
+
+    def _outside(self, question: Question) -> Check:
+        """Whether the avoider was asked something that the scenario's region does not have."""
+        region = None if self.more is None else self.more.questions_within
+        if region is None:
+            return Check.NONE
+        depth_m = region.depth_m(question.hand_position_in_base_m, question.tcp_position_in_base_m)
+        return Check.NONE if depth_m >= 0.0 else Check.OUTSIDE_REGION
+
+    def check(self, position_in_base_m: Vector, query: Query) -> Check:
+        """Which checks ``position_in_base_m`` fails, the current orientation kept.
+
+        On a straight way the TCP is nowhere lower than at the lower one of its ends: the table
+        needs no look in between.
+
+        ``position_in_base_m`` (3,).
+        """
+        failed = Check.NONE
+        full = self.kind is GateKind.FULL
+        start_in_base_m = query.transform_tcp_to_base[:3, 3]
+        way = position_in_base_m - start_in_base_m
+        if position_in_base_m[2] < self.lowest_tcp_height_m:
+            failed |= Check.TABLE
+        if full and not leads_away(start_in_base_m, way, query.hands_in_base_m, query.half_widths_m):
+            failed |= Check.TOWARDS_A_HAND
+        target = query.transform_tcp_to_base.copy()
+        target[:3, 3] = position_in_base_m
+        if self.kinematics.nearest(target, query.joint_position_rad) is None:
+            return failed | Check.UNREACHABLE
+        length_m = float(np.linalg.norm(way))
+        if not length_m > 0.0:
+            return failed
+        wanted_m = length_m + (REACH_MARGIN_M if full else 0.0)
+        reach_m = self.kinematics.reach_along(
+            query.joint_position_rad, way / length_m, wanted_m, min_singular_value=self.min_singular_value
+        )
+        if reach_m < length_m:
+            return failed | Check.PATH_UNREACHABLE
+        if reach_m < wanted_m:
+            failed |= Check.NEAR_REACH_LIMIT
+        return failed | self._met(way, length_m, query) if full else failed
+
+    def _met(self, way: Vector, length_m: float, query: Query) -> Check:
+        """What comes too near on the way: the wrist to the body, or the arm to an obstacle.
+
+        It may always leave where it is.
+        """
+        arm, capsules, steps = self.kinematics.arm, self.capsules, ceil(length_m / WAY_STEP_M)
+        poses = np.repeat(query.transform_tcp_to_base[None], steps, axis=0)
+        poses[:, :3, 3] += (np.arange(1, steps + 1) / steps)[:, None] * way
+        joints = np.empty((steps + 1, len(query.joint_position_rad)))
+        joints[0] = query.joint_position_rad
+        joints[1:] = self.kinematics.followed(poses, query.joint_position_rad)
+        own_m = own_distances(arm, capsules, joints)
+        wrist = np.isnan(joints[1:, 0]) | ~(own_m[1:] >= min(OWN_CLEARANCE_M, own_m[0]))
+        wrong = wrist
+        if len(self.boxes) > 0:
+            box_m = distances_m(arm_with(arm, capsules), self.boxes, joints)
+            wrong = wrist | ~(box_m[1:] >= min(OWN_CLEARANCE_M, box_m[0]))
+        if not wrong.any():
+            return Check.NONE
+        return Check.ROBOT_ITSELF if wrist[wrong.argmax()] else Check.OBSTACLE
+
+
+def answer_to(avoider: Avoider, query: Query) -> Answer:
+    """The avoider's answer, or the fault of one that comes too late in simulated time; NoAnswerError."""
+    if query.late:
+        return Answer(fault=query.late, late=True)
+    return ask(avoider, query.question)
+
+
+def ask_many(avoiders: Sequence[Avoider], queries: Sequence[Query]) -> list[Answer]:
+    """The answers, in order; those of ``ask`` bit for bit, but for their latency.
+
+    A question of a batch has no time of its own on the clock: its latency is NaN, not timed.  Questions
+    that are asked in turn are timed.  An avoider in another process gets all its questions in one
+    message, and does either there.  NoAnswerError for one that hangs.
+    """
+    answers = [Answer()] * len(queries)
+    together: dict[int, list[int]] = {}  # by avoider
+    for k, (avoider, query) in enumerate(zip(avoiders, queries, strict=True)):
+        if (takes_many(avoider) or isinstance(avoider, OutOfProcessAvoider)) and not query.late:
+            together.setdefault(id(avoider), []).append(k)
+        else:
+            answers[k] = answer_to(avoider, query)
+    for numbers in together.values():
+        avoider = avoiders[numbers[0]]
+        found = answers_together(avoider, [queries[k].question for k in numbers])
+        for row, k in enumerate(numbers):
+            answers[k] = found[row] if found else answer_to(avoider, queries[k])
+    return answers
+
+
+def leads_away(
+    start_in_base_m: Vector, way: Vector, hands_in_base_m: Vector, half_widths_m: Vector | None = None
+) -> bool:
+    """Does the straight way (3,) lead away from each of the hands (k, 3), everywhere?
+
+    With ``half_widths_m`` r (k, 3): wherever they are in such boxes, for (p - t) . (t - h) is linear in h,
+    least at a corner, and there less by sum |p - t|_i r_i.
+
+    The distance from a fixed point to a straight way is convex, so it grows everywhere unless it
+    falls at the start: (p - t) . (t - h) >= 0.  A way of no length leads nowhere.  False if a
+    hand is NaN.
+    """
+    if not float(np.linalg.norm(way)) > 0.0:
+        return False
+    lost = np.zeros(len(hands_in_base_m)) if half_widths_m is None else half_widths_m @ np.abs(way)
+    ways = zip(hands_in_base_m, lost, strict=True)
+    return all(float(way @ (start_in_base_m - hand)) >= less for hand, less in ways)

@@ -1,0 +1,204 @@
+"""An avoider of a user's file, asked in a process of its own: whatever it does there, we go on.
+
+It keeps its memory, if it has one, as long as its process lives.  What does not answer within the wall
+limit is killed with all that it forked, and ends the run.  One whose process ends by itself has not
+answered, a decision fault; the next question goes to a new process, in which the avoider is made anew from
+the same text.
+"""
+
+from __future__ import annotations
+
+import time
+import weakref
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from safety_harness.base.exceptions import (
+    AvoiderError,
+    InadmissibleError,
+    InputError,
+    ModelError,
+    NoAnswerError,
+    Place,
+    SimulationError,
+    printable,
+)
+from safety_harness.base.extras import ONNX
+from safety_harness.base.settings import Settings
+from safety_harness.cell.avoidance.asking import (
+    WALL_LIMIT_S,
+    Answer,
+    OutOfProcessAvoider,
+    Question,
+    answer_of,
+)
+from safety_harness.cell.avoidance.avoider import Proposal, Vector
+from safety_harness.cell.avoidance.isolation.frames import Made
+from safety_harness.cell.avoidance.isolation.host import Host, RefusedError, Wanted, host_of
+from safety_harness.cell.avoidance.model_file import onnx_bytes
+from safety_harness.seams.contract import Seen
+from safety_harness.seams.isolation.channel import GoneError
+from safety_harness.seams.isolation.python_file import source_of
+
+ATTEMPTS = 3  # to make it anew, one after another
+PROGRAM_S = 300.0  # to be imported, and to answer for the first time
+ONNX_S = 60.0  # to be loaded and asked twice: the runtime computes at once what depends on no input
+
+
+class IsolatedAvoider(OutOfProcessAvoider):
+    """One avoider in the process of its file."""
+
+    def __init__(self, host: Host, wanted: Wanted) -> None:
+        """Make it there; RefusedError, or GoneError if the process does not live to say so."""
+        self._number = next(host.numbers)
+        with host.lock:
+            made = _first_made(host, self._number, wanted)
+            self._generation = host.generation
+        self.name = made.name
+        self.spread_threshold_m = made.spread_threshold_m
+        self.decision_time_s = made.decision_time_s
+        self.takes_many = made.takes_many
+        self.sees = made.sees
+        self._host = host
+        self._wanted = wanted
+        self._asked = False
+        self._rehearsal: Question | None = None  # its first question, if it survived that
+        weakref.finalize(self, host.drop, self._number).atexit = False
+
+    def propose(
+        self,
+        *,
+        hand_position_in_base_m: Vector,
+        tcp_position_in_base_m: Vector,
+        seed: int,
+        seen: Seen | None = None,
+    ) -> Proposal:
+        """As any avoider; AvoiderError says what was wrong there."""
+        question = Question(hand_position_in_base_m, tcp_position_in_base_m, seed, WALL_LIMIT_S, seen)
+        answer = self.answers([question], together=False)[0]
+        if answer.fault:
+            raise AvoiderError(answer.fault)
+        return answer.proposal
+
+    def answers(self, questions: Sequence[Question], *, together: bool) -> list[Answer]:
+        """As ``OutOfProcessAvoider`` has it.  What is asked together and not answered is asked in turn."""
+        found: list[Answer] = []
+        with self._host.lock:
+            together = together and self.takes_many
+            survived = True
+            while len(found) < len(questions):
+                rest = list(questions[len(found) :])
+                begun_s = time.perf_counter()
+                try:
+                    self._be_there()
+                    for answer in self._host.ask(self._number, rest, together=together):
+                        found.append(_looked_at(answer))
+                        begun_s = time.perf_counter()
+                except GoneError as gone:
+                    self._host.end()
+                    survived = False
+                    if not together and gone.hung:
+                        raise NoAnswerError(self.name, rest[0].limit_s) from None
+                    if not together:
+                        found.append(Answer(fault=str(gone), latency_s=time.perf_counter() - begun_s))
+                    together = False
+                except BaseException:  # Ctrl-C: its answer would be taken for that to the next question
+                    self._host.end()
+                    raise
+            if not self._asked:
+                self._asked = True
+                self._rehearsal = questions[0] if survived else None
+        return found
+
+    def _be_there(self) -> None:
+        """Made anew if need be, and asked its first question again, so that no decision pays for that."""
+        if self._host.alive and self._generation == self._host.generation:
+            return
+        why = ""
+        for _ in range(ATTEMPTS):
+            try:
+                self._host.make(self._number, self._wanted)
+                self._generation = self._host.generation
+                if self._rehearsal is not None:
+                    again = self._rehearsal._replace(limit_s=self._wanted.within_s)
+                    list(self._host.ask(self._number, [again], together=False))
+                return
+            except RefusedError as error:
+                why = str(error)
+                break
+            except GoneError as error:
+                why, self._rehearsal = str(error), None
+                self._host.end()
+        raise SimulationError(f"the avoider {self.name!r} could not be made once more: {why}")
+
+
+def _first_made(host: Host, number: int, wanted: Wanted) -> Made:
+    """Once more in a new process if that of earlier avoiders is gone."""
+    new = not host.alive
+    try:
+        return host.make(number, wanted)
+    except RefusedError:
+        raise
+    except BaseException as error:  # after Ctrl-C, who knows what it will say next
+        host.end()
+        if new or not isinstance(error, GoneError):
+            raise
+    return _first_made(host, number, wanted)
+
+
+def _looked_at(answer: Answer) -> Answer:
+    """What came from there, believed no more than what an avoider returns here."""
+    latency_s = answer.latency_s if answer.latency_s >= 0.0 else np.nan
+    if answer.fault:
+        return Answer(fault=printable(answer.fault), latency_s=latency_s)
+    threshold_m = answer.spread_threshold_m
+    if not (np.isnan(threshold_m) or 0.0 <= threshold_m < np.inf):
+        return Answer(fault=f"spread_threshold_m must be a length; got {threshold_m}", latency_s=latency_s)
+    return replace(answer_of(answer.proposal, threshold_m), latency_s=latency_s)
+
+
+def isolated_avoider(path: Path, name: str, place: Place) -> IsolatedAvoider:
+    """The avoider called ``name`` in a Python file, which is executed in another process.
+
+    InadmissibleError at ``place`` if there is none, or the process does not live to say so.
+    """
+    wanted, expected = Wanted({"attribute": name}, PROGRAM_S), f"{path.name} to give an avoider {name}"
+    return _of_file(path, source_of(path, place), wanted, expected, InadmissibleError, place)
+
+
+def isolated_onnx(path: Path, settings: Settings, layout: str = "") -> IsolatedAvoider:
+    """The avoider of an ONNX file, which may loop or fill the memory; ModelError says what is wrong.
+
+    MissingPackageError without onnxruntime.  It is tried with the cell's own desired TCP and nominal hand.
+    ``layout`` says what its inputs and outputs hold (``onnx_names``).
+    """
+    ONNX.require(f"the avoider {path.name}")
+    question = {
+        "hand": settings.avoidance.nominal_hand_position_in_base_m,
+        "tcp": settings.cell.desired_tcp_position_in_base_m,
+        "layout": layout,
+    }
+    wanted, expected = Wanted(question, ONNX_S), "an ONNX file that can be loaded and answers twice"
+    return _of_file(path, onnx_bytes(path), wanted, expected, ModelError)
+
+
+def _of_file(
+    path: Path,
+    source: bytes,
+    wanted: Wanted,
+    expected: str,
+    error: type[InputError],
+    place: Place | None = None,
+) -> IsolatedAvoider:
+    """The avoider, or the ``error`` at ``place``; without one at the field that the process tells."""
+    try:
+        return IsolatedAvoider(host_of(path, source), wanted)
+    except RefusedError as said:
+        at = place or Place(file=path, field=said.field or None)
+        raise error(place=at, expected=said.expected, got=said.got, hint=said.hint) from said
+    except GoneError as gone:
+        within = f" within {wanted.within_s:g} s" if gone.hung else ""
+        raise error(place=place or Place(file=path), expected=expected + within, got=str(gone)) from gone

@@ -1,0 +1,85 @@
+"""The learned avoiders: a trained network, its Monte Carlo dropout passes, or an ensemble."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.cell.avoidance.avoider import Proposal, Vector, Vectors
+from safety_harness.cell.avoidance.model_file import PERCEPTRON, Dropout, Model
+from safety_harness.cell.avoidance.perceptron_kernel import Perceptron, decide_perceptron, fold_perceptron
+from safety_harness.cell.avoidance.resnet_kernel import FoldedNetwork, decide, fold
+
+
+@dataclass(frozen=True, eq=False)
+class LearnedAvoider:
+    """Eqs. 9 and 10 of the paper: the mean of the passes (or members), and their standard deviation.
+
+    A decision depends on its hand, TCP and seed alone: the same bits one at a time or in a batch of
+    any size.  Networks without dropout take no notice of the seed.
+    """
+
+    model: Model
+    name: str
+    _network: FoldedNetwork | Perceptron
+
+    @classmethod
+    def of(cls, model: Model) -> LearnedAvoider:
+        """The avoider that ``model`` describes."""
+        if model.kind == PERCEPTRON:
+            name = f"ensemble of {model.members} ReLU students" if model.members > 1 else "ReLU student"
+            return cls(model, name, fold_perceptron(model))
+        if model.dropout is not Dropout.NONE:
+            name = f"MC dropout ({model.dropout.value}, {model.passes} passes)"
+        elif model.members > 1:
+            name = f"deep ensemble of {model.members}"
+        else:
+            name = "deterministic network"
+        return cls(model, name, fold(model))
+
+    @property
+    def spread_threshold_m(self) -> float | None:
+        """The largest spread [m] with which a proposal may be used; None if never calibrated."""
+        return self.model.spread_threshold_m
+
+    @property
+    def decision_time_s(self) -> float:
+        """What a decision costs in simulated time, as the card declares; 0 where it does not."""
+        return self.model.decision_time_s
+
+    def propose(
+        self, *, hand_position_in_base_m: Vector, tcp_position_in_base_m: Vector, seed: int
+    ) -> Proposal:
+        """One decision; ``seed`` is any integer from 0 to 2^64 - 1."""
+        positions, spreads = self.propose_many(
+            np.asarray(hand_position_in_base_m)[None],
+            np.asarray(tcp_position_in_base_m)[None],
+            np.array([seed], dtype=np.uint64),
+        )
+        return Proposal(positions[0], spreads[0])
+
+    def propose_many(
+        self, hands_in_base_m: Vectors, tcps_in_base_m: Vectors, seeds: NDArray[np.uint64]
+    ) -> tuple[Vectors, Vectors]:
+        """Positions and spreads (n, 3) [m] for hands (n, 3), TCPs (n, 3) and seeds (n,).
+
+        A hand or TCP that is not finite gives a position that is not, and never a guess.
+        ValueError for arrays of other shapes.
+        """
+        # Copies, since numba would compile everything once more for an array that is read-only.
+        hands = np.array(hands_in_base_m, dtype=np.float64, order="C")
+        tcps = np.array(tcps_in_base_m, dtype=np.float64, order="C")
+        keys = np.array(seeds, dtype=np.uint64, order="C")
+        if keys.ndim != 1 or hands.shape != (len(keys), 3) or tcps.shape != hands.shape:
+            raise ValueError(
+                f"expected hands (n, 3), TCPs (n, 3) and seeds (n,); "
+                f"got {hands.shape}, {tcps.shape} and {keys.shape}"
+            )
+        positions, spreads = np.empty(hands.shape), np.empty(hands.shape)
+        if isinstance(self._network, Perceptron):
+            decide_perceptron(self._network, hands, tcps, positions, spreads)
+        else:
+            decide(self._network, hands, tcps, keys, positions, spreads)
+        return positions, spreads

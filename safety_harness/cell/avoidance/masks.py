@@ -1,0 +1,79 @@
+"""Dropout masks as a pure function of (seed, pass, place, unit): nothing is drawn, nothing remembered.
+
+A counter-based generator: the finalizer of splitmix64 (Steele, Lea, Flood 2014) applied to
+key of the seed + counter x golden gamma.  So a decision has the same masks alone or in a batch, on any
+machine, whichever pass is made first, and PyTorch can be given the very same ones.
+
+A *place* is a point of the network where units are dropped.  "inter": place s is after stage s.
+"full": places count the layers in the order of the state dict: fc1, fc2, fc3 and, in a dense block,
+fcs of block 0 of stage 0, then block 1, ..., and fc_out at the end.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.base.compiled import compiled
+
+GAMMA = np.uint64(0x9E3779B97F4A7C15)
+FIRST_FACTOR = np.uint64(0xBF58476D1CE4E5B9)
+SECOND_FACTOR = np.uint64(0x94D049BB133111EB)
+FIRST_SHIFT = np.uint64(30)
+SECOND_SHIFT = np.uint64(27)
+THIRD_SHIFT = np.uint64(31)
+PASS_SHIFT = np.uint64(32)
+PLACE_SHIFT = np.uint64(16)  # so far fewer than 65,536 places and units
+
+
+@compiled
+def mixed(z: np.uint64) -> np.uint64:
+    """The finalizer of splitmix64: a bijection of 64 bits that leaves no pattern."""
+    z = (z ^ (z >> FIRST_SHIFT)) * FIRST_FACTOR
+    z = (z ^ (z >> SECOND_SHIFT)) * SECOND_FACTOR
+    return z ^ (z >> THIRD_SHIFT)
+
+
+@compiled
+def key_of(seed: np.uint64) -> np.uint64:
+    """Where a seed's counters start; any 64-bit seed will do, 0 and neighbours too."""
+    return mixed(np.uint64(seed) + GAMMA)
+
+
+@compiled
+def is_kept(key: np.uint64, which_pass: int, place: int, unit: int, drop_below: np.uint64) -> np.bool_:
+    """Whether a unit stays; ``key`` is key_of(seed), ``drop_below`` is the probability times 2^64."""
+    counter = (np.uint64(which_pass) << PASS_SHIFT) | (np.uint64(place) << PLACE_SHIFT) | np.uint64(unit)
+    return mixed(key + counter * GAMMA) >= drop_below
+
+
+@compiled
+def fill_factors(seed: np.uint64, probability: float, out: NDArray[np.float32]) -> None:
+    """Fill ``out`` (places, passes, width) with the factors of inverted dropout: 0 or 1/(1 - p).
+
+    Multiplied with, never selected by, so that a NaN stays one.  ``probability`` in [0, 1).
+    """
+    scale = np.float32(1.0 / (1.0 - probability))
+    drop_below = np.uint64(probability * 2.0**64)
+    key = key_of(seed)
+    for place in range(out.shape[0]):
+        for which_pass in range(out.shape[1]):
+            for unit in range(out.shape[2]):
+                kept = is_kept(key, which_pass, place, unit, drop_below)
+                out[place, which_pass, unit] = scale if kept else np.float32(0.0)
+
+
+@compiled
+def masks(seed: np.uint64, passes: int, places: int, width: int, probability: float) -> NDArray[np.bool_]:
+    """(passes, places, width) True where a unit is kept, each with chance 1 - ``probability``.
+
+    The masks of fewer passes, places or units are the beginnings of those of more.
+    """
+    out = np.empty((passes, places, width), dtype=np.bool_)
+    drop_below = np.uint64(probability * 2.0**64)
+    key = key_of(seed)
+    for which_pass in range(passes):
+        for place in range(places):
+            for unit in range(width):
+                out[which_pass, place, unit] = is_kept(key, which_pass, place, unit, drop_below)
+    return out

@@ -1,0 +1,389 @@
+"""Trained networks as files: safetensors with one JSON text, read without executing anything.
+
+Tensors are named "{member}/{name}", the name as in a PyTorch state dict of the architecture that
+``tensor_shapes`` spells out.  Everything a user can get wrong is refused with the field at fault;
+what ``save_model`` writes, ``load_model`` takes.
+
+Of an ONNX file the metadata are read from its bytes: no runtime loads it, nothing in it is computed.  A model
+is one message of protocol buffers (onnx.proto, ModelProto), whose field 14 is the metadata, each a message of
+two texts: 1 the key, 2 the value.  Fields: https://protobuf.dev/programming-guides/encoding
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field, fields
+from enum import Enum
+from itertools import islice
+from pathlib import Path
+from typing import Annotated, Any, NoReturn, TypeVar
+
+import numpy as np
+from msgspec import Meta
+from numpy.typing import NDArray
+from safetensors import SafetensorError, deserialize
+from safetensors.numpy import save
+
+from safety_harness.base.exceptions import ModelError, OutputError, Place
+from safety_harness.base.settings import Settings, Vector3
+from safety_harness.base.whole_file import replacing
+from safety_harness.scenario.decision_times import LONGEST_S
+from safety_harness.scenario.files import read_bytes
+from safety_harness.scenario.kinds import FileKind, refuse_other_kind
+from safety_harness.scenario.robots import Robot
+from safety_harness.scenario.typed_json import of_format, parsed, plain, typed
+
+FORMAT = "safety-harness model 1"
+RESNET, PERCEPTRON = "regression resnet", "relu perceptron"  # the kinds
+KEY = "safety_harness"  # of the metadata
+LARGEST_BYTES = 64 * 2**20
+LARGEST_DROPOUT = 0.9
+MOST_PASSES = 1000
+MOST_MEMBERS = 100
+CARD_TIME = "decision_time_s"  # of the card: what a decision costs in simulated time
+CARD_ARM = "arm"  # in whose cell the training data were drawn
+LARGEST_ONNX_BYTES = 256 * 2**20
+GRAPH, METADATA = 7, 14
+MOST_FIELDS = 10_000  # of which a file may have millions to no purpose; what comes later is not read
+FIXED = {1: 8, 5: 4}  # bytes of a value by its wire type
+PARTS = (("weight", 2), ("bias", 1))  # of a layer, and how many of its dimensions each has
+FARTHEST_M = 10.0  # a seen space beyond it is not in metres, or not around a robot's base
+
+INPUTS = 7  # hand (3) and TCP (3) in the base frame, normalised, and the constant 1
+OUTPUTS = 3
+WIDTH = 32
+STAGES = 3
+BLOCKS = 3  # a stage: one dense block, then identity blocks
+STAGE_LAYERS = 3 * BLOCKS + 1  # a stage's one dense block has a layer in its shortcut too
+LAYERS = STAGES * STAGE_LAYERS
+PERCEPTRON_INPUTS = INPUTS - 1  # no constant: its layers have biases
+HIDDEN_LAYERS = 2
+SIZES = {RESNET: (STAGES, BLOCKS), PERCEPTRON: (HIDDEN_LAYERS, 1)}  # stages, and blocks of each
+NORM = ("weight", "bias", "running_mean", "running_var")  # of a batch norm
+
+Corner = Annotated[float, Meta(ge=-FARTHEST_M, le=FARTHEST_M)]
+NotNegative = Annotated[float, Meta(ge=0.0)]
+Positive = Annotated[float, Meta(gt=0.0)]
+OfInputs = Meta(min_length=INPUTS - 1, max_length=INPUTS - 1)
+OfOutputs = Meta(min_length=OUTPUTS, max_length=OUTPUTS)
+
+
+class Dropout(Enum):
+    """Where units are dropped at prediction time: nowhere, after each stage, before every layer."""
+
+    NONE = "none"
+    INTER = "inter"
+    FULL = "full"
+
+
+PLACES = {Dropout.NONE: 0, Dropout.INTER: STAGES, Dropout.FULL: LAYERS + 1}  # of masks in one pass
+
+
+@dataclass(frozen=True, kw_only=True)
+class SeenSpace:
+    """The boxes that the training data filled: corners in the base frame [m]."""
+
+    hand_low_m: tuple[Corner, Corner, Corner]
+    hand_high_m: tuple[Corner, Corner, Corner]
+    tcp_low_m: tuple[Corner, Corner, Corner]
+    tcp_high_m: tuple[Corner, Corner, Corner]
+
+    @property
+    def boxes(self) -> dict[str, tuple[Vector3, Vector3]]:
+        """The low and the high corner of the box of hands and of that of TCPs."""
+        return {"hand": (self.hand_low_m, self.hand_high_m), "tcp": (self.tcp_low_m, self.tcp_high_m)}
+
+    def __post_init__(self) -> None:
+        for name, (low_m, high_m) in self.boxes.items():
+            if not all(low < high for low, high in zip(low_m, high_m, strict=True)):
+                raise ValueError(f"{name}_low_m below {name}_high_m in every axis")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Calibration:
+    """What held-out seen TCPs said: how wide an interval must be, and which spread is too large.
+
+    ``more`` holds whatever else the calibration recorded, beside these in a file; nothing here reads it.
+    """
+
+    interval_multiplier: Positive
+    spread_threshold_m: NotNegative
+    residual_std_m: tuple[NotNegative, NotNegative, NotNegative]
+    samples: Annotated[int, Meta(ge=1)]
+    more: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class NetworkUse:
+    """How a network is asked, and what its answers are good for, whichever file it comes from."""
+
+    dropout: Dropout
+    dropout_probability: Annotated[float, Meta(ge=0.0, le=LARGEST_DROPOUT)]
+    passes: Annotated[int, Meta(ge=1, le=MOST_PASSES)]
+    seen: SeenSpace
+    calibration: Calibration | None
+    card: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def spread_threshold_m(self) -> float | None:
+        """The largest spread [m] with which a proposal may be used; None if never calibrated."""
+        return None if self.calibration is None else self.calibration.spread_threshold_m
+
+    @property
+    def decision_time_s(self) -> float:
+        """What a decision costs in simulated time, as the card declares; 0 where it does not."""
+        return float(self.card.get(CARD_TIME, 0.0))
+
+    @property
+    def made_for(self) -> str:
+        """The arm in whose cell its training data were drawn; cards that do not say it are of the UR10."""
+        return str(self.card.get(CARD_ARM, Robot.UR10.label))
+
+
+U = TypeVar("U", bound=NetworkUse)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ModelMetadata(NetworkUse):
+    """All of a model but its tensors.
+
+    The network sees x = (input - input_mean) / input_std (6,) and the constant 1; its answer y
+    means the position target_mean + target_std y (3,) in the base frame.  Means and deviations are
+    in metres.  A perceptron has no constant, and two stages of one layer each.
+    """
+
+    format: str = FORMAT
+    kind: Annotated[str, Meta(pattern=f"^({RESNET}|{PERCEPTRON})$")] = RESNET
+    width: Annotated[int, Meta(ge=WIDTH, le=WIDTH)] = WIDTH
+    stages: int = STAGES
+    blocks: int = BLOCKS
+    members: Annotated[int, Meta(ge=1, le=MOST_MEMBERS)]
+    input_mean: Annotated[tuple[float, ...], OfInputs]
+    input_std: Annotated[tuple[Positive, ...], OfInputs]
+    target_mean: Annotated[tuple[float, ...], OfOutputs]
+    target_std: Annotated[tuple[Positive, ...], OfOutputs]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Model(ModelMetadata):
+    """A network (or an ensemble of such) with all that is needed to use it.
+
+    ``tensors`` are read-only float32 arrays, one set for each member.
+    """
+
+    tensors: Mapping[str, NDArray[np.float32]]
+
+
+def refuse(path: Path, name: str | None, expected: str, got: str, hint: str = "") -> NoReturn:
+    """Raise the ModelError for field ``name`` of the file ``path``."""
+    raise ModelError(place=Place(file=path, field=name), expected=expected, got=got, hint=hint)
+
+
+def layer_names() -> list[tuple[str, str]]:
+    """(block, number) of every layer before fc_out, in the order of the tensors and of the masks."""
+    return [
+        (f"stages.{stage}.{block}", number)
+        for stage in range(STAGES)
+        for block in range(BLOCKS)
+        for number in (("1", "2", "3", "s") if block == 0 else ("1", "2", "3"))
+    ]
+
+
+def tensor_shapes(kind: str = RESNET) -> dict[str, tuple[int, ...]]:
+    """Name and shape of every tensor of one member, in the order of the layers (a ResNet's: figures 3, 4)."""
+    if kind == PERCEPTRON:
+        sizes = {"fc1": (WIDTH, PERCEPTRON_INPUTS), "fc2": (WIDTH, WIDTH), "fc_out": (OUTPUTS, WIDTH)}
+        return {f"{name}.{part}": size[:n] for name, size in sizes.items() for part, n in PARTS}
+    shapes: dict[str, tuple[int, ...]] = {}
+    for block, number in layer_names():
+        inputs = INPUTS if block == "stages.0.0" and number in ("1", "s") else WIDTH
+        shapes[f"{block}.fc{number}.weight"] = (WIDTH, inputs)
+        shapes[f"{block}.fc{number}.bias"] = (WIDTH,)
+        shapes |= {f"{block}.bn{number}.{part}": (WIDTH,) for part in NORM}
+    shapes |= {f"bn_out.{part}": (WIDTH,) for part in NORM}
+    return shapes | {"fc_out.weight": (OUTPUTS, WIDTH), "fc_out.bias": (OUTPUTS,)}
+
+
+def load_model(path: Path) -> Model:
+    """Read and check a model file; ModelError says what is wrong with it and where."""
+    refuse_other_kind(path, FileKind.MODEL, error=ModelError)
+    return _parse(model_bytes(path, "a model file", most=LARGEST_BYTES), path)
+
+
+def model_bytes(path: Path, kind: str, *, most: int) -> bytes:
+    """The whole of a regular file of at most ``most`` bytes; ModelError for anything else."""
+    data = read_bytes(path, most=most, place=Place(file=path), error=ModelError)
+    if len(data) > most:
+        refuse(path, None, f"{kind} of at most {most} bytes", "a larger one")
+    return data
+
+
+def save_model(model: Model, path: Path) -> None:
+    """Write ``model`` to ``path`` in one step: there is the old file or the new one, never a part.
+
+    ModelError if ``load_model`` would refuse it; then nothing is written.  OutputError if it cannot be.
+    """
+    tensors = {name: np.ascontiguousarray(tensor) for name, tensor in model.tensors.items()}
+    try:
+        data = save(tensors, metadata={KEY: json.dumps(metadata_of(model), sort_keys=True, allow_nan=False)})
+    except (TypeError, ValueError, SafetensorError) as error:
+        refuse(path, None, "a model of numbers and plain texts", str(error))
+    _parse(data, path)
+    with writing_to(path), replacing(path) as unfinished:
+        unfinished.write_bytes(data)
+
+
+@contextmanager
+def writing_to(path: Path) -> Iterator[None]:
+    """OutputError where the block cannot write the file ``path``."""
+    try:
+        yield
+    except OSError as error:
+        raise OutputError(
+            place=Place(file=path), expected="a file that can be written", got=error.strerror or str(error)
+        ) from error
+
+
+def refuse_foreign_cell(network: NetworkUse, settings: Settings, path: Path) -> None:
+    """ModelError if a network never saw the cell's own desired TCP or its nominal hand position."""
+    for name, point_m in (
+        ("tcp", settings.cell.desired_tcp_position_in_base_m),
+        ("hand", settings.avoidance.nominal_hand_position_in_base_m),
+    ):
+        low_m, high_m = network.seen.boxes[name]
+        if not all(low <= x <= high for low, x, high in zip(low_m, point_m, high_m, strict=True)):
+            refuse(
+                path,
+                f"seen.{name}_low_m to seen.{name}_high_m",
+                f"a seen space with the cell's {name} position {list(point_m)} in it",
+                f"{list(low_m)} to {list(high_m)}",
+                hint=f"it was trained for another workspace, of the arm {network.made_for}; "
+                "`safety-harness train --robot SCENARIO` makes one for this",
+            )
+
+
+def metadata_of(model: Model) -> dict[str, Any]:
+    """All of a model but its tensors, as JSON has it."""
+    found = {one.name: plain(getattr(model, one.name)) for one in fields(ModelMetadata)}
+    if model.calibration is not None:
+        del found["calibration"]["more"]
+        found["calibration"] = dict(model.calibration.more) | found["calibration"]
+    return found | {"card": dict(model.card)}
+
+
+def _parse(data: bytes, path: Path) -> Model:
+    """The model in the bytes of a safetensors file; ModelError for the first thing that is wrong."""
+    try:
+        stored = dict(deserialize(data))  # type: ignore[no-untyped-call]  # checks every offset and length against the file's size
+    except SafetensorError as error:
+        refuse(path, None, "a safetensors file", str(error))
+    header = json.loads(data[8 : 8 + int.from_bytes(data[:8], "little")])
+    text = (header.get("__metadata__") or {}).get(KEY)
+    if text is None:
+        refuse(path, KEY, "the metadata of a model of this package", "none")
+    found = of_format(parsed(text, path, "metadata", ModelError), FORMAT, path, ModelError)
+    metadata = network_use(found, ModelMetadata, path)
+    # An ensemble's spread is over its members, and one pass has no spread: it would look certain.
+    if metadata.dropout is not Dropout.NONE and metadata.members > 1:
+        refuse(path, "members", "1 with dropout", str(metadata.members))
+    for name, got, size in zip(
+        ("stages", "blocks"), (metadata.stages, metadata.blocks), SIZES[metadata.kind], strict=True
+    ):
+        if got != size:
+            refuse(path, name, f"{size} of a {metadata.kind}", str(got))
+    if metadata.kind == PERCEPTRON and metadata.dropout is not Dropout.NONE:
+        refuse(path, "dropout", f"'none' of a {PERCEPTRON}", repr(metadata.dropout.value))
+    return Model(**vars(metadata), tensors=_tensors(stored, metadata, path))
+
+
+def network_use(found: Any, kind: type[U], path: Path, *, others: bool = False) -> U:
+    """What the metadata of a model say, or with ``others`` of an exported one; ModelError."""
+    if isinstance(found, dict) and isinstance(found.get("calibration"), dict):
+        given, own = found["calibration"], {one.name for one in fields(Calibration)}
+        more = {name: value for name, value in given.items() if name not in own}
+        parts = {"more": more} | {name: value for name, value in given.items() if name in own}
+        found = found | {"calibration": parts}
+    made = typed(found, kind, path, others=others, error=ModelError)
+    if made.dropout is not Dropout.NONE and made.passes < 2:
+        refuse(path, "passes", "at least 2 with dropout", str(made.passes))
+    if made.dropout is not Dropout.NONE and made.dropout_probability == 0.0:
+        refuse(path, "dropout_probability", "above 0 with dropout", "0")
+    time_s = made.card.get(CARD_TIME, 0.0)
+    if type(time_s) not in (int, float) or not 0.0 <= time_s <= LONGEST_S:
+        refuse(path, f"card.{CARD_TIME}", f"a time from 0 s to {LONGEST_S:g} s", repr(time_s)[:80])
+    if not (made.made_for.isprintable() and 0 < len(made.made_for) <= 100):
+        refuse(path, f"card.{CARD_ARM}", "the name of an arm", repr(made.made_for)[:80])
+    return made
+
+
+def _tensors(
+    stored: Mapping[str, Mapping[str, Any]], metadata: ModelMetadata, path: Path
+) -> dict[str, NDArray[np.float32]]:
+    """Every tensor of every member, read-only; ``stored`` maps a name to its dtype, shape and bytes."""
+    kind, members = metadata.kind, metadata.members
+    shapes = {f"{k}/{name}": shape for k in range(members) for name, shape in tensor_shapes(kind).items()}
+    for name in stored:
+        if name not in shapes:
+            refuse(path, name, f"only tensors of a {kind} with {members} member(s)", "this one too")
+    tensors = {}
+    for name, shape in shapes.items():
+        if name not in stored:
+            refuse(path, name, f"a tensor of shape {list(shape)}", "none")
+        one = stored[name]
+        if one["dtype"] != "F32" or tuple(one["shape"]) != shape:
+            refuse(path, name, f"F32 numbers of shape {list(shape)}", f"{one['dtype']} of {one['shape']}")
+        tensor = np.frombuffer(bytes(one["data"]), dtype="<f4").reshape(shape)
+        bad = np.argwhere(~np.isfinite(tensor))
+        if len(bad):
+            refuse(path, name, "finite numbers", f"{tensor[tuple(bad[0])]} at {bad[0].tolist()}")
+        if name.endswith("running_var") and tensor.min() < 0.0:
+            refuse(path, name, "variances of at least 0", f"{tensor.min():g}")
+        tensors[name] = tensor
+    return tensors
+
+
+def onnx_bytes(path: Path) -> bytes:
+    """The whole of an ONNX file; ModelError for none, or one that is too large."""
+    return model_bytes(path, "an ONNX file", most=LARGEST_ONNX_BYTES)
+
+
+def onnx_metadata(path: Path, data: bytes) -> dict[str, str]:
+    """Of the file ``path`` with the contents ``data``; ModelError for what is no ONNX file."""
+    try:
+        fields = list(islice(_fields(memoryview(data)), MOST_FIELDS))
+        pairs = [dict(islice(_fields(value), 2)) for number, value in fields if number == METADATA]
+        found = {bytes(pair.get(1, b"")).decode(): bytes(pair.get(2, b"")).decode() for pair in pairs}
+    except (ValueError, IndexError):
+        fields = []
+    if GRAPH not in [number for number, _ in fields]:
+        refuse(path, None, "an ONNX file", "something else, or a part of one")
+    return found
+
+
+def _fields(data: memoryview) -> Iterator[tuple[int, memoryview]]:
+    """Number and value of each field of a message; ValueError or IndexError for what is none."""
+    at = 0
+    while at < len(data):
+        key, at = _varint(data, at)
+        if key & 7 == 2:
+            length, at = _varint(data, at)
+        elif key & 7 == 0:
+            length = _varint(data, at)[1] - at
+        else:
+            length = FIXED.get(key & 7, len(data))
+        if at + length > len(data):
+            raise ValueError("a field beyond the end")
+        yield key >> 3, data[at : at + length]
+        at += length
+
+
+def _varint(data: memoryview, at: int) -> tuple[int, int]:
+    """A number of seven bits a byte, the lowest first, and where it ends."""
+    number = 0
+    for shift in range(0, 70, 7):
+        number |= (data[at + shift // 7] & 0x7F) << shift
+        if data[at + shift // 7] < 0x80:
+            return number, at + shift // 7 + 1
+    raise ValueError("a number without an end")

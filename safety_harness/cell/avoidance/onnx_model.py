@@ -1,0 +1,234 @@
+"""An avoider in an ONNX file: one that ``export`` wrote, or anybody's that keeps the contract below.
+
+Inputs and outputs have these names, or others that a layout explains (``onnx_names``).
+
+Inputs
+    hand_position_in_base_m, tcp_position_in_base_m: (1, 3) or (n, 3), float16, float32 or float64, metres.
+    seed, if the file wants one: (1,) or (n,), int64 or uint64; the same 64 bits either way.
+Outputs
+    position_in_base_m: (1, 3), metres in the robot's base frame.
+    spread_m, if the file knows one: (1, 3), one standard deviation by axis, metres.
+Metadata
+    spread_threshold_m, if there is to be one: the largest spread with which a proposal is used, as text.
+    decision_time_s, if there is to be one: what a decision costs in simulated time, as text.
+
+A file of ``export`` with dropout has an input ``masks`` as well, and says in its metadata how to draw
+them from the seed.  Files are loaded whole, from memory: nothing is executed but ONNX's own operators,
+and no other file is opened.  Those operators have loops and make tensors of any size: a stranger's file is
+loaded and asked in a process of its own (``isolation.isolated``); what is here runs where it is called.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import inf, isfinite
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.base.exceptions import ModelError, Place, described, on_one_line
+from safety_harness.cell.avoidance.avoider import Proposal, Vector
+from safety_harness.cell.avoidance.masks import masks
+from safety_harness.cell.avoidance.model_file import (
+    CARD_TIME,
+    KEY,
+    PLACES,
+    WIDTH,
+    Dropout,
+    NetworkUse,
+    network_use,
+    refuse,
+)
+from safety_harness.cell.avoidance.onnx_graph import refuse_chance, refuse_dependence
+from safety_harness.cell.avoidance.onnx_names import (
+    FLOATS,
+    HAND,
+    MASKS,
+    POSITION,
+    SEED,
+    SPREAD,
+    TCP,
+    NamedQuantity,
+    Tensor,
+    laid_out,
+    layout_of,
+)
+from safety_harness.scenario.decision_times import LONGEST_S
+from safety_harness.scenario.typed_json import of_format, parsed
+
+EXPORT_FORMAT = "safety-harness export 1"
+THRESHOLD = "spread_threshold_m"
+GIVEN = {POSITION: NamedQuantity((3,), FLOATS), SPREAD: NamedQuantity((3,), FLOATS)}
+
+
+@dataclass(frozen=True, eq=False)
+class OnnxAvoider:
+    """The function of an ONNX file, on one thread of the CPU, in one order of operations."""
+
+    name: str
+    spread_threshold_m: float | None
+    decision_time_s: float
+    _session: Any
+    _inputs: list[Tensor]
+    _outputs: list[Tensor]
+    _exported: NetworkUse | None
+
+    @classmethod
+    def of(cls, path: Path, data: bytes, *, hand: Vector, tcp: Vector, layout: str = "") -> OnnxAvoider:
+        """Load, check and try the file ``path`` with the contents ``data``; ModelError says what is wrong.
+
+        ``layout`` says what inputs and outputs hold whose names do not (``onnx_names``).
+
+        It is asked the same question twice, about ``hand`` and ``tcp`` (3,) [m]: what cannot answer,
+        answers in another shape, or not twice the same, is refused.
+        """
+        try:
+            session = open_session(path, data)
+            own = dict(session.get_modelmeta().custom_metadata_map)
+            use = _exported(path, own[KEY]) if KEY in own else None
+            threshold_m = _number(path, own, THRESHOLD) if use is None else use.spread_threshold_m
+            plain_s = _number(path, own, CARD_TIME, most=LONGEST_S) or 0.0
+            time_s = plain_s if use is None else use.decision_time_s
+            name = on_one_line(f"{path.name}:{layout}" if layout else f"ONNX model {path.name}")
+            takes = _taken(use)
+            required = {*takes} - {SEED} | {POSITION}
+            if use is not None or threshold_m is not None:
+                required |= {SPREAD}  # without it no threshold would ever be met
+            inputs, outputs = laid_out(path, session, layout_of(layout), takes, GIVEN, required)
+            avoider = cls(name, threshold_m, time_s, session, inputs, outputs, use)
+            avoider._try(path, hand, tcp)
+        except UnicodeDecodeError as error:  # of a damaged name
+            raise ModelError(place=Place(file=path), expected="names in UTF-8", got=error.reason) from error
+        return avoider
+
+    @property
+    def exported(self) -> bool:
+        """Is it a network of this package, exported?"""
+        return self._exported is not None
+
+    def propose(
+        self, *, hand_position_in_base_m: Vector, tcp_position_in_base_m: Vector, seed: int
+    ) -> Proposal:
+        """One decision; ``seed`` is any integer from 0 to 2^64 - 1.  No spread: the file knows none."""
+        answers = self._answers(hand_position_in_base_m, tcp_position_in_base_m, seed)
+        return Proposal(*(answers[name][0] for name in GIVEN if name in answers))
+
+    def _answers(self, hand: Vector, tcp: Vector, seed: int) -> dict[str, NDArray[Any]]:
+        """The outputs as the file gives them."""
+        seeds = np.array([seed], dtype=np.uint64)
+        arrays: dict[str, NDArray[Any]] = {
+            HAND: np.asarray(hand)[None],
+            TCP: np.asarray(tcp)[None],
+            SEED: seeds,
+        }
+        if self._exported is not None and self._exported.dropout is not Dropout.NONE:
+            arrays[MASKS] = drawn_masks(self._exported, seeds)
+        feed = {one.name: one.packed(arrays) for one in self._inputs}
+        values = self._session.run([one.name for one in self._outputs], feed)
+        widths = dict.fromkeys(GIVEN, 3)
+        return {
+            name: value
+            for one, found in zip(self._outputs, values, strict=True)
+            for name, value in one.split(found, widths)
+        }
+
+    def _try(self, path: Path, hand: Vector, tcp: Vector) -> None:
+        """The same question twice."""
+        try:
+            first, second = (self._answers(hand, tcp, seed=1) for _ in range(2))
+        except Exception as error:  # onnxruntime's own have no common base but Exception
+            refuse(path, None, "a model that answers for one hand and one TCP", described(error))
+        for name, one in first.items():
+            other = second[name]
+            if one.shape != (1, 3):
+                refuse(path, name, "a shape of (1, 3) for one hand and one TCP", str(one.shape))
+            if not np.array_equal(one, other, equal_nan=True):
+                refuse(
+                    path,
+                    name,
+                    "the same answer to the same question",
+                    f"{one[0].tolist()}, then {other[0].tolist()}",
+                    hint=f"random numbers must come from the input {SEED!r}",
+                )
+        if SPREAD in first and self.spread_threshold_m is None:  # what a file writes, its user reads
+            sys.stderr.write(f"{SPREAD} without {THRESHOLD} in the metadata: no proposal can be doubted\n")
+
+
+def _exported(path: Path, text: str) -> NetworkUse:
+    """What the JSON in a file of ``export`` says of its use; ModelError for the first field that is wrong."""
+    found = of_format(parsed(text, path, "metadata", ModelError), EXPORT_FORMAT, path, ModelError)
+    return network_use(found, NetworkUse, path, others=True)
+
+
+def mask_shape(use: NetworkUse) -> tuple[int, int, int]:
+    """Passes, places, units."""
+    return use.passes, PLACES[use.dropout], WIDTH
+
+
+def drawn_masks(use: NetworkUse, seeds: NDArray[np.uint64]) -> NDArray[np.bool_]:
+    """(n, passes, places, units) of what ``LearnedAvoider`` keeps for these seeds (n,)."""
+    return np.array([masks(seed, *mask_shape(use), use.dropout_probability) for seed in seeds])
+
+
+def open_session(path: Path, data: bytes) -> Any:
+    """Return the file in onnxruntime: one thread, in order, no file beside it.
+
+    Raise ModelError if the runtime cannot load it, if it draws random numbers, or if its answer depends on
+    the runtime's optimisation.
+    """
+    session = _session(path, data, optimised=True)
+    refuse_chance(path, data)
+    refuse_dependence(path, session, _session(path, data, optimised=False))
+    return session
+
+
+def _session(path: Path, data: bytes, *, optimised: bool) -> Any:
+    import onnxruntime  # an extra: who asks for one has looked
+
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    options.execution_mode = onnxruntime.ExecutionMode.ORT_SEQUENTIAL
+    options.use_deterministic_compute = True
+    if not optimised:
+        options.graph_optimization_level = onnxruntime.GraphOptimizationLevel.ORT_DISABLE_ALL
+    options.log_severity_level = 4  # what is wrong comes as an exception
+    options.add_session_config_entry("session.load_model_format", "ONNX")
+    # External data are sought in a folder, which this file is not: there are none.
+    options.add_session_config_entry("session.model_external_initializers_file_folder_path", str(path))
+    try:
+        return onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
+    except Exception as error:  # onnxruntime's own have no common base but Exception
+        hint = "torch.onnx.export(..., external_data=False) stores the tensors in the file itself"
+        hint = hint if "xternal data" in str(error) else ""
+        refuse(path, None, "an ONNX file that onnxruntime can load", described(error), hint)
+
+
+def _taken(exported: NetworkUse | None) -> dict[str, NamedQuantity]:
+    """What the inputs may hold, of a file of ``export`` its masks too."""
+    masked = exported is not None and exported.dropout is not Dropout.NONE
+    masks = {MASKS: NamedQuantity(mask_shape(exported), ("bool",))} if exported and masked else {}
+    return {
+        HAND: NamedQuantity((3,), FLOATS),
+        TCP: NamedQuantity((3,), FLOATS),
+        **masks,
+        SEED: NamedQuantity((), ("int64", "uint64")),
+    }
+
+
+def _number(path: Path, metadata: Mapping[str, str], key: str, most: float = inf) -> float | None:
+    """The plain spread threshold [m] of anybody's file, or its decision time [s]."""
+    text = metadata.get(key)
+    if text is None:
+        return None
+    try:
+        number = float(text)
+    except ValueError:
+        number = float("nan")
+    if not (isfinite(number) and 0.0 <= number <= most):
+        kind = "a length in metres, at least 0" if key == THRESHOLD else f"a time from 0 s to {most:g} s"
+        refuse(path, key, kind, repr(text[:80]))
+    return number

@@ -1,0 +1,110 @@
+"""A small ReLU network's decision, compiled: three affine maps in float64, so that proofs are about few sums.
+
+The program, of each member, x (6,) the hand and the TCP in the base frame [m]:
+
+    h = relu(A1 x + b1),  g = relu(A2 h + b2),  p = A3 g + b3        widths 6, 32, 32, 3; p in metres.
+
+Every unit's sum starts with its bias and takes its inputs in order.  Products and sums are rounded to
+float64 one by one (none fused); relu(z) is z unless z < 0.  The normalisation is part of A1, b1, A3 and b3:
+``fold_perceptron`` rounds it into them once, and these rounded numbers *are* the network (a file's float32
+are float64 as they stand).  The position is the members' mean, their sum in order divided by their number;
+the spread the root of the mean of the squared differences from it, in the same order.
+"""
+
+from __future__ import annotations
+
+from math import sqrt
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.base.compiled import compiled
+from safety_harness.base.geometry.arrays import ArrayNx3
+from safety_harness.cell.avoidance.model_file import OUTPUTS, PERCEPTRON_INPUTS, WIDTH, Model
+
+Float64s = NDArray[np.float64]
+
+
+class Perceptron(NamedTuple):
+    """Contiguous arrays of a model with m members; weights are [input, output], in- and outputs in metres."""
+
+    weight1: Float64s  # (m, 6, WIDTH)
+    bias1: Float64s  # (m, WIDTH)
+    weight2: Float64s  # (m, WIDTH, WIDTH)
+    bias2: Float64s  # (m, WIDTH)
+    weight3: Float64s  # (m, WIDTH, OUTPUTS)
+    bias3: Float64s  # (m, OUTPUTS)
+
+
+def fold_perceptron(model: Model) -> Perceptron:
+    """The arrays of ``model``: A1 = W1 / s, b1 = v1 - A1 m of inputs; A3 = s W3, b3 = m + s v3 of targets."""
+
+    def stacked(name: str) -> Float64s:
+        return np.stack([model.tensors[f"{k}/{name}"].astype(np.float64) for k in range(model.members)])
+
+    mean, std = np.array(model.input_mean), np.array(model.input_std)
+    target_mean, target_std = np.array(model.target_mean), np.array(model.target_std)
+    first = stacked("fc1.weight") / std  # (m, WIDTH, 6)
+    last = stacked("fc_out.weight") * target_std[:, None]  # (m, OUTPUTS, WIDTH)
+    return Perceptron(
+        weight1=np.ascontiguousarray(first.transpose(0, 2, 1)),
+        bias1=stacked("fc1.bias") - first @ mean,
+        weight2=np.ascontiguousarray(stacked("fc2.weight").transpose(0, 2, 1)),
+        bias2=stacked("fc2.bias"),
+        weight3=np.ascontiguousarray(last.transpose(0, 2, 1)),
+        bias3=target_mean + target_std * stacked("fc_out.bias"),
+    )
+
+
+@compiled
+def _layer(weight: Float64s, bias: Float64s, x: Float64s, rectified: bool, out: Float64s) -> None:
+    """Fill out = bias + x weight; ``rectified``: its ReLU.  NaN stays NaN.
+
+    ``weight`` (n, m), ``bias`` (m,), ``x`` (n,), ``out`` (m,).
+    """
+    for j in range(out.shape[0]):
+        out[j] = bias[j]
+    for i in range(x.shape[0]):
+        for j in range(out.shape[0]):
+            out[j] += x[i] * weight[i, j]
+    if rectified:
+        for j in range(out.shape[0]):
+            out[j] = 0.0 if out[j] < 0.0 else out[j]
+
+
+@compiled
+def answer(network: Perceptron, member: int, x: Float64s, h: Float64s, g: Float64s, out: Float64s) -> None:
+    """Fill ``out`` (3,) with a member's position [m] for x (6,), hand and TCP; h and g are scratch.
+
+    ``x`` (6,), ``h`` (WIDTH,), ``g`` (WIDTH,), ``out`` (3,).
+    """
+    _layer(network.weight1[member], network.bias1[member], x, True, h)
+    _layer(network.weight2[member], network.bias2[member], h, True, g)
+    _layer(network.weight3[member], network.bias3[member], g, False, out)
+
+
+@compiled
+def decide_perceptron(
+    network: Perceptron,
+    hands_in_base_m: ArrayNx3,
+    tcps_in_base_m: ArrayNx3,
+    positions: ArrayNx3,
+    spreads: ArrayNx3,
+) -> None:
+    """Fill positions and spreads (n, 3) [m] for hands and tcps (n, 3) in the base frame."""
+    members = network.weight1.shape[0]
+    x, h, g = np.empty(PERCEPTRON_INPUTS), np.empty(WIDTH), np.empty(WIDTH)
+    answers = np.empty((members, OUTPUTS))
+    for n in range(hands_in_base_m.shape[0]):
+        x[:3], x[3:] = hands_in_base_m[n], tcps_in_base_m[n]
+        for member in range(members):
+            answer(network, member, x, h, g, answers[member])
+        for k in range(OUTPUTS):
+            total = 0.0
+            for member in range(members):
+                total += answers[member, k]
+            mean, squares = total / members, 0.0
+            for member in range(members):
+                squares += (answers[member, k] - mean) * (answers[member, k] - mean)
+            positions[n, k], spreads[n, k] = mean, sqrt(squares / members)

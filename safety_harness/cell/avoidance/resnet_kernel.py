@@ -1,0 +1,375 @@
+"""The regression ResNet's passes for one decision, compiled, in one fixed order of operations.
+
+A unit's sum starts with its bias and takes its inputs in order; the machine only works on several
+*units* at once.  No BLAS, whose order depends on the batch.  So the bits of a decision depend on its
+input, its seed and the network alone, whether it is made alone or with a million others.
+
+A model becomes a few arrays, with batch norm folded into the layers.  In evaluation mode it is affine,
+bn(z) = s z + (beta - s mean), s = gamma / sqrt(var + eps); so bn(W x + b) = (s W) x + (s (b - mean) + beta),
+folded in float64, then rounded to float32 once.  Only bn_out stays by itself, for "full" dropout comes
+between it and the layer that follows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from math import sqrt
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.base.compiled import compiled
+from safety_harness.base.geometry.arrays import Array3, ArrayNx3
+from safety_harness.cell.avoidance.masks import fill_factors
+from safety_harness.cell.avoidance.model_file import (
+    BLOCKS,
+    INPUTS,
+    LAYERS,
+    NORM,
+    OUTPUTS,
+    PLACES,
+    STAGE_LAYERS,
+    STAGES,
+    WIDTH,
+    Model,
+    layer_names,
+)
+
+Float32s = NDArray[np.float32]
+Float64s = NDArray[np.float64]
+
+EPSILON = 1e-5  # PyTorch's BatchNorm1d
+STEP = 8  # inputs taken in one go; WIDTH is a multiple of it
+ROWS = 5  # rows taken in one go
+FULL_PLACES = LAYERS + 1  # of "full" dropout: before every layer and before fc_out
+ZERO = np.float32(0.0)
+
+# Rows of activations lie in ``work`` (SLOTS, passes, WIDTH), named by their slot: no views are made.
+X, Y, H, G, DROPPED = range(5)
+SLOTS = 5
+
+
+class FoldedNetwork(NamedTuple):
+    """Contiguous arrays of a model with m members.
+
+    Layers are in the state dict's order (fc1, fc2, fc3, fcs of block 0 of stage 0, then block 1, ...).
+    Weights have the outputs last, so that the kernel's innermost loop runs over memory in order;
+    the first layers' inputs beyond INPUTS have weight 0.
+    """
+
+    weight: Float32s  # (m, LAYERS, WIDTH, WIDTH), [input, output]
+    bias: Float32s  # (m, LAYERS, WIDTH)
+    scale_out: Float32s  # (m, WIDTH), bn_out
+    shift_out: Float32s  # (m, WIDTH), bn_out
+    weight_out: Float32s  # (m, WIDTH, OUTPUTS), [input, output]
+    bias_out: Float32s  # (m, OUTPUTS)
+    input_mean: Float64s  # (6,) [m]
+    input_std: Float64s  # (6,) [m]
+    target_mean: Float64s  # (3,) [m]
+    target_std: Float64s  # (3,) [m]
+    places: int  # of dropout in a pass: 0, STAGES ("inter") or FULL_PLACES
+    probability: float  # of dropping a unit
+    passes: int  # one without any places
+
+
+def fold(model: Model) -> FoldedNetwork:
+    """The arrays of ``model``."""
+    count = model.members
+    network = FoldedNetwork(
+        weight=np.zeros((count, LAYERS, WIDTH, WIDTH), dtype=np.float32),
+        bias=np.zeros((count, LAYERS, WIDTH), dtype=np.float32),
+        scale_out=np.zeros((count, WIDTH), dtype=np.float32),
+        shift_out=np.zeros((count, WIDTH), dtype=np.float32),
+        weight_out=np.zeros((count, WIDTH, OUTPUTS), dtype=np.float32),
+        bias_out=np.zeros((count, OUTPUTS), dtype=np.float32),
+        input_mean=np.array(model.input_mean),
+        input_std=np.array(model.input_std),
+        target_mean=np.array(model.target_mean),
+        target_std=np.array(model.target_std),
+        places=PLACES[model.dropout],
+        probability=model.dropout_probability,
+        passes=model.passes,
+    )
+    for member in range(count):
+        for layer, (prefix, number) in enumerate(layer_names()):
+            weight, bias = _folded_layer(model.tensors, f"{member}/{prefix}", number)
+            network.weight[member, layer, : weight.shape[1]] = weight.T
+            network.bias[member, layer] = bias
+        network.scale_out[member], network.shift_out[member] = _affine(model.tensors, f"{member}/bn_out")
+        network.weight_out[member] = model.tensors[f"{member}/fc_out.weight"].T
+        network.bias_out[member] = model.tensors[f"{member}/fc_out.bias"]
+    return network
+
+
+def _affine(tensors: Mapping[str, Float32s], prefix: str) -> tuple[Float64s, Float64s]:
+    """Scale and shift of a batch norm in evaluation mode, each (WIDTH,)."""
+    gamma, beta, mean, variance = (tensors[f"{prefix}.{part}"].astype(np.float64) for part in NORM)
+    scale = gamma / np.sqrt(variance + EPSILON)
+    return scale, beta - scale * mean
+
+
+def _folded_layer(tensors: Mapping[str, Float32s], prefix: str, number: str) -> tuple[Float64s, Float64s]:
+    """Weight (WIDTH, inputs) and bias (WIDTH,) of a layer with the batch norm that follows it."""
+    scale, shift = _affine(tensors, f"{prefix}.bn{number}")
+    weight = tensors[f"{prefix}.fc{number}.weight"].astype(np.float64)
+    bias = tensors[f"{prefix}.fc{number}.bias"].astype(np.float64)
+    return scale[:, None] * weight, scale * bias + shift
+
+
+@compiled
+def _layer(weight: Float32s, bias: Float32s, layer: int, work: Float32s, x: int, rows: int, out: int) -> None:
+    """Fill out = bias + x weight of ``layer``, batch norm included; no ReLU.
+
+    Five rows at a time, so that each weight is loaded once for all of them and no sum waits for
+    itself; what is left, row by row.  A unit's sum takes its inputs in the same order either way.
+    All is written out here: as functions of their own, or with other bounds than constants, the inner
+    loops do not become vector instructions.
+    """
+    together = rows - rows % ROWS
+    for row in range(together):
+        for j in range(WIDTH):
+            work[out, row, j] = bias[layer, j]
+    for row in range(0, together, ROWS):
+        for i in range(0, WIDTH, 4):
+            a0, a1 = work[x, row, i], work[x, row, i + 1]
+            a2, a3 = work[x, row, i + 2], work[x, row, i + 3]
+            b0, b1 = work[x, row + 1, i], work[x, row + 1, i + 1]
+            b2, b3 = work[x, row + 1, i + 2], work[x, row + 1, i + 3]
+            c0, c1 = work[x, row + 2, i], work[x, row + 2, i + 1]
+            c2, c3 = work[x, row + 2, i + 2], work[x, row + 2, i + 3]
+            d0, d1 = work[x, row + 3, i], work[x, row + 3, i + 1]
+            d2, d3 = work[x, row + 3, i + 2], work[x, row + 3, i + 3]
+            e0, e1 = work[x, row + 4, i], work[x, row + 4, i + 1]
+            e2, e3 = work[x, row + 4, i + 2], work[x, row + 4, i + 3]
+            for j in range(WIDTH):
+                w0, w1 = weight[layer, i, j], weight[layer, i + 1, j]
+                w2, w3 = weight[layer, i + 2, j], weight[layer, i + 3, j]
+                t0 = work[out, row, j]
+                t1 = work[out, row + 1, j]
+                t2 = work[out, row + 2, j]
+                t3 = work[out, row + 3, j]
+                t4 = work[out, row + 4, j]
+                t0 += a0 * w0
+                t1 += b0 * w0
+                t2 += c0 * w0
+                t3 += d0 * w0
+                t4 += e0 * w0
+                t0 += a1 * w1
+                t1 += b1 * w1
+                t2 += c1 * w1
+                t3 += d1 * w1
+                t4 += e1 * w1
+                t0 += a2 * w2
+                t1 += b2 * w2
+                t2 += c2 * w2
+                t3 += d2 * w2
+                t4 += e2 * w2
+                t0 += a3 * w3
+                t1 += b3 * w3
+                t2 += c3 * w3
+                t3 += d3 * w3
+                t4 += e3 * w3
+                work[out, row, j] = t0
+                work[out, row + 1, j] = t1
+                work[out, row + 2, j] = t2
+                work[out, row + 3, j] = t3
+                work[out, row + 4, j] = t4
+    for row in range(together, rows):
+        _layer_of_row(weight, bias, layer, work, x, row, out)
+
+
+@compiled
+def _layer_of_row(
+    weight: Float32s, bias: Float32s, layer: int, work: Float32s, x: int, row: int, out: int
+) -> None:
+    """The same for one row: STEP inputs are written out, so that sums stay in registers meanwhile."""
+    for j in range(WIDTH):
+        work[out, row, j] = bias[layer, j]
+    for i in range(0, WIDTH, STEP):
+        x0, x1, x2, x3 = work[x, row, i], work[x, row, i + 1], work[x, row, i + 2], work[x, row, i + 3]
+        x4, x5, x6, x7 = (work[x, row, i + 4], work[x, row, i + 5], work[x, row, i + 6], work[x, row, i + 7])
+        for j in range(WIDTH):
+            total = work[out, row, j]
+            total += x0 * weight[layer, i, j]
+            total += x1 * weight[layer, i + 1, j]
+            total += x2 * weight[layer, i + 2, j]
+            total += x3 * weight[layer, i + 3, j]
+            total += x4 * weight[layer, i + 4, j]
+            total += x5 * weight[layer, i + 5, j]
+            total += x6 * weight[layer, i + 6, j]
+            total += x7 * weight[layer, i + 7, j]
+            work[out, row, j] = total
+
+
+@compiled
+def _rectify(work: Float32s, x: int, rows: int) -> None:
+    """ReLU in place; NaN stays NaN (``max`` would make it 0)."""
+    for row in range(rows):
+        for j in range(WIDTH):
+            work[x, row, j] = ZERO if work[x, row, j] < ZERO else work[x, row, j]
+
+
+@compiled
+def _add_rectified(work: Float32s, h: int, shortcut: int, rows: int, out: int) -> None:
+    """Fill out = relu(h + shortcut)."""
+    for row in range(rows):
+        for j in range(WIDTH):
+            total = work[h, row, j] + work[shortcut, row, j]
+            work[out, row, j] = ZERO if total < ZERO else total
+
+
+@compiled
+def _drop(factors: Float32s, place: int, work: Float32s, x: int, rows: int, out: int) -> None:
+    """Fill out = x times the factors of ``place``."""
+    for row in range(rows):
+        for j in range(WIDTH):
+            work[out, row, j] = work[x, row, j] * factors[place, row, j]
+
+
+@compiled
+def _connect(
+    weight: Float32s,
+    bias: Float32s,
+    layer: int,
+    factors: Float32s,
+    work: Float32s,
+    x: int,
+    rows: int,
+    out: int,
+) -> None:
+    """A layer, before it its dropout if that is "full"."""
+    if factors.shape[0] == FULL_PLACES:
+        _drop(factors, layer, work, x, rows, DROPPED)
+        x = DROPPED
+    _layer(weight, bias, layer, work, x, rows, out)
+
+
+@compiled
+def _block(
+    weight: Float32s,
+    bias: Float32s,
+    layer: int,
+    dense: bool,
+    factors: Float32s,
+    work: Float32s,
+    x: int,
+    rows: int,
+    out: int,
+) -> None:
+    """The block whose fc1 is ``layer`` (figure 4), from x to out."""
+    _connect(weight, bias, layer, factors, work, x, rows, H)
+    _rectify(work, H, rows)
+    _connect(weight, bias, layer + 1, factors, work, H, rows, G)
+    _rectify(work, G, rows)
+    _connect(weight, bias, layer + 2, factors, work, G, rows, H)
+    if dense:
+        _connect(weight, bias, layer + 3, factors, work, x, rows, G)
+        _add_rectified(work, H, G, rows, out)
+    else:
+        _add_rectified(work, H, x, rows, out)
+
+
+@compiled
+def _repeat_first_row(work: Float32s, x: int, rows: int) -> None:
+    """Copy the first row of slot x into those after it, ``rows`` altogether."""
+    for row in range(1, rows):
+        for j in range(WIDTH):
+            work[x, row, j] = work[x, 0, j]
+
+
+@compiled
+def _stages(weight: Float32s, bias: Float32s, factors: Float32s, work: Float32s, x: int, y: int) -> int:
+    """Three stages from row 0 of x; returns the slot, x or y, in which all rows of the outcome are.
+
+    Until the first dropout all passes are the same, so they are one row.
+    """
+    places, passes = factors.shape[0], work.shape[1]
+    rows = 1
+    if places == FULL_PLACES:
+        rows = passes
+        _repeat_first_row(work, x, rows)
+    for stage in range(STAGES):
+        for block in range(BLOCKS):
+            layer = stage * STAGE_LAYERS + 3 * block + (1 if block > 0 else 0)
+            _block(weight, bias, layer, block == 0, factors, work, x, rows, y)
+            x, y = y, x
+        if places == STAGES:
+            if stage == 0:
+                rows = passes
+                _repeat_first_row(work, x, rows)
+            _drop(factors, stage, work, x, rows, y)
+            x, y = y, x
+    return x
+
+
+@compiled
+def _answer(
+    network: FoldedNetwork, member: int, factors: Float32s, work: Float32s, x: int, answers: Float32s
+) -> None:
+    """bn_out and fc_out for every pass: x to the answers (m, passes, OUTPUTS), normalised."""
+    for row in range(work.shape[1]):
+        for j in range(WIDTH):
+            work[H, row, j] = work[x, row, j] * network.scale_out[member, j] + network.shift_out[member, j]
+    out = H
+    if factors.shape[0] == FULL_PLACES:
+        _drop(factors, LAYERS, work, H, work.shape[1], G)
+        out = G
+    for row in range(work.shape[1]):
+        for k in range(OUTPUTS):
+            total = network.bias_out[member, k]
+            for j in range(WIDTH):
+                total += work[out, row, j] * network.weight_out[member, j, k]
+            answers[member, row, k] = total
+
+
+@compiled
+def _summarise(network: FoldedNetwork, answers: Float32s, position: Array3, spread: Array3) -> None:
+    """Mean and standard deviation (ddof 0) of all answers, as positions in the base frame [m]."""
+    members, passes = answers.shape[0], answers.shape[1]
+    for k in range(OUTPUTS):
+        mean = 0.0
+        for member in range(members):
+            for row in range(passes):
+                mean += np.float64(answers[member, row, k])
+        mean /= members * passes
+        squares = 0.0
+        for member in range(members):
+            for row in range(passes):
+                difference = np.float64(answers[member, row, k]) - mean
+                squares += difference * difference
+        position[k] = network.target_mean[k] + network.target_std[k] * mean
+        spread[k] = network.target_std[k] * sqrt(squares / (members * passes))
+
+
+@compiled
+def decide(
+    network: FoldedNetwork,
+    hands_in_base_m: ArrayNx3,
+    tcps_in_base_m: ArrayNx3,
+    seeds: NDArray[np.uint64],  # (n,)
+    positions: ArrayNx3,
+    spreads: ArrayNx3,
+) -> None:
+    """Fill positions and spreads (n, 3) [m] for hands and tcps (n, 3) in the base frame, seeds (n,).
+
+    An ensemble's answers are those of its members.  A row with a NaN gives NaN.
+    """
+    members, places = network.weight.shape[0], network.places
+    rows = network.passes if places > 0 else 1
+    factors = np.empty((places, rows, WIDTH), dtype=np.float32)
+    work = np.zeros((SLOTS, rows, WIDTH), dtype=np.float32)
+    answers = np.empty((members, rows, OUTPUTS), dtype=np.float32)
+    x = np.zeros(WIDTH, dtype=np.float32)  # beyond INPUTS it stays 0
+    x[INPUTS - 1] = 1.0
+    for n in range(hands_in_base_m.shape[0]):
+        for k in range(3):
+            x[k] = (hands_in_base_m[n, k] - network.input_mean[k]) / network.input_std[k]
+            x[k + 3] = (tcps_in_base_m[n, k] - network.input_mean[k + 3]) / network.input_std[k + 3]
+        if places > 0:
+            fill_factors(seeds[n], network.probability, factors)
+        for member in range(members):
+            work[X, 0] = x
+            out = _stages(network.weight[member], network.bias[member], factors, work, X, Y)
+            _answer(network, member, factors, work, out, answers)
+        _summarise(network, answers, positions[n], spreads[n])

@@ -1,0 +1,193 @@
+"""What users' controllers answer, a row each: of one, or of many episodes in lanes side by side.
+
+Nothing here waits for a compiler: the process of a user's file reads and answers rows too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.base.exceptions import ControllerError, described, printable
+from safety_harness.cell.controller.arrays import Arrays, observed
+from safety_harness.seams.contract import MODE, Move, Moves, Report, Seen, Stop, UserController
+from safety_harness.seams.rows import SeenLayout, seen_dtype
+from safety_harness.trace.records import Mode
+
+Floats = NDArray[np.float64]
+NOT_REPORTED = -1
+
+
+class LaneAnswers:
+    """What each of n controllers wants of its arm until the next tick, as ``obey`` takes it.
+
+    ``twists`` (n, 6) of the TCP, or ``joints`` (n, j) where it is ``by_joints`` (n,), or a ``stop`` (n,);
+    ``modes`` (n,) as reported, NOT_REPORTED else.
+    """
+
+    def __init__(self, lanes: int, joints: int, reports: tuple[str, ...]) -> None:
+        self.twists, self.joints = np.zeros((lanes, 6)), np.zeros((lanes, joints))
+        self.by_joints, self.stop = np.zeros(lanes, np.bool_), np.zeros(lanes, np.bool_)
+        self.modes = np.full(lanes, NOT_REPORTED, np.int64)
+        self._tells = MODE in reports
+
+    @property
+    def columns(self) -> tuple[NDArray[Any], ...]:
+        """All of it."""
+        return self.twists, self.joints, self.by_joints, self.stop, self.modes
+
+    def take(self, lane: int, action: object) -> None:
+        """Note an action down; ControllerError says what is wrong with it."""
+        if self._tells:
+            said = getattr(action, "report", None)
+            if not isinstance(said, Report) or not isinstance(said.mode, Mode):
+                raise ControllerError('act reported no Mode: though "mode" is among its reports')
+            self.modes[lane] = said.mode
+        if not isinstance(action, Move | Stop):
+            raise ControllerError(f"act returned no Move and no Stop: {printable(repr(action))}")
+        twist = self.twists[lane]
+        self.by_joints[lane] = False
+        self.stop[lane] = isinstance(action, Stop)
+        if isinstance(action, Stop):
+            twist[:] = 0.0
+            return
+        linear, angular = action.tcp_velocity_mps, action.tcp_angular_velocity_radps
+        if action.joint_velocity_radps is not None:
+            if linear is not None or angular is not None:
+                raise ControllerError("act returned a Move: of the TCP and of the joints at once")
+            joints, name = self.joints[lane], "joint_velocity_radps"
+            joints[:] = numbers(name, action.joint_velocity_radps, joints.shape)
+            self.by_joints[lane] = True
+            return
+        twist[:3] = 0.0 if linear is None else numbers("tcp_velocity_mps", linear, (3,))
+        twist[3:] = 0.0 if angular is None else numbers("tcp_angular_velocity_radps", angular, (3,))
+
+    def take_many(self, lanes: Sequence[int], moves: object) -> None:
+        """As ``take``, of all ``lanes`` at once, from ``act_many``."""
+        if not isinstance(moves, Moves):
+            raise ControllerError(f"act_many returned no Moves: {printable(repr(moves))}")
+        n, own, room = len(lanes), np.array(lanes), self.joints.shape[1]
+        linear, angular, joints = (
+            None if value is None else numbers(name, value, (n, width), "act_many")
+            for name, value, width in (
+                ("tcp_velocity_mps", moves.tcp_velocity_mps, 3),
+                ("tcp_angular_velocity_radps", moves.tcp_angular_velocity_radps, 3),
+                ("joint_velocity_radps", moves.joint_velocity_radps, room),
+            )
+        )
+        if joints is not None and (linear is not None or angular is not None):
+            raise ControllerError("act_many returned Moves: of the TCP and of the joints at once")
+        stop = _flags("stop", moves.stop, n)
+        if self._tells:
+            modes = np.asarray(moves.mode)
+            if modes.shape != (n,) or not _are_modes(modes):
+                raise ControllerError(
+                    f'act_many reported no Mode of each: {n} of them, "mode" being reported'
+                )
+            self.modes[own] = modes
+        going = ~stop
+        self.by_joints[own] = going if joints is not None else False
+        self.stop[own] = stop
+        self.twists[own, :3] = 0.0 if linear is None else np.where(going[:, None], linear, 0.0)
+        self.twists[own, 3:] = 0.0 if angular is None else np.where(going[:, None], angular, 0.0)
+        if joints is not None:
+            self.joints[own] = joints
+
+    def take_sent(self, lanes: Sequence[int], sent: Sequence[bytes]) -> None:
+        """As ``take``, of all ``lanes``, from another process; ValueError for what is no such thing."""
+        if len(sent) != len(self.columns):
+            raise ValueError(f"{len(sent)} columns in place of {len(self.columns)}")
+        own = np.array(lanes)
+        for column, data in zip(self.columns, sent, strict=True):
+            rows = np.frombuffer(data, np.uint8 if column.dtype == np.bool_ else column.dtype)
+            column[own] = rows.reshape(len(lanes), *column.shape[1:])
+        modes = self.modes[own]
+        if not (_are_modes(modes) if self._tells else (modes == NOT_REPORTED).all()):
+            raise ValueError("a mode that there is not")
+
+
+def numbers(name: str, value: object, shape: tuple[int, ...], what: str = "act") -> NDArray[Any]:
+    """Real numbers of that shape; ControllerError for anything else."""
+    try:
+        given = np.asarray(value)
+    except (TypeError, ValueError) as error:
+        raise ControllerError(f"{what} returned a {name} that is no array of numbers: {error}") from error
+    if given.dtype.kind not in "fiu" or given.shape != shape:
+        got = f"{given.dtype} of the shape {given.shape}"
+        raise ControllerError(f"{what} returned a {name} other than real numbers of the shape {shape}: {got}")
+    return given
+
+
+def _are_modes(modes: NDArray[Any]) -> bool:
+    """Mode counts from zero."""
+    return modes.dtype.kind in "iu" and bool((modes >= 0).all() and (modes < len(Mode)).all())
+
+
+def _flags(name: str, value: object, count: int) -> NDArray[np.bool_]:
+    if value is None:
+        return np.zeros(count, np.bool_)
+    given = np.asarray(value)
+    if given.dtype != np.bool_ or given.shape != (count,):
+        got = f"{given.dtype} of the shape {given.shape}"
+        raise ControllerError(f"act_many returned a {name} other than {count} truths: {got}")
+    return given
+
+
+def answers_many(controller: object) -> bool:
+    """Has its class an ``act_many``?"""
+    return callable(getattr(type(controller), "act_many", None))
+
+
+def ask_together(
+    controllers: Sequence[UserController],
+    lanes: Sequence[int],
+    rows: Floats,
+    period_s: float,
+    layout: SeenLayout,
+    answers: LaneAnswers,
+    sendable: Any = None,
+    file: str | None = None,
+) -> dict[int, str]:
+    """Ask the controller of each of ``lanes`` (n,); why a lane cannot go on, of those that cannot.
+
+    ``rows`` (n, wanted), read-only, are what they see, and ``controllers`` (n,) theirs; the answers
+    go to the ``lanes`` of ``answers``.  ``sendable`` is applied to each action, ``file`` is the user's.
+    Whatever an ``act_many`` raises, or returns amiss, is raised.
+    """
+    kind: Any = type(controllers[0])
+    if answers_many(controllers[0]):
+        answers.take_many(lanes, kind.act_many(controllers, columns_of(rows, period_s, layout)))
+        return {}
+    why: dict[int, str] = {}
+    for controller, lane, row in zip(controllers, lanes, rows, strict=True):
+        try:
+            action: object = controller.act(Seen.of_row(row.item(0), period_s, layout, row))
+            answers.take(lane, action if sendable is None else sendable(action))
+        except ControllerError as error:
+            why[lane] = in_act(error)
+        except (Exception, SystemExit) as error:  # a user's code may raise anything
+            why[lane] = f"act raised: {described(error, file) if file else described(error)}"
+    return why
+
+
+def in_act(error: ControllerError) -> str:
+    """Where it comes from, in words."""
+    words = str(error)
+    return words if words.startswith("act") else f"act raised: {words}"
+
+
+def columns_of(rows: Floats, period_s: float, layout: SeenLayout) -> Arrays:
+    """What ``act_many`` sees of ``rows`` (n, wanted)."""
+    dtype = seen_dtype(layout.hand_slots, layout.joints)
+    whole = np.zeros((len(rows), dtype.itemsize // 8))
+    whole[:, : rows.shape[1]] = rows
+    seen: Arrays = {"time_s": rows[:, 0].copy(), "period_s": np.float64(period_s)}  # type: ignore[dict-item]
+    return seen | observed(whole.view(dtype)[:, 0], layout.sees)
+
+
+def lanes_of(live: Iterable[bool]) -> list[int]:
+    """The numbers of those that go on."""
+    return [lane for lane, goes in enumerate(live) if goes]

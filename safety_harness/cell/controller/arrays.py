@@ -1,0 +1,96 @@
+"""What is seen as arrays of one shape: the observations of environments, and the inputs of ONNX policies.
+
+A row of a hand that is not there is zero, and so is what is not known; a flag beside it says so.
+Nothing here waits for a compiler.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.seams.contract import HAND_BOXES, HANDS, JOINTS, OBJECT, PREDICTED_HANDS
+
+SeenRows = NDArray[np.void]  # (n,) SEEN
+Arrays = dict[str, NDArray[np.generic]]  # by name, of n rows each
+
+
+def observed(seen: SeenRows, sees: tuple[str, ...]) -> Arrays:
+    """What ``sees`` name, of each of n; names and frames are those of the contract's ``Seen``.
+
+    ``seen`` (n,) SEEN.
+    """
+    found: Arrays = {}
+    for word in sees:
+        found |= _OF[word](seen)
+    return found
+
+
+def _joints(seen: SeenRows) -> Arrays:
+    names = ("joint_position_rad", "joint_velocity_radps", "transform_tcp_to_base", "tcp_position_in_base_m")
+    return {name: seen[name].copy() for name in names}
+
+
+def _hands(seen: SeenRows) -> Arrays:
+    there = _first(seen["hand_count"], seen["hands"])
+    return {"hands": _where(there, seen["hands"]), "hands_there": there}
+
+
+def _boxes(seen: SeenRows) -> Arrays:
+    there = _first(seen["box_count"], seen["boxes"])
+    return {
+        "hand_boxes": _where(there, seen["boxes"]),
+        "hand_boxes_there": there,
+        "hand_boxes_new": _flag(seen["boxes_new"]),
+        "hand_boxes_age_s": np.nan_to_num(seen["time_s"] - seen["boxes_time_s"])[:, None],
+        "transform_sensor_to_base": seen["transform_sensor_to_base"].copy(),
+    }
+
+
+def _object(seen: SeenRows) -> Arrays:
+    visible = _flag(seen["object_visible"])
+    return {
+        "object_visible": visible,
+        "object_new": _flag(seen["object_new"]),
+        "features": _where(visible[:, 0], seen["features"]),
+        "feature_error": _where(visible[:, 0], seen["feature_error"]),
+    }
+
+
+def _predicted(seen: SeenRows) -> Arrays:
+    there = (seen["tracked"] != 0).astype(np.int8)
+    return {
+        "predicted_hands": _where(there, seen["predicted"]),
+        "predicted_hands_there": there,
+        "predicted_hands_velocity_mps": _where(there, seen["predicted_velocity"]),
+        "predicted_hands_covariance": _where(there, seen["predicted_covariance"]),
+        "predicted_hands_age_s": _where(there, seen["time_s"][:, None] - seen["last_seen_s"]),
+    }
+
+
+_OF: dict[str, Callable[[SeenRows], Arrays]] = {
+    JOINTS: _joints,
+    HANDS: _hands,
+    HAND_BOXES: _boxes,
+    OBJECT: _object,
+    PREDICTED_HANDS: _predicted,
+}
+
+
+def _flag(true: NDArray[np.int64]) -> NDArray[np.int8]:  # (n,)
+    """(n, 1)."""
+    flags: NDArray[np.int8] = (true != 0).astype(np.int8)
+    return flags[:, None]
+
+
+def _first(count: NDArray[np.int64], rows: NDArray[np.float64]) -> NDArray[np.int8]:
+    """(n, k) which of k rows each are among the first ``count`` (n,).  ``rows`` (n, k, ...)."""
+    return (np.arange(rows.shape[1]) < count[:, None]).astype(np.int8)
+
+
+def _where(there: NDArray[np.int8], rows: NDArray[np.float64]) -> NDArray[np.float64]:
+    """``rows`` (n, ...) where they are there, else zero.  ``there`` (n,) or (n, k)."""
+    kept: NDArray[np.bool_] = (there != 0).reshape(there.shape + (1,) * (rows.ndim - there.ndim))
+    return np.where(kept, rows, 0.0)

@@ -1,0 +1,243 @@
+"""The controller under test: servo, watch the hands, give way, stop.
+
+``Controller`` is the seam for a user's own; ``AvoidingServo`` composes the compiled control
+stack with an avoider and the gate.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import lru_cache
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.base.seeds import Branch, seed
+from safety_harness.base.settings import Settings
+from safety_harness.cell.avoidance.asking import Answer, late_fault
+from safety_harness.cell.avoidance.avoider import Avoider, shown_to
+from safety_harness.cell.avoidance.gate import Gate, GateDecision, Query, answer_to
+from safety_harness.cell.avoidance.simple import faulty
+from safety_harness.cell.controller.cycle import QUESTION, ControllerRecords, act, answer_after, look, report
+from safety_harness.cell.controller.decision_times import NOTHING
+from safety_harness.cell.controller.records import (
+    ANSWER,
+    AnswerRecords,
+    CommandRecords,
+    FaultRecords,
+    FilterRecords,
+    ObservationRecords,
+    ParameterRecords,
+    QuestionRecords,
+    StateRecords,
+    TrackRecords,
+    command_dtype,
+    initial_state,
+    parameters,
+)
+from safety_harness.cell.controller.shield import Guard, no_guard
+from safety_harness.cell.controller.sight import Sight
+from safety_harness.cell.perception.hand_filter import filter_parameters
+from safety_harness.cell.perception.possible_hands import possible_half_widths_m
+from safety_harness.cell.perception.tracking import no_tracks
+from safety_harness.cell.robot.description import ArmModel
+from safety_harness.cell.servoing.control import DesiredView
+from safety_harness.scenario.fault_table import fault_table
+from safety_harness.scenario.model import HAND_SLOTS
+from safety_harness.seams.contract import Seen
+from safety_harness.trace.records import FAULT_CHARACTERS, DecisionOutcome, as_compiled, decision_dtype
+
+
+class Controller(Protocol):
+    """One episode's controller: an observation in, a command out."""
+
+    @property
+    def name(self) -> str:
+        """How traces and reports call it."""
+
+    def step(self, observation: NDArray[np.void]) -> NDArray[np.void]:
+        """(1,) OBSERVATION to (1,) COMMAND; the returned array may be reused by the next call.
+
+        ``observation`` (1,) OBSERVATION.
+        """
+
+    def report(self, tick: NDArray[np.void]) -> None:
+        """Write what was perceived and decided into ``tick`` (1,) TICK, for the trace."""
+
+    @property
+    def decisions(self) -> NDArray[np.void]:
+        """(m,) DECISION: every decision so far."""
+
+    @property
+    def decision_latencies_s(self) -> NDArray[np.float64]:
+        """(m,) how long each of them took on the wall's clock."""
+
+
+class AvoidingServo:
+    """The paper's controller; ``avoider`` proposes, ``gate`` rules, the stack acts.
+
+    ``decision_times_s`` (n,) [s] is what a question of each tick costs in simulated time, as the function of
+    that name makes it, and ``faults`` (n,) FAULT may make the answer later: until it counts, or
+    the decision deadline is over, the controller goes on with what it was doing.  ``recorded_late`` (m,)
+    says which decisions of an old trace came too late by the wall's clock, and in which words.
+    ``hand_slots`` is the scenario's, and ``guard`` its shield in this run.
+    """
+
+    def __init__(
+        self,
+        settings: Settings,
+        arm: ArmModel,
+        view: DesiredView,
+        avoider: Avoider,
+        gate: Gate,
+        root_seed: int,
+        recorded_late: Sequence[str] = (),
+        faults: NDArray[np.void] | None = None,
+        decision_times_s: NDArray[np.float64] = NOTHING,
+        hand_slots: int = HAND_SLOTS[0],
+        guard: Guard | None = None,
+    ) -> None:
+        self.name = avoider.name
+        self.avoider = avoider
+        self.gate = gate
+        fixed, joints = _fixed(settings.steady, arm, view), len(arm.joint_names)
+        self.records = ControllerRecords(
+            FilterRecords(fixed[1].copy()),
+            TrackRecords(no_tracks(hand_slots)),
+            FaultRecords(fault_table(()) if faults is None else faults),
+            decision_times_s.copy(),
+            ParameterRecords(fixed[0].copy()),
+            StateRecords(initial_state(hand_slots, joints)),
+            QuestionRecords(np.zeros(1, QUESTION)),
+            CommandRecords(np.zeros(1, command_dtype(joints))),
+            AnswerRecords(np.zeros(1, ANSWER)),
+            *(guard or no_guard(hand_slots, joints)),
+        )
+        self._late = late_fault(settings.avoidance.decision_deadline_s)
+        self._limit_s = settings.clock.wall_limit_s
+        self._held: Answer | None = None  # by the wall's clock: an answer that does not count yet
+        self._root_seed = root_seed
+        self._decision = decision_dtype(joints)
+        self._sight = Sight.of(shown_to(avoider), hand_slots, joints, settings.clock.control_period_s)
+        self._seen: Seen | None = None  # when the question that is open was asked
+        self._recorded_late = tuple(recorded_late)
+        self._decisions: list[NDArray[np.void]] = []
+        self._latencies_s: list[float] = []
+
+    def step(self, observation: NDArray[np.void]) -> NDArray[np.void]:
+        """Look, decide if it is time to, act.  ``observation`` (1,) OBSERVATION."""
+        r, o = self.records, ObservationRecords(observation)
+        decides = look(*r[:7], o)
+        if self._sight is not None and r.question[0]["asked_tick"] == r.question[0]["tick"]:
+            self._seen = self._sight.seen(r, o)
+        if decides:
+            query = self.query(observation)
+            held, self._held = self._held, None
+            gate = self.gate
+            self.decide(query, gate.rule(self.asked(), query) if held is None else gate.rule_on(held, query))
+        elif r.question[0]["open"] and np.isnan(r.question[0]["decision_time_s"]):  # by the wall's clock
+            self._ask_now(observation)
+        act(*r[4:], o)
+        return r.command
+
+    def report(self, tick: NDArray[np.void]) -> None:
+        """Copy what the stack knows into the trace's record of this tick.  ``tick`` (1,) TICK."""
+        report(*self.records[5:8], as_compiled(tick))
+
+    @property
+    def decisions(self) -> NDArray[np.void]:
+        """(m,) DECISION."""
+        decisions = np.zeros(len(self._decisions), self._decision)
+        for k, decision in enumerate(self._decisions):
+            decisions[k] = decision[0]
+        return decisions
+
+    @property
+    def decision_latencies_s(self) -> NDArray[np.float64]:
+        """(m,) wall-clock time from the question to the avoider's answer, or to giving up on it."""
+        return np.array(self._latencies_s, dtype=np.float64)
+
+    @property
+    def interventions(self) -> NDArray[np.void]:
+        """(n,) INTERVENTION: what the shield did in each tick of the run; empty without one."""
+        return self.records.interventions
+
+    def _ask_now(self, observation: NDArray[np.void]) -> None:
+        """Ask, take the time, and let the answer count when that much simulated time is over."""
+        records, held = self.records, answer_to(self.asked(), replace(self.query(observation), late=""))
+        answer_after(records.parameters, records.question, records.faults, held.latency_s)
+        late = Answer(fault=self._late, late=True, latency_s=held.latency_s)
+        self._held = late if records.question[0]["late"] else held
+
+    def asked(self) -> Avoider:
+        """Who answers the question that counts now: the avoider, as its faults leave it."""
+        return faulty(self.records.faults, self.avoider, float(self.records.question[0]["asked_s"]))
+
+    def query(self, observation: NDArray[np.void]) -> Query:
+        """The decision that counts now, as the gate wants it.  ``observation`` (1,) OBSERVATION."""
+        state, question = self.records.state[0], self.records.question[0]
+        number, nearest = len(self._decisions), state["nearest_track"]
+        asked_hand, asked_tcp = question["hand_position_in_base_m"], question["tcp_position_in_base_m"]
+        hand = state["predicted_hand_in_base_m"][nearest] if nearest >= 0 else asked_hand
+        return Query(
+            hand_position_in_base_m=hand.copy(),
+            tcp_position_in_base_m=state["transform_tcp_to_base"][:3, 3].copy(),
+            transform_tcp_to_base=state["transform_tcp_to_base"].copy(),
+            joint_position_rad=observation[0]["joint_position_rad"].copy(),
+            hands_in_base_m=state["predicted_hand_in_base_m"][state["track_valid"] != 0],
+            seed=seed(self._root_seed, Branch.DECISION, number),
+            late=self._late if question["late"] else self._recorded_words,
+            limit_s=self._limit_s,
+            asked_of=(asked_hand.copy(), asked_tcp.copy()) if question["delayed"] else None,
+            seen=self._seen,
+            half_widths_m=self._half_widths_m(observation),
+        )
+
+    def _half_widths_m(self, observation: NDArray[np.void]) -> NDArray[np.float64] | None:
+        """(k, 3) of each predicted hand, if the gate asks for all places where it may be."""
+        within, r = None if self.gate.more is None else self.gate.more.hands_within, self.records
+        if within is None:
+            return None
+        at_s = float(observation[0]["time_s"] + r.parameters[0]["prediction_horizon_s"])
+        pose = r.state[0]["transform_sensor_to_base"]
+        return possible_half_widths_m(r.tracks, at_s, r.filter_parameters, pose, within)
+
+    @property
+    def _recorded_words(self) -> str:
+        """How the decision that is due was late on record; empty if it was not, or is not on record."""
+        number = len(self._decisions)
+        return self._recorded_late[number] if number < len(self._recorded_late) else ""
+
+    def decide(self, query: Query, ruling: GateDecision) -> None:
+        """Take the gate's ruling over, note everything down."""
+        answer = self.records.answer
+        answer["stop"] = ruling.outcome is DecisionOutcome.STOP
+        answer["position_in_base_m"] = ruling.chosen_position_in_base_m
+        self._latencies_s.append(ruling.latency_s)
+        self._decisions.append(self._record(query, ruling))
+
+    def _record(self, query: Query, ruling: GateDecision) -> NDArray[np.void]:
+        """(1,) DECISION."""
+        record = np.zeros(1, self._decision)
+        for name in ("tick", "time_s", "asked_tick", "decision_time_s"):
+            record[name] = self.records.question[name]
+        record["trigger"] = self.records.state["trigger"]
+        for name in ("seed", "hand_position_in_base_m", "tcp_position_in_base_m", "joint_position_rad"):
+            record[name] = getattr(query, name)
+        for name in ("spread_threshold_m", "chosen_position_in_base_m", "outcome"):
+            record[name] = getattr(ruling, name)
+        record["proposed_position_in_base_m"] = ruling.proposed.position_in_base_m
+        record["proposed_spread_m"] = ruling.proposed.spread_m
+        record["opposite_position_in_base_m"] = ruling.opposite.position_in_base_m
+        record["proposed_failed"] = ruling.proposed_failed
+        record["opposite_failed"] = ruling.opposite_failed
+        record["fault"] = ruling.fault[:FAULT_CHARACTERS]
+        return record
+
+
+@lru_cache(maxsize=16)  # many episodes differ in their hands and starts alone
+def _fixed(settings: Settings, arm: ArmModel, view: DesiredView) -> tuple[NDArray[np.void], NDArray[np.void]]:
+    """What no episode changes."""
+    return parameters(settings, arm, view), filter_parameters(settings.hand_filter, settings.hand_sensor)

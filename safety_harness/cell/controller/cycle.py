@@ -1,0 +1,205 @@
+"""One tick of ``AvoidingServo``, compiled: everything between observation and command but the decision.
+
+``look`` says whether a decision counts now; whoever can make one then fills the answer, and ``act``
+goes on.  One episode at a time or many to their next decision: these are the functions.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.base.compiled import compiled, inlined
+from safety_harness.base.geometry.linear import copy_matrix, copy_vector
+from safety_harness.cell.controller.records import (
+    AnswerRecords,
+    CommandRecords,
+    FaultRecords,
+    FilterRecords,
+    ObservationRecords,
+    ParameterRecords,
+    QuestionRecords,
+    StateRecords,
+    TrackRecords,
+)
+from safety_harness.cell.controller.shield import Interventions, ShieldRecords, keep_apart
+from safety_harness.cell.controller.stack import begin_tick, finish_tick
+from safety_harness.cell.robot.distance import CapsuleRecords
+from safety_harness.scenario.fault_table import TIME_EPS_S, acting, delay_s
+from safety_harness.scenario.faults import FaultKind
+from safety_harness.trace.records import Mode
+
+PROTECTIVE_STOP = int(Mode.PROTECTIVE_STOP)
+LATE, SILENT, NAN = FaultKind.AVOIDER_LATE, FaultKind.AVOIDER_SILENT, FaultKind.AVOIDER_NAN
+
+Records = NDArray[np.void]
+
+QUESTION = np.dtype(
+    [
+        ("tick", np.int64),  # of the run, now
+        ("time_s", np.float64),
+        ("open", np.bool_),  # the avoider has been asked, and its answer does not count yet
+        ("asked_tick", np.int64),
+        ("asked_s", np.float64),
+        ("decision_time_s", np.float64),  # what it costs, beside any fault; NaN: not known yet
+        ("hand_position_in_base_m", np.float64, (3,)),  # the nearest predicted one, when it was asked
+        ("tcp_position_in_base_m", np.float64, (3,)),
+        ("trigger", np.int64),
+        ("delayed", np.bool_),  # the answer counts later than at once
+        ("counts_from", np.int64),  # tick
+        ("late", np.bool_),  # there will be none
+        ("faults", np.int64),  # bits of those that act on it
+        ("acted_faults", np.int64),  # bits, at this tick
+        ("made", np.int64),  # decisions so far
+        ("made_now", np.bool_),
+    ],
+    align=True,
+)
+
+
+class ControllerRecords(NamedTuple):
+    """All that one episode's controller knows and remembers.
+
+    In an order in which what a step takes stands together: ``look`` the first seven, ``act`` those from
+    ``parameters`` on, ``report`` from ``state`` to ``command``.
+    """
+
+    filter_parameters: FilterRecords  # (1,) FILTER_PARAMETERS
+    tracks: TrackRecords  # (tracks,) TRACK
+    faults: FaultRecords  # (n,) FAULT
+    decision_times_s: NDArray[np.float64]  # (n,) of a question of each tick, as ``decision_times`` has it
+    parameters: ParameterRecords  # (1,) PARAMETERS
+    state: StateRecords  # (1,) STATE
+    question: QuestionRecords  # (1,) QUESTION
+    command: CommandRecords  # (1,) COMMAND
+    answer: AnswerRecords  # (1,) ANSWER
+    shield: ShieldRecords  # (1,) SHIELD, or (0,) without one, as the next two
+    interventions: Interventions  # (n,) INTERVENTION
+    capsules: CapsuleRecords  # (n,) CAPSULE
+
+
+@inlined
+def look(
+    filter_parameters: FilterRecords,
+    tracks: TrackRecords,
+    faults: FaultRecords,
+    decision_times_s: NDArray[np.float64],  # (n,) of a question of each tick; the last for all later ones
+    parameters: ParameterRecords,
+    states: StateRecords,
+    questions: QuestionRecords,
+    observations: ObservationRecords,
+) -> bool:
+    """Take in an observation (1,) OBSERVATION; True if the decision on the open question counts now.
+
+    Until it does the controller goes on as before; an answer that comes after a protective stop is of
+    no use.
+    """
+    s, q = states[0], questions[0]
+    asked = begin_tick(parameters, filter_parameters, states, tracks, observations)
+    q.time_s = observations[0].time_s
+    q.acted_faults = 0
+    q.made_now = False
+    if asked and not q.open:
+        ask(parameters, states, questions, faults, decision_times_s, observations)
+    if not q.open:
+        return False
+    q.acted_faults = q.faults
+    if q.tick < q.counts_from:
+        s.decision_pending = False
+        return False
+    q.open = False
+    if s.mode == PROTECTIVE_STOP:
+        s.decision_pending = False
+        return False
+    q.made_now = True
+    s.decision_pending = True
+    s.trigger = q.trigger
+    return True
+
+
+@compiled
+def ask(
+    parameters: ParameterRecords,
+    states: StateRecords,
+    questions: QuestionRecords,
+    faults: FaultRecords,
+    decision_times_s: NDArray[np.float64],  # (n,)
+    observations: ObservationRecords,
+) -> None:
+    """Open the question of now; its answer counts when its decision time is over."""
+    s, q, time_s = states[0], questions[0], observations[0].time_s
+    q.open = True
+    q.asked_tick = q.tick
+    q.asked_s = time_s
+    for i in range(3):
+        q.hand_position_in_base_m[i] = s.predicted_hand_in_base_m[s.nearest_track, i]
+        q.tcp_position_in_base_m[i] = s.transform_tcp_to_base[i, 3]
+    q.trigger = s.trigger
+    q.faults = acting(faults, LATE, time_s) | acting(faults, SILENT, time_s) | acting(faults, NAN, time_s)
+    answer_after(parameters, questions, faults, decision_times_s[min(q.tick, decision_times_s.shape[0] - 1)])
+
+
+@compiled
+def answer_after(
+    parameters: ParameterRecords, questions: QuestionRecords, faults: FaultRecords, decision_time_s: float
+) -> None:
+    """The answer to the open question takes so long [s], and a fault's delay longer; NaN: not known yet.
+
+    It counts ceil(min(late, deadline) / period) ticks after it was asked, the first at which that is over, an
+    exact multiple of the period at exactly that tick.  What takes longer than the deadline is no answer, and
+    is given up on at the deadline.
+    """
+    p, q = parameters[0], questions[0]
+    late_s = decision_time_s + delay_s(faults, LATE, q.asked_s)
+    if np.isnan(late_s) or acting(faults, SILENT, q.asked_s):
+        late_s = np.inf
+    waits = int(np.ceil(min(late_s, p.decision_deadline_s) / p.control_period_s - 1e-9))
+    q.decision_time_s = decision_time_s
+    q.delayed = waits > 0
+    q.counts_from = q.asked_tick + waits
+    q.late = late_s > p.decision_deadline_s + TIME_EPS_S
+
+
+@inlined
+def act(
+    parameters: ParameterRecords,
+    states: StateRecords,
+    questions: QuestionRecords,
+    commands: CommandRecords,
+    answers: AnswerRecords,
+    shields: ShieldRecords,
+    interventions: Interventions,
+    capsules: CapsuleRecords,
+    observations: ObservationRecords,
+) -> None:
+    """Act on the answer, if one was waited for, and command the arm, as the shield leaves it."""
+    q = questions[0]
+    finish_tick(parameters, states, observations, answers, commands)
+    if shields.shape[0] > 0:
+        keep_apart(parameters, states, shields, interventions, capsules, observations, commands, q.tick)
+    q.made += q.made_now
+    q.tick += 1
+
+
+@inlined
+def report(
+    states: StateRecords, questions: QuestionRecords, commands: CommandRecords, ticks: Records
+) -> None:
+    """Write what was perceived and decided into the trace's record of this tick, (1,) ``as_compiled``."""
+    s, q, command, tick = states[0], questions[0], commands[0], ticks[0]
+    tick.object_visible = s.object_visible
+    tick.sse = s.sse
+    tick.predicted_distance_m = s.predicted_distance_m
+    tick.mode = s.mode
+    tick.gain = s.gain
+    tick.limits = s.limits
+    copy_vector(s.features, tick.features)
+    copy_vector(s.feature_error, tick.feature_error)
+    copy_vector(s.camera_twist, tick.camera_twist)
+    copy_vector(command.joint_velocity_radps, tick.demanded_joint_velocity_radps)
+    copy_vector(s.track_valid, tick.track_valid)
+    copy_matrix(s.predicted_hand_in_base_m, tick.predicted_hand_in_base_m)
+    tick.decision = q.made - 1 if q.made_now else -1
+    tick.faults |= q.acted_faults

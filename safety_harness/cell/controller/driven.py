@@ -1,0 +1,316 @@
+"""A user's controller as a ``Controller``: observations become what it sees, its actions commands.
+
+Perception is its own affair but for what it says that it sees; limits, drives and brakes are those of every
+run.  What it does not report is not reported in the trace either.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from functools import lru_cache
+from typing import Any
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.base.exceptions import ControllerError, described
+from safety_harness.base.settings import Settings
+from safety_harness.cell.controller.answers import LaneAnswers, in_act, numbers
+from safety_harness.cell.controller.cycle import QUESTION, report
+from safety_harness.cell.controller.records import (
+    ObservationRecords,
+    QuestionRecords,
+    command_dtype,
+    initial_state,
+    observation_dtype,
+    parameters_dtype,
+)
+from safety_harness.cell.controller.seeing import DrivenRecords, SeenRecords, driven_records, obey, see
+from safety_harness.cell.controller.shield import Guard, keep_apart, no_guard
+from safety_harness.cell.perception.hand_filter import FILTER_PARAMETERS
+from safety_harness.cell.perception.tracking import no_tracks
+from safety_harness.cell.robot.description import ArmModel
+from safety_harness.cell.robot.kinematics import links_in_base
+from safety_harness.cell.servoing.control import DesiredView
+from safety_harness.seams.contract import (
+    DECISIONS,
+    DOUBT,
+    IMAGE,
+    MODE,
+    OBJECT,
+    PREDICTED_HANDS,
+    Action,
+    Decision,
+    DrivenArm,
+    Report,
+    Seen,
+    Start,
+    UserController,
+    reports_of,
+    sees_of,
+)
+from safety_harness.seams.rows import SeenLayout, seen_dtype
+from safety_harness.trace.known import NOT_REPORTED, OF_DECISIONS, Measurement
+from safety_harness.trace.records import DECISION, as_compiled, decision_dtype, tick_dtype
+
+Floats = NDArray[np.float64]
+
+# What only the visual servo has, or one that reports it.
+_OF_SERVO = ("gain", "camera_twist")
+_OF_OBJECT = ("object_visible", "features", "feature_error", "sse")
+_OF_TRACKS = ("track_valid", "predicted_hand_in_base_m", "predicted_distance_m")
+_OF_GATE = (
+    "asked_tick",
+    "decision_time_s",
+    "seed",
+    "opposite_position_in_base_m",
+    "proposed_failed",
+    "opposite_failed",
+)
+_OF_DOUBT = ("proposed_spread_m", "spread_threshold_m")
+
+
+class DrivenController:
+    """One episode of a user's controller; ControllerError for what it raises or returns that is no action.
+
+    ``joint_position_rad`` (n,) is where the arm starts.  ``view`` is read only if the object is seen.
+    ``guard`` is the scenario's shield in this run.
+    """
+
+    def __init__(
+        self,
+        user: UserController,
+        settings: Settings,
+        arm: ArmModel,
+        view: DesiredView | None,
+        joint_position_rad: Floats,
+        seed: int,
+        hand_slots: int,
+        guard: Guard | None = None,
+    ) -> None:
+        self.user = user
+        self.name = user.name
+        self.sees, self.reports = sees_of(user), reports_of(user)
+        joints = len(arm.joint_names)
+        records = driven_records(settings, arm, view, hand_slots)
+        self._decision = decision_dtype(joints)
+        self._decisions: list[NDArray[np.void]] = []
+        self.answers_took_s: list[float] = []  # on the wall's clock; none of those of many lanes together
+        self.answers = LaneAnswers(1, joints, self.reports)
+        self.period_s = settings.clock.control_period_s
+        self.layout = SeenLayout(hand_slots, joints, self.sees)
+        self.lie_in(records, QuestionRecords(np.zeros(1, QUESTION)))
+        self.wants = OBJECT in self.sees, PREDICTED_HANDS in self.sees
+        self._see, self._obey, self._tell = _entries(hand_slots, joints)
+        self.guard = guard or no_guard(hand_slots, joints)
+        self._image: Callable[[], Any] | None = None
+        pose = links_in_base(arm, joint_position_rad)[-1]
+        start = Start(joint_position_rad=_frozen(joint_position_rad), transform_tcp_to_base=_frozen(pose))
+        try:
+            user.reset(settings=settings, arm=arm_of(arm), start=start, seed=seed)
+        except ControllerError:
+            raise
+        except (Exception, SystemExit) as error:  # a user's code may raise anything
+            raise self.failed(f"reset raised: {described(error)}") from error
+
+    def lie_in(self, records: DrivenRecords, question: QuestionRecords) -> None:
+        """All that it knows lies there from now on.  ``question`` (1,) QUESTION."""
+        self.records, self.question = records, question
+        self._floats = records.seen.view(np.float64)[: self.layout.wanted]
+
+    def sees_images_of(self, image: Callable[[], Any]) -> None:
+        """Let it see the ``image()`` of now, if "image" is among its sees."""
+        self._image = image
+
+    def step(self, observation: NDArray[np.void]) -> NDArray[np.void]:
+        """(1,) OBSERVATION to (1,) COMMAND."""
+        self.look(observation)
+        self.ask()
+        by_joints = bool(self.answers.by_joints[0])
+        wanted = self.answers.joints[0] if by_joints else self.answers.twists[0]
+        return self.carry_out(wanted, by_joints, bool(self.answers.stop[0]), observation)
+
+    def look(self, observation: NDArray[np.void]) -> SeenRecords:
+        """(1,) SEEN of (1,) OBSERVATION: the first half of ``step``."""
+        o = ObservationRecords(observation)
+        r = self.records
+        self._see(r.parameters, r.filter_parameters, r.state, r.tracks, o, r.seen, *self.wants)
+        return r.seen
+
+    def carry_out(
+        self, wanted: Floats, by_joints: bool, stop: bool, observation: NDArray[np.void]
+    ) -> NDArray[np.void]:
+        """(1,) COMMAND for an action, as ``obey`` has it: the second half of ``step``.
+
+        ``wanted`` (6,) or (n,), ``observation`` (1,) OBSERVATION; ControllerError for what is not finite.
+        """
+        o, r = ObservationRecords(observation), self.records
+        if not self._obey(r.parameters, r.state, o, wanted, by_joints, stop, r.command):
+            raise self.not_finite(wanted)
+        self.shielded(o, int(self.question[0]["tick"]))
+        self.question["tick"] += 1
+        return r.command
+
+    def shielded(self, observation: ObservationRecords, tick: int) -> None:
+        """The command as the shield leaves it, if there is one.  ``observation`` (1,) OBSERVATION."""
+        if len(self.guard.shield):
+            r = self.records
+            keep_apart(r.parameters, r.state, *self.guard, observation, r.command, tick)
+
+    def report(self, tick: NDArray[np.void]) -> None:
+        """Write what it saw and reports into ``tick`` (1,) TICK."""
+        self.report_compiled(as_compiled(tick))
+
+    def report_compiled(self, tick: NDArray[np.void]) -> None:
+        """As ``report``, into a tick (1,) ``as_compiled``."""
+        self._tell(self.records.state, self.question, self.records.command, tick)
+        if self.answers.modes[0] >= 0:
+            tick["mode"] = self.answers.modes[0]
+
+    @property
+    def decisions(self) -> NDArray[np.void]:
+        """(m,) DECISION: those that it reported."""
+        decisions = np.zeros(len(self._decisions), self._decision)
+        for k, decision in enumerate(self._decisions):
+            decisions[k] = decision[0]
+        return decisions
+
+    @property
+    def decision_latencies_s(self) -> Floats:
+        """(m,) NaN: nobody asked it for a decision."""
+        return np.full(len(self._decisions), np.nan)
+
+    @property
+    def interventions(self) -> NDArray[np.void]:
+        """(n,) INTERVENTION: what the shield did in each tick of the run; empty without one."""
+        return self.guard.interventions
+
+    @property
+    def known(self) -> dict[str, Measurement]:
+        """What of its traces is not reported, by column."""
+        lacking = [*_OF_SERVO]
+        lacking += [] if OBJECT in self.sees else _OF_OBJECT
+        lacking += [] if PREDICTED_HANDS in self.sees else _OF_TRACKS
+        lacking += [] if MODE in self.reports else ["mode"]
+        if DECISIONS in self.reports:
+            of_decisions = [*_OF_GATE, *([] if DOUBT in self.reports else _OF_DOUBT)]
+        else:
+            of_decisions, lacking = [*(DECISION.names or ())], [*lacking, "decision"]
+        return dict.fromkeys([*lacking, *(OF_DECISIONS + name for name in of_decisions)], NOT_REPORTED)
+
+    def ask(self) -> None:
+        """What it wants of the arm until the next tick, into ``answers``."""
+        row = self._floats.copy()
+        row.flags.writeable = False
+        seen = Seen.of_row(float(row[0]), self.period_s, self.layout, row)
+        if self._image is not None and IMAGE in self.sees:
+            seen.__dict__["image"] = self._image()
+        try:
+            begun_s = time.perf_counter()
+            action = self.user.act(seen)
+            self.answers_took_s.append(time.perf_counter() - begun_s)
+            self.answers.take(0, action)
+            self._note(action)
+        except ControllerError as error:
+            raise self.failed(in_act(error)) from error
+        except (Exception, SystemExit) as error:  # a user's code may raise anything
+            raise self.failed(f"act raised: {described(error)}") from error
+
+    def not_finite(self, wanted: Floats) -> ControllerError:
+        """Of what it ``wanted`` (6,) or (n,)."""
+        return self.failed(f"act returned: velocities that are not finite: {wanted.tolist()}")
+
+    def failed(self, why: str) -> ControllerError:
+        """It cannot go on at this tick."""
+        when = f" at {float(self.records.seen[0]['time_s']):.3f} s"
+        return ControllerError(f"the controller {self.name!r}: {why}{when}")
+
+    def _note(self, action: Action) -> None:
+        """The decision that it reports, if it does."""
+        if DECISIONS not in self.reports:
+            return
+        said = action.report
+        decision = said.decision if isinstance(said, Report) else None
+        self.question["made_now"] = decision is not None
+        if decision is not None:
+            self._decisions.append(self._record(decision))
+            self.question["made"] += 1
+
+    def _record(self, decision: Decision) -> NDArray[np.void]:
+        """(1,) DECISION."""
+        record = np.zeros(1, self._decision)
+        record["tick"] = record["asked_tick"] = self.question["tick"]
+        for name in ("time_s", "joint_position_rad"):
+            record[name] = self.records.seen[name]
+        record["tcp_position_in_base_m"] = self.records.state["transform_tcp_to_base"][0, :3, 3]
+        record["opposite_position_in_base_m"] = np.nan
+        record["outcome"], record["trigger"] = int(decision.outcome), int(decision.trigger)
+        pairs = {"proposed_spread_m": decision.spread_m, "spread_threshold_m": decision.spread_threshold_m}
+        for name in ("hand", "proposed", "chosen"):
+            pairs[f"{name}_position_in_base_m"] = getattr(decision, f"{name}_position_in_base_m")
+        for name, value in pairs.items():
+            record[name] = numbers(name, value, record[name][0].shape)
+        return record
+
+
+@lru_cache
+def _entries(hand_slots: int, joints: int) -> tuple[Callable[..., Any], ...]:
+    """``see``, ``obey`` and ``report`` for such records: what numba would look up at every call, once."""
+    state, command = initial_state(hand_slots, joints), np.zeros(1, command_dtype(joints))
+    p, question = np.zeros(1, parameters_dtype(joints)), np.zeros(1, QUESTION)
+    observation = np.zeros(1, observation_dtype(hand_slots, joints))
+    seen, tracks = np.zeros(1, seen_dtype(hand_slots, joints)), no_tracks(hand_slots)
+    tick = as_compiled(np.zeros(1, tick_dtype(hand_slots, joints)))
+    f = np.zeros(1, FILTER_PARAMETERS)
+    return (
+        entry_of(see, p, f, state, tracks, observation, seen, False, False),
+        entry_of(obey, p, state, observation, np.zeros(6), False, False, command),
+        entry_of(report, state, question, command, tick),
+    )
+
+
+def entry_of(function: Any, *arguments: Any) -> Callable[..., Any]:
+    """The machine code of a compiled function for arguments of these types, which it does not check again.
+
+    To look at the types of records takes numba ten times as long as what small functions do with them.
+    """
+    key = function, tuple(map(_kind, arguments))
+    if key not in _ENTRIES:
+        _ENTRIES[key] = function.compile(tuple(map(numba.typeof, arguments)))
+    return _ENTRIES[key]
+
+
+_ENTRIES: dict[tuple[Any, tuple[Any, ...]], Callable[..., Any]] = {}
+
+
+def _kind(argument: Any) -> Any:
+    """All that its type depends on for numba, which takes milliseconds to find that out for an episode."""
+    if isinstance(argument, tuple):
+        return type(argument), tuple(map(_kind, argument))
+    if not isinstance(argument, np.ndarray):
+        return type(argument)
+    is_ = argument.flags
+    flags = is_.c_contiguous, is_.f_contiguous, is_.writeable, is_.aligned
+    return argument.dtype, argument.ndim, flags
+
+
+def _frozen(array: Floats) -> Floats:
+    array = array.copy()
+    array.flags.writeable = False
+    return array
+
+
+def arm_of(model: ArmModel) -> DrivenArm:
+    """An arm as controllers are told of it."""
+    return DrivenArm(
+        name=model.name,
+        joint_names=model.joint_names,
+        position_lower_rad=model.position_lower_rad,
+        position_upper_rad=model.position_upper_rad,
+        velocity_limit_radps=model.velocity_limit_radps,
+        joint_origins=model.joint_origins,
+        joint_axes=model.joint_axes,
+        flange=model.flange,
+    )

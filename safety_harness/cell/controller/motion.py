@@ -1,0 +1,141 @@
+"""What the TCP is asked to do in a tick: servo, give way, and within which limits."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from safety_harness.base.compiled import njit_no_nrt
+from safety_harness.base.geometry.arrays import Array6
+from safety_harness.cell.controller.records import ParameterRecords, StateRecords
+from safety_harness.cell.servoing.control import camera_twist
+from safety_harness.trace.records import Limit, Mode
+
+OBJECT_LOST = int(Mode.OBJECT_LOST)
+# Joint velocities stand for a tick while the arm turns under them: at its end the TCP is up to
+# 0.2 % faster than at its beginning, where the limit is applied.
+SPEED_RESERVE = 0.99
+LIMIT_TCP_SPEED = int(Limit.TCP_SPEED)
+LIMIT_TCP_ACCELERATION = int(Limit.TCP_ACCELERATION)
+
+
+@njit_no_nrt
+def servo_twist(
+    parameters: ParameterRecords,
+    states: StateRecords,
+    twist_in_base_out: Array6,  # v, w [m/s, rad/s]
+) -> None:
+    """Eq. 1 as a twist of the TCP in the base frame; the gain drops once eq. 15 is small.
+
+        w = R w_camera,   v_tcp = R v_camera - w x c,   R = R_tcp_to_base R_camera_to_tcp
+
+    with c the camera's origin seen from the TCP, in the base frame: both are of one rigid body, the flange.
+    lambda is ``gain_near`` where |e|^2 is below ``gain_switch_sse``, else ``gain_far``.  Without a finite
+    twist the object counts as lost.
+    """
+    p, s = parameters[0], states[0]
+    s.gain = p.gain_near if s.sse < p.gain_switch_sse else p.gain_far
+    good = camera_twist(
+        p.choice,
+        p.desired_interaction,
+        p.desired_interaction_pinv,
+        s.moments,
+        s.features,
+        p.desired_area,
+        p.desired_depth_m,
+        p.dense,
+        s.gain,
+        s.feature_error,
+        s.camera_twist,
+    )
+    if not good:
+        s.mode = OBJECT_LOST
+        s.gain = 0.0
+        for i in range(6):
+            s.camera_twist[i] = 0.0
+        return
+    rotation_tcp, twist = s.transform_tcp_to_base, twist_in_base_out
+    c = s.twist_in_base  # room until ``shaped`` fills it
+    for i in range(3):
+        twist[i] = twist[3 + i] = c[i] = 0.0
+        for k in range(3):
+            c[i] += rotation_tcp[i, k] * p.transform_camera_to_tcp[k, 3]
+            for j in range(3):
+                rotation = rotation_tcp[i, k] * p.transform_camera_to_tcp[k, j]
+                twist[i] += rotation * s.camera_twist[j]
+                twist[3 + i] += rotation * s.camera_twist[3 + j]
+    twist[0] -= twist[4] * c[2] - twist[5] * c[1]
+    twist[1] -= twist[5] * c[0] - twist[3] * c[2]
+    twist[2] -= twist[3] * c[1] - twist[4] * c[0]
+
+
+@njit_no_nrt
+def approach_twist(
+    parameters: ParameterRecords,
+    states: StateRecords,
+    twist_in_base_out: Array6,  # v, w [m/s, rad/s]
+) -> None:
+    """Straight to the repulsive position, orientation kept, slowing down in time to arrive.
+
+        v = min(0.99 v_max, sqrt(2 (0.8 a) d), d/T) (target - tcp)/d,   d = |target - tcp|,   w = 0
+
+    The speed is the least of the repulsion speed (less the reserve), what uniform braking at 80 %
+    of the permitted acceleration can still stop within the rest of the way (the other 20 % pay
+    for the control period), and what covers the rest of the way in one tick.
+    """
+    p, s = parameters[0], states[0]
+    total = 0.0
+    for i in range(3):
+        twist_in_base_out[i] = s.target_in_base_m[i] - s.transform_tcp_to_base[i, 3]
+        total += twist_in_base_out[i] * twist_in_base_out[i]
+        twist_in_base_out[3 + i] = 0.0
+    distance = np.sqrt(total)
+    speed = min(
+        SPEED_RESERVE * p.repulsion_speed_mps,
+        np.sqrt(1.6 * p.repulsion_acceleration_mps2 * distance),
+        distance / p.control_period_s,
+    )
+    for i in range(3):
+        twist_in_base_out[i] *= speed / distance if distance > 0.0 else 0.0
+
+
+@njit_no_nrt
+def shaped(
+    parameters: ParameterRecords,
+    previous: Array6,  # the twist of the last tick, base frame
+    wanted: Array6,
+    max_speed_mps: float,
+    max_acceleration_mps2: float,
+    twist_out: Array6,
+) -> int:
+    """Bound speed and acceleration, linear and angular apart; returns the Limit flags that acted.
+
+        u = wanted min(1, v_max/|wanted|),   out = previous + (u - previous) min(1, a_max T/|u - previous|)
+
+    for the halves v and w, T the control period; of the linear v_max only ``SPEED_RESERVE`` is used.
+    """
+    p = parameters[0]
+    limits = 0
+    bounds = (SPEED_RESERVE * max_speed_mps, p.max_tcp_angular_speed_radps)
+    steps = (max_acceleration_mps2, p.max_tcp_angular_acceleration_radps2)
+    for half in range(2):
+        first = 3 * half
+        speed = np.sqrt(
+            wanted[first] * wanted[first]
+            + wanted[first + 1] * wanted[first + 1]
+            + wanted[first + 2] * wanted[first + 2]
+        )
+        scale = 1.0
+        if speed > bounds[half]:
+            scale = bounds[half] / speed
+            limits |= LIMIT_TCP_SPEED
+        change = 0.0
+        for i in range(first, first + 3):
+            twist_out[i] = scale * wanted[i]
+            change += (twist_out[i] - previous[i]) * (twist_out[i] - previous[i])
+        change = np.sqrt(change)
+        step = steps[half] * p.control_period_s
+        if change > step:
+            limits |= LIMIT_TCP_ACCELERATION
+            for i in range(first, first + 3):
+                twist_out[i] = previous[i] + step / change * (twist_out[i] - previous[i])
+    return limits

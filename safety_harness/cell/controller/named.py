@@ -1,0 +1,100 @@
+"""Which controller a reference means: one that ships, by its name, or a user's own."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+from safety_harness.base.exceptions import InadmissibleError, Place, near_miss
+from safety_harness.base.extras import ONNX
+from safety_harness.base.shipped.contents import located
+from safety_harness.cell.controller.out_of_process.references import (
+    of_onnx,
+    of_program,
+    of_python,
+    program_sha256,
+    refuse_no_program,
+)
+from safety_harness.cell.controller.python_file import HINT, METHODS
+from safety_harness.cell.controller.stop_when_near import StopWhenNear
+from safety_harness.scenario.files import resolved
+from safety_harness.scenario.model import VISUAL_SERVO
+from safety_harness.scenario.references import EXEC, MODEL_SUFFIX, file_and_name, names_a_program, names_onnx
+from safety_harness.seams.contract import UserController
+from safety_harness.seams.isolation.python_file import refuse_undefined
+
+Make = Callable[[], UserController]
+
+LEARNED = "learned policy"
+LEARNED_FILE = Path(__file__).resolve().parents[2] / "models" / "learned-policy.onnx"
+
+
+def learned_policy() -> UserController:
+    """The policy that examples/train_a_policy.py has trained; MissingPackageError without onnxruntime."""
+    ONNX.require(LEARNED)
+    from safety_harness.cell.controller.out_of_process.onnx_policy import (
+        OnnxPolicy,  # loads what others need not
+    )
+
+    return OnnxPolicy(LEARNED_FILE, LEARNED_FILE.read_bytes())
+
+
+SHIPPED: dict[str, Make] = {StopWhenNear.name: StopWhenNear, LEARNED: learned_policy}
+NAMES = (VISUAL_SERVO, *SHIPPED)
+FORMS = f"one of: {', '.join(NAMES)}; FILE.py:NAME; FILE.onnx; exec:COMMAND; tcp:HOST:PORT; unix:PATH"
+CONTROLLER = Place(field="controller")
+
+
+def controller_of(reference: str, folder: Path | None, place: Place = CONTROLLER) -> Make:
+    """What makes a fresh controller: one that ships, or a user's, in a process of its own.
+
+    A relative file is sought in ``folder``, a program and the files among its arguments in the working
+    directory.  InadmissibleError at ``place`` if there is none.
+    """
+    if reference in SHIPPED:
+        return SHIPPED[reference]
+    if names_a_program(reference):
+        return of_program(reference, place)
+    path, name = controller_file(reference, folder, place)
+    return of_onnx(path, name, place) if names_onnx(reference) else of_python(path, name, place)
+
+
+def refuse_unusable_controller(reference: str, folder: Path | None, place: Place) -> None:
+    """As ``controller_of`` refuses, as far as can be seen without executing anything of a user's."""
+    if reference in SHIPPED:
+        return
+    if names_a_program(reference):
+        refuse_no_program(reference, place)
+        return
+    path, name = controller_file(reference, folder, place)
+    if not names_onnx(reference):
+        refuse_undefined(path, name, METHODS, place, HINT)
+
+
+def controller_file(reference: str, folder: Path | None, place: Place = CONTROLLER) -> tuple[Path, str]:
+    """The file of a user's controller, which is there, and the name in it; InadmissibleError at ``place``."""
+    file, name = file_and_name(reference)
+    if not file or file.endswith(MODEL_SUFFIX):
+        hint = near_miss(reference, NAMES, most=3)
+        if reference.endswith(".py"):
+            hint = f"name the class in it as well: {reference}:NAME"
+        if os.path.exists(reference.partition(" ")[0]):
+            hint = f"a program is named as {EXEC}{reference}"
+        raise InadmissibleError(place=place, expected=FORMS, got=repr(reference), hint=hint)
+    path = resolved(located((folder or Path()) / os.path.expanduser(file)))
+    if not path.is_file():
+        raise InadmissibleError(place=place, expected="a file that can be read", got=f"no such file: {path}")
+    return path, name
+
+
+def controller_sha256(reference: str, folder: Path | None) -> str:
+    """The hash of the file that a controller comes from; empty for our own code, or one at a socket."""
+    if reference == LEARNED:
+        return hashlib.sha256(LEARNED_FILE.read_bytes()).hexdigest()
+    if reference in NAMES:
+        return ""
+    if names_a_program(reference):
+        return program_sha256(reference, CONTROLLER)
+    return hashlib.sha256(controller_file(reference, folder)[0].read_bytes()).hexdigest()

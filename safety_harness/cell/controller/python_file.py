@@ -1,0 +1,38 @@
+"""A user's controller from a Python file, executed in this process."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from safety_harness.base.exceptions import ControllerError, InadmissibleError, Place
+from safety_harness.scenario.fields import SENTENCE, is_sentence
+from safety_harness.seams.contract import UserController, reports_of, sees_of
+from safety_harness.seams.isolation.python_file import made_by
+
+METHODS = ("reset", "act")
+HINT = "safety-harness docs controllers"
+
+
+def controller_in(path: Path, source: bytes, name: str, place: Place) -> UserController:
+    """The controller called ``name``: an object, or an instance of a class without required arguments."""
+    return checked_controller(made_by(path, source, name, "a controller", place, HINT), name, place)
+
+
+def checked_controller(found: object, name: str, place: Place) -> UserController:
+    """``found`` if it has what the contract asks for; InadmissibleError at ``place`` says what is missing."""
+    for method in METHODS:
+        if not callable(getattr(found, method, None)):
+            expected, got = f"{name} to have a method {method}", f"none in a {type(found).__name__}"
+            raise InadmissibleError(place=place, expected=expected, got=got, hint=HINT)
+    called = getattr(found, "name", None)
+    if not isinstance(called, str) or not is_sentence(called):
+        expected = f"{name} to have a name, {SENTENCE}"
+        raise InadmissibleError(place=place, expected=expected, got=repr(called))
+    controller: UserController = found  # type: ignore[assignment]  # as has just been looked at
+    try:
+        sees_of(controller)
+        reports_of(controller)
+    except ControllerError as error:
+        expected = f"{name} to follow the contract"
+        raise InadmissibleError(place=place, expected=expected, got=str(error)) from None
+    return controller

@@ -1,0 +1,408 @@
+"""Speed and separation for every link: the last step of a control tick, behind any controller.
+
+A command is scaled so that the arm, braking from the next tick on, stands before a hand at its greatest speed
+can reach a part that moves.  docs/shield.md has the theorem, its assumptions and its proof; this is its rule,
+with the names of the page: for each hand i
+
+    s <= (g_i - F - v_h t_0) / (v_h V/a + R),   R = V l + D.L.|u| l + A l^2/2,
+    l = P + V/2a,   t_0 = age + P + T_r
+
+with F = sum of V(c) P + D.L.D/2 over the commands c that may still be on their way, and of a hand that cannot
+speed up at once (acceleration at most b, seen no faster than w), also if
+
+    w t + b t^2/2 + F + s R <= g_i,   t = t_0 + s V/a.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from math import inf, isnan, sqrt
+from typing import Any, NamedTuple, NewType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.base.compiled import inlined, njit_no_nrt
+from safety_harness.base.geometry.arrays import Array3, ArrayN, ArrayNx3
+from safety_harness.base.geometry.linear import copy_vector
+from safety_harness.base.geometry.segments import point_segment_distance
+from safety_harness.base.settings import Settings
+from safety_harness.cell.controller.records import (
+    CommandRecords,
+    ObservationRecords,
+    ParameterRecords,
+    StateRecords,
+    overhead_transform_sensor_to_base,
+)
+from safety_harness.cell.perception.hand_boxes import position_from_box
+from safety_harness.cell.perception.hand_filter import filter_parameters
+from safety_harness.cell.robot.capsules import CapsuleSet
+from safety_harness.cell.robot.description import ArmModel
+from safety_harness.cell.robot.distance import CAPSULE, CapsuleRecords, chain_lengths, place_capsules
+from safety_harness.cell.robot.drive import delay_ticks
+from safety_harness.cell.robot.kinematics import link_twists, point_velocity
+from safety_harness.scenario.model import HAND_SLOTS
+from safety_harness.scenario.shield import Shield
+from safety_harness.trace.records import JOINTS, TRACKS_PER_HAND, Limit, intervention_dtype
+
+LIMIT_SHIELD = int(Limit.SHIELD)
+
+Records = NDArray[np.void]
+ShieldRecords = NewType("ShieldRecords", Records)  # (1,) SHIELD, or (0,): there is none
+Interventions = NewType("Interventions", Records)  # (n,) INTERVENTION, one a tick
+
+
+@lru_cache
+def shield_dtype(hands: int, joints: int = JOINTS) -> np.dtype[Any]:
+    """SHIELD of an arm with so many joints, with room for TRACKS_PER_HAND boxes for each of so many hands."""
+    boxes = TRACKS_PER_HAND * hands
+    return np.dtype(
+        [
+            ("hand_speed_mps", np.float64),
+            ("hand_acceleration_mps2", np.float64),  # infinite: any
+            ("body_m", np.float64),
+            ("uncertainty_m", np.float64),
+            ("reaction_time_s", np.float64),  # in whole control periods
+            ("deceleration_mps2", np.float64),
+            ("window_s", np.float64),  # over which the speed of a hand is measured, at least
+            ("reach_m", np.float64, (joints,)),  # of ``chain_lengths``
+            # how boxes become places
+            ("transform_sensor_to_base", np.float64, (4, 4)),
+            ("focal_px", np.float64),
+            ("c_u", np.float64),
+            ("c_v", np.float64),
+            ("assumed_radius_m", np.float64),
+            # the last frame that showed all hands, and two before it: what is remembered
+            ("taken_s", np.float64, (3,)),  # -inf: never
+            ("count", np.int64, (3,)),
+            ("hand_in_base_m", np.float64, (3, boxes, 3)),
+            ("speed_mps", np.float64, (boxes,)),  # of each hand of the last, at most
+            # the command of the tick before, and how long the arm brakes from it
+            ("last_radps", np.float64, (joints,)),
+            ("stop_s", np.float64),
+            # what a tick works with
+            ("flight_rad", np.float64, (joints,)),  # how far each joint may turn by commands on their way
+            ("clearance_m", np.float64, (boxes,)),
+            ("capsule", np.int64, (boxes,)),
+            ("twists", np.float64, (joints + 1, 6)),
+            ("ends", np.float64, (1, 2, 3)),
+            ("in_sensor", np.float64, (3,)),
+        ],
+        align=True,
+    )
+
+
+class Guard(NamedTuple):
+    """A shield in one run, as ``act`` takes it: all empty where there is none."""
+
+    shield: ShieldRecords  # (1,) SHIELD
+    interventions: Interventions  # (n,) INTERVENTION
+    capsules: CapsuleRecords  # (n,) CAPSULE
+
+
+def guard_of(
+    shield: Shield | None,
+    settings: Settings,
+    arm: ArmModel,
+    capsules: CapsuleSet,
+    ticks: int,
+    hand_slots: int = HAND_SLOTS[0],
+) -> Guard:
+    """For a run of so many ticks, nothing seen and the arm at rest; without a ``shield`` an empty one."""
+    joints = len(arm.joint_names)
+    if shield is None:
+        return no_guard(hand_slots, joints)
+    g = np.zeros(1, shield_dtype(hand_slots, joints))
+    for name in ("hand_speed_mps", "body_m", "uncertainty_m", "deceleration_mps2"):
+        g[name] = getattr(shield, name)
+    period_s = settings.clock.control_period_s
+    g["reaction_time_s"] = delay_ticks(shield.reaction_time_s, period_s) * period_s
+    most = shield.hand_acceleration_mps2
+    g["hand_acceleration_mps2"] = inf if most is None else most
+    g["window_s"] = 0.0 if most is None else sqrt(4.0 * shield.uncertainty_m / most)
+    g["reach_m"] = chain_lengths(arm.chain, capsules.records)
+    g["transform_sensor_to_base"] = overhead_transform_sensor_to_base(settings)
+    sensor = filter_parameters(settings.hand_filter, settings.hand_sensor)
+    for name in ("focal_px", "c_u", "c_v", "assumed_radius_m"):
+        g[name] = sensor[name]
+    g["taken_s"] = -inf
+    interventions = np.zeros(ticks, intervention_dtype(hand_slots, joints))
+    interventions["scale"], interventions["capsule"] = 1.0, -1
+    return Guard(ShieldRecords(g), Interventions(interventions), capsules.records.copy())
+
+
+def no_guard(hand_slots: int = HAND_SLOTS[0], joints: int = JOINTS) -> Guard:
+    """No shield: of the same types, and empty."""
+    return Guard(
+        ShieldRecords(np.zeros(0, shield_dtype(hand_slots, joints))),
+        Interventions(np.zeros(0, intervention_dtype(hand_slots, joints))),
+        np.zeros(0, CAPSULE),
+    )
+
+
+@njit_no_nrt
+def keep_apart(
+    parameters: ParameterRecords,
+    states: StateRecords,
+    shields: ShieldRecords,
+    interventions: Interventions,
+    capsules: CapsuleRecords,
+    observations: ObservationRecords,
+    commands: CommandRecords,
+    tick: int,
+) -> None:
+    """Scale the command of this tick, or brake along the way of the last one; a NaN brakes.
+
+    A stop that the controller asks for is braked here and handed to the drives at standstill: their own
+    begins with the reaction time, in which the arm would go on.
+    """
+    p, s, g, command = parameters[0], states[0], shields[0], commands[0]
+    joints, period_s = command.joint_velocity_radps.shape[0], p.control_period_s
+    if observations[0].boxes_new:
+        take_frame(shields, observations)
+    axes, transforms, wanted_radps = p.chain.joint_axes, s.link_transforms, command.joint_velocity_radps
+    flight_m = in_flight(axes, transforms, shields, interventions, capsules, tick, period_s)
+    share, by, stop_s = 1.0, -1, 0.0
+    if not command.protective_stop:
+        clearances(transforms, shields, capsules)
+        fastest_mps = fastest_point(axes, transforms, wanted_radps, shields, capsules)
+        stop_s = fastest_mps / g.deceleration_mps2
+        moves = False
+        for i in range(joints):
+            moves = moves or wanted_radps[i] != 0.0
+        if moves:
+            share, by = allowed_share(
+                shields, wanted_radps, fastest_mps, flight_m, period_s, observations[0].time_s
+            )
+        if not stop_s < np.inf:  # something is no number, and no command that is scaled would be one
+            share, stop_s = 0.0, np.nan
+    left_s = g.stop_s - period_s
+    if command.protective_stop or (share < 1.0 and not share * stop_s >= left_s):
+        kept = left_s / g.stop_s if left_s > 0.0 else 0.0
+        # The drives go on with what they did: the latest command that none has to have replaced yet.
+        stands, done_with = True, max(tick - 1 - round(g.reaction_time_s / period_s), 0)
+        for i in range(joints):
+            stands = stands and g.last_radps[i] == 0.0 and g.flight_rad[i] == 0.0
+            stands = stands and interventions[done_with].sent_radps[i] == 0.0
+            command.joint_velocity_radps[i] = kept * g.last_radps[i]
+        command.protective_stop = command.protective_stop and stands
+        g.stop_s = max(left_s, 0.0)
+    else:
+        for i in range(joints):
+            command.joint_velocity_radps[i] *= share
+        g.stop_s = share * stop_s
+    copy_vector(command.joint_velocity_radps, g.last_radps)
+    done = interventions[tick]
+    done.scale, done.capsule, done.taken_s, done.count = share, by, g.taken_s[0], g.count[0]
+    copy_vector(command.joint_velocity_radps, done.sent_radps)
+    for k in range(g.count[0]):
+        copy_vector(g.hand_in_base_m[0, k], done.hand_in_base_m[k])
+    if share < 1.0:
+        s.limits |= LIMIT_SHIELD
+        for i in range(6):  # the controller goes on from what the arm does, not from what it wanted
+            s.previous_twist_in_base[i] = 0.0
+            for j in range(joints):
+                s.previous_twist_in_base[i] += s.jacobian[i, j] * command.joint_velocity_radps[j]
+
+
+@inlined
+def in_flight(
+    joint_axes: ArrayNx3,
+    transforms: NDArray[np.float64],  # (joints + 2, 4, 4)
+    shields: ShieldRecords,
+    interventions: Interventions,
+    capsules: CapsuleRecords,
+    tick: int,
+    period_s: float,
+) -> float:
+    """How far the commands of the last reaction time may still take a point, were an axis' way straight.
+
+    Fills how far they may turn each joint: none is carried out more than once, and each within that time.
+    """
+    g, flight_m = shields[0], 0.0
+    g.flight_rad[:] = 0.0
+    for k in range(max(tick - round(g.reaction_time_s / period_s), 0), tick):
+        sent, moves = interventions[k].sent_radps, False
+        for i in range(sent.shape[0]):
+            moves = moves or sent[i] != 0.0
+            g.flight_rad[i] += abs(sent[i]) * period_s
+        if moves:
+            flight_m += fastest_point(joint_axes, transforms, sent, shields, capsules) * period_s
+    return flight_m
+
+
+@inlined
+def middle_of(capsules: CapsuleRecords, k: int, transforms: NDArray[np.float64], middle: Array3) -> float:
+    """Return half the length of a capsule's axis; ``middle`` (3,) is filled, in the base frame.
+
+    ``transforms`` (frames, 4, 4) are from each frame to base.
+    """
+    start, end, squared = capsules[k].start_in_link, capsules[k].end_in_link, 0.0
+    at = transforms[capsules[k].link_index]
+    for i in range(3):
+        squared += (end[i] - start[i]) * (end[i] - start[i])
+        middle[i] = at[i, 3]
+        for j in range(3):
+            middle[i] += at[i, j] * 0.5 * (start[j] + end[j])
+    return 0.5 * sqrt(squared)
+
+
+@inlined
+def fastest_point(
+    joint_axes: ArrayNx3,
+    transforms: NDArray[np.float64],  # (joints + 2, 4, 4)
+    rates_radps: ArrayN,
+    shields: ShieldRecords,
+    capsules: CapsuleRecords,
+) -> float:
+    """A bound V of the speed of every point of an axis; NaN if one is.
+
+    No point of an axis is faster than its middle by more than |w| times half its length.
+    """
+    g, fastest_mps, joints = shields[0], 0.0, joint_axes.shape[0]
+    link_twists(joint_axes, transforms, rates_radps, g.twists)
+    for k in range(capsules.shape[0]):
+        if capsules[k].link_index == 0:
+            continue  # the base stands
+        half_m = middle_of(capsules, k, transforms, g.in_sensor)
+        twist = g.twists[min(capsules[k].link_index, joints)]
+        x, y, z = point_velocity(twist, g.in_sensor)
+        turn = sqrt(twist[0] * twist[0] + twist[1] * twist[1] + twist[2] * twist[2])
+        speed_mps = sqrt(x * x + y * y + z * z) + turn * half_m
+        if speed_mps > fastest_mps or isnan(speed_mps):  # once a NaN, it stays one
+            fastest_mps = speed_mps
+    return fastest_mps
+
+
+@inlined
+def clearances(
+    transforms: NDArray[np.float64],  # (joints + 2, 4, 4)
+    shields: ShieldRecords,
+    capsules: CapsuleRecords,
+) -> None:
+    """Fill how far each hand is from the arm, and from what of it.
+
+    That is from the surface of what can move, all but the base, to the measured centre of the hand.  No point
+    of an axis is farther from its middle than half its length: most parts are passed over.
+    """
+    g = shields[0]
+    for i in range(g.count[0]):
+        g.clearance_m[i], g.capsule[i] = np.inf, -1
+    middle = g.in_sensor
+    for k in range(capsules.shape[0] - 1, -1, -1):  # the hand end first: usually the nearest
+        capsule = capsules[k]
+        if capsule.link_index == 0:
+            continue  # the base stands
+        placed, around_m = False, middle_of(capsules, k, transforms, middle) + capsule.radius_m
+        for i in range(g.count[0]):
+            hand, away = g.hand_in_base_m[0, i], 0.0
+            for n in range(3):
+                away += (hand[n] - middle[n]) * (hand[n] - middle[n])
+            within = g.clearance_m[i] + around_m
+            if within > 0.0 and away >= within * within:
+                continue
+            if not placed:
+                place_capsules(capsules[k : k + 1], transforms, g.ends)
+                placed = True
+            clear_m = point_segment_distance(hand, g.ends[0, 0], g.ends[0, 1]) - capsule.radius_m
+            if clear_m < g.clearance_m[i] or isnan(clear_m):
+                g.clearance_m[i], g.capsule[i] = clear_m, k
+
+
+@inlined
+def allowed_share(
+    shields: ShieldRecords,
+    rates_radps: ArrayN,
+    fastest_mps: float,
+    flight_m: float,
+    period_s: float,
+    time_s: float,
+) -> tuple[float, int]:
+    """The share s of the command that is let through, and the capsule that says so; -1 for want of a frame.
+
+    ``flight_m`` is of ``in_flight``.
+    """
+    g = shields[0]
+    if not g.taken_s[0] > -np.inf:
+        return 0.0, -1
+    stop_s = fastest_mps / g.deceleration_mps2
+    hold_s = period_s + g.reaction_time_s
+    way_s = period_s + 0.5 * stop_s
+    bend, cross, flown, before, before_rad = 0.0, 0.0, 0.0, 0.0, 0.0  # A, D.L.|u|, D.L.D
+    for j in range(rates_radps.shape[0]):
+        rate, turn_rad, reach_m = abs(rates_radps[j]), g.flight_rad[j], g.reach_m[j]
+        bend += rate * reach_m * (rate + 2.0 * before)
+        cross += reach_m * (turn_rad * (rate + before) + rate * before_rad)
+        flown += turn_rad * reach_m * (turn_rad + 2.0 * before_rad)
+        before += rate
+        before_rad += turn_rad
+    robot_m = (fastest_mps + cross) * way_s + 0.5 * bend * way_s * way_s
+    known_s = time_s - g.taken_s[0] + hold_s
+    share, by = 1.0, -1
+    for i in range(g.count[0]):
+        free_m = g.clearance_m[i] - g.body_m - g.uncertainty_m - (flight_m + 0.5 * flown)
+        seen = g.speed_mps[i]
+        own = share_within(free_m, robot_m, known_s, stop_s, g.hand_speed_mps, 0.0)
+        if g.hand_acceleration_mps2 < np.inf:
+            own = max(own, share_within(free_m, robot_m, known_s, stop_s, seen, g.hand_acceleration_mps2))
+        if not own >= share:
+            share, by = own, g.capsule[i]
+    return share, by
+
+
+@inlined
+def share_within(
+    free_m: float, robot_m: float, known_s: float, stop_s: float, hand_mps: float, hand_mps2: float
+) -> float:
+    """The largest s with w t + b t^2/2 + s R within ``free_m``, t = t_0 + s V/a; 0 for none, or a NaN."""
+    room_m = free_m - hand_mps * known_s - 0.5 * hand_mps2 * known_s * known_s
+    if not room_m > 0.0:
+        return 0.0
+    per_share = (hand_mps + hand_mps2 * known_s) * stop_s + robot_m
+    root = sqrt(per_share * per_share + 2.0 * hand_mps2 * stop_s * stop_s * room_m)
+    return 2.0 * room_m / (per_share + root)
+
+
+@njit_no_nrt
+def take_frame(shields: ShieldRecords, observations: ObservationRecords) -> None:
+    """Remember the hands of a new frame, unless it shows fewer than the last: those then stay, and age."""
+    g, o = shields[0], observations[0]
+    if o.box_count < g.count[0]:
+        return
+    g.taken_s[0], g.count[0] = o.boxes_time_s, o.box_count
+    for k in range(o.box_count):
+        position_from_box(o.boxes[k], g.focal_px, g.c_u, g.c_v, g.assumed_radius_m, g.in_sensor)
+        for i in range(3):
+            g.hand_in_base_m[0, k, i] = g.transform_sensor_to_base[i, 3]
+            for j in range(3):
+                g.hand_in_base_m[0, k, i] += g.transform_sensor_to_base[i, j] * g.in_sensor[j]
+    if g.hand_acceleration_mps2 < np.inf:
+        measure_speeds(shields)
+
+
+@inlined
+def measure_speeds(shields: ShieldRecords) -> None:
+    """How fast each hand of the last frame is at most, by a frame of at least the window before it.
+
+    |v| <= (|p - p_before| + 2 Z)/t + b t/2.  Which hand was which is not known: the farthest counts
+    that it can have been.
+    """
+    g = shields[0]
+    if g.taken_s[0] - g.taken_s[1] >= g.window_s:  # the second becomes the one before, this the second
+        for later in range(1, -1, -1):
+            g.taken_s[later + 1], g.count[later + 1] = g.taken_s[later], g.count[later]
+            for k in range(g.count[later]):
+                copy_vector(g.hand_in_base_m[later, k], g.hand_in_base_m[later + 1, k])
+    span_s, doubt_m = g.taken_s[0] - g.taken_s[2], 2.0 * g.uncertainty_m
+    for k in range(g.count[0]):
+        farthest_m = -1.0
+        for other in range(g.count[2]):
+            total = 0.0
+            for i in range(3):
+                total += (g.hand_in_base_m[0, k, i] - g.hand_in_base_m[2, other, i]) ** 2
+            if sqrt(total) <= g.hand_speed_mps * span_s + doubt_m:
+                farthest_m = max(farthest_m, sqrt(total))
+        g.speed_mps[k] = g.hand_speed_mps
+        if farthest_m >= 0.0 and g.count[2] >= g.count[0] and 0.0 < span_s < np.inf:
+            speed_mps = (farthest_m + doubt_m) / span_s + 0.5 * g.hand_acceleration_mps2 * span_s
+            g.speed_mps[k] = min(g.hand_speed_mps, speed_mps)

@@ -1,0 +1,108 @@
+"""The simplest controller that ships: straight to the desired TCP, and a stop while a hand is near."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.base.settings import Settings
+from safety_harness.seams.contract import (
+    HANDS,
+    JOINTS,
+    MODE,
+    Action,
+    DrivenArm,
+    Move,
+    Moves,
+    Report,
+    Seen,
+    Start,
+    Stop,
+)
+from safety_harness.trace.records import Mode
+
+_GOING, _STOPPED = Report(mode=Mode.SERVOING), Report(mode=Mode.PROTECTIVE_STOP)
+
+
+class StopWhenNear:
+    """Servoes by the encoders alone, v = g (t* - t), w = g r, with r the rotation vector to the desired pose.
+
+    g is the settings' ``gain_far``.  It stops while any hand of the sensor's last frame is within the
+    critical distance of the TCP.
+    """
+
+    name = "stop when near"
+    sees = (JOINTS, HANDS)
+    reports = (MODE,)
+
+    def reset(self, *, settings: Settings, arm: DrivenArm, start: Start, seed: int) -> None:
+        """Take over where to go, how fast, and how near is near."""
+        self._target_in_base_m = np.array(settings.cell.desired_tcp_position_in_base_m)
+        self._gain = settings.servo.gain_far
+        self._near_m = settings.avoidance.critical_distance_m
+        self._numbers = (*self._target_in_base_m.tolist(), self._gain, self._near_m)
+
+    def another(self) -> StopWhenNear:
+        """One more, for an episode beside."""
+        return StopWhenNear()
+
+    def act(self, seen: Seen) -> Action:
+        """Stop, or on towards the desired pose."""
+        tcp = seen.tcp_position_in_base_m
+        for hand in seen.hands:
+            way = hand.position_in_base_m - tcp
+            if not way @ way >= self._near_m**2:  # one whose distance is NaN is near
+                return Stop(report=_STOPPED)
+        return Move(
+            tcp_velocity_mps=self._gain * (self._target_in_base_m - tcp),
+            tcp_angular_velocity_radps=self._gain * _turn(seen.transform_tcp_to_base),
+            report=_GOING,
+        )
+
+    @staticmethod
+    def act_many(controllers: Sequence[StopWhenNear], seen: Mapping[str, NDArray[Any]]) -> Moves:
+        """As ``act`` of each, to the last bit."""
+        numbers = np.array([one._numbers for one in controllers])
+        target, gains, near_m = numbers[:, :3], numbers[:, 3:4], numbers[:, 4:]
+        tcp = seen["tcp_position_in_base_m"]
+        way = np.ascontiguousarray(seen["hands"] - tcp[:, None])
+        near = ~(_squared(way) >= near_m**2) & (seen["hands_there"] != 0)
+        stop = near.any(axis=1)
+        return Moves(
+            tcp_velocity_mps=gains * (target - tcp),
+            tcp_angular_velocity_radps=gains * _turns(seen["transform_tcp_to_base"]),
+            stop=stop,
+            mode=np.where(stop, int(Mode.PROTECTIVE_STOP), int(Mode.SERVOING)),
+        )
+
+
+def _squared(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(...,) of (..., 3), the bits of ``v @ v`` of each."""
+    found: NDArray[np.float64] = (vectors[..., None, :] @ vectors[..., :, None])[..., 0, 0]
+    return found
+
+
+def _turn(transform_tcp_to_base: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(3,) rotation vector in the base frame from the TCP's orientation to looking straight down."""
+    x, y, z, _ = transform_tcp_to_base.tolist()  # of diag(1, -1, -1) R^T, of less than half a turn
+    axis = np.array([0.5 * (z[1] - y[2]), 0.5 * (z[0] + x[2]), -0.5 * (x[1] + y[0])])
+    sine = math.sqrt(axis @ axis)
+    angle = math.atan2(sine, 0.5 * (x[0] - y[1] - z[2] - 1.0))
+    return axis if sine < 1e-9 else axis * (angle / sine)
+
+
+def _turns(transforms_tcp_to_base: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(n, 3) of (n, 4, 4), the bits of ``_turn`` of each: the angle by the same function."""
+    x, y, z = (transforms_tcp_to_base[:, row] for row in range(3))
+    halves = 0.5 * (z[:, 1] - y[:, 2]), 0.5 * (z[:, 0] + x[:, 2]), -0.5 * (x[:, 1] + y[:, 0])
+    axis = np.stack(halves, axis=1)
+    sine = np.sqrt(_squared(axis))
+    cosine = 0.5 * (x[:, 0] - y[:, 1] - z[:, 2] - 1.0)
+    angle = np.array(list(map(math.atan2, sine.tolist(), cosine.tolist())))
+    tiny = sine < 1e-9
+    scale = np.where(tiny, 1.0, angle / np.where(tiny, 1.0, sine))
+    return axis * scale[:, None]

@@ -1,0 +1,179 @@
+"""From a colour and a depth image to the bounding boxes of hands: the seam for a user's detector.
+
+The paper's detector is a YOLO network.  The one here needs no network: the simulator paints its
+hands in a colour that nothing else in the cell has.  Any object with a ``detect`` method like
+that of ``BoundingBoxDetector`` takes its place; a YOLO exported to ONNX, say:
+
+    class YoloDetector:
+        def __init__(self, file: Path) -> None:
+            self._session = onnxruntime.InferenceSession(file)
+
+        def detect(self, colour, depth_m):
+            rows = []
+            for left, top, right, bottom in self._hands(colour):  # network, threshold, suppression
+                width, height = right - left, bottom - top
+                u_px, v_px = (left + right - 1) / 2, (top + bottom - 1) / 2
+                z_m = np.median(depth_m[round(v_px) - 1 : round(v_px) + 2, round(u_px) - 1 : round(u_px) + 2])
+                rows.append((u_px, v_px, z_m, width * height, width / height))
+            return np.array(rows).reshape(-1, 5)
+
+Note the half pixel: ``left`` and ``right`` are edges here, as most networks give them, and edge 0
+is the left edge of pixel 0, whose *centre* is at u = 0.  A detector should be
+stateless from frame to frame: the tracks hold the state, and a run can then be repeated.
+
+The object's pixels are found by thresholding, as in the paper (OpenCV).  It is nearly black on a light table.
+Nothing else that may come into view is: black is what is dark in *every* colour channel, so that the order
+of the channels does not matter and a blue sleeve, whose brightness is low but whose blue is not, is
+distinguished.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.base.exceptions import SimulationError
+from safety_harness.base.extras import IMAGES
+from safety_harness.cell.perception.hand_boxes import BOX_LENGTH
+
+# What the simulator paints.  Hues (OpenCV's scale of 0 to 179): hand 12, sleeve 113.
+HAND_COLOUR_RGBA = (0.87, 0.67, 0.53, 1.0)
+SLEEVE_COLOUR_RGBA = (0.15, 0.25, 0.60, 1.0)
+
+# What counts as skin: hue, saturation and value, each from 0 to 255 but the hue, both ends
+# included.  Shading changes the value only, so hue and saturation decide; grey, white and black
+# things have hardly any saturation, and the blue ones a hue far away.
+SKIN_HSV_LEAST = (4, 60, 40)
+SKIN_HSV_GREATEST = (22, 180, 255)
+
+# The cell's colours, R G B; a simulated world paints with them.
+OBJECT_RGB = (20, 20, 20)
+TABLE_RGB = (225, 220, 210)
+
+# Three times the object's own brightness, and what is left of the sleeve's blue in 30 % of the light.
+OBJECT_BRIGHTEST = 60
+# A smaller region is a speck: the default object covers some 4,800 pixels from 0.65 m, and still 200
+# from 3 m.
+OBJECT_SMALLEST_PX = 200
+
+MINIMUM_AREA_PX = 50
+DEPTH_SAMPLES = 9
+
+
+class BoundingBoxDetector(Protocol):
+    """What finds hands in one frame of the hand sensor."""
+
+    def detect(
+        self,
+        colour: NDArray[np.uint8],  # (h, w, 3) red, green, blue
+        depth_m: NDArray[np.float64],  # (h, w) camera Z; 0 or not finite where unknown
+    ) -> NDArray[np.float64]:
+        """Return the boxes (k, 5) of all hands: u_px, v_px, z_m, area_px2, width/height.
+
+        Integer coordinates are pixel centres.  z is the depth of the surface seen at the box's
+        centre.  Rows without a finite, positive depth are not used; k may be 0.
+        """
+        ...
+
+
+def opencv() -> Any:
+    """The module cv2, which only rendered images need; MissingPackageError where it is not installed."""
+    with IMAGES.needed("rendered images"):
+        import cv2
+    return cv2
+
+
+class SkinColourDetector:
+    """Finds connected skin-coloured areas.
+
+    A hand that something narrow crosses comes out as two boxes: one hand too many, not one too few.
+    """
+
+    def __init__(self, most: int = 4) -> None:
+        self._most = most
+
+    def detect(
+        self,
+        colour: NDArray[np.uint8],  # (h, w, 3) red, green, blue
+        depth_m: NDArray[np.float64],  # (h, w) [m]
+    ) -> NDArray[np.float64]:  # (k, 5)
+        """Return the boxes of the ``most`` largest skin-coloured areas of at least ``MINIMUM_AREA_PX``.
+
+        Largest first; areas without any known depth are left out.  The depth is the median over
+        the nine pixels of the area with a known depth that are nearest to the box's centre: the
+        3 x 3 window around it, unless part of that is hidden or without a depth.
+        """
+        cv2 = opencv()
+        hsv = cv2.cvtColor(colour, cv2.COLOR_RGB2HSV)
+        skin = cv2.inRange(hsv, SKIN_HSV_LEAST, SKIN_HSV_GREATEST)
+        count, labels, statistics, _ = cv2.connectedComponentsWithStats(skin, connectivity=8)
+        area = statistics[:, cv2.CC_STAT_AREA]
+        boxes: list[tuple[float, float, float, float, float]] = []
+        for label in sorted(range(1, count), key=lambda k: (-area[k], k)):
+            if area[label] < MINIMUM_AREA_PX or len(boxes) == self._most:
+                break
+            left, top, width, height = (int(value) for value in statistics[label, :4])
+            u_px, v_px = left + (width - 1) / 2, top + (height - 1) / 2
+            window = np.s_[top : top + height, left : left + width]
+            z_m = _depth_near(labels[window] == label, depth_m[window], (width - 1) / 2, (height - 1) / 2)
+            if z_m is not None:
+                boxes.append((u_px, v_px, z_m, float(width * height), width / height))
+        return np.array(boxes, np.float64).reshape(-1, BOX_LENGTH)
+
+
+def _depth_near(
+    area: NDArray[np.bool_], depth_m: NDArray[np.float64], u_px: float, v_px: float
+) -> float | None:
+    """Median over the ``DEPTH_SAMPLES`` pixels of ``area`` with a depth that are nearest to (u, v) [m].
+
+    ``area`` is (h, w); ``depth_m`` (h, w) is 0 or not finite where it is unknown; None if it is everywhere.
+    """
+    v, u = np.nonzero(area & np.isfinite(depth_m) & (depth_m > 0.0))
+    if u.size == 0:
+        return None
+    nearest = np.argsort((u - u_px) ** 2 + (v - v_px) ** 2, kind="stable")[:DEPTH_SAMPLES]
+    return float(np.median(depth_m[v[nearest], u[nearest]]))
+
+
+def copy_detections(boxes: NDArray[np.float64], boxes_out: NDArray[np.float64]) -> int:
+    """Copy what a detector returned into ``boxes_out`` (n, 5); return how many.
+
+    Of more than n the largest in the image are kept, in the detector's order.
+    Raises ``SimulationError`` if ``boxes`` (k, 5) is not an array of numbers of this shape.
+    """
+    try:
+        rows = np.asarray(boxes, np.float64)
+    except (TypeError, ValueError) as error:
+        raise SimulationError(f"the hand detector did not return an array of numbers: {error}") from error
+    if rows.ndim != 2 or rows.shape[1] != BOX_LENGTH:
+        raise SimulationError(f"the hand detector has to return boxes (k, 5), not shape {rows.shape}")
+    if len(rows) > len(boxes_out):
+        usable = np.isfinite(rows).all(axis=1) & (rows[:, 2] > 0.0)
+        order = np.argsort(np.where(usable, -rows[:, 3], np.inf), kind="stable")
+        rows = rows[np.sort(order[: len(boxes_out)])]
+    boxes_out[: len(rows)] = rows
+    return len(rows)
+
+
+def object_mask(colour: NDArray[np.uint8]) -> NDArray[np.uint8]:  # (h, w, 3) -> (h, w)
+    """1 on the object's pixels, 0 elsewhere; all 0 if no complete object is in view.
+
+    The object is the largest connected black region that does not touch the image border: one
+    that does may be cropped, and a cropped triangle can have the features of a whole one.  A hand
+    in front of the object is not noticed as such: it cuts the region or changes its shape.
+    """
+    cv2 = opencv()
+    black = cv2.inRange(colour, (0, 0, 0), (OBJECT_BRIGHTEST,) * 3)
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(black, connectivity=8)
+    height_px, width_px = black.shape
+    best, best_area = 0, OBJECT_SMALLEST_PX - 1
+    for label in range(1, count):  # label 0 is the background
+        left, top, width, height, pixels = stats[label]
+        touches = left == 0 or top == 0 or left + width == width_px or top + height == height_px
+        if not touches and pixels > best_area:
+            best, best_area = label, pixels
+    if best == 0:
+        return np.zeros_like(black)
+    return np.asarray(labels == best, dtype=np.uint8)

@@ -1,0 +1,206 @@
+"""Moments of what a camera with square pixels sees: sums over the pixels of an object.
+
+A pixel belongs to the object where its *centre* lies inside.  Each one stands for the area 1/f^2
+of the normalised image, so that the sums converge to the integrals of ``moments.polygon_moments``.
+A run of pixels in a row is summed in closed form, so no image needs to be made.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.base.compiled import compiled
+from safety_harness.cell.perception.camera import principal_point_px
+from safety_harness.cell.perception.moments import FIRST_MU, M00, MAX_ORDER, XG, YG, mu_index
+
+
+@compiled
+def raster_moments(
+    vertices: NDArray[np.float64],  # (n, 2), normalised
+    focal_px: float,
+    width_px: int,
+    height_px: int,
+    out: NDArray[np.float64],  # (31,)
+) -> int:
+    """Moments of a simple polygon as an image samples it; returns the number of its pixels.
+
+    A centre on a left or upper edge is inside, on a right or lower edge outside, so that polygons
+    which share an edge share no pixel.  What lies beyond the image is cropped.  With no pixel,
+    ``out`` is all NaN.
+    """
+    n = vertices.shape[0]
+    c_u, c_v = principal_point_px(width_px, height_px)
+    corners = np.empty((n, 2))
+    top, bottom = np.inf, -np.inf
+    for k in range(n):
+        corners[k, 0] = focal_px * vertices[k, 0] + c_u
+        corners[k, 1] = focal_px * vertices[k, 1] + c_v
+        if not (np.isfinite(corners[k, 0]) and np.isfinite(corners[k, 1])):
+            out[:] = np.nan
+            return 0
+        top = min(top, corners[k, 1])
+        bottom = max(bottom, corners[k, 1])
+    first_row = int(np.ceil(max(top, 0.0)))
+    last_row = int(np.floor(min(bottom, height_px - 1.0)))
+
+    crossings = np.empty(n)
+    runs = np.empty((max(0, last_row - first_row + 1) * (n // 2), 3), np.int64)  # row, first, last
+    run_count, count, twice_sum_u, sum_v = 0, 0, 0, 0
+    for v in range(first_row, last_row + 1):
+        for k in range(0, _row_crossings(corners, float(v), crossings), 2):
+            first, last = _run(crossings[k], crossings[k + 1], width_px)
+            if last >= first:
+                length = last - first + 1
+                count += length
+                twice_sum_u += length * (first + last)
+                sum_v += length * v
+                runs[run_count, 0], runs[run_count, 1], runs[run_count, 2] = v, first, last
+                run_count += 1
+    if count == 0:
+        out[:] = np.nan
+        return 0
+    u_g, v_g = 0.5 * twice_sum_u / count, sum_v / count
+
+    out[:] = 0.0
+    for k in range(run_count):
+        v, first, last = runs[k, 0], runs[k, 1], runs[k, 2]
+        _add_run(0.5 * (first + last) - u_g, last - first + 1, v - v_g, out)
+    _to_normalised(u_g, v_g, focal_px, c_u, c_v, out)
+    return count
+
+
+@compiled
+def mask_moments(
+    mask: NDArray[np.uint8],  # (h, w); bool will do
+    focal_px: float,
+    c_u: float,
+    c_v: float,
+    out: NDArray[np.float64],  # (31,)
+) -> int:
+    """Moments of the non-zero pixels of a mask; returns their number.
+
+    The principal point is an argument because a renderer need not keep our convention.  With no
+    pixel, ``out`` is all NaN.
+    """
+    height_px, width_px = mask.shape
+    count, sum_u, sum_v = 0, 0, 0
+    top, bottom, left, right = height_px, -1, width_px, -1
+    for v in range(height_px):
+        for u in range(width_px):
+            if mask[v, u]:
+                count += 1
+                sum_u += u
+                sum_v += v
+                top = min(top, v)
+                bottom = v
+                left = min(left, u)
+                right = max(right, u)
+    if count == 0:
+        out[:] = np.nan
+        return 0
+    u_g, v_g = sum_u / count, sum_v / count
+
+    out[:] = 0.0
+    for v in range(top, bottom + 1):
+        u = left
+        while u <= right:
+            if not mask[v, u]:
+                u += 1
+                continue
+            first = u
+            while u <= right and mask[v, u]:
+                u += 1
+            _add_run(0.5 * (first + u - 1) - u_g, u - first, v - v_g, out)
+    _to_normalised(u_g, v_g, focal_px, c_u, c_v, out)
+    return count
+
+
+@compiled
+def _row_crossings(
+    corners: NDArray[np.float64],  # (n, 2) in pixels
+    v: float,
+    out: NDArray[np.float64],  # (n,)
+) -> int:
+    """Where the polygon's outline crosses the row ``v``: sorted u [px]; returns their even number."""
+    n = corners.shape[0]
+    count = 0
+    for k in range(n):
+        following = k + 1 if k + 1 < n else 0
+        u0, v0 = corners[k, 0], corners[k, 1]
+        u1, v1 = corners[following, 0], corners[following, 1]
+        if (v0 <= v) == (v1 <= v):  # half-open: a vertex on the row counts once
+            continue
+        if v0 > v1:  # always downwards: two polygons agree to the last bit about a shared edge
+            u0, v0, u1, v1 = u1, v1, u0, v0
+        u = u0 + (v - v0) / (v1 - v0) * (u1 - u0)
+        place = count
+        while place > 0 and out[place - 1] > u:
+            out[place] = out[place - 1]
+            place -= 1
+        out[place] = u
+        count += 1
+    return count
+
+
+@compiled
+def _run(u_left: float, u_right: float, width_px: int) -> tuple[int, int]:
+    """First and last pixel whose centre is in [u_left, u_right) and in the image."""
+    first = int(np.ceil(max(u_left, 0.0)))
+    last = int(np.ceil(min(u_right, float(width_px)))) - 1
+    return first, last
+
+
+@compiled
+def _add_run(middle: float, length: int, y: float, out: NDArray[np.float64]) -> None:
+    """Add the pixels of one run, centred coordinates in pixels, to every mu_ij of ``out`` (31,).
+
+    With n pixels at middle + d, d = -(n-1)/2 ... (n-1)/2, odd powers of d cancel and the even
+    power sums are polynomials in n (Faulhaber's formula), the binomial theorem does the rest:
+
+        sum d^2 = n (n^2 - 1)/12,   sum d^4 = sum d^2 (3 n^2 - 7)/20,
+        sum d^6 = sum d^2 (3 n^4 - 18 n^2 + 31)/112.
+    """
+    n = float(length)
+    nn = n * n
+    s2 = n * (nn - 1.0) / 12.0
+    s4 = s2 * (3.0 * nn - 7.0) / 20.0
+    s6 = s2 * (3.0 * nn * nn - 18.0 * nn + 31.0) / 112.0
+    m = middle
+    m2 = m * m
+    m3 = m2 * m
+    m4 = m2 * m2
+    sums = (
+        n,
+        n * m,
+        n * m2 + s2,
+        n * m3 + 3.0 * m * s2,
+        n * m4 + 6.0 * m2 * s2 + s4,
+        n * m4 * m + 10.0 * m3 * s2 + 5.0 * m * s4,
+        n * m4 * m2 + 15.0 * m4 * s2 + 15.0 * m2 * s4 + s6,
+    )
+    for i in range(MAX_ORDER + 1):
+        term = sums[i]
+        for j in range(MAX_ORDER + 1 - i):
+            out[mu_index(i, j)] += term
+            term *= y
+
+
+@compiled
+def _to_normalised(
+    u_g: float, v_g: float, focal_px: float, c_u: float, c_v: float, out: NDArray[np.float64]
+) -> None:
+    """From centred sums over pixels in ``out`` (31,) to a moment vector: mu_ij / f^(i + j + 2).
+
+    Lengths are over f, and each pixel has the area 1/f^2; x_g = (u_g - c_u)/f, y_g = (v_g - c_v)/f.
+    """
+    scale = 1.0 / (focal_px * focal_px)
+    for order in range(MAX_ORDER + 1):
+        for j in range(order + 1):
+            out[mu_index(order - j, j)] *= scale
+        scale /= focal_px
+    out[M00] = out[FIRST_MU]
+    out[XG] = (u_g - c_u) / focal_px
+    out[YG] = (v_g - c_v) / focal_px
+    out[mu_index(1, 0)] = 0.0
+    out[mu_index(0, 1)] = 0.0

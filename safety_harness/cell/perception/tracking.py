@@ -1,0 +1,288 @@
+"""Tracks of hands: which box belongs to which, and where each hand will be.
+
+Everything here errs on one side: a hand once seen stays until it has gone unseen for the
+timeout, and whatever cannot be extrapolated stays where it was rather than disappear.
+"""
+
+from __future__ import annotations
+
+from math import inf, isfinite, nan, sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.base.compiled import compiled, njit_no_nrt
+from safety_harness.cell.perception.hand_boxes import place_of_pixel
+from safety_harness.cell.perception.hand_filter import FEW_BOXES, TRACK, initialise, predict, update, wait
+from safety_harness.scenario.model import HAND_SLOTS
+from safety_harness.trace.records import TRACKS_PER_HAND
+
+MOST_TRIED = 625  # pairings: all that there are of four boxes and four tracks
+FARTHEST_PX = 1e9  # of a box from its track, where the gate sets no bound
+
+
+def no_tracks(hand_slots: int = HAND_SLOTS[0]) -> NDArray[np.void]:
+    """An array (n,) of ``TRACK``, TRACKS_PER_HAND for each hand, in which nothing is tracked yet."""
+    return np.zeros(TRACKS_PER_HAND * hand_slots, TRACK)
+
+
+@njit_no_nrt
+def advance_tracks(
+    tracks: NDArray[np.void],  # (n,) of TRACK, changed in place
+    boxes: NDArray[np.float64],  # (n, 5); only the first ``count`` rows are read
+    count: int,  # 0 .. n
+    capture_time_s: float,
+    parameters: NDArray[np.void],  # (1,) of FILTER_PARAMETERS
+) -> bool:
+    """Take in one frame of the hand sensor; ``count`` = 0 is a frame that saw no hand.
+
+    1. Every track is predicted to the capture time.
+    2. Boxes and tracks are paired so that the sum of the distances of their centres in the
+       image is least, where a box without a track costs ``gate_px`` and no pair may be further
+       apart than that.  Of equal sums the one that gives the earlier boxes the lower slots wins, of
+       at most MOST_TRIED pairings.
+    3. Paired tracks are updated.  Every other box starts a track in the free slot that was seen
+       longest ago; if none is free, in place of the unpaired track that was.
+    4. Tracks unseen for longer than ``track_timeout_s`` are dropped.
+
+    A box that is not a measurement (a value not finite, no positive depth or area) is passed
+    over.  A track whose predicted depth would not be positive is held where it was, with growing
+    uncertainty, so the depth of a track is always positive.
+
+    Returns ``False``, and changes nothing, if the frame is older than a track's state or its
+    time is not finite: such a frame must not count as "no hand seen".
+    """
+    if not isfinite(capture_time_s):
+        return False
+    for i in range(tracks.shape[0]):
+        if tracks[i]["valid"] and capture_time_s < tracks[i]["time_s"]:
+            return False
+    for i in range(tracks.shape[0]):
+        if tracks[i]["valid"]:
+            _predict_to(tracks[i], capture_time_s, parameters[0])
+    _assign(tracks, boxes, count, parameters[0]["gate_px"])
+    for i in range(tracks.shape[0]):
+        if tracks[i]["box"] >= 0:
+            update(tracks[i], boxes[tracks[i]["box"]], parameters[0])
+    for i in range(tracks.shape[0]):
+        if capture_time_s - tracks[i]["last_seen_s"] > parameters[0]["track_timeout_s"]:
+            tracks[i]["valid"] = False
+    for j in range(count):
+        if not _has_track(tracks, j) and _is_measurement(boxes[j]):
+            slot = _slot_for_new_track(tracks)
+            tracks[slot]["id"] = _greatest_id(tracks) + 1
+            initialise(tracks[slot], boxes[j], capture_time_s, parameters[0])
+            tracks[slot]["box"] = j
+    for i in range(tracks.shape[0]):  # tracks are equal whatever frames they had
+        tracks[i]["box"] = 0
+        for j in range(FEW_BOXES):
+            tracks[i]["distance_px"][j] = 0.0
+    return True
+
+
+@njit_no_nrt
+def predict_positions(
+    tracks: NDArray[np.void],  # (n,) of TRACK
+    at_time_s: float,
+    parameters: NDArray[np.void],  # (1,) of FILTER_PARAMETERS
+    transform_sensor_to_base: NDArray[np.float64],  # (4, 4)
+    positions_in_base_out: NDArray[np.float64],  # (n, 3) [m]
+    valid_out: NDArray[np.bool_],  # (n,)
+) -> None:
+    """Write where the centre of every tracked hand will be at ``at_time_s``; change no track.
+
+    The filtered box is extrapolated at its rates and converted by the pinhole model
+    (``position_from_box``).  Rows of slots without a track are NaN and not valid.
+
+    An extrapolated depth that is not positive says that the hand would pass the sensor's plane,
+    where a pixel and a depth mean nothing.  The hand is then taken to be where the filter has it
+    now (``advance_tracks`` keeps that depth positive); likewise if the extrapolation is not
+    finite.  So a tracked hand always has a position, and never one behind the sensor.
+    """
+    focal_px, radius_m = parameters[0]["focal_px"], parameters[0]["assumed_radius_m"]
+    c_u, c_v = parameters[0]["c_u"], parameters[0]["c_v"]
+    for i in range(tracks.shape[0]):
+        valid_out[i] = tracks[i]["valid"]
+        if not tracks[i]["valid"]:
+            for row in range(3):
+                positions_in_base_out[i, row] = nan
+            continue
+        u, v, depth_m = _extrapolated(tracks[i], at_time_s - tracks[i]["time_s"])
+        if not _is_place(u, v, depth_m):
+            u, v, depth_m = _extrapolated(tracks[i], 0.0)
+        x, y, z = place_of_pixel(u, v, depth_m, focal_px, c_u, c_v, radius_m)
+        for row in range(3):
+            positions_in_base_out[i, row] = (
+                transform_sensor_to_base[row, 0] * x
+                + transform_sensor_to_base[row, 1] * y
+                + transform_sensor_to_base[row, 2] * z
+                + transform_sensor_to_base[row, 3]
+            )
+
+
+@njit_no_nrt
+def _is_place(u_px: float, v_px: float, z_m: float) -> bool:
+    """Tell whether u, v and z of a box denote a point in front of the sensor."""
+    return isfinite(u_px) and isfinite(v_px) and isfinite(z_m) and z_m > 0.0
+
+
+@njit_no_nrt
+def _is_measurement(box: NDArray[np.float64]) -> bool:
+    """Tell whether ``box`` (5,) is finite, with a positive depth and area."""
+    return _is_place(box[0], box[1], box[2]) and isfinite(box[3]) and box[3] > 0.0 and isfinite(box[4])
+
+
+@njit_no_nrt
+def _extrapolated(track: np.void, dt_s: float) -> tuple[float, float, float]:
+    """(u, v, z) of a track's box: value + dt rate of each pair."""
+    mean = track["mean"]
+    return mean[0] + dt_s * mean[5], mean[1] + dt_s * mean[6], mean[2] + dt_s * mean[7]
+
+
+@njit_no_nrt
+def _predict_to(track: np.void, time_s: float, parameters: np.void) -> None:
+    dt_s = time_s - track["time_s"]
+    if track["mean"][2] + dt_s * track["mean"][7] > 0.0:
+        predict(track, dt_s, parameters)
+    else:
+        wait(track, dt_s, parameters)
+    track["time_s"] = time_s  # exactly, not by a sum of steps
+
+
+@njit_no_nrt
+def _assign(
+    tracks: NDArray[np.void],  # (n,) of TRACK
+    boxes: NDArray[np.float64],  # (n, 5)
+    count: int,
+    gate_px: float,
+) -> None:
+    """Write into each track its box by the cheapest pairing: of few by trying all, else ``_assign_many``."""
+    slots = tracks.shape[0]
+    for i in range(slots):
+        tracks[i]["box"] = -1
+    if count > FEW_BOXES or float(slots + 1) ** count > MOST_TRIED:
+        _assign_many(tracks, boxes, count, gate_px)
+        return
+    for j in range(count):
+        for i in range(slots):
+            tracks[i]["distance_px"][j] = _distance_px(tracks[i], boxes[j])
+    least = inf
+    for code in range((slots + 1) ** count):
+        total = 0.0
+        used = 0
+        rest = code
+        for j in range(count - 1, -1, -1):  # the first box is the slowest digit
+            i = rest % (slots + 1)  # the last: this box starts a track of its own
+            rest //= slots + 1
+            if i == slots:
+                total += gate_px
+            elif used & (1 << i) or not tracks[i]["distance_px"][j] <= gate_px:
+                total = inf
+            else:
+                total += tracks[i]["distance_px"][j]
+                used |= 1 << i
+        if total < least:
+            least = total
+            rest = code
+            for i in range(slots):
+                tracks[i]["box"] = -1
+            for j in range(count - 1, -1, -1):
+                i = rest % (slots + 1)
+                rest //= slots + 1
+                if i < slots:
+                    tracks[i]["box"] = j
+
+
+@njit_no_nrt
+def _distance_px(track: np.void, box: NDArray[np.float64]) -> float:
+    """Of ``box`` (5,) from a track in the image; infinite for a pair that cannot be."""
+    if not (track["valid"] and _is_measurement(box)):
+        return inf
+    du, dv = box[0] - track["mean"][0], box[1] - track["mean"][1]
+    return sqrt(du * du + dv * dv)
+
+
+@njit_no_nrt
+def _has_track(tracks: NDArray[np.void], box: int) -> bool:
+    """Is the box one of a track's?"""
+    found = False
+    for i in range(tracks.shape[0]):
+        found = found or tracks[i]["box"] == box
+    return found
+
+
+@compiled
+def _assign_many(
+    tracks: NDArray[np.void],  # (n,) of TRACK
+    boxes: NDArray[np.float64],  # (n, 5)
+    count: int,
+    gate_px: float,
+) -> None:
+    """The cheapest pairing by shortest augmenting ways (Hungarian method), count^2 (tracks + count) steps.
+
+    Every box may have a column of its own at ``gate_px`` beside the tracks; columns and boxes count from 1.
+    """
+    slots = tracks.shape[0]
+    size, gate = slots + count + 1, gate_px if gate_px < FARTHEST_PX else FARTHEST_PX
+    box_price, column_price = np.zeros(count + 1), np.zeros(size)
+    box_of, before = np.zeros(size, np.int64), np.zeros(size, np.int64)
+    for box in range(1, count + 1):
+        box_of[0], column = box, 0
+        least, done = np.full(size, inf), np.zeros(size, np.bool_)
+        while box_of[column] != 0:
+            done[column] = True
+            one, step, nearest = box_of[column], inf, 0
+            for k in range(1, size):
+                if done[k]:
+                    continue
+                cost = gate
+                if k <= slots:
+                    distance_px = _distance_px(tracks[k - 1], boxes[one - 1])
+                    cost = distance_px if distance_px <= gate else 2.0 * gate  # dearer than its own
+                cost -= box_price[one] + column_price[k]
+                if cost < least[k]:
+                    least[k], before[k] = cost, column
+                if least[k] < step:
+                    step, nearest = least[k], k
+            for k in range(size):
+                if done[k]:
+                    box_price[box_of[k]] += step
+                    column_price[k] -= step
+                else:
+                    least[k] -= step
+            column = nearest
+        while column != 0:
+            box_of[column] = box_of[before[column]]
+            column = before[column]
+    for k in range(1, slots + 1):
+        if box_of[k] != 0:
+            tracks[k - 1]["box"] = box_of[k] - 1
+
+
+@njit_no_nrt
+def _slot_for_new_track(tracks: NDArray[np.void]) -> int:
+    """The free slot seen longest ago; without a free one, the unpaired track seen longest ago.
+
+    There is always one of them: a box without a pair leaves a slot unpaired, as boxes are no more than slots.
+    """
+    best = -1
+    for i in range(tracks.shape[0]):
+        if tracks[i]["box"] >= 0:
+            continue
+        if best < 0:
+            best = i
+        elif tracks[i]["valid"] != tracks[best]["valid"]:
+            if not tracks[i]["valid"]:
+                best = i
+        elif tracks[i]["last_seen_s"] < tracks[best]["last_seen_s"]:
+            best = i
+    return best
+
+
+@njit_no_nrt
+def _greatest_id(tracks: NDArray[np.void]) -> int:
+    """Slots keep the id of a dropped track until they are used again, so no id comes twice."""
+    greatest = 0
+    for i in range(tracks.shape[0]):
+        greatest = max(greatest, tracks[i]["id"])
+    return greatest

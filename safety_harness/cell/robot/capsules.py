@@ -1,0 +1,253 @@
+"""Link capsules: few simple bodies that enclose every mesh of the arm.
+
+They are fitted once, by ``safety-harness robot fit``, and kept as JSON, those of the shipped arms beside this
+file.  Distances to capsules are never longer than those to the meshes: the safe side.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Collection
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+from pathlib import Path
+from typing import NamedTuple
+
+import msgspec
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from safety_harness.base.exceptions import ArmModelError
+from safety_harness.base.geometry.arrays import ArrayN
+from safety_harness.base.geometry.segments import point_segment_distance
+from safety_harness.cell.robot.description import ArmModel, ChainRecords, load_arm
+from safety_harness.cell.robot.distance import CAPSULE, CapsuleRecords, chain_lengths
+from safety_harness.cell.robot.kinematics import FRAMES
+from safety_harness.cell.robot.urdf import ArmFileError, read_bytes
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class CapsuleSet:
+    """``n`` capsules, each fixed in one frame of forward kinematics; arrays are read-only.
+
+    ``link_index`` (n,) counts the base as 0, then the moving links, and the tcp as ``frames`` - 1.
+    ``start_in_link`` and ``end_in_link`` (n, 3) [m] are the ends of the axis, in that frame.
+    """
+
+    names: tuple[str, ...]
+    link_index: NDArray[np.int64]
+    start_in_link: NDArray[np.float64]
+    end_in_link: NDArray[np.float64]
+    radius_m: NDArray[np.float64]
+    frames: int = FRAMES
+
+    def __post_init__(self) -> None:
+        n = len(self.names)
+        if not (
+            self.link_index.shape == self.radius_m.shape == (n,)
+            and self.start_in_link.shape == self.end_in_link.shape == (n, 3)
+        ):
+            raise ArmModelError(f"capsules: expected {n} of everything, one for each name")
+        if not ((self.link_index >= 0) & (self.link_index < self.frames)).all():
+            raise ArmModelError(
+                f"capsules: link indices must be 0 to {self.frames - 1}, got {self.link_index}"
+            )
+        ends = np.concatenate((self.start_in_link, self.end_in_link))
+        if not (np.isfinite(ends).all() and np.isfinite(self.radius_m).all() and (self.radius_m > 0.0).all()):
+            raise ArmModelError("capsules: ends must be finite and radii finite and positive")
+        for array in (self.link_index, self.start_in_link, self.end_in_link, self.radius_m):
+            array.setflags(write=False)
+
+    @cached_property
+    def records(self) -> CapsuleRecords:
+        """(n,) CAPSULE: the same for compiled code, read-only."""
+        records = np.zeros(len(self.names), CAPSULE)
+        for name in CAPSULE.names or ():
+            records[name] = getattr(self, name)
+        records.setflags(write=False)
+        return records
+
+    def of_links(self, links: Collection[int]) -> CapsuleSet:
+        """Those of some links, which are counted from 0."""
+        kept = [k for k, link in enumerate(self.link_index) if link in links]
+        return CapsuleSet(
+            names=tuple(self.names[k] for k in kept),
+            link_index=self.link_index[kept],
+            start_in_link=self.start_in_link[kept],
+            end_in_link=self.end_in_link[kept],
+            radius_m=self.radius_m[kept],
+            frames=self.frames,
+        )
+
+    def carried_by(self, link: int, transform: NDArray[np.float64]) -> CapsuleSet:
+        """The same, those of a link in another frame: ``transform`` (4, 4) leads there from the old one."""
+        mine = (self.link_index == link)[:, None]
+        ends = (self.start_in_link, self.end_in_link)
+        start, end = (np.where(mine, one @ transform[:3, :3].T + transform[:3, 3], one) for one in ends)
+        return replace(self, start_in_link=start, end_in_link=end)
+
+    def with_capsule(
+        self, name: str, link_index: int, start: ArrayLike, end: ArrayLike, radius: float
+    ) -> CapsuleSet:
+        """A new set with one more capsule (a tool, say) at its end; metres, in the link's frame."""
+        return CapsuleSet(
+            names=(*self.names, name),
+            link_index=np.append(self.link_index, np.int64(link_index)),
+            start_in_link=np.vstack((self.start_in_link, np.asarray(start, dtype=np.float64))),
+            end_in_link=np.vstack((self.end_in_link, np.asarray(end, dtype=np.float64))),
+            radius_m=np.append(self.radius_m, float(radius)),
+            frames=self.frames,
+        )
+
+
+class StoredCapsule(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
+    """A capsule on file: the ends of its axis [m] in the frame of ``link``."""
+
+    name: str
+    link: str
+    start_in_link_m: tuple[float, float, float]
+    end_in_link_m: tuple[float, float, float]
+    radius_m: float
+
+
+class StoredCapsules(msgspec.Struct, kw_only=True, forbid_unknown_fields=True):
+    """A file of capsules, and what they were fitted to: SHA-256 of the URDF and of each mesh, by its name.
+
+    The shipped sets say none: their meshes lie beside them.
+    """
+
+    arm: str
+    capsules: list[StoredCapsule]
+    base: str = ""
+    tcp: str = ""
+    urdf_sha256: str = ""
+    meshes_sha256: dict[str, str] = {}
+
+    def on(self, arm: ArmModel, file: Path) -> CapsuleSet:
+        """The capsules as bodies of ``arm``; ``ArmFileError`` if they cannot be."""
+        frames = (*arm.link_names, arm.tcp_link)
+        other = {one.link for one in self.capsules}.difference(frames)
+        if other or not self.capsules:
+            raise ArmFileError.of_file(file, f"capsules of {', '.join(frames)}", ", ".join(other) or "none")
+        try:
+            return CapsuleSet(
+                names=tuple(one.name for one in self.capsules),
+                link_index=np.array([frames.index(one.link) for one in self.capsules], dtype=np.int64),
+                start_in_link=np.array([one.start_in_link_m for one in self.capsules]),
+                end_in_link=np.array([one.end_in_link_m for one in self.capsules]),
+                radius_m=np.array([one.radius_m for one in self.capsules]),
+                frames=len(frames),
+            )
+        except ArmModelError as error:
+            raise ArmFileError.of_file(file, "capsules that can be", str(error)) from error
+
+
+def capsule_file(arm_name: str) -> Path:
+    """Where the fitted capsules of a shipped arm are kept."""
+    return Path(__file__).with_name(f"{arm_name}_capsules.json")
+
+
+@lru_cache
+def load_capsules(arm_name: str = "ur10") -> CapsuleSet:
+    """The fitted capsules of the shipped arm ``arm_name``; ``ArmModelError`` if none were fitted."""
+    file = capsule_file(arm_name)
+    if not file.is_file():
+        raise ArmModelError(f"no capsules for {arm_name!r}; to fit them: safety-harness robot fit")
+    return _stored(file).on(load_arm(arm_name), file)
+
+
+def read_capsules(
+    file: Path, arm: ArmModel, *, text: bytes | None = None, urdf_sha256: str | None = None
+) -> CapsuleSet:
+    """The capsules that were fitted to ``arm``; ``ArmFileError``, naming what differs, if to another one.
+
+    ``text`` is read in place of the file.  With ``urdf_sha256``, of a URDF that was read before, neither the
+    arm's file nor its meshes are looked at.
+    """
+    stored = _stored(file, text)
+    pairs = [("base", stored.base, arm.link_names[0]), ("tcp", stored.tcp, arm.tcp_link)]
+    found_urdf, found = (urdf_sha256, stored.meshes_sha256) if urdf_sha256 else hashes_of(arm)
+    pairs.append((f"{arm.file} with the SHA-256", stored.urdf_sha256, found_urdf))
+    named = stored.meshes_sha256
+    for uri in sorted(named.keys() | found.keys()):
+        pairs.append((f"mesh {uri} with the SHA-256", named.get(uri, "none"), found.get(uri, "none")))
+    for what, fitted_to, is_now in pairs:
+        if fitted_to != is_now:
+            expected = f"capsules fitted to the {what} {is_now}"
+            raise ArmFileError.of_file(file, expected, f"to {fitted_to or 'nothing'}; fit them again")
+    capsules, held = stored.on(arm, file), {one.link for one in stored.capsules}
+    for link in arm.links:
+        if (link.collision or link.visual) and link.link not in held:
+            raise ArmFileError.of_file(file, f"capsules of the link {link.link!r}", "none")
+    return capsules
+
+
+def unenclosed_links(arm: ArmModel, enclosed: Collection[int], accepted: Collection[str] = ()) -> list[str]:
+    """Names of links between the first and the last of ``enclosed`` (the base is 0) that are not among them.
+
+    Those in ``accepted`` are left out.
+    """
+    names = arm.link_names
+    between = range(min(enclosed), min(max(enclosed), len(names)))
+    return [names[k] for k in between if k not in enclosed and names[k] not in accepted]
+
+
+def tcp_beyond(arm: ArmModel, capsules: CapsuleSet) -> float:
+    """How far [m] the TCP lies outside of every capsule at it and of the last link that has any; 0 in one.
+
+    Joints behind that link stand at 0.
+    """
+    point_m, nearest_m = np.zeros(3), np.inf
+    frames = enumerate((arm.flange, *arm.joint_origins[::-1], np.eye(4)))
+    for link, origin in ((capsules.frames - 1 - k, frame) for k, frame in frames):
+        for k in np.flatnonzero(capsules.link_index == link):
+            far_m = point_segment_distance(point_m, capsules.start_in_link[k], capsules.end_in_link[k])
+            nearest_m = min(nearest_m, far_m - capsules.radius_m[k])
+        if link <= len(arm.joint_names) and (capsules.link_index == link).any():
+            break
+        point_m = origin[:3, :3] @ point_m + origin[:3, 3]
+    return max(0.0, float(nearest_m))
+
+
+def hashes_of(arm: ArmModel) -> tuple[str, dict[str, str]]:
+    """SHA-256 of an arm's URDF, and of each of its meshes by the name that the URDF has for it."""
+    shapes = [shape for link in arm.links for shape in (*link.collision, *link.visual)]
+    meshes = {shape.uri: _sha256(shape.file) for shape in shapes if shape.file is not None}
+    return _sha256(arm.file), meshes
+
+
+def _sha256(file: Path) -> str:
+    return hashlib.sha256(read_bytes(file)).hexdigest()
+
+
+def _stored(file: Path, text: bytes | None = None) -> StoredCapsules:
+    try:
+        return msgspec.json.decode(read_bytes(file) if text is None else text, type=StoredCapsules)
+    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+        raise ArmFileError.of_file(file, "a file of capsules", str(error)) from error
+
+
+class Arm(NamedTuple):
+    """An arm with everything on it, for a kernel that is called once for a whole trace or way.
+
+    A kernel that is called at every tick takes the records apart: a tuple costs a microsecond a call.
+    """
+
+    chain: ChainRecords
+    capsules: CapsuleRecords
+    reach_m: ArrayN  # of ``chain_lengths``
+
+
+@lru_cache(maxsize=16)
+def arm_with(arm: ArmModel, capsules: CapsuleSet) -> Arm:
+    """``arm`` and the capsules on it."""
+    return Arm(arm.chain, capsules.records, chain_lengths(arm.chain, capsules.records))
+
+
+@lru_cache(maxsize=16)
+def tcp_alone(arm: ArmModel) -> Arm:
+    """``arm`` without a body, but for a capsule that is a point at its TCP."""
+    point = np.zeros(1, CAPSULE)
+    point["link_index"] = len(arm.joint_names) + 1
+    point.setflags(write=False)
+    return Arm(arm.chain, point, chain_lengths(arm.chain, point))

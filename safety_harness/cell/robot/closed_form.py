@@ -1,0 +1,246 @@
+"""The closed form of inverse kinematics for arms with the wrist of the UR family.
+
+Joints 2, 3 and 4 have parallel axes h, that of joint 1 is perpendicular to them, that of joint 5 to h and to
+that of joint 6, which it meets and which is parallel to h at zero.  Vectors are taken in the frame
+(h_1, h x h_1, h), whose first two axes span the plane in which joints 2 to 4 move: there a complex number
+stands for a vector.  With E_i the turn about joint i, R the rotation of the pose and w the place where axes
+5 and 6 meet, seen from joint 1:
+
+    (E_1 h) . w = h . (steps between the joints)          gives theta_1, two of them
+    R^T E_1 h = (E_5 E_6)^T h                             gives theta_5 and theta_6, two of them
+    z = l_2 e^(i theta_2) + l_3 e^(i (theta_2 + theta_3)) + k e^(i psi),   psi = theta_2 + theta_3 + theta_4
+
+the last in the plane, with psi what R leaves, and two elbows.  theta_5 and theta_6 come from sines, not
+from a cosine, and so hold near the wrist's singularity too.  (Hawkins, Analytic inverse kinematics for the
+Universal Robots, 2013, with the sines.)  Where sin theta_5 vanishes theta_6 is free: any psi for which joints
+2 and 3 reach is an answer.
+"""
+
+from __future__ import annotations
+
+from math import atan2, cos, hypot, pi, sin
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.base.compiled import inlined, njit_no_nrt
+from safety_harness.base.exceptions import ArmModelError
+from safety_harness.base.geometry.arrays import Array3, Array3x3, Array4x4, Array6, ArrayNx6
+from safety_harness.cell.robot.description import ArmModel
+from safety_harness.cell.robot.kinematics import TCP, links_in_base
+
+PARALLEL = 1e-9  # most that axes may be off, and metres by which they may miss each other
+NEAR = 1e-4  # |sin theta_5| below which a way that is too long or too short is mended by psi
+FREE = 5e-10  # below which theta_6 is free: half of the largest difference of an exact pose
+EDGE_M = 1e-6  # beyond the reach: what rounding may do to it where the arm is singular
+AT_ONCE = 24  # for two theta_1, two theta_5, three psi and two elbows
+
+ARM_GEOMETRY = np.dtype(
+    [
+        ("base_to_plane", np.float64, (3, 3)),
+        ("plane_to_tool", np.float64, (3, 3)),
+        ("joint_1_in_base", np.float64, (3,)),
+        ("wrist_in_tool", np.float64, (3,)),
+        ("offset_m", np.float64),
+        ("shoulder_m", np.complex128),
+        ("upper_m", np.complex128),
+        ("lower_m", np.complex128),
+        ("wrist_m", np.complex128),
+        ("axis_5_rad", np.float64),
+        ("sense", np.float64),
+        ("lower_rad", np.float64, (6,)),
+        ("upper_rad", np.float64, (6,)),
+    ],
+    align=True,
+)
+ArmGeometryRecords = NDArray[np.void]  # (1,) ARM_GEOMETRY
+
+
+class ArmGeometry(Protocol):
+    """One record of ARM_GEOMETRY, as compiled code reads it; a complex number is a vector in the plane.
+
+    ``plane_to_tool`` is at zero.  ``wrist_in_tool``: where axes 5 and 6 meet, from the TCP.  ``offset_m``:
+    how far all steps lead along h.  ``shoulder_m``, ``upper_m``, ``lower_m``, ``wrist_m``: the steps from
+    joint 1 to 2, to 3, to 4 and to where axes 5 and 6 meet.  ``axis_5_rad``: where axis 5 points at zero;
+    ``sense``: 1 if axis 6 points along h there, -1 if against it.  The last two are the position limits.
+    """
+
+    base_to_plane: Array3x3
+    plane_to_tool: Array3x3
+    joint_1_in_base: Array3
+    wrist_in_tool: Array3
+    offset_m: float
+    shoulder_m: complex
+    upper_m: complex
+    lower_m: complex
+    wrist_m: complex
+    axis_5_rad: float
+    sense: float
+    lower_rad: Array6
+    upper_rad: Array6
+
+
+def has_closed_form(arm: ArmModel) -> bool:
+    """Has ``arm`` six joints, and the wrist of the UR family?"""
+    try:
+        arm_geometry(arm)
+    except ArmModelError:
+        return False
+    return True
+
+
+def arm_geometry(arm: ArmModel) -> ArmGeometryRecords:
+    """(1,) ARM_GEOMETRY of an arm, read-only; ``ArmModelError`` unless its wrist is that of the UR family."""
+    if len(arm.joint_names) != 6:
+        raise ArmModelError(f"{arm.name}: the closed form is of six joints, not {len(arm.joint_names)}")
+    zero = links_in_base(arm, np.zeros(6))
+    axes = np.array([zero[i + 1, :3, :3] @ arm.joint_axes[i] for i in range(6)])
+    base_to_plane = np.array([axes[0], np.cross(axes[1], axes[0]), axes[1]])
+    axes = axes @ base_to_plane.T
+    steps = np.diff(zero[:, :3, 3], axis=0)
+    inner = steps[1:6] @ base_to_plane.T
+    along_6 = axes[5] * (inner[4] @ axes[5])  # joint 6 is where its axis meets axis 5
+    inner[4] -= along_6
+    fits = (
+        abs(axes[0, 2]) <= PARALLEL  # perpendicular to h, else the frame is none
+        and np.abs(axes[2:4] - axes[1]).max() <= PARALLEL
+        and abs(axes[4, 2]) <= PARALLEL
+        and np.abs(axes[5, :2]).max() <= PARALLEL
+        and np.abs(np.cross(inner[4], axes[4])).max() <= PARALLEL
+    )
+    plane = inner[:, 0] + 1j * inner[:, 1]
+    if not (fits and abs(plane[1]) > 0.0 and abs(plane[2]) > 0.0):
+        raise ArmModelError(f"{arm.name}: its inverse kinematics has no closed form of the UR family")
+    geometry = np.zeros(1, ARM_GEOMETRY)
+    geometry["base_to_plane"], geometry["plane_to_tool"] = (
+        base_to_plane,
+        (base_to_plane @ zero[TCP, :3, :3]).T,
+    )
+    geometry["joint_1_in_base"] = steps[0]
+    geometry["wrist_in_tool"] = -zero[TCP, :3, :3].T @ (steps[6] + base_to_plane.T @ along_6)
+    geometry["offset_m"] = inner[:, 2].sum()
+    geometry["shoulder_m"], geometry["upper_m"], geometry["lower_m"] = plane[:3]
+    geometry["wrist_m"] = plane[3] + plane[4]
+    geometry["axis_5_rad"], geometry["sense"] = atan2(axes[4, 1], axes[4, 0]), np.sign(axes[5, 2])
+    geometry["lower_rad"], geometry["upper_rad"] = arm.position_lower_rad, arm.position_upper_rad
+    geometry.setflags(write=False)
+    return geometry
+
+
+@njit_no_nrt
+def candidate_branches(arm: ArmGeometry, pose: Array4x4, out: ArrayNx6) -> int:
+    """Fill ``out`` (AT_ONCE, 6) with joint positions that may give ``pose`` (4, 4), and return how many.
+
+    They give it if it can be reached, but for rounding: unchecked, angles not wrapped, some twice where the
+    arm is singular.  In order of theta_1, then theta_5, then psi, then theta_3.
+    """
+    wx, wy, wz = _wrist(arm, pose, 0), _wrist(arm, pose, 1), _wrist(arm, pose, 2)
+    radius = hypot(wy, wz)
+    if not radius > max(abs(arm.offset_m) - EDGE_M, 0.0):
+        return 0
+    half = np.arccos(min(max(arm.offset_m / radius, -1.0), 1.0))
+    across, along = cos(arm.axis_5_rad), sin(arm.axis_5_rad)
+    count = 0
+    for side in (-1.0, 1.0):
+        theta_1 = atan2(-wy, wz) + side * half
+        c, s = cos(theta_1), sin(theta_1)
+        # u = R^T E_1 h, and its parts across axis 5 and along it
+        ux = c * _turn(arm, pose, 2, 0) - s * _turn(arm, pose, 1, 0)
+        uy = c * _turn(arm, pose, 2, 1) - s * _turn(arm, pose, 1, 1)
+        uz = c * _turn(arm, pose, 2, 2) - s * _turn(arm, pose, 1, 2)
+        a, b = uy * across - ux * along, arm.sense * (ux * across + uy * along)
+        theta_6 = atan2(b, a)
+        # E_2 E_3 E_4 h_5 = E_1^T R E_6^T h_5 lies in the plane, at psi from h_5
+        gamma = arm.axis_5_rad - arm.sense * theta_6
+        gx = _turn(arm, pose, 0, 0) * cos(gamma) + _turn(arm, pose, 0, 1) * sin(gamma)
+        gy = _turn(arm, pose, 1, 0) * cos(gamma) + _turn(arm, pose, 1, 1) * sin(gamma)
+        gz = _turn(arm, pose, 2, 0) * cos(gamma) + _turn(arm, pose, 2, 1) * sin(gamma)
+        psi = atan2(c * gy + s * gz, gx) - arm.axis_5_rad
+        z = complex(wx, c * wy + s * wz) - arm.shoulder_m
+        for sign in (1.0, -1.0):
+            theta_5, turned = atan2(sign * hypot(a, b), uz), 0.5 * (1.0 - sign) * pi
+            count = _with_wrist(arm, z, psi + turned, theta_1, theta_5, theta_6 + turned, out, count)
+    return count
+
+
+@njit_no_nrt
+def _with_wrist(
+    arm: ArmGeometry,
+    z: complex,
+    psi: float,
+    theta_1: float,
+    theta_5: float,
+    theta_6: float,
+    out: ArrayNx6,
+    count: int,
+) -> int:
+    """Append to the ``count`` rows of ``out`` (AT_ONCE, 6) those with these angles; returns the new count.
+
+    Beside the singularity psi is ill determined: where it leaves joints 2 and 3 a way that they cannot
+    bridge, the nearest that they can is taken.  At it, the two psi in the middle of what they can as well.
+    """
+    k = arm.wrist_m * np.exp(1j * psi)
+    way, apart = abs(z - k), np.angle(k / z)
+    shortest, longest = abs(abs(arm.upper_m) - abs(arm.lower_m)), abs(arm.upper_m) + abs(arm.lower_m)
+    sine = abs(sin(theta_5))
+    if shortest <= way <= longest:
+        best = psi
+    elif sine < NEAR:
+        angle = _angle_for(z, k, min(max(way, shortest), longest))
+        best = psi - apart + np.copysign(angle, apart)
+    elif shortest - EDGE_M <= way <= longest + EDGE_M:
+        best = psi
+    else:
+        return count
+    least, most = max(shortest, abs(abs(z) - abs(k))), min(longest, abs(z) + abs(k))
+    middle = _angle_for(z, k, 0.5 * (least + most))
+    straight = psi - apart
+    for tried in (best, straight + middle, straight - middle):
+        y = z - arm.wrist_m * np.exp(1j * tried)
+        bend = (abs(y) ** 2 - abs(arm.upper_m) ** 2 - abs(arm.lower_m) ** 2) / (
+            2.0 * abs(arm.upper_m) * abs(arm.lower_m)
+        )
+        for elbow in (1.0, -1.0):
+            theta_3 = elbow * np.arccos(min(max(bend, -1.0), 1.0))
+            theta_3 += np.angle(arm.upper_m) - np.angle(arm.lower_m)
+            theta_2 = np.angle(y) - np.angle(arm.upper_m + arm.lower_m * np.exp(1j * theta_3))
+            out[count, 0], out[count, 1], out[count, 2] = theta_1, theta_2, theta_3
+            out[count, 3], out[count, 4] = tried - theta_2 - theta_3, theta_5
+            out[count, 5] = theta_6 + (psi - tried) * arm.sense * np.sign(cos(theta_5))
+            count += 1
+        if sine > FREE:
+            break
+    return count
+
+
+@inlined
+def _turn(arm: ArmGeometry, pose: Array4x4, i: int, j: int) -> float:
+    """Entry (i, j) of the pose's rotation since zero, in the plane's frame.  ``pose`` (4, 4)."""
+    total = 0.0
+    for m in range(3):
+        for n in range(3):
+            total += arm.base_to_plane[i, m] * pose[m, n] * arm.plane_to_tool[n, j]
+    return total
+
+
+@inlined
+def _wrist(arm: ArmGeometry, pose: Array4x4, i: int) -> float:
+    """Entry i of the place where axes 5 and 6 meet [m], from joint 1, in the plane's frame.
+
+    ``pose`` (4, 4).
+    """
+    total = 0.0
+    for m in range(3):
+        entry = pose[m, 3] - arm.joint_1_in_base[m]
+        for n in range(3):
+            entry += pose[m, n] * arm.wrist_in_tool[n]
+        total += arm.base_to_plane[i, m] * entry
+    return total
+
+
+@inlined
+def _angle_for(z: complex, k: complex, way: float) -> float:
+    """The angle between z and k with which their difference is ``way`` long, or as nearly as can be."""
+    cosine = (abs(z) ** 2 + abs(k) ** 2 - way * way) / (2.0 * abs(z) * abs(k))
+    return float(np.arccos(min(max(cosine, -1.0), 1.0)))

@@ -1,0 +1,365 @@
+"""The arm as numbers: joint frames, axes and limits, and the shapes of its links, read from a URDF.
+
+The shipped robot descriptions lie in ``data`` beside this file, which says where they come from.
+"""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property, lru_cache, reduce
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.base.exceptions import ArmModelError
+from safety_harness.cell.robot.joint_data import Lack, Use, joint_data
+from safety_harness.cell.robot.urdf import ArmFileError, Urdf, read_bytes
+
+DATA = Path(__file__).with_name("data")
+PACKAGES = {"example-robot-data/robots": DATA}  # what the shipped URDFs call that folder
+BASE_LINK = "base_link"
+TCP_LINK = "tool0"
+FEWEST, MOST = 3, 8  # turning joints
+BEYOND = 1.2  # of a principal moment over the others' sum: published ones are off, the xArm6's by 1.16
+SIZES = {"mesh": "scale", "box": "size", "cylinder": "radius length", "sphere": "radius"}
+
+
+def chain_of(joints: int) -> np.dtype[np.void]:
+    """The record of a chain of so many joints: its size is part of the type of code compiled for it."""
+    return np.dtype(
+        [
+            ("joint_origins", np.float64, (joints, 4, 4)),
+            ("joint_axes", np.float64, (joints, 3)),
+            ("flange", np.float64, (4, 4)),
+        ],
+        align=True,
+    )
+
+
+ChainRecords = NDArray[np.void]  # (1,) of chain_of(n)
+
+
+class Chain(Protocol):
+    """One record of a chain, as compiled code reads it; the arrays are those of ``ArmModel``."""
+
+    joint_origins: NDArray[np.float64]  # (n, 4, 4)
+    joint_axes: NDArray[np.float64]  # (n, 3)
+    flange: NDArray[np.float64]  # (4, 4)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Shape:
+    """A shape of a link, and where it sits in the link's frame.
+
+    ``size`` is a mesh's scale (3,), a box's edges (3,), a cylinder's radius and length (2,), along z, or a
+    sphere's radius (1,) [m].  Of a mesh there are ``uri``, its name in the URDF, and ``file``.
+    """
+
+    kind: str  # of SIZES
+    size: NDArray[np.float64]
+    transform_shape_to_link: NDArray[np.float64]  # (4, 4)
+    uri: str = ""
+    file: Path | None = None
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class LinkShapes:
+    """The shapes of one link and of all that is fixed to it; ``index`` counts the base as 0."""
+
+    link: str
+    index: int
+    collision: tuple[Shape, ...]
+    visual: tuple[Shape, ...]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ArmModel:
+    """An arm of n turning joints from its base to its tcp; arrays are read-only.
+
+    ``joint_origins`` (n, 4, 4): frame of link i + 1 at q = 0 to the frame of link i.
+    ``joint_axes`` (n, 3): unit axis of joint i in the frame of the link that it moves.
+    ``flange`` (4, 4): from the tcp to the last moving link.
+    The limits are (n,); ``effort_limit`` is in N m.  A joint without an end (continuous) has the position
+    limits -inf and inf.  ``left_out`` names the links with shapes that are not fixed to any of the arm's.
+    ``transform_seat`` (4, 4): from the base link's frame to the base frame, one until the arm is ``seated``.
+    """
+
+    name: str
+    file: Path
+    joint_names: tuple[str, ...]
+    link_names: tuple[str, ...]  # the base, then the n moving links
+    tcp_link: str
+    joint_origins: NDArray[np.float64]
+    joint_axes: NDArray[np.float64]
+    flange: NDArray[np.float64]
+    position_lower_rad: NDArray[np.float64]
+    position_upper_rad: NDArray[np.float64]
+    velocity_limit_radps: NDArray[np.float64]
+    effort_limit: NDArray[np.float64]
+    links: tuple[LinkShapes, ...]  # of the base, then of the n moving links
+    left_out: tuple[str, ...]
+    soft_limits_rad: NDArray[np.float64]
+    in_degrees: bool
+    without_inertia: tuple[str, ...]
+    notes: tuple[str, ...]
+    text: bytes  # of the URDF
+    packages: Mapping[str, Path]
+    transform_seat: NDArray[np.float64] = field(default_factory=lambda: np.eye(4))
+
+    def __post_init__(self) -> None:
+        for value in vars(self).values():
+            if isinstance(value, np.ndarray):
+                value.setflags(write=False)
+
+    @cached_property
+    def chain(self) -> ChainRecords:
+        """(1,) of ``chain_of(n)``: joint frames, axes and flange for compiled code, read-only."""
+        chain = np.zeros(1, chain_of(len(self.joint_names)))
+        for name in chain.dtype.names or ():
+            chain[name] = getattr(self, name)
+        chain.setflags(write=False)
+        return chain
+
+    def seated(self, transform: NDArray[np.float64]) -> ArmModel:
+        """The same arm elsewhere: ``transform`` (4, 4) leads from its base link to the base frame."""
+        origins = np.concatenate(((transform @ self.joint_origins[0])[None], self.joint_origins[1:]))
+        return replace(self, joint_origins=origins, transform_seat=transform @ self.transform_seat)
+
+    @property
+    def lacks(self) -> tuple[Lack, ...]:
+        """What the URDF does not state, with who needs it."""
+        missing = [
+            (self._joints(self.velocity_limit_radps), "speed", (Use.RUN,), "joint speed limits"),
+            (self._joints(self.effort_limit), "effort", (Use.TORQUES, Use.PYBULLET), "joint torque limits"),
+        ]
+        lacks = [
+            Lack(f"the {what} of {names}", uses, f"the arm's key `{key}`")
+            for names, what, uses, key in missing
+            if names
+        ]
+        if self.in_degrees:
+            supply = "the arm's key `angles: rad`; else write them in rad (180 deg is 3.14159)"
+            lacks.append(Lack("the unit of the limits, which look like degrees", (Use.RUN,), supply))
+        if self.without_inertia:
+            what = f"a mass and inertia that a body can have, of {', '.join(self.without_inertia)}"
+            lacks.append(Lack(what, (Use.TORQUES, Use.PYBULLET), "<inertial> in the URDF"))
+        return tuple(lacks)
+
+    def _joints(self, numbers: NDArray[np.float64]) -> str:
+        return ", ".join(np.array(self.joint_names)[np.isnan(numbers)])
+
+    def require(self, use: Use) -> None:
+        """Raise ``ArmFileError`` if the arm lacks something that ``use`` needs."""
+        for lack in self.lacks:
+            if use in lack.uses:
+                raise ArmFileError.of_file(self.file, f"{lack.what}, for {use}", "none", lack.supply)
+
+    @property
+    def farthest_reach_m(self) -> float:
+        """No pose takes the tcp farther than this [m] from the second joint: the frames' distances, added."""
+        frames = np.concatenate((self.joint_origins[2:], self.flange[None]))
+        return float(np.linalg.norm(frames[:, :3, 3], axis=1).sum())
+
+
+def urdf_file(name: str) -> Path:
+    """The URDF of the shipped arm ``name`` ("ur3", "ur5", "ur10")."""
+    folder = DATA / "ur_description" / "urdf"
+    file = folder / f"{name}_robot.urdf"
+    if not file.is_file():
+        known = sorted(path.name.removesuffix("_robot.urdf") for path in folder.glob("*_robot.urdf"))
+        raise ArmModelError(f"there is no arm named {name!r}; there are {', '.join(known)}")
+    return file
+
+
+def resolved_urdf(arm: ArmModel, *, visuals: bool) -> str:
+    """An arm's URDF with absolute mesh paths, and without what is not fixed to its links.
+
+    The root is the arm's base.  Without ``visuals`` it has no <visual> elements.
+    """
+    urdf = Urdf.read(arm.file, arm.text)
+    for joint in urdf.root.findall("joint"):
+        below = urdf.text(urdf.child(joint, "child"), "link")
+        if urdf.carrier(below, arm.link_names)[0] is None or below == arm.link_names[0]:
+            urdf.root.remove(joint)
+    for name, link in urdf.links.items():
+        if urdf.carrier(name, arm.link_names)[0] is None:
+            urdf.root.remove(link)
+            continue
+        for part in (*link.findall("visual"), *link.findall("collision")):
+            if is_empty(urdf, part) or (part.tag == "visual" and not visuals):
+                link.remove(part)
+        for mesh in link.iter("mesh"):
+            mesh.set("filename", str(urdf.mesh_file(mesh, arm.packages)))
+    return ElementTree.tostring(urdf.root, encoding="unicode")
+
+
+@lru_cache
+def load_arm(name: str = "ur10") -> ArmModel:
+    """The shipped arm ``name``."""
+    return read_arm(urdf_file(name), base=BASE_LINK, tcp=TCP_LINK, packages=PACKAGES)
+
+
+def read_arm(
+    file: Path,
+    *,
+    base: str | None = None,
+    tcp: str | None = None,
+    packages: Mapping[str, Path] | None = None,
+    text: bytes | None = None,
+    meshes: bool = True,
+) -> ArmModel:
+    """Read the arm between two links of a URDF: three to eight turning joints, any number of fixed ones.
+
+    ``base`` stands still, and ``tcp`` ends the arm; by default the only link without a joint above it, and
+    the only one without a joint below it.  ``packages`` has the folders of names in package://NAME/PATH;
+    others are looked for in the URDF's folder and those above it: NAME/PATH first, then PATH.
+    ``text`` is read in place of the file, and without ``meshes`` one that is not there stays without a file.
+    ``ArmFileError``, with file and line, for what is no such arm or cannot be used.
+    """
+    text = read_bytes(file) if text is None else text
+    urdf = Urdf.read(file, text)
+    base, tcp, joints = urdf.chain(base, tcp)
+    origins: list[NDArray[np.float64]] = []
+    moving, since = [], list[NDArray[np.float64]]()  # the frames since the last moving joint
+    for joint in joints:
+        since.append(urdf.origin(joint))
+        if joint.get("type") != "fixed":
+            moving.append(joint)
+            origins.append(reduce(np.matmul, since))
+            since = []
+    data = [joint_data(urdf, joint) for joint in moving]
+    if not FEWEST <= len(moving) <= MOST:
+        expected = f"{FEWEST} to {MOST} turning joints from {base!r} to {tcp!r}"
+        raise urdf.error(urdf.links[tcp], expected, str(len(moving)))
+    axes = np.array([one.axis for one in data])
+    names = (base, *(urdf.child(joint, "child").get("link", "") for joint in moving))
+    shapes = _Shapes(urdf, names, packages or {}, meshes)
+    return ArmModel(
+        name=urdf.root.get("name") or file.stem,
+        file=file,
+        joint_names=tuple(joint.get("name", "") for joint in moving),
+        link_names=names,
+        tcp_link=tcp,
+        joint_origins=np.array(origins),
+        joint_axes=axes / np.linalg.norm(axes, axis=1, keepdims=True),
+        flange=reduce(np.matmul, since) if since else np.eye(4),
+        position_lower_rad=np.array([one.lower_rad for one in data]),
+        position_upper_rad=np.array([one.upper_rad for one in data]),
+        velocity_limit_radps=np.array([one.speed_radps for one in data]),
+        effort_limit=np.array([one.effort_nm for one in data]),
+        soft_limits_rad=np.array([one.soft_rad for one in data]),
+        in_degrees=any(one.degrees for one in data),
+        links=shapes.links(),
+        left_out=tuple(shapes.left_out),
+        without_inertia=tuple(shapes.without_inertia),
+        notes=(*(one.note for one in data if one.note), *shapes.notes),
+        text=text,
+        packages=packages or {},
+    )
+
+
+class _Shapes:
+    """The shapes of the links ``names`` and of what is fixed to them, and what is left out of the others."""
+
+    def __init__(
+        self, urdf: Urdf, names: tuple[str, ...], packages: Mapping[str, Path], meshes: bool
+    ) -> None:
+        self._names, self._found = names, dict[tuple[str, str], list[Shape]]()
+        self.left_out, self.without_inertia, self.notes = list[str](), list[str](), list[str]()
+        for name, link in urdf.links.items():
+            carrier, way = urdf.carrier(name, names)
+            if carrier is None:
+                shown = link.find("visual") is not None or link.find("collision") is not None
+                self.left_out += [name] if shown else []
+                continue
+            try:
+                inertial(urdf, link)
+            except ArmFileError:  # said by those who need it; the base stands still
+                self.without_inertia += [name] if carrier != names[0] else []
+            for kind in ("collision", "visual"):
+                for part in link.findall(kind):
+                    if is_empty(urdf, part):
+                        self.notes.append(f"an empty <{kind}> of {name} is left out: its size is 0")
+                        continue
+                    frame = reduce(np.matmul, [*way, urdf.origin(part)])
+                    shape = _shape(urdf, part, frame, packages, meshes)
+                    self._found.setdefault((carrier, kind), []).append(shape)
+
+    def links(self) -> tuple[LinkShapes, ...]:
+        """The base and the moving links, each with its shapes."""
+        return tuple(
+            LinkShapes(
+                link=name,
+                index=index,
+                collision=tuple(self._found.get((name, "collision"), ())),
+                visual=tuple(self._found.get((name, "visual"), ())),
+            )
+            for index, name in enumerate(self._names)
+        )
+
+
+def is_empty(urdf: Urdf, part: ElementTree.Element) -> bool:
+    """Is the shape of a <collision> or <visual> nothing at all, a box of size "0 0 0" say?"""
+    for element in urdf.child(part, "geometry"):
+        if (keys := SIZES.get(element.tag)) and all(element.get(key) for key in keys.split()):
+            sizes = [urdf.numbers(element, key, 3 if key in ("scale", "size") else 1) for key in keys.split()]
+            return not np.concatenate(sizes).any()
+    return False
+
+
+def _shape(
+    urdf: Urdf,
+    part: ElementTree.Element,
+    frame: NDArray[np.float64],
+    packages: Mapping[str, Path],
+    meshes: bool,
+) -> Shape:
+    inside = list(urdf.child(part, "geometry"))
+    if len(inside) != 1 or inside[0].tag not in SIZES:
+        tags = [element.tag for element in inside]
+        raise urdf.error(part, f"one shape, a {', '.join(SIZES)}", f"{tags}")
+    element, kind = inside[0], inside[0].tag
+    if kind == "mesh":
+        scale, file = urdf.numbers(element, "scale", 3, "1 1 1"), None
+        try:
+            file = urdf.mesh_file(element, packages)
+        except ArmFileError:
+            if meshes:
+                raise
+        if not np.abs(scale).min() > 0.0:
+            raise urdf.error(element, "a scale that leaves something", f"{scale.tolist()}")
+        uri = element.get("filename", "")
+        return Shape(kind=kind, size=scale, transform_shape_to_link=frame, uri=uri, file=file)
+    keys = SIZES[kind].split()
+    size = np.concatenate([urdf.numbers(element, key, 3 if kind == "box" else 1) for key in keys])
+    if not size.min() > 0.0:
+        raise urdf.error(element, "a size above 0", f"{size.tolist()}")
+    return Shape(kind=kind, size=size, transform_shape_to_link=frame)
+
+
+def inertial(
+    urdf: Urdf, link: ElementTree.Element
+) -> tuple[float, NDArray[np.float64], NDArray[np.float64]] | None:
+    """A link's mass, the frame (4, 4) of its centre, the inertia (3, 3) about it; None if it says nothing.
+
+    ``ArmFileError`` unless the inertia is one that a body of that mass can have; what has no mass may.
+    """
+    if link.find("inertial") is None:
+        return None
+    inertial = urdf.child(link, "inertial")
+    frame = urdf.origin(inertial)
+    mass = urdf.number(urdf.child(inertial, "mass"), "value")
+    inertia = urdf.child(inertial, "inertia")
+    xx, xy, xz, yy, yz, zz = (urdf.number(inertia, key) for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"))
+    if mass < 0.0:
+        raise urdf.error(urdf.child(inertial, "mass"), "a mass of 0 kg or more", f"{mass:g}")
+    matrix = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    least, middle, most = np.linalg.eigvalsh(matrix)
+    if mass > 0.0 and not (least > 0.0 and most <= BEYOND * (least + middle)):
+        expected = "an inertia that a body can have: moments above 0, none far above the others' sum"
+        raise urdf.error(inertia, expected, f"{least:.4g}, {middle:.4g}, {most:.4g}")
+    return mass, frame, matrix

@@ -1,0 +1,207 @@
+"""The arm's drives: they follow a demanded joint velocity, and a protective stop takes time.
+
+Both worlds put this between the controller's command and their motors.  A protective stop is the
+robot's own: for the reaction time the drives go on with the velocity they had, then they brake
+uniformly to zero within T_s(v) = base + slope v, v being the TCP speed when braking begins.  Once
+begun it is carried through to standstill, whatever the controller asks for meanwhile.
+
+Drives with a ``DriveModel`` follow a demand after a dead time and with a lag, and no joint gets more torque
+than there is: the wanted change of all set points is scaled back by one factor, braking as well.  With a lag
+or such a limit velocities change over a control period, not at its start, and motors are told the mean.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from math import ceil, expm1
+from typing import Any, NewType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.base.compiled import compiled, inlined, njit_no_nrt
+from safety_harness.base.geometry.arrays import ArrayN, ArrayNx3, ArrayNx4x4
+from safety_harness.base.geometry.linear import copy_vector
+from safety_harness.base.settings import Settings
+from safety_harness.cell.robot.dynamics import joint_torques, masses_dtype, torque_share
+
+MOST_DELAY_TICKS = 100  # the longest dead time in the shortest control periods
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class DriveModel:
+    """How drives follow a demand: ``lag_s`` is the time constant; without ``masses`` torque has no limit.
+
+    ``torque_limit_nm`` (n,).
+    """
+
+    dead_time_s: float = 0.0
+    lag_s: float = 0.0
+    torque_limit_nm: NDArray[np.float64] | None = None
+    masses: np.void | None = None  # one of ``masses_dtype``
+
+
+@lru_cache
+def drive_dtype(joints: int) -> np.dtype[Any]:
+    """DRIVE of an arm with so many joints."""
+    return np.dtype(
+        [
+            ("control_period_s", np.float64),
+            ("reaction_time_s", np.float64),
+            ("stop_time_base_s", np.float64),
+            ("stop_time_per_speed_s2pm", np.float64),
+            ("setpoint_radps", np.float64, (joints,)),  # what the drives were told last
+            ("stopping", np.bool_),
+            ("requested_at_s", np.float64),
+            ("braking", np.bool_),  # the reaction time is over
+            ("braking_from_s", np.float64),
+            ("stop_time_s", np.float64),
+            ("braking_from_radps", np.float64, (joints,)),
+            # of a ``DriveModel``
+            ("delay_ticks", np.int64),
+            ("oldest", np.int64),
+            ("delayed_radps", np.float64, (MOST_DELAY_TICKS, joints)),  # demands on their way, in a ring
+            ("lag_share", np.float64),  # how much of the way to a demand a tick takes
+            ("gradual", np.bool_),  # the set point is reached at the end of the tick, not at its start
+            ("limited", np.bool_),
+            ("before_radps", np.float64, (joints,)),  # the set point of the tick before
+            ("torque_limit_nm", np.float64, (joints,)),
+            ("masses", masses_dtype(joints)),
+        ],
+        align=True,
+    )
+
+
+def delay_ticks(dead_time_s: float, period_s: float) -> int:
+    """A dead time in whole control periods, rounded up."""
+    return ceil(dead_time_s / period_s - 1e-9)
+
+
+def settled_s(model: DriveModel | None, period_s: float) -> float:
+    """After how long a demand is carried out: a lag but for a thousandth, torques if they suffice."""
+    if model is None:
+        return 0.0
+    gradual = model.lag_s > 0.0 or model.masses is not None
+    return delay_ticks(model.dead_time_s, period_s) * period_s + 7.0 * model.lag_s + gradual * period_s
+
+
+DriveRecords = NewType("DriveRecords", NDArray[np.void])  # (1,) DRIVE
+
+
+def drive(settings: Settings, joints: int, model: DriveModel | None = None) -> DriveRecords:
+    """Drives of so many joints, at rest; without a ``model`` they follow what is demanded at once."""
+    drives = np.zeros(1, drive_dtype(joints))
+    drives["control_period_s"] = settings.clock.control_period_s
+    for name in ("reaction_time_s", "stop_time_base_s", "stop_time_per_speed_s2pm"):
+        drives[name] = getattr(settings.braking, name)
+    drives["lag_share"] = 1.0
+    if model is not None:
+        period_s = settings.clock.control_period_s
+        drives["delay_ticks"] = delay_ticks(model.dead_time_s, period_s)
+        drives["lag_share"] = -expm1(-period_s / model.lag_s) if model.lag_s > 0.0 else 1.0
+        drives["gradual"] = model.lag_s > 0.0 or model.masses is not None
+        if model.masses is not None:
+            drives["limited"] = True
+            drives["torque_limit_nm"], drives["masses"] = model.torque_limit_nm, model.masses
+    return DriveRecords(drives)
+
+
+@njit_no_nrt
+def drive_tick(
+    drives: DriveRecords, demanded_radps: ArrayN, protective_stop: bool, tcp_speed_mps: float, time_s: float
+) -> bool:
+    """Set ``setpoint_radps`` for the tick that begins at ``time_s``; True while braking acts.
+
+    While braking q' = q'_b max(0, 1 - (t + dt/2 - t_b)/T_s), with q'_b [rad/s] the set point when braking
+    began at t_b = t_requested + T_r, and T_s = base + slope v of the TCP's speed v then.  The set point of a
+    braking tick is the ramp's value at the middle of the tick, so that the distance covered is the integral
+    of the ramp.
+    """
+    d = drives[0]
+    copy_vector(d.setpoint_radps, d.before_radps)
+    if protective_stop and not d.stopping:
+        d.stopping = True
+        for row in range(d.delay_ticks):  # what is on its way does not outlive the stop
+            for i in range(d.setpoint_radps.shape[0]):
+                d.delayed_radps[row, i] = 0.0
+        d.braking = False
+        d.requested_at_s = time_s
+    if not d.stopping:
+        _follow(drives, demanded_radps)
+        return False
+    if not d.braking and time_s >= d.requested_at_s + d.reaction_time_s - 1e-9:
+        d.braking = True
+        d.braking_from_s = time_s
+        d.stop_time_s = d.stop_time_base_s + d.stop_time_per_speed_s2pm * tcp_speed_mps
+        copy_vector(d.setpoint_radps, d.braking_from_radps)
+    if d.braking:
+        left = 1.0 - (time_s + 0.5 * d.control_period_s - d.braking_from_s) / d.stop_time_s
+        if left <= 0.0 and not protective_stop and _stand_still(drives):
+            # At standstill and released: this tick obeys.  The controller takes its demand for done, and
+            # one tick later the arm would start with twice the step.
+            d.stopping = False
+            _follow(drives, demanded_radps)
+            return False
+        for i in range(d.setpoint_radps.shape[0]):
+            d.setpoint_radps[i] = d.braking_from_radps[i] * max(left, 0.0)
+    return True
+
+
+@inlined
+def _stand_still(drives: DriveRecords) -> bool:
+    """Is every set point zero?"""
+    stand, setpoint_radps = True, drives[0].setpoint_radps
+    for i in range(setpoint_radps.shape[0]):
+        stand = stand and setpoint_radps[i] == 0.0
+    return stand
+
+
+@inlined
+def _follow(drives: DriveRecords, demanded_radps: ArrayN) -> None:
+    """Set ``setpoint_radps`` by the demand of a dead time ago: u + (1 - exp(-dt/T)) (d - u), u the last one.
+
+    That is what a first-order lag of time constant T reaches within the tick.
+    """
+    d = drives[0]
+    row = d.oldest
+    for i in range(d.setpoint_radps.shape[0]):
+        demand = demanded_radps[i]
+        if d.delay_ticks > 0:
+            demand = d.delayed_radps[row, i]
+            d.delayed_radps[row, i] = demanded_radps[i]
+        if d.lag_share < 1.0:
+            demand = d.setpoint_radps[i] + d.lag_share * (demand - d.setpoint_radps[i])
+        d.setpoint_radps[i] = demand
+    if d.delay_ticks > 0:
+        d.oldest = (row + 1) % d.delay_ticks
+
+
+@inlined
+def tell_motors(drives: DriveRecords, commanded_radps: ArrayN) -> None:
+    """Fill ``commanded_radps`` with the set points, or with their mean over a tick in which they change."""
+    d = drives[0]
+    for i in range(commanded_radps.shape[0]):
+        after = d.setpoint_radps[i]
+        commanded_radps[i] = 0.5 * (d.before_radps[i] + after) if d.gradual else after
+
+
+@compiled
+def limit_torques(drives: DriveRecords, joint_axes: ArrayNx3, transforms: ArrayNx4x4) -> None:
+    """Take back as much of the tick's change of ``setpoint_radps`` as no joint has the torque for.
+
+    One factor for all joints keeps the direction.  What holds the arm against gravity comes first; where
+    that alone is beyond a limit, the change is made if it brings the torque back within it, and else not at
+    all.  ``transforms`` (n + 2, 4, 4) are those of ``forward_kinematics`` where the arm is.
+    """
+    d = drives[0]
+    n = joint_axes.shape[0]
+    change, bias, wanted = np.zeros(n), np.empty(n), np.empty(n)
+    joint_torques(joint_axes, transforms, d.masses, d.before_radps, change, bias)
+    for i in range(n):
+        change[i] = (d.setpoint_radps[i] - d.before_radps[i]) / d.control_period_s
+    joint_torques(joint_axes, transforms, d.masses, d.before_radps, change, wanted)
+    share = torque_share(bias, wanted, d.torque_limit_nm)
+    if share < 1.0:
+        for i in range(n):
+            d.setpoint_radps[i] = d.before_radps[i] + share * (d.setpoint_radps[i] - d.before_radps[i])

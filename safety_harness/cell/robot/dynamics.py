@@ -1,0 +1,189 @@
+"""What an arm's motion takes: the torque of each joint, from the masses of its URDF and a payload."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.base.compiled import compiled, inlined
+from safety_harness.base.geometry.arrays import Array3, Array4x4, ArrayN, ArrayNx3, ArrayNx4x4
+from safety_harness.cell.robot.description import ArmModel, inertial
+from safety_harness.cell.robot.kinematics import links_in_base
+from safety_harness.cell.robot.urdf import Urdf
+
+GRAVITY_MPS2 = 9.81
+Triple = tuple[float, float, float]
+
+
+@lru_cache
+def masses_dtype(joints: int) -> np.dtype[Any]:
+    """What the links of an arm with so many joints weigh, each in the frame of the link."""
+    return np.dtype(
+        [
+            ("mass_kg", np.float64, (joints,)),
+            ("centre_m", np.float64, (joints, 3)),  # of mass
+            ("inertia_kgm2", np.float64, (joints, 3, 3)),  # about it
+        ],
+        align=True,
+    )
+
+
+def link_masses(arm: ArmModel, payload_kg: float = 0.0, payload_in_link_m: Array3 | None = None) -> np.void:
+    """The masses of the moving links, each with what is fixed to it; the last one carries a point mass.
+
+    ``payload_in_link_m`` (3,) in the frame of the last link.  What has no mass has no inertia either,
+    whatever the URDF says.  ``ArmFileError`` for a moving link without a mass.
+    """
+    n, urdf = len(arm.joint_names), Urdf.read(arm.file, arm.text)
+    mass, first, second = np.zeros(n), np.zeros((n, 3)), np.zeros((n, 3, 3))  # the moments about its origin
+    for name, link in urdf.links.items():
+        carrier, way = urdf.carrier(name, arm.link_names)
+        if carrier in (None, arm.link_names[0]) or (found := inertial(urdf, link)) is None:
+            continue
+        k = arm.link_names.index(str(carrier)) - 1
+        kg, pose, inertia = found
+        for frame in reversed(way):
+            pose = frame @ pose
+        mass[k] += kg
+        first[k] += kg * pose[:3, 3]
+        if kg > 0.0:
+            second[k] += pose[:3, :3] @ inertia @ pose[:3, :3].T + kg * _spread(pose[:3, 3])
+    for name in np.array(arm.link_names[1:])[~(mass > 0.0)]:
+        link = urdf.links[str(name)]
+        raise urdf.error(link, "an <inertial> with a mass, for the torques of the drives", "none")
+    if payload_in_link_m is not None:
+        mass[-1] += payload_kg
+        first[-1] += payload_kg * payload_in_link_m
+        second[-1] += payload_kg * _spread(payload_in_link_m)
+    masses: np.void = np.zeros(1, masses_dtype(n))[0]
+    masses["mass_kg"], masses["centre_m"] = mass, first / mass[:, None]
+    for k, centre in enumerate(masses["centre_m"]):
+        masses["inertia_kgm2"][k] = second[k] - mass[k] * _spread(centre)
+    return masses
+
+
+def _spread(at_m: Array3) -> NDArray[np.float64]:
+    """(3, 3) inertia about the origin of 1 kg at ``at_m``: the parallel axis theorem."""
+    return float(at_m @ at_m) * np.eye(3) - np.outer(at_m, at_m)
+
+
+@compiled
+def joint_torques(
+    joint_axes: ArrayNx3,
+    transforms: ArrayNx4x4,
+    masses: Any,  # one of ``masses_dtype``
+    velocity_radps: ArrayN,
+    acceleration_radps2: ArrayN,
+    torques_out: ArrayN,
+) -> None:
+    """Fill ``torques_out`` (n,) [N m] with M(q) q'' + C(q, q') q' + g(q), by recursive Newton-Euler.
+
+    All in the base frame, whose z points up: that the base accelerates upwards by g stands for gravity.
+    From the base outwards, link i turns with w_i = w_(i-1) + a_i q'_i, its origin accelerates with the
+    link before it, and force and moment at its centre of mass are m c'' and I w' + w x I w; from the TCP
+    inwards they add up, and a joint's torque is their moment about its axis a_i.  (Luh, Walker and Paul
+    1980; Lynch and Park, Modern Robotics, 2017, 8.3.)
+
+    ``transforms`` (n + 2, 4, 4) are those of ``forward_kinematics``, ``joint_axes`` (n, 3).
+    """
+    n = joint_axes.shape[0]
+    axes, forces, moments = np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 3))
+    turn, turn_change, accel = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, GRAVITY_MPS2)
+    for k in range(n):
+        pose, rate = transforms[k + 1], velocity_radps[k]
+        accel = _plus(accel, 1.0, _carried(turn, turn_change, _from_to(transforms, k, k + 1)))
+        axis = _turned(pose, joint_axes[k])
+        turn_change = _plus(turn_change, rate, _cross(turn, axis))
+        turn_change = _plus(turn_change, acceleration_radps2[k], axis)
+        turn = _plus(turn, rate, axis)
+        centre = _turned(pose, masses.centre_m[k])
+        at_centre = _plus(accel, 1.0, _carried(turn, turn_change, centre))
+        force = _plus((0.0, 0.0, 0.0), masses.mass_kg[k], at_centre)
+        moment = _plus(_cross(centre, force), 1.0, _inertia_times(pose, masses.inertia_kgm2[k], turn_change))
+        moment = _plus(moment, 1.0, _cross(turn, _inertia_times(pose, masses.inertia_kgm2[k], turn)))
+        for i in range(3):
+            axes[k, i], forces[k, i], moments[k, i] = axis[i], force[i], moment[i]
+    for k in range(n - 1, -1, -1):
+        if k < n - 1:
+            passed = (forces[k + 1, 0], forces[k + 1, 1], forces[k + 1, 2])
+            levered = _cross(_from_to(transforms, k + 1, k + 2), passed)
+            for i in range(3):
+                forces[k, i] += passed[i]
+                moments[k, i] += moments[k + 1, i] + levered[i]
+        torques_out[k] = axes[k, 0] * moments[k, 0] + axes[k, 1] * moments[k, 1] + axes[k, 2] * moments[k, 2]
+
+
+def holding_torques(arm: ArmModel, masses: np.void, joint_position_rad: ArrayN) -> ArrayN:
+    """(n,) [N m] what holds ``arm`` still at ``joint_position_rad`` (n,)."""
+    still, torques = np.zeros((2, len(joint_position_rad)))
+    joint_torques(arm.joint_axes, links_in_base(arm, joint_position_rad), masses, still, still, torques)
+    return torques
+
+
+@compiled
+def torque_share(bias: ArrayN, wanted: ArrayN, limit: ArrayN) -> float:
+    """The largest s in [0, 1] for which |bias + s (wanted - bias)| <= limit in every joint.
+
+    All (n,) [N m]: ``bias`` holds the arm as it moves, ``wanted`` accelerates it as well.  0 where there is
+    no such s; a joint whose torque is the same for every s does not count.
+    """
+    least, most = 0.0, 1.0
+    for i in range(bias.shape[0]):
+        added = wanted[i] - bias[i]
+        if added != 0.0:
+            one, other = (-limit[i] - bias[i]) / added, (limit[i] - bias[i]) / added
+            least, most = max(least, min(one, other)), min(most, max(one, other))
+    return most if least <= most else 0.0
+
+
+@inlined
+def _cross(a: Triple, b: Triple) -> Triple:
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@inlined
+def _plus(a: Triple, factor: float, b: Triple) -> Triple:
+    return a[0] + factor * b[0], a[1] + factor * b[1], a[2] + factor * b[2]
+
+
+@inlined
+def _carried(turn: Triple, turn_change: Triple, lever: Triple) -> Triple:
+    """How much more a point accelerates than another of the same body: w' x r + w x (w x r)."""
+    return _plus(_cross(turn_change, lever), 1.0, _cross(turn, _cross(turn, lever)))
+
+
+@inlined
+def _from_to(transforms: ArrayNx4x4, k: int, j: int) -> Triple:
+    """From the origin of frame k to that of frame j; ``transforms`` (n + 2, 4, 4)."""
+    a, b = transforms[k], transforms[j]
+    return b[0, 3] - a[0, 3], b[1, 3] - a[1, 3], b[2, 3] - a[2, 3]
+
+
+@inlined
+def _turned(pose: Array4x4, vector: Array3) -> Triple:
+    """The ``vector`` (3,) of a link in the base frame; ``pose`` (4, 4)."""
+    x, y, z = vector[0], vector[1], vector[2]
+    return (
+        pose[0, 0] * x + pose[0, 1] * y + pose[0, 2] * z,
+        pose[1, 0] * x + pose[1, 1] * y + pose[1, 2] * z,
+        pose[2, 0] * x + pose[2, 1] * y + pose[2, 2] * z,
+    )
+
+
+@inlined
+def _inertia_times(pose: Array4x4, inertia: NDArray[np.float64], v: Triple) -> Triple:
+    """R I R^T v: ``inertia`` (3, 3) in the link, v in the base frame; ``pose`` (4, 4)."""
+    x = pose[0, 0] * v[0] + pose[1, 0] * v[1] + pose[2, 0] * v[2]
+    y = pose[0, 1] * v[0] + pose[1, 1] * v[1] + pose[2, 1] * v[2]
+    z = pose[0, 2] * v[0] + pose[1, 2] * v[1] + pose[2, 2] * v[2]
+    a = inertia[0, 0] * x + inertia[0, 1] * y + inertia[0, 2] * z
+    b = inertia[1, 0] * x + inertia[1, 1] * y + inertia[1, 2] * z
+    c = inertia[2, 0] * x + inertia[2, 1] * y + inertia[2, 2] * z
+    return (
+        pose[0, 0] * a + pose[0, 1] * b + pose[0, 2] * c,
+        pose[1, 0] * a + pose[1, 1] * b + pose[1, 2] * c,
+        pose[2, 0] * a + pose[2, 1] * b + pose[2, 2] * c,
+    )

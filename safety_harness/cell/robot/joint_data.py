@@ -1,0 +1,120 @@
+"""What a URDF states about a turning joint: its axis and limits, and what it leaves unknown.
+
+A URDF that is written for display leaves numbers out or sets them to 0: efforts and speeds in most files of
+industrial arms.  Such a number is unknown (NaN) here; the command that needs it asks for it (``Lack``).
+Source: the specification of the URDF's <joint> element (an axis, a lower and an upper limit have defaults).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from xml.etree.ElementTree import Element
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.cell.robot.urdf import LARGEST, Urdf
+
+NO_LIMIT = 1e3  # rad, rad/s: exporters write such numbers for "none"
+DEGREES = (90.0, 180.0, 270.0, 360.0)  # as position limits they are degrees, beside a speed above ...
+FAST_RADPS = 30.0
+LARGEST_LIMIT = 1e300
+
+
+class Use(StrEnum):
+    """Who needs a number of an arm."""
+
+    RUN = "a run"
+    TORQUES = "drives with a torque limit"
+    PYBULLET = "PyBullet"
+
+
+@dataclass(frozen=True)
+class Lack:
+    """What an arm's URDF does not state, who needs it, and how the user supplies it."""
+
+    what: str
+    uses: tuple[Use, ...]
+    supply: str
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class JointData:
+    """One turning joint.  Unknown numbers are NaN; a joint without ends has the limits -inf and inf.
+
+    ``axis`` (3,) has any length above 0.  ``soft_rad`` (lower, upper) are those of <safety_controller>.
+    ``degrees`` says that the position limits look like degrees.
+    """
+
+    axis: NDArray[np.float64]
+    lower_rad: float
+    upper_rad: float
+    speed_radps: float
+    effort_nm: float
+    soft_rad: tuple[float, float]
+    degrees: bool
+    note: str
+
+
+def joint_data(urdf: Urdf, joint: Element) -> JointData:
+    """Read a turning joint; ``ArmFileError`` for another type, a mimic joint, or limits that cannot be."""
+    kind = joint.get("type")
+    if kind not in ("revolute", "continuous"):
+        raise urdf.error(joint, "revolute, continuous or fixed joints in the arm", f"{kind!r}")
+    if (mimic := joint.find("mimic")) is not None:
+        raise urdf.error(
+            mimic, "a joint that moves by itself", f"{joint.get('name')!r}, which mimics another"
+        )
+    axis = np.array([1.0, 0.0, 0.0])
+    if joint.find("axis") is not None:
+        axis = urdf.numbers(urdf.child(joint, "axis"), "xyz", 3)
+        if not np.linalg.norm(axis) > 1e-6:
+            raise urdf.error(urdf.child(joint, "axis"), "an axis that has a direction", f"{axis.tolist()}")
+    lower, upper, speed, effort, note = -np.inf, np.inf, np.nan, np.nan, ""
+    if kind == "revolute" or joint.find("limit") is not None:
+        limit = urdf.child(joint, "limit")
+        speed, effort = (_known(urdf, limit, key) for key in ("velocity", "effort"))
+        speed = np.nan if speed > NO_LIMIT else speed
+        if kind == "revolute":
+            lower, upper = _ends(urdf, limit)
+        elif {"lower", "upper"} & set(limit.keys()):
+            note = f"{joint.get('name')} is continuous: its lower and upper limit are not used"
+    degrees = not speed <= FAST_RADPS and (abs(lower) in DEGREES or abs(upper) in DEGREES)
+    return JointData(
+        axis=axis,
+        lower_rad=lower,
+        upper_rad=upper,
+        speed_radps=speed,
+        effort_nm=effort,
+        soft_rad=_soft_limits(urdf, joint),
+        degrees=degrees,
+        note=note,
+    )
+
+
+def _known(urdf: Urdf, limit: Element, key: str) -> float:
+    """A speed or effort; NaN, unknown, if there is none or it is 0."""
+    number = urdf.number(limit, key, "0")
+    if number < 0.0:
+        raise urdf.error(limit, f"{key} 0, which is unknown, or above", f"{number:g}")
+    return number or np.nan
+
+
+def _ends(urdf: Urdf, limit: Element) -> tuple[float, float]:
+    """Lower and upper position limit [rad], to ``LARGEST``; -inf and inf if both are beyond ``NO_LIMIT``."""
+    lower, upper = (float(urdf.numbers(limit, key, 1, "0", LARGEST_LIMIT)[0]) for key in ("lower", "upper"))
+    if not lower < upper:
+        raise urdf.error(limit, "a lower limit below the upper one", f"{lower:g} and {upper:g}")
+    if lower < -NO_LIMIT and upper > NO_LIMIT:
+        return -np.inf, np.inf
+    return max(lower, -LARGEST), min(upper, LARGEST)
+
+
+def _soft_limits(urdf: Urdf, joint: Element) -> tuple[float, float]:
+    """The limits [rad] of <safety_controller>; NaN where there are none."""
+    if joint.find("safety_controller") is None:
+        return np.nan, np.nan
+    controller = urdf.child(joint, "safety_controller")
+    lower, upper = (urdf.number(controller, f"soft_{end}_limit", "0") for end in ("lower", "upper"))
+    return (lower, upper) if lower < upper else (np.nan, np.nan)

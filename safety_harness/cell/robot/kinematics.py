@@ -1,0 +1,344 @@
+"""Forward kinematics, geometric Jacobian, distance to singularity and joint velocities, compiled.
+
+Frames are counted as 0 = base, 1 to n = the links that n joints move, n + 1 = tcp throughout.  The number
+of joints is that of the arrays handed over: a record of a chain has it in its type.
+"""
+
+from __future__ import annotations
+
+from math import sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.base.compiled import compiled, inlined, njit_no_nrt
+from safety_harness.base.geometry.arrays import (
+    Array2x3,
+    Array3,
+    Array4x4,
+    Array6,
+    Array6x6,
+    Array6xN,
+    ArrayN,
+    ArrayNx3,
+    ArrayNx4x4,
+)
+from safety_harness.base.geometry.linear import invert_with, solve_in_place
+from safety_harness.base.geometry.rotations import rotation_entries
+from safety_harness.cell.robot.description import ArmModel, Chain
+
+FRAMES = 8  # of an arm with six joints
+TCP = 7
+TWIST = 6  # numbers of a twist (v, w): the rows of a Jacobian
+
+
+@njit_no_nrt
+def forward_kinematics(chain: Chain, joint_position_rad: ArrayN, transforms_out: ArrayNx4x4) -> None:
+    """Fill ``transforms_out`` (n + 2, 4, 4) with link-to-base transforms: base, n links, tcp.
+
+    T_0 = I, T_i = T_(i-1) O_i R(a_i, q_i), T_(n+1) = T_n F, with ``chain.joint_origins`` O (n, 4, 4) [m],
+    ``chain.joint_axes`` a (n, 3), ``chain.flange`` F (4, 4) and ``joint_position_rad`` q (n,): the product
+    of transforms along the chain of a URDF.  (Lynch and Park, Modern Robotics, 2017, 4.2.)
+    """
+    n = chain.joint_axes.shape[0]
+    for i in range(4):
+        for j in range(4):
+            transforms_out[0, i, j] = 1.0 if i == j else 0.0
+    for joint in range(n):
+        _compose(transforms_out, joint, chain.joint_origins[joint])
+        x, y, z = chain.joint_axes[joint, 0], chain.joint_axes[joint, 1], chain.joint_axes[joint, 2]
+        r00, r01, r02, r10, r11, r12, r20, r21, r22 = rotation_entries(x, y, z, joint_position_rad[joint])
+        k = joint + 1
+        for i in range(3):
+            x, y, z = transforms_out[k, i, 0], transforms_out[k, i, 1], transforms_out[k, i, 2]
+            transforms_out[k, i, 0] = x * r00 + y * r10 + z * r20
+            transforms_out[k, i, 1] = x * r01 + y * r11 + z * r21
+            transforms_out[k, i, 2] = x * r02 + y * r12 + z * r22
+    _compose(transforms_out, n, chain.flange)
+
+
+def links_in_base(arm: ArmModel, joint_position_rad: ArrayN) -> ArrayNx4x4:
+    """(n + 2, 4, 4) what ``forward_kinematics`` fills, of ``arm`` at ``joint_position_rad`` (n,)."""
+    transforms = np.empty((len(arm.joint_names) + 2, 4, 4))
+    forward_kinematics(arm.chain[0], joint_position_rad, transforms)
+    return transforms
+
+
+@inlined
+def _compose(transforms: ArrayNx4x4, k: int, inner: Array4x4) -> None:
+    """Fill transform k + 1 with transform k times ``inner`` (4, 4); by index, for views cost time.
+
+    ``transforms`` (n + 2, 4, 4).
+    """
+    for i in range(3):
+        x, y, z = transforms[k, i, 0], transforms[k, i, 1], transforms[k, i, 2]
+        for j in range(4):
+            transforms[k + 1, i, j] = x * inner[0, j] + y * inner[1, j] + z * inner[2, j]
+        transforms[k + 1, i, 3] += transforms[k, i, 3]
+        transforms[k + 1, 3, i] = 0.0
+    transforms[k + 1, 3, 3] = 1.0
+
+
+@inlined
+def geometric_jacobian(joint_axes: ArrayNx3, transforms: ArrayNx4x4, jacobian_out: Array6xN) -> None:
+    """Fill ``jacobian_out`` (6, n): joint velocities to the TCP origin's twist (v, w) in the base frame.
+
+    Column i is (a_i x (p_tcp - p_i), a_i) with joint i's axis a_i and a point p_i on it, both in
+    the base frame; ``transforms`` (n + 2, 4, 4) are those of ``forward_kinematics``.
+
+    ``joint_axes`` (n, 3).
+    """
+    for joint in range(joint_axes.shape[0]):
+        ax, ay, az, vx, vy, vz = _joint_twist(joint_axes, transforms, joint)
+        jacobian_out[0, joint] = vx
+        jacobian_out[1, joint] = vy
+        jacobian_out[2, joint] = vz
+        jacobian_out[3, joint] = ax
+        jacobian_out[4, joint] = ay
+        jacobian_out[5, joint] = az
+
+
+@inlined
+def tcp_velocity(
+    joint_axes: ArrayNx3, transforms: ArrayNx4x4, joint_velocity_radps: ArrayN
+) -> tuple[float, float, float]:
+    """(x, y, z) [m/s] of the TCP in the base frame: the first three rows of the Jacobian times q' (n,)."""
+    x = y = z = 0.0
+    for joint in range(joint_axes.shape[0]):
+        _, _, _, vx, vy, vz = _joint_twist(joint_axes, transforms, joint)
+        x += vx * joint_velocity_radps[joint]
+        y += vy * joint_velocity_radps[joint]
+        z += vz * joint_velocity_radps[joint]
+    return x, y, z
+
+
+@inlined
+def _joint_twist(
+    joint_axes: ArrayNx3, transforms: ArrayNx4x4, joint: int
+) -> tuple[float, float, float, float, float, float]:
+    """A joint's axis a, and a x (p_tcp - p) with a point p on it; all in the base frame.
+
+    ``joint_axes`` (n, 3), ``transforms`` (n + 2, 4, 4).
+    """
+    link, tcp = transforms[joint + 1], joint_axes.shape[0] + 1
+    x, y, z = joint_axes[joint, 0], joint_axes[joint, 1], joint_axes[joint, 2]
+    ax = link[0, 0] * x + link[0, 1] * y + link[0, 2] * z
+    ay = link[1, 0] * x + link[1, 1] * y + link[1, 2] * z
+    az = link[2, 0] * x + link[2, 1] * y + link[2, 2] * z
+    dx = transforms[tcp, 0, 3] - link[0, 3]
+    dy = transforms[tcp, 1, 3] - link[1, 3]
+    dz = transforms[tcp, 2, 3] - link[2, 3]
+    return ax, ay, az, ay * dz - az * dy, az * dx - ax * dz, ax * dy - ay * dx
+
+
+@inlined
+def link_twists(
+    joint_axes: NDArray[np.float64],  # (joints, 3)
+    transforms: NDArray[np.float64],  # (joints + 2, 4, 4)
+    rates_radps: NDArray[np.float64],  # (joints,)
+    twists: NDArray[np.float64],  # (joints + 1, 6), written
+) -> None:
+    """Of each link: its angular velocity, and the velocity of its point at the base's origin.
+
+    w_j = w_(j-1) + q'_j a_j and v_j = v_(j-1) - q'_j a_j x p_j, with the axis a_j and a point p_j on it, in
+    the base frame.  (Spatial velocities: Featherstone, Rigid Body Dynamics Algorithms, 2008.)
+    """
+    twists[0] = 0.0
+    for joint in range(joint_axes.shape[0]):
+        frame, own, rate = transforms[joint + 1], joint_axes[joint], rates_radps[joint]
+        wx = rate * (frame[0, 0] * own[0] + frame[0, 1] * own[1] + frame[0, 2] * own[2])
+        wy = rate * (frame[1, 0] * own[0] + frame[1, 1] * own[1] + frame[1, 2] * own[2])
+        wz = rate * (frame[2, 0] * own[0] + frame[2, 1] * own[1] + frame[2, 2] * own[2])
+        x, y, z = frame[0, 3], frame[1, 3], frame[2, 3]
+        twists[joint + 1, 0] = twists[joint, 0] + wx
+        twists[joint + 1, 1] = twists[joint, 1] + wy
+        twists[joint + 1, 2] = twists[joint, 2] + wz
+        twists[joint + 1, 3] = twists[joint, 3] - (wy * z - wz * y)
+        twists[joint + 1, 4] = twists[joint, 4] - (wz * x - wx * z)
+        twists[joint + 1, 5] = twists[joint, 5] - (wx * y - wy * x)
+
+
+@inlined
+def point_velocity(twist: Array6, point: Array3) -> tuple[float, float, float]:
+    """The velocity v + w x p [m/s] of a point p of a link, both in the base frame."""
+    x, y, z = point[0], point[1], point[2]
+    return (
+        twist[3] + twist[1] * z - twist[2] * y,
+        twist[4] + twist[2] * x - twist[0] * z,
+        twist[5] + twist[0] * y - twist[1] * x,
+    )
+
+
+@inlined
+def fastest_end(twist: Array6, ends: Array2x3) -> float:
+    """The speed [m/s] of the faster of two points of a link."""
+    fastest = 0.0
+    for end in range(2):
+        x, y, z = point_velocity(twist, ends[end])
+        total = x * x + y * y + z * z
+        if not total <= fastest:
+            fastest = total
+    return sqrt(fastest)
+
+
+@compiled
+def smallest_singular_value(jacobian: NDArray[np.float64]) -> float:
+    """Smallest singular value of ``jacobian`` (m, n), metres and radians mixed as they come.
+
+    One-sided Jacobi rotations (Hestenes 1958) make the columns, or the rows if they are fewer, orthogonal;
+    their lengths are then the singular values, small ones as accurate as large ones.  NaN if an entry is NaN.
+    """
+    m, length = min(jacobian.shape), max(jacobian.shape)
+    wide = jacobian.shape[1] > jacobian.shape[0]
+    columns = np.empty((m, length))  # transposed, so that a column is contiguous
+    for i in range(m):
+        for j in range(length):
+            columns[i, j] = jacobian[i, j] if wide else jacobian[j, i]
+    for _ in range(30):  # five sweeps are typical
+        rotated = False
+        for p in range(m - 1):
+            for q in range(p + 1, m):
+                alpha = beta = gamma = 0.0
+                for k in range(length):
+                    alpha += columns[p, k] * columns[p, k]
+                    beta += columns[q, k] * columns[q, k]
+                    gamma += columns[p, k] * columns[q, k]
+                if gamma * gamma <= 1e-26 * alpha * beta:
+                    continue
+                rotated = True
+                zeta = (beta - alpha) / (2.0 * gamma)
+                t = (1.0 if zeta >= 0.0 else -1.0) / (abs(zeta) + sqrt(1.0 + zeta * zeta))
+                c = 1.0 / sqrt(1.0 + t * t)
+                s = c * t
+                for k in range(length):
+                    x, y = columns[p, k], columns[q, k]
+                    columns[p, k] = c * x - s * y
+                    columns[q, k] = s * x + c * y
+        if not rotated:
+            break
+    least = np.inf
+    for p in range(m):
+        squared = 0.0
+        for k in range(length):
+            squared += columns[p, k] * columns[p, k]
+        if not squared >= least:  # a NaN is taken over
+            least = squared
+            if np.isnan(squared):
+                break
+    return sqrt(least)
+
+
+@compiled
+def is_well_conditioned(jacobian: Array6xN, min_singular_value: float) -> bool:
+    """Whether every singular value of ``jacobian`` (6, n) exceeds ``min_singular_value`` > 0.
+
+    A tenth of the work of ``smallest_singular_value``: J^T J - s^2 I (J J^T - s^2 I for more than six joints)
+    is positive definite, that is, has a Cholesky factor, exactly when all singular values exceed s.  Resolves
+    a difference of about 1e-15 / s.  False if an entry is NaN.
+    """
+    m = min(TWIST, jacobian.shape[1])
+    factor = np.empty((m, m))
+    for i in range(m):
+        for j in range(i + 1):
+            total = _product(jacobian, i, j)
+            if i == j:
+                total -= min_singular_value * min_singular_value
+            for k in range(j):
+                total -= factor[i, k] * factor[j, k]
+            if i > j:
+                factor[i, j] = total / factor[j, j]
+            elif total > 0.0:
+                factor[i, i] = sqrt(total)
+            else:
+                return False
+    return True
+
+
+@inlined
+def _product(jacobian: Array6xN, i: int, j: int) -> float:
+    """Entry (i, j) of J^T J, or of J J^T if J (6, n) has more columns than rows."""
+    total = 0.0
+    if jacobian.shape[1] > TWIST:
+        for k in range(jacobian.shape[1]):
+            total += jacobian[i, k] * jacobian[j, k]
+    else:
+        for k in range(TWIST):
+            total += jacobian[k, i] * jacobian[k, j]
+    return total
+
+
+@compiled
+def joint_velocity(
+    jacobian: Array6xN,
+    twist: Array6,  # v, w in the Jacobian's frame
+    min_singular_value: float,
+    joint_velocity_out: ArrayN,
+) -> bool:
+    """Solve J q' = (v, w); False (and zeros) nearer to a singularity than ``min_singular_value``.
+
+    J of ``geometric_jacobian``, q' [rad/s], v [m/s] and w [rad/s] in its frame.  1/|J^-1|_F is never above
+    the least singular value and costs nothing; only where it is below the bound is the singular value itself
+    computed.  Another number of joints than six takes ``_pseudo_inverse_velocity``.
+    """
+    room = np.empty((TWIST, TWIST))
+    return joint_velocity_with(jacobian, twist, min_singular_value, room, joint_velocity_out)
+
+
+@njit_no_nrt
+def joint_velocity_with(
+    jacobian: Array6xN,
+    twist: Array6,  # v, w in the Jacobian's frame
+    min_singular_value: float,
+    room: Array6x6,  # overwritten
+    joint_velocity_out: ArrayN,
+) -> bool:
+    """``joint_velocity`` with room to work in: making some costs as much as using it."""
+    if jacobian.shape[1] != TWIST:
+        return _pseudo_inverse_velocity(jacobian, twist, min_singular_value, joint_velocity_out)
+    n, inverse = TWIST, room  # a constant: loops are laid open
+    regular = invert_with(jacobian, n, inverse)
+    norm2 = 0.0
+    for i in range(n):
+        for j in range(n):
+            norm2 += inverse[i, j] * inverse[i, j]
+    if regular and not norm2 * min_singular_value * min_singular_value <= 1.0:
+        regular = np.isfinite(norm2) and smallest_singular_value(jacobian) > min_singular_value
+    for i in range(n):
+        total = 0.0
+        for j in range(n):
+            total += inverse[i, j] * twist[j]
+        joint_velocity_out[i] = total if regular else 0.0
+    return regular
+
+
+@compiled
+def _pseudo_inverse_velocity(
+    jacobian: Array6xN, twist: Array6, min_singular_value: float, joint_velocity_out: ArrayN
+) -> bool:
+    """As ``joint_velocity`` for any number n of joints but six: q' = J^+ (v, w), without damping.
+
+    More than six: of all q' with J q' = (v, w) the one of least norm, J^T (J J^T)^-1 (v, w).  Fewer: that
+    whose twist is nearest, (J^T J)^-1 J^T (v, w), metres and radians mixed as they come; no q' gives another
+    twist than those in the columns' span.  (Golub and Van Loan, 2013, 5.5.)
+    """
+    n = jacobian.shape[1]
+    m = min(TWIST, n)
+    matrix, solution = np.empty((m, m)), np.empty(m)
+    for i in range(m):
+        for j in range(m):
+            matrix[i, j] = _product(jacobian, i, j)
+        solution[i] = twist[i] if n > m else _back(jacobian, i, twist)
+    regular = is_well_conditioned(jacobian, min_singular_value) and solve_in_place(matrix, solution)
+    for i in range(n):
+        total = _back(jacobian, i, solution) if n > m else solution[i]
+        joint_velocity_out[i] = total if regular else 0.0
+    return regular
+
+
+@inlined
+def _back(jacobian: Array6xN, i: int, vector: Array6) -> float:
+    """Entry i of J^T times ``vector`` (6,), with J (6, n)."""
+    total = 0.0
+    for k in range(TWIST):
+        total += jacobian[k, i] * vector[k]
+    return total

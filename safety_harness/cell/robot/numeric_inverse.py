@@ -1,0 +1,353 @@
+"""Inverse kinematics of any chain of turning joints, by damped Newton steps from many starts.
+
+A step from the joints q towards the pose (R*, p*), with e = (p* - p, log(R* R^T)) and J the Jacobian at q:
+
+    dq = d + J^T (J J^T + l^2 I)^-1 (e - J d),        l^2 = DAMPING |e|^2
+
+without d the damped least squares of Nakamura and Hanafusa (1986), which is Newton's method near a solution.
+With d a share of q_r - q it also descends the distance to the joints q_r along the self-motions of an arm of
+more than six joints, to a place where that distance is stationary.  A joint that a step takes beyond its
+limit is put there, and the others make the step.  The starts are of a sequence that fills the limits evenly
+(Roberts, 2018), the same ones every time.
+
+Nothing is proven to be complete: docs/kinematics.md says what share of all branches was found.
+"""
+
+from __future__ import annotations
+
+from math import sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.base.compiled import compiled, inlined
+from safety_harness.base.geometry.arrays import (
+    Array4x4,
+    Array6,
+    Array6x6,
+    Array6xN,
+    ArrayN,
+    ArrayNx4x4,
+    ArrayNx6,
+)
+from safety_harness.base.geometry.linear import copy_vector, solve_in_place
+from safety_harness.base.geometry.rotations import vector_from_rotation
+from safety_harness.cell.robot.description import ArmModel, Chain, ChainRecords
+from safety_harness.cell.robot.kinematics import TWIST, forward_kinematics, geometric_jacobian
+
+STARTS = 200  # for all branches
+GIVEN_UP = 96  # starts before a pose counts as out of reach
+ENOUGH = 48  # starts for the nearest solution, once there is one
+NEAR_RAD = 0.5  # a solution so near to the reference, reached from there, is taken for the nearest
+MOST_STEPS = 80
+MOST_SLIDES = 60  # steps along a self-motion
+DAMPING = 0.01
+LARGEST_STEP_RAD = 0.5
+SOLVED = 1e-12  # largest entry of e [m, rad]
+SETTLED_RAD = 1e-6  # largest step along a self-motion
+LARGEST_SHARE = 4.0
+EXACT_POSE = 1e-9  # largest difference of a matrix entry (metres, or a direction cosine)
+SAME_RAD = 1e-6
+
+
+def starts_of(arm: ArmModel) -> NDArray[np.float64]:
+    """(STARTS, n) joint positions that fill the position limits evenly, of a wider joint one full turn."""
+    lower, upper = arm.position_lower_rad, arm.position_upper_rad
+    wide = ~(upper - lower < 2.0 * np.pi)
+    lower, upper = np.where(wide, -np.pi, lower), np.where(wide, np.pi, upper)
+    n = len(lower)
+    root = 2.0
+    for _ in range(60):  # x^(n + 1) = x + 1
+        root = (1.0 + root) ** (1.0 / (n + 1))
+    shares = (0.5 + np.outer(np.arange(1, STARTS + 1), root ** -np.arange(1.0, n + 1.0))) % 1.0
+    starts: NDArray[np.float64] = lower + shares * (upper - lower)
+    return starts
+
+
+@compiled
+def pose_error(target: Array4x4, reached: Array4x4, error_out: Array6) -> None:
+    """Fill ``error_out`` (6,) with (p* - p, log(R* R^T)) of two poses (4, 4), p* and R* the ``target``'s."""
+    error_rotation = np.empty((3, 3))
+    for i in range(3):
+        error_out[i] = target[i, 3] - reached[i, 3]
+        for j in range(3):
+            error_rotation[i, j] = (
+                target[i, 0] * reached[j, 0] + target[i, 1] * reached[j, 1] + target[i, 2] * reached[j, 2]
+            )
+    copy_vector(vector_from_rotation(error_rotation), error_out[3:])
+
+
+@compiled
+def least_step(jacobian: Array6xN, twist: Array6, matrix: Array6x6, step_out: ArrayN) -> bool:
+    """Fill ``step_out`` (n,) with the least dq that J dq = (v, w) allows, J^T (J J^T)^-1 (v, w).
+
+    ``twist`` (6,) and ``matrix`` (6, 6) are used up.  False where J (6, n) has no six independent rows.
+    """
+    for i in range(TWIST):
+        for j in range(TWIST):
+            matrix[i, j] = 0.0
+            for k in range(step_out.shape[0]):
+                matrix[i, j] += jacobian[i, k] * jacobian[j, k]
+    if step_out.shape[0] < TWIST or not solve_in_place(matrix, twist):
+        return False
+    for i in range(step_out.shape[0]):
+        step_out[i] = 0.0
+        for k in range(TWIST):
+            step_out[i] += jacobian[k, i] * twist[k]
+    return True
+
+
+@compiled
+def solve_from(
+    chains: ChainRecords,
+    lower_rad: ArrayN,
+    upper_rad: ArrayN,
+    pose: Array4x4,
+    joints: ArrayN,
+    transforms: ArrayNx4x4,
+    jacobian: Array6xN,
+) -> bool:
+    """Carry ``joints`` (n,) to the pose (4, 4), within limits (n,); False if the steps do not end there.
+
+    ``transforms`` and ``jacobian`` are written.
+    """
+    n = joints.shape[0]
+    step, pull, error = np.empty(n), np.zeros(n), np.empty(TWIST)
+    for _ in range(MOST_STEPS):
+        if _error_at(chains, pose, joints, transforms, jacobian, error) < SOLVED:
+            return _is_same(pose, transforms[n + 1])
+        if not _step(jacobian, error, pull, joints, lower_rad, upper_rad, step):
+            return False
+    return False
+
+
+@inlined
+def _is_same(pose: Array4x4, reached: Array4x4) -> bool:
+    """Do two (4, 4) agree to EXACT_POSE?  One that is no pose is never reached."""
+    for i in range(4):
+        for j in range(4):
+            if not abs(pose[i, j] - reached[i, j]) <= EXACT_POSE:
+                return False
+    return True
+
+
+@compiled
+def slide(
+    chains: ChainRecords,
+    lower_rad: ArrayN,
+    upper_rad: ArrayN,
+    pose: Array4x4,
+    reference_rad: ArrayN,
+    joints: ArrayN,
+    transforms: ArrayNx4x4,
+    jacobian: Array6xN,
+) -> float:
+    """Carry a solution, ``joints`` (n,), along its self-motion and full turns to where it is nearest.
+
+    Each step is a share of the way down the distance to the reference (n,), and is then brought back to the
+    pose; one that has not come nearer is taken back and made shorter.  Returns the distance [rad].
+    """
+    n = joints.shape[0]
+    step, pull, error, trial = np.empty(n), np.empty(n), np.empty(TWIST), joints.copy()
+    away, share = _turned_towards(lower_rad, upper_rad, reference_rad, joints), 1.0
+    for _ in range(MOST_SLIDES if n > TWIST else 0):
+        copy_vector(joints, trial)
+        for i in range(n):
+            pull[i] = share * (reference_rad[i] - joints[i])
+        _error_at(chains, pose, trial, transforms, jacobian, error)
+        if not _step(jacobian, error, pull, trial, lower_rad, upper_rad, step):
+            break
+        moved = np.abs(step).max()
+        if solve_from(chains, lower_rad, upper_rad, pose, trial, transforms, jacobian):
+            nearer = _turned_towards(lower_rad, upper_rad, reference_rad, trial)
+            if nearer < away:
+                away, share = nearer, min(2.0 * share, LARGEST_SHARE)
+                copy_vector(trial, joints)
+                if moved < SETTLED_RAD * share:
+                    break
+                continue
+        if moved < SETTLED_RAD * share:
+            break
+        share *= 0.25
+    return away
+
+
+@inlined
+def _error_at(
+    chains: ChainRecords,
+    pose: Array4x4,
+    joints: ArrayN,
+    transforms: ArrayNx4x4,
+    jacobian: Array6xN,
+    error: Array6,
+) -> float:
+    """Fill transforms, Jacobian and e at the joints; the largest entry of e."""
+    forward_kinematics(chains[0], joints, transforms)
+    geometric_jacobian(chains[0].joint_axes, transforms, jacobian)
+    pose_error(pose, transforms[joints.shape[0] + 1], error)
+    largest = 0.0
+    for i in range(TWIST):
+        largest = max(largest, abs(error[i]))
+    return largest
+
+
+@compiled
+def _step(
+    jacobian: Array6xN,
+    error: Array6,
+    pull: ArrayN,
+    joints: ArrayN,
+    lower_rad: ArrayN,
+    upper_rad: ArrayN,
+    step: ArrayN,
+) -> bool:
+    """Move ``joints`` (n,) by a damped step; ``step`` is what they moved.  False where it is not finite.
+
+    A joint that the step takes beyond a limit goes to the limit, and the step is made anew without it.
+    """
+    n = joints.shape[0]
+    fixed, rest = np.zeros(n, np.bool_), np.empty(TWIST)
+    for _ in range(n + 1):
+        copy_vector(error, rest)
+        for i in range(n):
+            moved = step[i] if fixed[i] else pull[i]
+            for k in range(TWIST):
+                rest[k] -= jacobian[k, i] * moved
+        if not _damped(jacobian, error, rest, fixed):
+            return False
+        again, scale = False, 1.0
+        for i in range(n):
+            if not fixed[i]:
+                step[i] = pull[i]
+                for k in range(TWIST):
+                    step[i] += jacobian[k, i] * rest[k]
+                scale = min(scale, LARGEST_STEP_RAD / max(abs(step[i]), LARGEST_STEP_RAD))
+        for i in range(n):
+            if not fixed[i]:
+                step[i] *= scale
+                inside = min(max(joints[i] + step[i], lower_rad[i]), upper_rad[i]) - joints[i]
+                if inside != step[i]:
+                    step[i], fixed[i], again = inside, True, True
+        if not again:
+            break
+    for i in range(n):
+        joints[i] += step[i]
+    return True
+
+
+@compiled
+def _damped(jacobian: Array6xN, error: Array6, rest: Array6, fixed: NDArray[np.bool_]) -> bool:
+    """Replace ``rest`` (6,) by (J J^T + l^2 I)^-1 rest, with the columns of J that are not ``fixed`` (n,)."""
+    matrix, squared = np.empty((TWIST, TWIST)), 0.0
+    for i in range(TWIST):
+        squared += error[i] * error[i]
+    for i in range(TWIST):
+        for j in range(TWIST):
+            total = DAMPING * squared + 1e-15 if i == j else 0.0
+            for k in range(fixed.shape[0]):
+                if not fixed[k]:
+                    total += jacobian[i, k] * jacobian[j, k]
+            matrix[i, j] = total
+    return solve_in_place(matrix, rest)
+
+
+@compiled
+def all_found(chains: ChainRecords, starts: NDArray[np.float64], pose: Array4x4) -> NDArray[np.float64]:
+    """(k, n) the solutions for ``pose`` (4, 4) from ``starts`` (m, n), each once, wrapped into (-pi, pi]."""
+    n = starts.shape[1]
+    transforms, jacobian = np.empty((n + 2, 4, 4)), np.empty((TWIST, n))
+    free = np.full(n, np.inf)
+    found, kept, joints = np.empty(starts.shape), 0, np.empty(n)
+    for s in range(starts.shape[0]):
+        copy_vector(starts[s], joints)
+        if solve_from(chains, -free, free, pose, joints, transforms, jacobian):
+            for i in range(n):
+                joints[i] = wrapped_rad(joints[i])
+            if not is_among(joints, found[:kept]):
+                copy_vector(joints, found[kept])
+                kept += 1
+    return found[:kept].copy()
+
+
+@compiled
+def is_among(joints: ArrayN, others: ArrayNx6) -> bool:
+    """Is (n,) less than SAME_RAD in every joint from one of (k, n), whole turns aside?"""
+    for k in range(others.shape[0]):
+        same = True
+        for i in range(joints.shape[0]):
+            same = same and abs(wrapped_rad(joints[i] - others[k, i])) < SAME_RAD
+        if same:
+            return True
+    return False
+
+
+@inlined
+def wrapped_rad(angle: float) -> float:
+    """The angle [rad] in (-pi, pi]."""
+    wrapped = np.pi - np.mod(np.pi - angle, 2.0 * np.pi)
+    return float(wrapped if wrapped > -np.pi else np.pi)  # a remainder may be rounded to the whole
+
+
+@compiled
+def nearest_found(
+    chains: ChainRecords,
+    lower_rad: ArrayN,
+    upper_rad: ArrayN,
+    starts: NDArray[np.float64],  # (k, n)
+    poses: NDArray[np.float64],  # (m, 4, 4)
+    reference_rad: ArrayN,
+) -> NDArray[np.float64]:
+    """(m, n): for each pose the solution within limits that was found nearest to the reference, or NaN."""
+    n = starts.shape[1]
+    transforms, jacobian, joints = np.empty((n + 2, 4, 4)), np.empty((TWIST, n)), np.empty(n)
+    solutions = np.full((poses.shape[0], n), np.nan)
+    for m in range(poses.shape[0]):
+        best = np.inf
+        for s in range(-1, 0 if _is_beyond(chains[0], poses[m]) else GIVEN_UP):
+            if s >= ENOUGH and best < np.inf:
+                break
+            for i in range(n):
+                start = reference_rad[i] if s < 0 else starts[s, i]
+                joints[i] = min(max(start, lower_rad[i]), upper_rad[i])
+            pose = poses[m]
+            if not solve_from(chains, lower_rad, upper_rad, pose, joints, transforms, jacobian):
+                continue
+            away = slide(chains, lower_rad, upper_rad, pose, reference_rad, joints, transforms, jacobian)
+            if away < best:
+                best = away
+                copy_vector(joints, solutions[m])
+            if s < 0 and away < NEAR_RAD:
+                break
+    return solutions
+
+
+@inlined
+def _is_beyond(chain: Chain, pose: Array4x4) -> bool:
+    """Is the pose (4, 4) farther from the first joint than all frames from there on are long together?"""
+    reach_m, away_m = 0.0, 0.0
+    for joint in range(1, chain.joint_origins.shape[0]):
+        reach_m += _length_m(chain.joint_origins[joint])
+    for i in range(3):
+        away_m += (pose[i, 3] - chain.joint_origins[0, i, 3]) ** 2
+    return sqrt(away_m) > reach_m + _length_m(chain.flange) + SOLVED
+
+
+@inlined
+def _length_m(frame: Array4x4) -> float:
+    return sqrt(frame[0, 3] ** 2 + frame[1, 3] ** 2 + frame[2, 3] ** 2)
+
+
+@inlined
+def _turned_towards(lower_rad: ArrayN, upper_rad: ArrayN, reference_rad: ArrayN, joints: ArrayN) -> float:
+    """Give each joint the full turns within its limits that are nearest to the reference; how far that is."""
+    total = 0.0
+    for i in range(joints.shape[0]):
+        aim = min(max(reference_rad[i], lower_rad[i]), upper_rad[i])
+        turns = np.round((aim - joints[i]) / (2.0 * np.pi))
+        for more in (0.0, -1.0, 1.0):
+            turned = joints[i] + (turns + more) * (2.0 * np.pi)
+            if lower_rad[i] <= turned <= upper_rad[i]:
+                joints[i] = turned
+                break
+        total += (joints[i] - reference_rad[i]) ** 2
+    return sqrt(total)

@@ -1,0 +1,120 @@
+"""How near the arm is to the boxes that stand in its cell."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.base.compiled import compiled, inlined
+from safety_harness.base.geometry.arrays import Array3, ArrayN, ArrayNx2x3
+from safety_harness.base.geometry.rotations import rotation_from_vector
+from safety_harness.base.geometry.transforms import inverse_transform, transform_from
+from safety_harness.cell.robot.capsules import Arm, CapsuleSet, arm_with
+from safety_harness.cell.robot.description import ArmModel
+from safety_harness.cell.robot.distance import CapsuleRecords, place_capsules
+from safety_harness.cell.robot.kinematics import forward_kinematics
+from safety_harness.scenario.obstacles import Obstacle
+
+BOX = np.dtype([("transform_base_to_box", np.float64, (4, 4)), ("half_m", np.float64, (3,))], align=True)
+BoxRecords = NDArray[np.void]  # (n,) BOX
+HALVINGS = 60
+GOLDEN = 0.5 * (sqrt(5.0) - 1.0)
+
+
+def box_records(obstacles: Sequence[Obstacle]) -> BoxRecords:
+    """(n,) BOX, read-only."""
+    boxes = np.zeros(len(obstacles), BOX)
+    for box, obstacle in zip(boxes, obstacles, strict=True):
+        turn = rotation_from_vector(np.array([0.0, 0.0, obstacle.yaw_rad]))
+        pose = transform_from(turn, np.array(obstacle.position_in_base_m))
+        box["transform_base_to_box"] = inverse_transform(pose)
+        box["half_m"] = 0.5 * np.array(obstacle.size_m)
+    boxes.setflags(write=False)
+    return boxes
+
+
+def distance_from(
+    boxes: BoxRecords, arm: ArmModel, capsules: CapsuleSet, joint_position_rad: ArrayN
+) -> float:
+    """``obstacle_distance`` [m] of ``arm`` at ``joint_position_rad`` (n,)."""
+    if len(boxes) == 0:
+        return np.inf
+    (distance_m,) = distances_m(arm_with(arm, capsules), boxes, np.array(joint_position_rad)[None])
+    return float(distance_m)
+
+
+@compiled
+def distances_m(arm: Arm, boxes: BoxRecords, joints_rad: NDArray[np.float64]) -> ArrayN:
+    """(n,) ``obstacle_distance`` [m] at each of ``joints_rad`` (n, joints), NaN where one is."""
+    found = np.full(joints_rad.shape[0], np.nan)
+    transforms, ends = np.empty((arm.reach_m.shape[0] + 2, 4, 4)), np.empty((arm.capsules.shape[0], 2, 3))
+    for k in range(joints_rad.shape[0]):
+        forward_kinematics(arm.chain[0], joints_rad[k], transforms)
+        place_capsules(arm.capsules, transforms, ends)
+        if not np.isnan(joints_rad[k].sum()):
+            found[k] = obstacle_distance(boxes, arm.capsules, ends)
+    return found
+
+
+@compiled
+def obstacle_distance(
+    boxes: BoxRecords, capsules: CapsuleRecords, capsule_endpoints_in_base_m: ArrayNx2x3
+) -> float:
+    """Least distance [m] of a moving link's capsule from a box; infinity without boxes, NaN if any is.
+
+    min over capsules and boxes of |axis, box| - r, which in a box is -r and no less.  The base stands and
+    does not count.  ``capsules`` (n,) CAPSULE, ``capsule_endpoints_in_base_m`` (n, 2, 3).
+    """
+    least = np.inf
+    for b in range(boxes.shape[0]):
+        for k in range(capsules.shape[0]):
+            if capsules[k].link_index == 0:
+                continue
+            start, end = capsule_endpoints_in_base_m[k, 0], capsule_endpoints_in_base_m[k, 1]
+            distance = segment_box_distance(boxes, b, start, end) - capsules[k].radius_m
+            if not distance >= least:  # takes a NaN over, and nothing is less than a NaN
+                least = distance
+                if np.isnan(least):
+                    return float(least)
+    return float(least)
+
+
+@compiled
+def segment_box_distance(boxes: BoxRecords, b: int, start: Array3, end: Array3) -> float:
+    """Distance [m] of a segment, ends (3,) in the base frame, from box ``b``; 0 where it is within.
+
+    The distance from a convex body is convex along a segment, so that a search by golden sections ends at its
+    least, after 60 of them to 1e-12 of the length.  (Boyd and Vandenberghe, Convex Optimization, 2004, 3.2.)
+    """
+    low, high = 0.0, 1.0
+    one, other = high - GOLDEN * (high - low), low + GOLDEN * (high - low)
+    at_one, at_other = _away(boxes, b, start, end, one), _away(boxes, b, start, end, other)
+    least = min(_away(boxes, b, start, end, 0.0), _away(boxes, b, start, end, 1.0))
+    for _ in range(HALVINGS):
+        if at_one <= at_other:
+            high, other, at_other = other, one, at_one
+            one = high - GOLDEN * (high - low)
+            at_one = _away(boxes, b, start, end, one)
+        else:
+            low, one, at_one = one, other, at_other
+            other = low + GOLDEN * (high - low)
+            at_other = _away(boxes, b, start, end, other)
+    if np.isnan(at_one + at_other):
+        return np.nan
+    return float(min(least, at_one, at_other))
+
+
+@inlined
+def _away(boxes: BoxRecords, b: int, start: Array3, end: Array3, share: float) -> float:
+    """|p - nearest point of the box| [m] with p so far along the segment."""
+    squared = 0.0
+    for i in range(3):
+        local = boxes[b].transform_base_to_box[i, 3]
+        for j in range(3):
+            local += boxes[b].transform_base_to_box[i, j] * (start[j] + share * (end[j] - start[j]))
+        outside = max(abs(local) - boxes[b].half_m[i], 0.0)
+        squared += outside * outside
+    return sqrt(squared)

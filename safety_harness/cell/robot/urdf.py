@@ -1,0 +1,256 @@
+"""A URDF as a tree that knows its lines: links, joints, numbers and files, and what is wrong with them."""
+
+from __future__ import annotations
+
+import difflib
+import os.path
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from urllib.parse import unquote
+from xml.etree.ElementTree import Element
+from xml.parsers import expat
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.base.exceptions import ArmModelError, InputError, Place
+from safety_harness.base.geometry.rotations import rotation_about
+from safety_harness.base.geometry.transforms import transform_from
+
+MAX_BYTES = 200_000_000
+DEEPEST = 100  # elements within each other: Python's writer of XML takes a call for each
+LARGEST = 1e9  # of any number in SI units: products of these stay finite
+_WORDS = {1: "a number", 3: "three numbers"}
+
+
+class ArmFileError(InputError, ArmModelError):
+    """A file that describes an arm (URDF, mesh or capsules) cannot be used: it says file, line and field."""
+
+
+def expand_by_xacro(file: Path) -> str:
+    """The command that makes a URDF of a file which is written for xacro."""
+    name = file.name.removesuffix(".xacro").removesuffix(".urdf")
+    return f"xacro expands it: xacro {file.name} > {name}-expanded.urdf"
+
+
+def read_bytes(file: Path) -> bytes:
+    """What a file holds; ``ArmFileError`` if it cannot be read or is larger than any of ours."""
+    try:
+        if not os.path.isfile(file):
+            raise ArmFileError.of_file(file, "a file", "none of that name")
+        if file.stat().st_size > MAX_BYTES:
+            raise ArmFileError.of_file(file, f"at most {MAX_BYTES:,} bytes", f"{file.stat().st_size:,}")
+        return file.read_bytes()
+    except OSError as error:
+        raise ArmFileError.of_file(file, "a file that can be read", str(error)) from error
+
+
+@dataclass(frozen=True, eq=False)
+class Urdf:
+    """A URDF whose joints form a tree or several; ``above`` has the joint above a link, by its name."""
+
+    file: Path
+    root: Element
+    lines: dict[Element, int]
+    links: dict[str, Element]
+    above: dict[str, Element]
+
+    @classmethod
+    def read(cls, file: Path, text: bytes | None = None) -> Urdf:
+        """Read ``file``, or ``text`` in its place; ``ArmFileError`` unless it is XML with a tree of links."""
+        root, lines = _parse(file, read_bytes(file) if text is None else text)
+        urdf = cls(file, root, lines, {}, {})
+        if root.tag != "robot":
+            raise urdf.error(root, "a <robot>", f"<{root.tag}>")
+        for link in root.findall("link"):
+            if urdf.links.setdefault(urdf.text(link, "name"), link) is not link:
+                raise urdf.error(link, "one link of a name", "a second one")
+        joints: dict[str, Element] = {}
+        for joint in root.findall("joint"):
+            if joints.setdefault(urdf.text(joint, "name"), joint) is not joint:
+                raise urdf.error(joint, "one joint of a name", "a second one")
+            urdf.parent(joint)
+            child = urdf._end(joint, "child")
+            if urdf.above.setdefault(child, joint) is not joint:
+                other = urdf.above[child].get("name")
+                raise urdf.error(joint, f"one joint above the link {child!r}", f"a second, after {other!r}")
+        urdf._refuse_loops()
+        return urdf
+
+    def _refuse_loops(self) -> None:
+        settled: set[str] = set()
+        for link in self.above:
+            way: set[str] = set()
+            while link in self.above and link not in settled:
+                if link in way:
+                    raise self.error(self.above[link], "joints that form a tree", "a closed loop")
+                way.add(link)
+                link = self.parent(self.above[link])
+            settled |= way
+
+    def error(self, element: Element, expected: str, got: str, hint: str = "") -> ArmFileError:
+        """What is wrong with an element, with its line."""
+        name = element.get("name")
+        field = f"<{element.tag}>" if name is None else f"{element.tag} {name!r}"
+        place = Place(self.file, self.lines.get(element), field)
+        return ArmFileError(place=place, expected=expected, got=got, hint=hint)
+
+    def child(self, element: Element, tag: str) -> Element:
+        """The one child of that tag."""
+        found = element.findall(tag)
+        if len(found) != 1:
+            raise self.error(element, f"one <{tag}> in it", f"{len(found)}")
+        return found[0]
+
+    def text(self, element: Element, key: str) -> str:
+        """An attribute that is not empty."""
+        text = element.get(key, "")
+        if not text.strip():
+            raise self.error(element, f"an attribute {key!r}", "none")
+        return text
+
+    def numbers(
+        self, element: Element, key: str, count: int, default: str | None = None, largest: float = LARGEST
+    ) -> NDArray[np.float64]:
+        """An attribute of ``count`` numbers (count,), none beyond ``largest``."""
+        text = element.get(key, default)
+        try:
+            numbers = [float(word) for word in (text or "").split()]
+        except ValueError:
+            numbers = []
+        if len(numbers) != count or not all(abs(number) <= largest for number in numbers) or "_" in str(text):
+            hint = expand_by_xacro(self.file) if "$" in (text or "") else ""
+            got = "none" if text is None else repr(text)
+            raise self.error(element, f"{_WORDS[count]} for {key!r}", got, hint)
+        return np.array(numbers)
+
+    def number(self, element: Element, key: str, default: str | None = None) -> float:
+        """An attribute that is one finite number."""
+        return float(self.numbers(element, key, 1, default)[0])
+
+    def origin(self, element: Element) -> NDArray[np.float64]:
+        """The (4, 4) transform of an <origin>: fixed-axis roll, pitch, yaw, so R = Rz Ry Rx."""
+        if element.find("origin") is None:
+            return np.eye(4)
+        origin = self.child(element, "origin")
+        rotation = np.eye(3)
+        turn = np.empty((3, 3))
+        for axis, angle in zip(np.eye(3), self.numbers(origin, "rpy", 3, "0 0 0"), strict=True):
+            rotation_about(axis, angle, turn)
+            rotation = turn @ rotation
+        return transform_from(rotation, self.numbers(origin, "xyz", 3, "0 0 0"))
+
+    def parent(self, joint: Element) -> str:
+        """The link that a joint hangs on."""
+        return self._end(joint, "parent")
+
+    def _end(self, joint: Element, tag: str) -> str:
+        end = self.child(joint, tag)
+        return self.known(self.text(end, "link"), end)
+
+    def known(self, link: str, element: Element) -> str:
+        """``link``; ``ArmFileError`` at ``element``, with the nearest names, unless there is one."""
+        if link not in self.links:
+            near = difflib.get_close_matches(link, self.links, n=3, cutoff=0.4) or list(self.links)[:20]
+            raise self.error(element, "a link of the file", repr(link), f"there is {', '.join(near)}")
+        return link
+
+    def only(self, what: str, links: Iterable[str]) -> str:
+        """The one of these links; ``ArmFileError`` if there are others."""
+        found = list(links)
+        if len(found) != 1:
+            raise self.error(
+                self.root,
+                f"the name of the {what}, or one link that can be it",
+                ", ".join(found[:20]) or "none",
+            )
+        return found[0]
+
+    def chain(self, base: str | None, tcp: str | None) -> tuple[str, str, list[Element]]:
+        """Base, tcp and the joints between them, base first; by default the only root and the only leaf."""
+        if base is None:
+            base = self.only("base", (link for link in self.links if link not in self.above))
+        if tcp is None:
+            inner = {self.parent(joint) for joint in self.above.values()}
+            tcp = self.only("tcp", (link for link in self.links if link not in inner))
+        link, joints = self.known(tcp, self.root), list[Element]()
+        self.known(base, self.root)
+        while link != base:
+            if link not in self.above:
+                raise self.error(self.links[tcp], f"joints that lead up to {base!r}", f"they end at {link!r}")
+            joints.append(self.above[link])
+            link = self.parent(joints[-1])
+        return base, tcp, joints[::-1]
+
+    def carrier(self, link: str, among: Collection[str]) -> tuple[str | None, list[NDArray[np.float64]]]:
+        """Which link of ``among`` a link is, or is fixed to, and those joints' (4, 4) frames on the way."""
+        way: list[NDArray[np.float64]] = []
+        while link not in among:
+            joint = self.above.get(link)
+            if joint is None or joint.get("type") != "fixed":
+                return None, []
+            link, way = self.parent(joint), [self.origin(joint), *way]
+        return link, way
+
+    def mesh_file(self, mesh: Element, packages: Mapping[str, Path]) -> Path:
+        """The file of a <mesh>: relative to the URDF, file://, or package:// (see ``read_arm``)."""
+        uri = self.text(mesh, "filename")
+        scheme, _, rest = uri.rpartition("://")
+        name, _, inner = rest.partition("/")
+        given = [
+            folder / rest.removeprefix(package + "/")
+            for package, folder in packages.items()
+            if rest.startswith(package + "/")
+        ]
+        above = self.file.resolve().parents
+        places = {
+            "": [self.file.parent / uri],
+            "file": [Path(unquote(rest))],
+            "package": given or [*(folder / name / inner for folder in above), *(f / inner for f in above)],
+        }
+        if scheme not in places:
+            raise self.error(mesh, "a path, file:// or package://", repr(uri))
+        for place in places[scheme]:
+            if os.path.isfile(place):
+                return place
+        hint = "--package NAME=FOLDER says where it is" if scheme == "package" else ""
+        raise self.error(mesh, "the name of a mesh file", f"{uri!r}, and there is none", hint)
+
+
+def _parse(file: Path, text: bytes) -> tuple[Element, dict[Element, int]]:
+    """The root of a file with that ``text``, and the line at which each element begins; ``ArmFileError``."""
+    builder, lines = ElementTree.TreeBuilder(), dict[Element, int]()
+    parser, open_tags = expat.ParserCreate(), list[str]()
+
+    def refused(expected: str, got: str, hint: str = "") -> ArmFileError:
+        return ArmFileError(
+            place=Place(file, parser.CurrentLineNumber), expected=expected, got=got, hint=hint
+        )
+
+    def start(tag: str, attributes: dict[str, str]) -> None:
+        if tag.startswith("xacro:"):
+            raise refused("a URDF that xacro has expanded", f"<{tag}>", expand_by_xacro(file))
+        open_tags.append(tag)
+        if len(open_tags) > DEEPEST:
+            raise refused(f"at most {DEEPEST} elements within each other", f"<{tag}> in {DEEPEST}")
+        own = {key: value for key, value in attributes.items() if not key.startswith("xmlns")}
+        lines[builder.start(tag, own)] = parser.CurrentLineNumber
+
+    def end(tag: str) -> None:
+        open_tags.pop()
+        builder.end(tag)
+
+    def refuse(*_: object) -> None:  # of entities, which can be as large as they like
+        raise refused("a URDF, which has no DOCTYPE", "one")
+
+    parser.StartElementHandler = start
+    parser.EndElementHandler = end
+    parser.CharacterDataHandler = builder.data
+    parser.StartDoctypeDeclHandler = refuse
+    try:
+        parser.Parse(text, True)
+    except (expat.ExpatError, ValueError, LookupError) as error:
+        raise refused("a URDF, which is XML", str(error)) from error
+    return builder.close(), lines

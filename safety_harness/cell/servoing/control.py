@@ -1,0 +1,187 @@
+"""The control law v = -lambda L^+ e (eq. 1) and the desired view that it drives the camera to."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.base.compiled import compiled, njit_no_nrt
+from safety_harness.base.exceptions import Place, SettingsError
+from safety_harness.base.geometry.arrays import Array4x4, Array6, Array6x6, Array31
+from safety_harness.base.geometry.linear import solve_in_place
+from safety_harness.base.settings import InteractionChoice, ObjectKind
+from safety_harness.cell.perception.camera import object_plane, polygon_in_camera, project
+from safety_harness.cell.perception.moments import MOMENT_COUNT, XG, YG, point_moments, polygon_moments
+from safety_harness.cell.servoing.features import A_N, area, brackets, features
+from safety_harness.cell.servoing.interaction import interaction_matrix
+
+# InteractionChoice, as compiled code takes it.
+DESIRED, CURRENT, MEAN = range(3)
+
+# A bracket pair or a singular value this much smaller than the largest is rounding, not geometry.
+NEGLIGIBLE = 1e-6
+
+
+def choice_code(choice: InteractionChoice) -> int:
+    """``choice`` as the number that ``camera_twist`` takes."""
+    return (InteractionChoice.DESIRED, InteractionChoice.CURRENT, InteractionChoice.MEAN).index(choice)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DesiredView:
+    """What the camera sees at the desired pose, and L* there; arrays are read-only.
+
+    ``area`` is the a* of eq. 3, ``depth_m`` the depth Z* of the object's centroid, ``plane`` its
+    (A, B, C) and ``condition_number`` the ratio of the largest to the smallest singular value of L*.
+    """
+
+    dense: bool
+    features: NDArray[np.float64]  # (6,) f*
+    area: float
+    depth_m: float
+    moments: NDArray[np.float64]  # (31,)
+    plane: NDArray[np.float64]  # (3,)
+    interaction: NDArray[np.float64]  # (6, 6) L*
+    interaction_pinv: NDArray[np.float64]  # (6, 6)
+    condition_number: float
+
+    def __post_init__(self) -> None:
+        for array in (self.features, self.moments, self.plane, self.interaction, self.interaction_pinv):
+            array.setflags(write=False)
+
+
+def desired_view(
+    polygon_m: NDArray[np.float64],  # (n, 2)
+    transform_object_to_camera: Array4x4,  # at the desired pose
+    object_kind: ObjectKind,
+    *,
+    place: Place = Place(field="object.polygon"),  # noqa: B008 (frozen)
+) -> DesiredView:
+    """The desired view of a flat object given in its own frame.
+
+    Raises SettingsError, at ``place``, if the object cannot be seen from there or is too symmetric
+    to servo on: an isosceles triangle's mirror symmetry makes two rows of L* dependent (rank 5), and
+    an equilateral triangle makes gamma 0/0.
+    """
+    dense = object_kind is ObjectKind.DENSE
+    points_in_camera = np.empty((len(polygon_m), 3))
+    normalised = np.empty((len(polygon_m), 2))
+    plane = np.empty(3)
+    moments = np.empty(MOMENT_COUNT)
+    polygon_in_camera(polygon_m, transform_object_to_camera, points_in_camera)
+    seen = object_plane(transform_object_to_camera, plane) and project(points_in_camera, normalised)
+    seen = seen and (polygon_moments if dense else point_moments)(normalised, moments)
+    if not seen:
+        raise SettingsError(
+            place=place,
+            expected="an object with an area, in front of the camera at the desired pose",
+            got="one that cannot be seen from there",
+        )
+    depth_m = float(1.0 / (plane[0] * moments[XG] + plane[1] * moments[YG] + plane[2]))
+    desired_area = float(area(moments, dense))
+    f = np.empty(6)
+    interaction = np.empty((6, 6))
+    _refuse_threefold_symmetry(moments, place)
+    finite = features(moments, desired_area, depth_m, dense, f)
+    finite = interaction_matrix(moments, plane, desired_area, depth_m, dense, interaction) and finite
+    singular_values = np.linalg.svd(interaction, compute_uv=False) if finite else np.zeros(6)
+    if not singular_values[-1] > NEGLIGIBLE * singular_values[0]:
+        raise SettingsError(
+            place=place,
+            expected="an object whose interaction matrix has rank 6 at the desired pose",
+            got=f"rank {int(np.sum(singular_values > NEGLIGIBLE * singular_values[0]))}",
+            hint="a mirror-symmetric object (an isosceles triangle, say) leaves one motion unseen; "
+            "a triangle near 3:4:5 is best",
+        )
+    return DesiredView(
+        dense=dense,
+        features=f,
+        area=desired_area,
+        depth_m=depth_m,
+        moments=moments,
+        plane=plane,
+        interaction=interaction,
+        interaction_pinv=np.asarray(np.linalg.pinv(interaction), dtype=np.float64),
+        condition_number=float(singular_values[0] / singular_values[-1]),
+    )
+
+
+def _refuse_threefold_symmetry(moments: Array31, place: Place) -> None:
+    """Raise SettingsError if In3 of ``moments`` (31,) is only rounding: gamma and delta are 0/0 or x/0."""
+    pairs = np.empty((3, 2))
+    brackets(moments, pairs)
+    sizes = np.hypot(pairs[:, 0], pairs[:, 1])
+    if not sizes[2] > NEGLIGIBLE * sizes.max():
+        raise SettingsError(
+            place=place,
+            expected="an object whose invariants gamma and delta exist (In3 of eq. 5 is not zero)",
+            got="one with a rotational symmetry (an equilateral triangle, say), whose In3 is zero",
+            hint="a triangle near 3:4:5 is best",
+        )
+
+
+@njit_no_nrt
+def camera_twist(
+    choice: int,  # DESIRED, CURRENT or MEAN
+    desired_interaction: Array6x6,  # L*
+    desired_interaction_pinv: Array6x6,
+    moments: Array31,  # current
+    current_features: Array6,
+    desired_area: float,
+    desired_depth_m: float,
+    dense: bool,
+    gain: float,  # [1/s]
+    error: Array6,  # e = f - f*
+    out: Array6,
+) -> bool:
+    """(v, w) of the camera in its own frame [m/s, rad/s] by eq. 1; False if it is not finite.
+
+        (v, w) = -lambda L^+ e,   L = L* (desired), L_f (current) or (L* + L_f)/2 (mean)
+
+    with lambda the ``gain`` and e the ``error``; three choices of Chaumette and Hutchinson (2006).  The
+    current matrix is eq. 2: the object's plane is taken to be parallel to the image, at the depth a_n, since
+    the camera does not know better.  "Mean" inverts the mean of L and L*.  Where a square matrix has full
+    rank its pseudoinverse is its inverse, so these two solve L v = -lambda e; an exactly singular one gives
+    False.
+    """
+    if choice == DESIRED:
+        for row in range(6):
+            total = 0.0
+            for column in range(6):
+                total += desired_interaction_pinv[row, column] * error[column]
+            out[row] = -gain * total
+    else:
+        for row in range(6):
+            out[row] = -gain * error[row]
+        depth_m, mean = current_features[A_N], choice == MEAN
+        if not _solve(desired_interaction, moments, depth_m, desired_area, desired_depth_m, dense, mean, out):
+            return False
+    finite = True
+    for k in range(6):
+        finite = finite and np.isfinite(out[k])
+    return finite
+
+
+@compiled
+def _solve(
+    desired_interaction: Array6x6,
+    moments: Array31,
+    depth_m: float,
+    desired_area: float,
+    desired_depth_m: float,
+    dense: bool,
+    mean: bool,
+    vector: Array6,  # overwritten
+) -> bool:
+    """Solve L x = ``vector`` with L that of now, at ``depth_m``, or its ``mean`` with L*."""
+    parallel, matrix = np.zeros(3), np.empty((6, 6))
+    parallel[2] = 1.0 / depth_m
+    if not interaction_matrix(moments, parallel, desired_area, desired_depth_m, dense, matrix):
+        return False
+    if mean:
+        for row in range(6):
+            for column in range(6):
+                matrix[row, column] = 0.5 * (matrix[row, column] + desired_interaction[row, column])
+    return solve_in_place(matrix, vector)

@@ -1,0 +1,284 @@
+"""The PyBullet side of the cell: robot, table, object and hands as bodies of one client, and its images."""
+
+from __future__ import annotations
+
+import atexit
+import os
+import tempfile
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.base.geometry.arrays import Array4x4, ArrayN
+from safety_harness.base.geometry.rotations import vector_from_rotation
+from safety_harness.base.settings import Settings, Vector3
+from safety_harness.cell.perception.detector import (
+    HAND_COLOUR_RGBA,
+    OBJECT_RGB,
+    SLEEVE_COLOUR_RGBA,
+    TABLE_RGB,
+    object_mask,
+)
+from safety_harness.cell.perception.hand_boxes import rendered_principal_point_px
+from safety_harness.cell.perception.moments import MOMENT_COUNT
+from safety_harness.cell.perception.raster import mask_moments
+from safety_harness.cell.robot.description import ArmModel, resolved_urdf
+from safety_harness.cell.robot.joint_data import Use
+from safety_harness.cell.simulation.cameras import object_polygon_in_base
+from safety_harness.cell.simulation.engine import pybullet
+
+TABLE_HALF_M = (1.5, 1.5, 0.02)
+OBJECT_THICKNESS_M = 0.0005
+OUT_OF_VIEW_M = (0.0, 0.0, -9.0)  # where hands are until they are placed
+OBJECT_COLOUR_RGBA = (*(value / 255.0 for value in OBJECT_RGB), 1.0)
+TABLE_COLOUR_RGBA = (*(value / 255.0 for value in TABLE_RGB), 1.0)
+
+
+@dataclass(frozen=True)
+class Bodies:
+    """PyBullet's numbers for what stands in the cell; hands only exist where images are made."""
+
+    robot: int
+    joints: tuple[int, ...]
+    hands: tuple[int, ...]
+    forearms: tuple[int, ...]
+
+
+@lru_cache(maxsize=16)
+def urdf_file(arm: ArmModel, visuals: bool) -> Path:
+    """The resolved URDF as a file that PyBullet can read, written once a process and removed with it."""
+    handle, path = tempfile.mkstemp(prefix="safety_harness_", suffix=".urdf")
+    atexit.register(Path(path).unlink, missing_ok=True)
+    with os.fdopen(handle, "w") as file:
+        file.write(resolved_urdf(arm, visuals=visuals))
+    return Path(path)
+
+
+def load_robot(client: int, arm: ArmModel, *, visuals: bool) -> tuple[int, tuple[int, ...]]:
+    """PyBullet's numbers for an arm where it is seated, and for its joints.
+
+    ``ArmFileError`` if the arm lacks an effort or an inertia.
+    """
+    arm.require(Use.PYBULLET)
+    tilt = vector_from_rotation(arm.transform_seat[:3, :3])
+    robot = pybullet.loadURDF(
+        str(urdf_file(arm, visuals)),
+        arm.transform_seat[:3, 3],
+        _turn_by(tilt),
+        useFixedBase=True,
+        physicsClientId=client,
+    )
+    by_name = {
+        pybullet.getJointInfo(robot, i, physicsClientId=client)[1].decode(): i
+        for i in range(pybullet.getNumJoints(robot, physicsClientId=client))
+    }
+    return robot, tuple(by_name[name] for name in arm.joint_names)
+
+
+def build_cell(
+    client: int,
+    settings: Settings,
+    arm: ArmModel,
+    joint_position_rad: ArrayN,
+    *,
+    rendered: bool,
+    hands: int = 2,
+) -> Bodies:
+    """Load everything into ``client``; visual meshes, and ``hands``, only when images are ``rendered``.
+
+    ``joint_position_rad`` (n,).
+    """
+    pybullet.setGravity(0.0, 0.0, -9.81, physicsClientId=client)
+    pybullet.setTimeStep(
+        settings.clock.control_period_s / settings.clock.physics_substeps, physicsClientId=client
+    )
+    # By default the solver stops early and gravity pulls the joints along at 1e-5 to 1e-4 rad/s,
+    # 1 mm and 0.1 degree in a minute: real drives hold.
+    pybullet.setPhysicsEngineParameter(
+        numSolverIterations=200, solverResidualThreshold=1e-18, physicsClientId=client
+    )
+    robot, joints = load_robot(client, arm, visuals=rendered)
+    pybullet.resetJointStatesMultiDof(
+        robot, joints, [[q] for q in joint_position_rad], [[0.0]] * len(joints), physicsClientId=client
+    )
+    for joint in range(-1, pybullet.getNumJoints(robot, physicsClientId=client)):
+        # the drives are modelled, friction and air are not
+        pybullet.changeDynamics(
+            robot, joint, linearDamping=0.0, angularDamping=0.0, jointDamping=0.0, physicsClientId=client
+        )
+    _table(client, settings, rendered=rendered)
+    spheres: tuple[int, ...] = ()
+    forearms: tuple[int, ...] = ()
+    if rendered:
+        _paint_object(client, settings)
+        spheres = tuple(_hand(client, settings) for _ in range(hands))
+        forearms = tuple(_forearm(client, settings) for _ in range(hands))
+    return Bodies(robot, joints, spheres, forearms)
+
+
+def _table(client: int, settings: Settings, *, rendered: bool) -> None:
+    height_m = settings.cell.table_height_m
+    collision = pybullet.createCollisionShape(
+        pybullet.GEOM_BOX, halfExtents=TABLE_HALF_M, physicsClientId=client
+    )
+    visual = -1
+    if rendered:
+        # as thin as the object is, it lies above what is painted of the table
+        visual = pybullet.createVisualShape(
+            pybullet.GEOM_BOX,
+            halfExtents=TABLE_HALF_M,
+            rgbaColor=TABLE_COLOUR_RGBA,
+            visualFramePosition=(0.0, 0.0, -OBJECT_THICKNESS_M),
+            physicsClientId=client,
+        )
+    pybullet.createMultiBody(
+        0.0, collision, visual, basePosition=(1.0, 0.0, height_m - TABLE_HALF_M[2]), physicsClientId=client
+    )
+
+
+def _paint_object(client: int, settings: Settings) -> None:
+    """The object as a thin painted prism; its upper face is the plane that servoing sees."""
+    top = object_polygon_in_base(settings)
+    n = len(top)
+    if np.cross(top[1] - top[0], top[2] - top[0])[2] < 0.0:
+        top = top[::-1]
+    vertices = np.concatenate([top, top])
+    vertices[n:, 2] -= OBJECT_THICKNESS_M
+    faces = [i for k in range(1, n - 1) for i in (0, k, k + 1)]
+    normals = [(0.0, 0.0, 1.0)] * len(vertices)
+    _painted(
+        client,
+        OBJECT_COLOUR_RGBA,
+        (0.0, 0.0, 0.0),
+        vertices=vertices.tolist(),
+        indices=faces,
+        normals=normals,
+    )
+
+
+def _painted(
+    client: int,
+    colour: tuple[float, ...],
+    at: Vector3 = OUT_OF_VIEW_M,
+    kind: int = pybullet.GEOM_MESH,
+    **shape: Any,
+) -> int:
+    """A body that is only seen."""
+    visual = pybullet.createVisualShape(kind, rgbaColor=colour, physicsClientId=client, **shape)
+    return int(pybullet.createMultiBody(0.0, -1, visual, basePosition=at, physicsClientId=client))
+
+
+def _hand(client: int, settings: Settings) -> int:
+    vertices, faces = _round_mesh(settings.hand.radius_m)  # PyBullet's own sphere is up to 9 px off
+    return _painted(client, HAND_COLOUR_RGBA, vertices=vertices, indices=faces, normals=vertices)
+
+
+def _round_mesh(radius_m: float, rings: int = 24) -> tuple[list[list[float]], list[int]]:
+    """A sphere of ``rings`` parallels and twice as many meridians: vertices and triangle indices."""
+    around = 2 * rings
+    polar = np.pi * np.arange(rings + 1) / rings
+    azimuth = 2.0 * np.pi * np.arange(around) / around
+    height = np.repeat(np.cos(polar), around)
+    width = np.repeat(np.sin(polar), around)
+    turn = np.tile(azimuth, rings + 1)
+    vertices = radius_m * np.stack([width * np.cos(turn), width * np.sin(turn), height], axis=1)
+    faces: list[int] = []
+    for ring in range(rings):
+        for k in range(around):
+            a, b = ring * around + k, ring * around + (k + 1) % around
+            faces += [a, a + around, b, b, a + around, b + around]
+    return vertices.tolist(), faces
+
+
+def _forearm(client: int, settings: Settings) -> int:
+    hand, kind = settings.hand, pybullet.GEOM_CAPSULE
+    return _painted(
+        client, SLEEVE_COLOUR_RGBA, kind=kind, radius=hand.forearm_radius_m, length=hand.forearm_length_m
+    )
+
+
+def place_hands(client: int, bodies: Bodies, hands: NDArray[np.void]) -> None:
+    """Put the painted hands where they are; a forearm lies between hand and elbow.
+
+    ``hands`` (hands,) HAND.
+    """
+    for hand, sphere, forearm in zip(hands, bodies.hands, bodies.forearms, strict=True):
+        if not hand["present"]:
+            continue
+        position, elbow = hand["position_in_base_m"], hand["elbow_in_base_m"]
+        pybullet.resetBasePositionAndOrientation(
+            sphere, position, (0.0, 0.0, 0.0, 1.0), physicsClientId=client
+        )
+        pybullet.resetBasePositionAndOrientation(
+            forearm, 0.5 * (position + elbow), _turn_z_to(elbow - position), physicsClientId=client
+        )
+
+
+def _turn_by(vector: NDArray[np.float64]) -> tuple[float, float, float, float]:
+    """The quaternion (x, y, z, w) of a rotation vector (3,)."""
+    half = 0.5 * float(np.linalg.norm(vector))
+    x, y, z = 0.5 * np.sinc(half / np.pi) * vector
+    return (x, y, z, float(np.cos(half)))
+
+
+def _turn_z_to(direction: NDArray[np.float64]) -> tuple[float, float, float, float]:
+    """The quaternion (x, y, z, w) that turns z into ``direction``."""
+    unit = direction / np.linalg.norm(direction)
+    if unit[2] < -1.0 + 1e-12:
+        return (1.0, 0.0, 0.0, 0.0)
+    quaternion = np.array([-unit[1], unit[0], 0.0, 1.0 + unit[2]])
+    quaternion /= np.linalg.norm(quaternion)
+    return (quaternion[0], quaternion[1], quaternion[2], quaternion[3])
+
+
+NEAR_M, FAR_M = 0.02, 5.0
+
+
+def render(
+    client: int, transform_camera_to_base: Array4x4, focal_px: float, width_px: int, height_px: int
+) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
+    """Colour (h, w, 3) and depth along the optical axis (h, w) [m]; pixels hit by nothing are +inf deep.
+
+    OpenGL's camera looks along -z with y up; ours looks along z with y down.
+    """
+    eye = transform_camera_to_base[:3, 3]
+    view = pybullet.computeViewMatrix(
+        eye, eye + transform_camera_to_base[:3, 2], -transform_camera_to_base[:3, 1]
+    )
+    projection = (
+        (2.0 * focal_px / width_px, 0.0, 0.0, 0.0)
+        + (0.0, 2.0 * focal_px / height_px, 0.0, 0.0)
+        + (0.0, 0.0, -(FAR_M + NEAR_M) / (FAR_M - NEAR_M), -1.0)
+        + (0.0, 0.0, -2.0 * FAR_M * NEAR_M / (FAR_M - NEAR_M), 0.0)
+    )
+    _, _, colour, buffer, _ = pybullet.getCameraImage(
+        width_px,
+        height_px,
+        view,
+        projection,
+        shadow=0,
+        lightDirection=(0.0, 0.0, 1.0),
+        renderer=pybullet.ER_TINY_RENDERER,
+        physicsClientId=client,
+    )
+    buffer = np.asarray(buffer, dtype=np.float64).reshape(height_px, width_px)
+    depth_m = FAR_M * NEAR_M / (FAR_M - (FAR_M - NEAR_M) * buffer)
+    depth_m[buffer >= 1.0] = np.inf
+    pixels = np.asarray(colour, dtype=np.uint8).reshape(height_px, width_px, 4)
+    return np.ascontiguousarray(pixels[:, :, :3]), depth_m
+
+
+def rendered_object(colour: NDArray[np.uint8], focal_px: float) -> tuple[bool, NDArray[np.float64]]:
+    """(visible, moments (31,)) of the thresholded object in a rendered image.
+
+    ``colour`` (height, width, 3).
+    """
+    moments = np.full(MOMENT_COUNT, np.nan)
+    mask = object_mask(colour)
+    c_u, c_v = rendered_principal_point_px(colour.shape[1], colour.shape[0])
+    pixels = mask_moments(mask, focal_px, c_u, c_v, moments)
+    return pixels > 0, moments

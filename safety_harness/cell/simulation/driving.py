@@ -1,0 +1,162 @@
+"""Users' controllers in the kinematic world: one episode, or many in lanes, a tick of all at a time.
+
+It is the loop of ``simulate``, without what numba looks up a call.  In lanes all controllers answer
+together: in one call of their ``act_many``, in one turn of the pipe to the process that they share, or one
+after another.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.base.exceptions import ControllerError
+from safety_harness.cell.controller.answers import LaneAnswers, answers_many, ask_together, lanes_of
+from safety_harness.cell.controller.cycle import QUESTION
+from safety_harness.cell.controller.driven import DrivenController, entry_of
+from safety_harness.cell.controller.out_of_process.remote import RemoteController
+from safety_harness.cell.controller.records import ObservationRecords, QuestionRecords
+from safety_harness.cell.controller.seeing import DrivenRecords
+from safety_harness.cell.simulation.kinematic_world import KinematicWorld
+from safety_harness.cell.simulation.lanes import look_lanes, obey_lanes, placed, stacked, step_lanes
+from safety_harness.cell.simulation.records import WorldRecords
+from safety_harness.trace.records import as_compiled
+
+_PADDED = {"moves", "samples", "normals", "uniforms"}  # of a lane that has fewer, the rest is never read
+
+
+@dataclass(eq=False)
+class Lane:
+    """An episode: its ``ticks`` (n,) TICK, ``done`` of them filled, and why it broke off, if it did."""
+
+    world: KinematicWorld
+    controller: DrivenController
+    ticks: NDArray[np.void]
+    done: int = field(default=0, init=False)
+    failed: ControllerError | None = field(default=None, init=False)
+
+    @property
+    def kind(self) -> object:
+        """Those of one kind may run together: they differ in hands, noise and values alone."""
+        named = self.world.records._asdict().items()
+        shapes = tuple((record.dtype, record.shape) for name, record in named if name not in _PADDED)
+        return shapes, self.controller.sees, self.controller.reports, self.controller.period_s
+
+
+def drive(lanes: Sequence[Lane], on_tick: Callable[[int], None] | None = None) -> None:
+    """Run them all, of one kind, as ``simulate`` does, bit for bit; what breaks off is said in its lane.
+
+    Of one lane that is raised, and so is for many what hinders them together: then nothing of them counts.
+    """
+    first, n = lanes[0].controller, len(lanes)
+    worlds, controllers, questions = _together(lanes)
+    most = max(len(lane.ticks) for lane in lanes)
+    own = lanes[0].ticks
+    room = own[None] if n == 1 else np.zeros((n, most), own.dtype)
+    ticks, lasts = as_compiled(room), np.array([len(lane.ticks) - 1 for lane in lanes])
+    answers = first.answers if n == 1 else LaneAnswers(n, first.answers.joints.shape[1], first.reports)
+    finite, modes = np.zeros(n, np.bool_), answers.modes
+    rows = room.view(np.uint8).reshape(n, most, own.dtype.itemsize)
+    of_truth = worlds.truth.view(np.uint8).reshape(n, own.dtype.itemsize)
+    looks = worlds, controllers, lasts
+    obeys = worlds.observation, controllers, lasts
+    steps = worlds, controllers, questions, ticks, lasts
+    acts = answers.twists, answers.joints, answers.by_joints, answers.stop, finite
+    look = entry_of(look_lanes, *looks, 0, *first.wants)
+    obey = entry_of(obey_lanes, *obeys, 0, *acts)
+    step = entry_of(step_lanes, *steps, 0, modes)
+    ask = _Asking(lanes, controllers, answers) if n > 1 else None
+    shielded = any(len(lane.controller.guard.shield) for lane in lanes)
+    for k in range(most):
+        rows[:, k] = of_truth  # bytes: else the padding between fields would be anything
+        look(*looks, k, *first.wants)
+        if ask is None:
+            first.ask()
+        else:
+            ask(k, lasts)
+        obey(*obeys, k, *acts)
+        if not finite.all():
+            _refuse(lanes, finite, answers, lasts, k)
+        if shielded:
+            for lane in lanes_of(lasts >= k):
+                lanes[lane].controller.shielded(ObservationRecords(worlds.observation[lane]), k)
+        step(*steps, k, modes)
+        if n == 1:
+            lanes[0].done = k + 1
+        if on_tick is not None:
+            on_tick(k + 1)
+        if ask is not None and not (lasts > k).any():
+            break
+    for lane, one in enumerate(lanes):
+        if ask is not None and one.failed is None:
+            one.ticks = room[lane, : len(one.ticks)]
+            one.controller.answers_took_s = ask.took_s[: len(one.ticks)]
+            one.done = len(one.ticks)
+
+
+def _refuse(
+    lanes: Sequence[Lane], finite: NDArray[np.bool_], answers: LaneAnswers, lasts: NDArray[np.int64], k: int
+) -> None:
+    """The lanes whose action is not finite; ``finite`` (lanes,), ``lasts`` (lanes,)."""
+    for lane in lanes_of(~finite & (lasts >= k)):
+        by_joints = answers.by_joints[lane]
+        wanted = answers.joints[lane] if by_joints else answers.twists[lane]
+        error = lanes[lane].controller.not_finite(wanted)
+        if len(lanes) == 1:
+            raise error
+        lanes[lane].failed, lasts[lane] = error, -1
+    finite[:] = True
+
+
+class _Asking:
+    """The controllers of many lanes, asked together.
+
+    ``took_s`` is the mean time [s] of an answer at each tick; empty where one call answers for all.
+    """
+
+    def __init__(self, lanes: Sequence[Lane], controllers: DrivenRecords, answers: LaneAnswers) -> None:
+        self._lanes, self._answers = lanes, answers
+        self._users = [lane.controller.user for lane in lanes]
+        self.took_s: list[float] = []
+        user, first = self._users[0], lanes[0].controller
+        self._timed = not (user.together if isinstance(user, RemoteController) else answers_many(user))
+        self._layout, self._period_s = first.layout, first.period_s
+        self._numbers = (
+            controllers.seen[:, 0].view(np.float64).reshape(len(lanes), -1)[:, : first.layout.wanted]
+        )
+
+    def __call__(self, tick: int, lasts: NDArray[np.int64]) -> None:
+        """At that tick, those whose last one is not over."""
+        own = lanes_of(lasts >= tick)
+        rows = self._numbers[own]
+        rows.flags.writeable = False
+        users: Any = [self._users[lane] for lane in own]
+        begun_s = time.perf_counter()
+        if isinstance(users[0], RemoteController):
+            why = users[0].act_together(users, own, tick, self._layout.hand_slots, rows, self._answers)
+        else:
+            why = ask_together(users, own, rows, self._period_s, self._layout, self._answers)
+        self.took_s += [(time.perf_counter() - begun_s) / len(own)] * self._timed
+        for lane, words in why.items():
+            self._lanes[lane].failed, lasts[lane] = self._lanes[lane].controller.failed(words), -1
+
+
+def _together(lanes: Sequence[Lane]) -> tuple[WorldRecords, DrivenRecords, NDArray[np.void]]:
+    """The records of all of them, and the controllers' now lie in these."""
+    first = lanes[0]
+    worlds = stacked(first.world.records, len(lanes))
+    controllers = stacked(first.controller.records, len(lanes))
+    questions = np.zeros((len(lanes), 1), QUESTION)
+    for number, lane in enumerate(lanes):
+        worlds = placed(worlds, number, lane.world.records)
+        controllers = placed(controllers, number, lane.controller.records)
+        questions[number] = lane.controller.question
+    for number, lane in enumerate(lanes):
+        own = DrivenRecords(*(records[number] for records in controllers))
+        lane.controller.lie_in(own, QuestionRecords(questions[number]))
+    return worlds, controllers, questions

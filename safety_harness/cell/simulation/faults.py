@@ -1,0 +1,196 @@
+"""Faults of sensors and joints, compiled for both worlds: each function says which faults acted, as bits.
+
+A fault acts where it changes something: a blind sensor that had no hand before it does not.
+
+A world calls ``mount_camera`` before its cameras look, ``spoil_object_frame`` and ``spoil_hand_frame``
+on each frame that was just put on its way, and ``hold_joints`` on what the motors are told.  Without
+faults they change nothing.  Noise is drawn by frame: a fault never shifts it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.base.compiled import compiled
+from safety_harness.base.geometry.arrays import Array3, Array4x4, ArrayN, ArrayNx3
+from safety_harness.base.geometry.linear import copy_matrix, copy_vector
+from safety_harness.base.geometry.pyramids import segment_pyramid_distance
+from safety_harness.base.geometry.rotations import rotation_from_vector
+from safety_harness.base.geometry.transforms import compose_into, inverse_transform
+from safety_harness.cell.controller.records import FaultRecords
+from safety_harness.cell.simulation.cameras import RING, HandFrames, ObjectFrames, SensorRecords
+from safety_harness.cell.simulation.exact_views import hand_box, sensor_pose
+from safety_harness.cell.simulation.hand_motion import HandRecords
+from safety_harness.scenario.fault_table import acting, acts, delay_s
+from safety_harness.scenario.faults import FaultKind
+
+
+@compiled
+def mount_camera(faults: FaultRecords, sensors: SensorRecords, time_s: float) -> int:
+    """Put the hand-eye camera where it sits at ``time_s``: in its mount, or knocked out of it."""
+    s = sensors[0]
+    bits = acting(faults, FaultKind.CAMERA_KNOCKED, time_s)
+    copy_matrix(s.transform_mount_to_tcp, s.transform_camera_to_tcp)
+    if bits == 0:
+        return 0
+    before = np.empty((3, 3))
+    for k in range(faults.shape[0]):
+        if not acts(faults, k, FaultKind.CAMERA_KNOCKED, time_s):
+            continue
+        copy_matrix(s.transform_camera_to_tcp[:3, :3], before)
+        turned = rotation_from_vector(faults[k].turned_rad.copy())
+        for i in range(3):
+            for j in range(3):
+                s.transform_camera_to_tcp[i, j] = (
+                    before[i, 0] * turned[0, j] + before[i, 1] * turned[1, j] + before[i, 2] * turned[2, j]
+                )
+            s.transform_camera_to_tcp[i, 3] += faults[k].vector_m[i]
+    return bits
+
+
+@compiled
+def spoil_object_frame(
+    faults: FaultRecords,
+    sensors: SensorRecords,
+    frames: ObjectFrames,  # the newest is changed
+    polygon_in_base_m: ArrayNx3,
+    hands: HandRecords,
+    transform_tcp_to_base: Array4x4,
+    time_s: float,
+) -> int:
+    """What the faults make of the object's newest frame; a frozen camera shows the frame before it."""
+    s = sensors[0]
+    frame = frames[(s.object_frames - 1) % RING]
+    bits = 0
+    hidden = acting(faults, FaultKind.CAMERA_HIDDEN, time_s)
+    if hidden and hides_object(sensors, polygon_in_base_m, hands, transform_tcp_to_base):
+        frame.visible = False
+        bits |= hidden
+    blind = acting(faults, FaultKind.CAMERA_BLIND, time_s) if frame.visible else 0
+    if blind:
+        frame.visible = False
+    frozen = acting(faults, FaultKind.CAMERA_FROZEN, time_s)
+    if frozen:
+        frame.visible = False
+        if s.object_frames > 1:
+            before = frames[(s.object_frames - 2) % RING]
+            frame.visible = before.visible
+            copy_vector(before.moments, frame.moments)
+    frame.late_s = delay_s(faults, FaultKind.CAMERA_LATE, time_s)
+    return bits | blind | frozen | acting(faults, FaultKind.CAMERA_LATE, time_s)
+
+
+@compiled
+def hides_object(
+    sensors: SensorRecords, polygon_in_base_m: ArrayNx3, hands: HandRecords, transform_tcp_to_base: Array4x4
+) -> bool:
+    """Is any part of a hand or forearm between the hand-eye camera's lens and any part of the object?"""
+    s = sensors[0]
+    camera_to_base = np.empty((4, 4))
+    compose_into(transform_tcp_to_base, s.transform_camera_to_tcp, camera_to_base)
+    lens = camera_to_base[:3, 3].copy()
+    for k in range(hands.shape[0]):
+        if not hands[k].present:
+            continue
+        hand, elbow = hands[k].position_in_base_m.copy(), hands[k].elbow_in_base_m.copy()
+        if segment_pyramid_distance(hand, hand, lens, polygon_in_base_m) < s.hand_radius_m:
+            return True
+        if segment_pyramid_distance(hand, elbow, lens, polygon_in_base_m) < s.forearm_radius_m:
+            return True
+    return False
+
+
+@compiled
+def spoil_hand_frame(
+    faults: FaultRecords,
+    sensors: SensorRecords,
+    frames: HandFrames,
+    transform_tcp_to_base: Array4x4,
+    time_s: float,
+) -> int:
+    """What the faults make of the newest frame of boxes.
+
+    In this order: hands are measured off, false ones join them, a blind sensor drops them all, a
+    frozen one shows the frame before.
+    """
+    s = sensors[0]
+    frame = frames[(s.hand_frames - 1) % RING]
+    off = acting(faults, FaultKind.HAND_SENSOR_OFF, time_s) if frame.count else 0
+    false = acting(faults, FaultKind.FALSE_HAND, time_s)
+    bits = off
+    if off or false:
+        pose = sensor_pose(sensors, transform_tcp_to_base)
+        base_to_sensor = inverse_transform(pose)
+        for k in range(faults.shape[0]):
+            if acts(faults, k, FaultKind.HAND_SENSOR_OFF, time_s):
+                frame.count = shift_boxes(sensors, pose, faults[k].vector_m.copy(), frame.boxes, frame.count)
+        for k in range(faults.shape[0]):
+            if (
+                acts(faults, k, FaultKind.FALSE_HAND, time_s)
+                and frame.count < frame.boxes.shape[0]
+                and hand_box(sensors, base_to_sensor, faults[k].vector_m.copy(), frame.boxes[frame.count])
+            ):
+                frame.count += 1
+                bits |= 1 << k
+    blind = acting(faults, FaultKind.HAND_SENSOR_BLIND, time_s) if frame.count else 0
+    if blind:
+        frame.count = 0
+    seen, frozen = frame.count, acting(faults, FaultKind.HAND_SENSOR_FROZEN, time_s)
+    if frozen:
+        frame.count = 0
+        if s.hand_frames > 1:
+            before = frames[(s.hand_frames - 2) % RING]
+            frame.count = before.count
+            copy_matrix(before.boxes, frame.boxes)
+    if seen == 0 and frame.count == 0:
+        frozen = 0
+    if frame.count:  # an empty frame that comes late is none the later
+        bits |= acting(faults, FaultKind.HAND_SENSOR_LATE, time_s)
+    frame.late_s = delay_s(faults, FaultKind.HAND_SENSOR_LATE, time_s)
+    return bits | blind | frozen
+
+
+@compiled
+def shift_boxes(
+    sensors: SensorRecords,
+    transform_sensor_to_base: Array4x4,
+    by_in_base_m: Array3,
+    boxes: NDArray[np.float64],  # (n, 5), changed in place
+    count: int,
+) -> int:
+    """Boxes of hands whose fronts are shifted; returns how many are left in front of the sensor.
+
+    The point at a box's centre and depth is moved; the size in the image goes with the depth.
+    """
+    s = sensors[0]
+    by = np.zeros(3)
+    for i in range(3):
+        for j in range(3):
+            by[i] += transform_sensor_to_base[j, i] * by_in_base_m[j]
+    kept = 0
+    for k in range(count):
+        depth = boxes[k, 2]
+        x = (boxes[k, 0] - s.hand_c_u) / s.hand_focal_px * depth + by[0]
+        y = (boxes[k, 1] - s.hand_c_v) / s.hand_focal_px * depth + by[1]
+        z = depth + by[2]
+        if not z > 0.0:
+            continue
+        boxes[kept, 0] = s.hand_focal_px * x / z + s.hand_c_u
+        boxes[kept, 1] = s.hand_focal_px * y / z + s.hand_c_v
+        boxes[kept, 2] = z
+        boxes[kept, 3] = boxes[k, 3] * (depth / z) ** 2
+        boxes[kept, 4] = boxes[k, 4]
+        kept += 1
+    return kept
+
+
+@compiled
+def hold_joints(faults: FaultRecords, velocity_radps: ArrayN, time_s: float) -> int:
+    """Set what the motors of stuck joints are told to zero."""
+    bits = 0
+    for k in range(faults.shape[0]):
+        if acts(faults, k, FaultKind.JOINT_STUCK, time_s) and velocity_radps[faults[k].joint] != 0.0:
+            velocity_radps[faults[k].joint] = 0.0
+            bits |= 1 << k
+    return bits

@@ -1,0 +1,284 @@
+"""Hands that move as the scenario says: an interpreter of hand moves, compiled for both worlds.
+
+The velocity of a hand that moves is continuous, and changes by at most its acceleration times the
+time: straight ways are closed form from rest to rest (``follow_leg``), a hand that heads for the TCP
+turns its velocity towards it (``pursue``), and whoever is stopped brakes along its way (``brake``).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.base.compiled import njit_no_nrt
+from safety_harness.base.geometry.arrays import Array3
+
+LEG, WAIT, REACH_FOR_TCP, FOLLOW_TCP = range(4)  # what a compiled move does
+
+# A move of a scenario is a group of one or more of these, with one time limit.
+MOVE = np.dtype(
+    [
+        ("kind", np.int64),
+        ("target_in_base_m", np.float64, (3,)),  # of a leg
+        ("speed_mps", np.float64),
+        ("distance_m", np.float64),  # how near to the target, or to the TCP
+        ("duration_s", np.float64),  # of a wait
+        ("within_s", np.float64),  # of the group: then it is over
+        ("after", np.int64),  # where the next group begins, counted from the hand's first move
+    ],
+    align=True,
+)
+
+HAND = np.dtype(
+    [
+        ("present", np.bool_),
+        ("recorded", np.bool_),
+        ("leader", np.int64),  # the hand that this one is joined to, else -1
+        ("apart_in_base_m", np.float64, (3,)),  # from its leader
+        ("position_in_base_m", np.float64, (3,)),
+        ("elbow_in_base_m", np.float64, (3,)),
+        ("elbow_towards_in_base_m", np.float64, (3,)),
+        ("forearm_length_m", np.float64),
+        ("max_acceleration_mps2", np.float64),
+        ("tremor_m", np.float64),  # along each axis
+        ("tremor_radps", np.float64),
+        ("tremor_phase_rad", np.float64, (3,)),
+        ("first", np.int64),  # of this hand's moves or samples
+        ("count", np.int64),
+        ("current", np.int64),  # which move or sample interval
+        ("elapsed_s", np.float64),  # in the current move
+        ("spent_s", np.float64),  # in its group
+        ("steady_in_base_m", np.float64, (3,)),  # without tremor, as the next
+        ("velocity_in_base_mps", np.float64, (3,)),
+        ("on_leg", np.bool_),  # whether the current leg has begun; then it has:
+        ("leg_start_in_base_m", np.float64, (3,)),
+        ("leg_direction_in_base", np.float64, (3,)),
+        ("leg_way_m", np.float64),
+        ("leg_s", np.float64),  # time since it began
+    ],
+    align=True,
+)
+MoveRecords = NDArray[np.void]  # (m,) MOVE
+HandRecords = NDArray[np.void]  # (hands,) HAND, those that are there first
+
+ARRIVED_M = 1e-9
+
+
+@njit_no_nrt
+def advance_hands(
+    hands: HandRecords,
+    moves: MoveRecords,
+    samples: NDArray[np.float64],  # (s, 7)
+    tcp_position_in_base_m: Array3,  # at time_s
+    time_s: float,
+    dt_s: float,
+) -> None:
+    """Move every hand from ``time_s`` to ``time_s + dt_s``; what is left of a move's tick flows on.
+
+    Hands that head for the TCP aim at where it was at ``time_s``.
+    """
+    for k in range(hands.shape[0]):
+        hand = hands[k]
+        if not hand.present:
+            continue
+        if hand.recorded:
+            follow_recording(hands, k, samples, time_s + dt_s)
+            continue
+        if hand.leader >= 0:
+            leader = hands[hand.leader]
+            for i in range(3):
+                hand.position_in_base_m[i] = leader.position_in_base_m[i] + hand.apart_in_base_m[i]
+            point_forearm(hands, k)
+            continue
+        left_s = dt_s
+        while left_s > 0.0 and hand.current < hand.count:
+            left_s = advance_move(hands, k, moves, tcp_position_in_base_m, left_s)
+        brake(hands, k, left_s)
+        for i in range(3):
+            off_m = 0.0
+            if hand.tremor_m != 0.0:
+                angle = hand.tremor_radps * (time_s + dt_s) + hand.tremor_phase_rad[i]
+                off_m = hand.tremor_m * np.sin(angle)
+            hand.position_in_base_m[i] = hand.steady_in_base_m[i] + off_m
+        point_forearm(hands, k)
+
+
+@njit_no_nrt
+def advance_move(
+    hands: HandRecords, k: int, moves: MoveRecords, tcp_position_in_base_m: Array3, left_s: float
+) -> float:
+    """Spend up to ``left_s`` on the current move; returns what is left of it."""
+    hand = hands[k]
+    move = moves[hand.first + hand.current]
+    allowed_s = min(left_s, move.within_s - hand.spent_s)
+    if move.kind == WAIT:
+        used_s = min(allowed_s, move.duration_s - hand.elapsed_s)
+        brake(hands, k, used_s)
+        over = used_s >= move.duration_s - hand.elapsed_s
+    elif move.kind == LEG:
+        used_s, over = follow_leg(hands, k, move.target_in_base_m, move.distance_m, move.speed_mps, allowed_s)
+    else:
+        used_s, over = pursue(hands, k, tcp_position_in_base_m, move.distance_m, move.speed_mps, allowed_s)
+        if over and move.kind == FOLLOW_TCP:
+            brake(hands, k, allowed_s)
+            used_s, over = allowed_s, False
+    group_over = used_s >= move.within_s - hand.spent_s
+    hand.elapsed_s += used_s
+    hand.spent_s += used_s
+    if over or group_over:
+        hand.current = move.after if group_over else hand.current + 1
+        hand.elapsed_s = 0.0
+        hand.on_leg = False
+        if hand.current == move.after:
+            hand.spent_s = 0.0
+    return float(max(left_s - used_s, 0.0))
+
+
+@njit_no_nrt
+def brake(hands: HandRecords, k: int, dt_s: float) -> float:
+    """Slow down along the way, for at most ``dt_s``; returns the time until the hand is at rest."""
+    hand = hands[k]
+    squared = 0.0
+    for i in range(3):
+        squared += hand.velocity_in_base_mps[i] * hand.velocity_in_base_mps[i]
+    speed = np.sqrt(squared)
+    if speed == 0.0:
+        return 0.0
+    stop_s = speed / hand.max_acceleration_mps2
+    used_s = min(dt_s, stop_s)
+    kept = 0.0 if used_s >= stop_s else 1.0 - used_s / stop_s
+    for i in range(3):
+        hand.steady_in_base_m[i] += hand.velocity_in_base_mps[i] * 0.5 * (1.0 + kept) * used_s
+        hand.velocity_in_base_mps[i] *= kept
+    return float(used_s)
+
+
+@njit_no_nrt
+def follow_leg(
+    hands: HandRecords, k: int, target_in_base_m: Array3, distance_m: float, speed_mps: float, dt_s: float
+) -> tuple[float, bool]:
+    """Straight until ``distance_m`` from the target, from rest to rest; (time used, whether it is there).
+
+    The speed is a trapezoid over time, or a triangle where the way is too short for ``speed_mps``.
+    """
+    hand = hands[k]
+    used_s = 0.0
+    if not hand.on_leg:
+        used_s = brake(hands, k, dt_s)
+        for i in range(3):
+            if hand.velocity_in_base_mps[i] != 0.0:
+                return dt_s, False
+        begin_leg(hands, k, target_in_base_m, distance_m)
+    acceleration, way = hand.max_acceleration_mps2, hand.leg_way_m
+    peak = min(speed_mps, np.sqrt(acceleration * way))
+    ramp_s = peak / acceleration
+    total_s = way / peak + ramp_s if peak > 0.0 else 0.0
+    if hand.leg_s + (dt_s - used_s) >= total_s:
+        for i in range(3):
+            hand.steady_in_base_m[i] = hand.leg_start_in_base_m[i] + way * hand.leg_direction_in_base[i]
+            hand.velocity_in_base_mps[i] = 0.0
+            if distance_m == 0.0:
+                hand.steady_in_base_m[i] = target_in_base_m[i]  # exactly, whatever the rounding
+        return used_s + max(total_s - hand.leg_s, 0.0), True
+    hand.leg_s += dt_s - used_s
+    to_end_s = total_s - hand.leg_s
+    if hand.leg_s < ramp_s:
+        gone, rate = 0.5 * acceleration * hand.leg_s**2, acceleration * hand.leg_s
+    elif to_end_s < ramp_s:
+        gone, rate = way - 0.5 * acceleration * to_end_s**2, acceleration * to_end_s
+    else:
+        gone, rate = peak * (hand.leg_s - 0.5 * ramp_s), peak
+    for i in range(3):
+        hand.steady_in_base_m[i] = hand.leg_start_in_base_m[i] + gone * hand.leg_direction_in_base[i]
+        hand.velocity_in_base_mps[i] = rate * hand.leg_direction_in_base[i]
+    return dt_s, False
+
+
+@njit_no_nrt
+def begin_leg(hands: HandRecords, k: int, target_in_base_m: Array3, distance_m: float) -> None:
+    """Fix where the leg leads, from where the hand rests now."""
+    hand = hands[k]
+    hand.on_leg = True
+    hand.leg_s = 0.0
+    total = 0.0
+    for i in range(3):
+        hand.leg_start_in_base_m[i] = hand.steady_in_base_m[i]
+        hand.leg_direction_in_base[i] = target_in_base_m[i] - hand.steady_in_base_m[i]
+        total += hand.leg_direction_in_base[i] ** 2
+    length = np.sqrt(total)
+    hand.leg_way_m = max(length - distance_m, 0.0)
+    for i in range(3):
+        hand.leg_direction_in_base[i] = hand.leg_direction_in_base[i] / length if length > 0.0 else 0.0
+
+
+@njit_no_nrt
+def pursue(
+    hands: HandRecords, k: int, goal_in_base_m: Array3, distance_m: float, speed_mps: float, dt_s: float
+) -> tuple[float, bool]:
+    """Turn the velocity towards the goal for ``dt_s``; (time used, whether it is ``distance_m`` near).
+
+    The hand closes in at the largest speed w from which it can still stop on the gap g that is left:
+    with v now and a to brake, (v + w)/2 dt + w^2/2a = g.
+    """
+    hand = hands[k]
+    total, closing = 0.0, 0.0
+    for i in range(3):
+        ahead = goal_in_base_m[i] - hand.steady_in_base_m[i]
+        total += ahead**2
+        closing += ahead * hand.velocity_in_base_mps[i]
+    away = np.sqrt(total)
+    gap = away - distance_m
+    if gap <= ARRIVED_M:
+        return 0.0, True
+    change = hand.max_acceleration_mps2 * dt_s
+    room = 4.0 * hand.max_acceleration_mps2 * gap - 2.0 * change * closing / away
+    if room <= 0.0:
+        return brake(hands, k, dt_s), False
+    wanted = min(speed_mps, room / (change + np.sqrt(change**2 + 2.0 * room)))
+    squared = 0.0
+    for i in range(3):
+        direction = (goal_in_base_m[i] - hand.steady_in_base_m[i]) / away
+        squared += (wanted * direction - hand.velocity_in_base_mps[i]) ** 2
+    part = min(1.0, change / np.sqrt(squared)) if squared > 0.0 else 0.0
+    for i in range(3):
+        direction = (goal_in_base_m[i] - hand.steady_in_base_m[i]) / away
+        step = wanted * direction - hand.velocity_in_base_mps[i]
+        hand.steady_in_base_m[i] += (hand.velocity_in_base_mps[i] + 0.5 * part * step) * dt_s
+        hand.velocity_in_base_mps[i] += part * step
+    return dt_s, False
+
+
+@njit_no_nrt
+def point_forearm(hands: HandRecords, k: int) -> None:
+    """Put the elbow one forearm's length from the hand towards the person."""
+    hand = hands[k]
+    total = 0.0
+    for i in range(3):
+        total += (hand.elbow_towards_in_base_m[i] - hand.position_in_base_m[i]) ** 2
+    distance = np.sqrt(total)
+    for i in range(3):
+        direction = 1.0 if i == 2 else 0.0  # straight up if the hand is where the person stands
+        if distance > 0.0:
+            direction = (hand.elbow_towards_in_base_m[i] - hand.position_in_base_m[i]) / distance
+        hand.elbow_in_base_m[i] = hand.position_in_base_m[i] + hand.forearm_length_m * direction
+
+
+@njit_no_nrt
+def follow_recording(hands: HandRecords, k: int, samples: NDArray[np.float64], time_s: float) -> None:
+    """Put hand and elbow where the recording has them; straight between samples, at rest after it.
+
+    ``samples`` (s, 7).
+    """
+    hand = hands[k]
+    last = hand.first + hand.count - 1
+    row = hand.first + hand.current
+    while row < last - 1 and samples[row + 1, 0] <= time_s:
+        row += 1
+    hand.current = row - hand.first
+    span_s = samples[row + 1, 0] - samples[row, 0]
+    fraction = min(max((time_s - samples[row, 0]) / span_s, 0.0), 1.0)
+    for i in range(3):
+        before, after = samples[row, 1 + i], samples[row + 1, 1 + i]
+        hand.position_in_base_m[i] = before + fraction * (after - before)
+        before, after = samples[row, 4 + i], samples[row + 1, 4 + i]
+        hand.elbow_in_base_m[i] = before + fraction * (after - before)

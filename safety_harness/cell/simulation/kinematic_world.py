@@ -1,0 +1,128 @@
+"""The second world: the joints do exactly what the drives are told, and nothing has mass.
+
+Everything but the motion of the arm is the reference world's own compiled steps.  There the velocity
+motors reach what they are told within the first physics sub-step, to 1e-9 rad/s, unless their torque
+limit holds them back, so that over a tick each joint turns by its set point times the period: here it
+always does.  Joints have no stops, and the arm meets neither the table nor itself.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.base.compiled import njit_no_nrt
+from safety_harness.base.geometry.arrays import ArrayNx2x3
+from safety_harness.base.geometry.linear import copy_matrix
+from safety_harness.cell.controller.cycle import ControllerRecords, act, look, report
+from safety_harness.cell.controller.records import CommandRecords, FaultRecords, ParameterRecords
+from safety_harness.cell.robot.distance import CapsuleRecords
+from safety_harness.cell.robot.drive import DriveRecords
+from safety_harness.cell.simulation.hand_motion import HandRecords, MoveRecords
+from safety_harness.cell.simulation.records import WorldRecords
+from safety_harness.cell.simulation.steps import (
+    ArmRecords,
+    ClockRecords,
+    Floats,
+    Records,
+    TruthRecords,
+    drive_on,
+    move_on,
+    sense,
+)
+from safety_harness.cell.simulation.world import RecordedWorld
+from safety_harness.trace.records import Limit, as_compiled
+
+BRAKING = int(Limit.BRAKING)
+
+
+class KinematicWorld(RecordedWorld):
+    """One scenario without an engine, for any controller, tick by tick; ``advance`` is it with our own."""
+
+    name = "kinematic"
+
+    def advance(
+        self, controller: ControllerRecords, ticks: NDArray[np.void], decided: bool
+    ) -> NDArray[np.void] | None:
+        """As ``BatchWorld.advance``: the loop of ``simulate``, compiled."""
+        more = advance(self.records, controller, as_compiled(ticks), decided)
+        return self.records.observation if more else None
+
+    def step(self, command: NDArray[np.void]) -> bool:
+        """Drives, joints and hands for one control period.  ``command`` (1,) COMMAND."""
+        return step(*self.records[:10], CommandRecords(command))
+
+
+@njit_no_nrt
+def step(
+    drives: DriveRecords,
+    moves: MoveRecords,
+    samples: Floats,  # (s, 7)
+    arms: ArmRecords,
+    truths: TruthRecords,
+    hands: HandRecords,
+    capsules: CapsuleRecords,
+    capsule_endpoints_in_base_m: ArrayNx2x3,
+    clocks: ClockRecords,
+    faults: FaultRecords,
+    commands: CommandRecords,
+) -> bool:
+    """One control period with a command (1,) COMMAND; True while the brakes act."""
+    told, joints = clocks[0].commanded_radps, clocks[0].joint_position_rad
+    truth, period_s = truths[0], clocks[0].control_period_s
+    braking = drive_on(drives, arms, truths, clocks, faults, commands, told)
+    for i in range(joints.shape[0]):
+        joints[i] = truth.joint_position_rad[i] + told[i] * period_s
+    move_on(moves, samples, arms, truths, hands, capsules, capsule_endpoints_in_base_m, clocks, joints, told)
+    return braking
+
+
+@njit_no_nrt
+def advance(
+    world: WorldRecords,
+    controller: ControllerRecords,
+    ticks: Records,  # (n,) ``as_compiled``, those from now on written
+    decided: bool,
+) -> bool:
+    """On to the next decision (True) or the end of the run (False): the loop of ``simulate``, compiled.
+
+    ``decided``: the run stands at a decision, and the controller's answer has it.
+    """
+    w, c = world, controller
+    last, alike = ticks.shape[0] - 1, same_chain(w.arm, c.parameters)
+    k = w.clock[0].tick
+    while True:
+        tick = ticks[k : k + 1]
+        if not decided:
+            ticks[k] = w.truth[0]
+            sense(*w[4:])
+            if alike:  # encoders are exact
+                for i in range(w.arm[0].link_transforms.shape[0]):
+                    copy_matrix(w.arm[0].link_transforms[i], c.state[0].link_transforms[i])
+                c.state[0].placed = True
+            if look(*c[:7], w.observation):
+                return True
+        decided = False
+        act(*c[4:], w.observation)
+        report(*c[5:8], tick)
+        if k < last:
+            tick[0].limits |= BRAKING if step(*w[:10], c.command) else 0
+        tick[0].faults |= w.clock[0].acted_faults
+        if k == last:
+            return False
+        k += 1
+
+
+@njit_no_nrt
+def same_chain(arms: ArmRecords, parameters: ParameterRecords) -> bool:
+    """Is the world's arm the one that the controller reckons with?"""
+    one, other, same = arms[0].chain, parameters[0].chain, True
+    for i in range(4):
+        for j in range(4):
+            same = same and one.flange[i, j] == other.flange[i, j]
+            for k in range(one.joint_origins.shape[0]):
+                same = same and one.joint_origins[k, i, j] == other.joint_origins[k, i, j]
+    for k in range(one.joint_axes.shape[0]):
+        for i in range(3):
+            same = same and one.joint_axes[k, i] == other.joint_axes[k, i]
+    return same

@@ -1,0 +1,224 @@
+"""The reference world: the arm in PyBullet, with its meshes, motors and physics."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.base.exceptions import SimulationError
+from safety_harness.base.geometry.arrays import ArrayN
+from safety_harness.base.geometry.transforms import compose_into
+from safety_harness.base.settings import DetectorKind, ImageSource
+from safety_harness.cell.controller.records import CommandRecords
+from safety_harness.cell.perception.detector import BoundingBoxDetector, SkinColourDetector, copy_detections
+from safety_harness.cell.perception.moments import MOMENT_COUNT
+from safety_harness.cell.robot.description import ArmModel
+from safety_harness.cell.simulation.cameras import RING
+from safety_harness.cell.simulation.cell import build_cell, place_hands, render, rendered_object
+from safety_harness.cell.simulation.engine import pybullet
+from safety_harness.cell.simulation.exact_views import exact_boxes, exact_object, sensor_pose
+from safety_harness.cell.simulation.steps import (
+    drive_on,
+    hand_frame_due,
+    hand_over,
+    mount,
+    move_on,
+    now_s,
+    object_frame_due,
+    send_hand_frame,
+    send_object_frame,
+)
+from safety_harness.cell.simulation.world import RecordedWorld
+from safety_harness.scenario.fault_table import acting
+from safety_harness.scenario.faults import FaultKind
+from safety_harness.scenario.model import Scenario
+from safety_harness.seams.contract import Image
+from safety_harness.trace.records import as_compiled
+from safety_harness.trace.trace import Trace
+
+UNNOTICED_RADPS = 1e-7  # by which motors miss the speeds that they are told without being saturated
+AMPLE = 1e4  # times the torque limits: within a sub-step, of several times the mass
+
+
+class PyBulletWorld(RecordedWorld):
+    """One scenario in a PyBullet client of its own; use it as a context manager, once.
+
+    The drives follow velocity motors with the torque limits of the URDF; a control period is
+    ``physics_substeps`` steps of the engine.  Hands touch nothing: a contact is a distance below
+    zero, not a push.
+    """
+
+    name, renders = "pybullet", True
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        arm: ArmModel,
+        joint_position_rad: ArrayN,
+        *,
+        detector: BoundingBoxDetector | None = None,
+    ) -> None:
+        super().__init__(scenario, arm, joint_position_rad)
+        self._settings = settings = scenario.settings
+        self._substeps = settings.clock.physics_substeps
+        self._render_object = settings.camera.source is ImageSource.RENDERED
+        self._render_hands = settings.hand_sensor.detector is DetectorKind.RENDERED
+        self._detector = detector or SkinColourDetector(self.records.observation["boxes"].shape[1])
+        self._commanded_radps = np.empty(len(arm.joint_names))
+        self.overshoot_radps = np.zeros((scenario.ticks + 1, len(arm.joint_names)))  # as a trace has it
+        self._pictures: dict[int, NDArray[np.uint8]] = {}  # of the object, by the number of the frame
+        self._client = int(pybullet.connect(pybullet.DIRECT))
+        if self._client < 0:
+            raise SimulationError("PyBullet gave no client")
+        try:
+            self._bodies = build_cell(
+                self._client,
+                settings,
+                arm,
+                joint_position_rad,
+                rendered=self._render_object or self._render_hands,
+                hands=len(self.records.hands),
+            )
+            self._robot, self._joints = self._bodies.robot, list(self._bodies.joints)
+            # Drives that know their torque are limited by the model, and the engine does what that says.
+            more = AMPLE if self.records.drives[0]["limited"] else 1.0
+            self._efforts = [more * float(effort) for effort in arm.effort_limit]
+        except BaseException:
+            self.close()
+            raise
+
+    def close(self) -> None:
+        """Give the client back; a second call does nothing."""
+        if self._client >= 0:
+            pybullet.disconnect(physicsClientId=self._client)
+            self._client = -1
+
+    def observe(self) -> NDArray[np.void]:
+        """Let the cameras take what is due and deliver what has arrived; encoders are exact."""
+        r = self.records
+        if not (self._render_object or self._render_hands):
+            return super().observe()
+        faulty_sensors = r.clock, r.faults, r.sensors
+        mount(*faulty_sensors)
+        if object_frame_due(r.clock, r.sensors):
+            colour = self._picture() if self._render_object else None
+            visible, moments = self._object(colour)
+            frames, polygon_in_base_m = r.object_frames, r.polygon_in_base_m
+            send_object_frame(r.truth, r.hands, *faulty_sensors, frames, polygon_in_base_m, visible, moments)
+            if colour is not None:
+                self._keep(colour)
+        if hand_frame_due(r.clock, r.sensors):
+            boxes, count = self._boxes()
+            send_hand_frame(r.truth, *faulty_sensors, r.hand_frames, r.normals, r.uniforms, boxes, count)
+        hand_over(r.truth, r.clock, r.observation, r.sensors, r.object_frames, r.hand_frames)
+        return r.observation
+
+    def step(self, command: NDArray[np.void]) -> bool:
+        """Drives, motors and physics for one control period; hands move meanwhile.
+
+        ``command`` (1,) COMMAND.
+        """
+        r = self.records
+        braking = drive_on(
+            r.drives, r.arm, r.truth, r.clock, r.faults, CommandRecords(command), self._commanded_radps
+        )
+        pybullet.setJointMotorControlArray(
+            self._robot,
+            self._joints,
+            pybullet.VELOCITY_CONTROL,
+            targetVelocities=self._commanded_radps.tolist(),
+            forces=self._efforts,
+            physicsClientId=self._client,
+        )
+        before_radps, tick = r.truth[0]["joint_velocity_radps"].copy(), int(r.clock[0]["tick"])
+        speeds_radps: list[list[float]] = []
+        for _ in range(self._substeps):
+            pybullet.stepSimulation(physicsClientId=self._client)
+            states = pybullet.getJointStates(self._robot, self._joints, physicsClientId=self._client)
+            speeds_radps.append([state[1] for state in states])
+        own_radps = np.array(speeds_radps)  # (sub-steps, joints)
+        move_on(*r[1:9], np.array([state[0] for state in states]), own_radps[-1])
+        if np.abs(own_radps - own_radps[-1]).max() > UNNOTICED_RADPS:
+            ends_radps = np.stack([before_radps, own_radps[-1]])
+            above = own_radps.max(axis=0) - ends_radps.max(axis=0)
+            below = ends_radps.min(axis=0) - own_radps.min(axis=0)
+            self.overshoot_radps[tick] = np.maximum(np.maximum(above, below), 0.0)
+        return braking
+
+    def image(self) -> Image:
+        """The last rendered image of the object that was delivered by now."""
+        r = self.records
+        number = int(r.sensors[0]["object_delivered"]) - 1
+        if number < 0:
+            camera = self._settings.camera
+            return Image(time_s=np.nan, new=False, pixels=_black((camera.height_px, camera.width_px, 3)))
+        time_s, new = r.object_frames[number % RING]["time_s"], r.observation[0]["image_new"]
+        return Image(time_s=float(time_s), new=bool(new), pixels=self._pictures[number])
+
+    def images_of(self, trace: Trace) -> Iterator[Image]:
+        """What the object's camera showed in a run of this scenario, rendered where arm and hands were."""
+        self._render_hands = False  # nobody looks for them
+        r, robot = self.records, (self._robot, self._joints)
+        for number, tick in enumerate(as_compiled(trace.ticks)):
+            r.truth[0], r.clock[0]["tick"] = tick, number
+            r.hands["position_in_base_m"] = tick["hand_position_in_base_m"]
+            r.hands["elbow_in_base_m"] = tick["elbow_position_in_base_m"]
+            joints = [[q] for q in tick["joint_position_rad"]]
+            pybullet.resetJointStatesMultiDof(*robot, joints, physicsClientId=self._client)
+            if self.observe()[0]["image_new"]:
+                yield self.image()
+
+    def _keep(self, colour: NDArray[np.uint8]) -> None:
+        """The newest frame's pixels, as the faults leave them; a frozen camera shows those of the one before.
+
+        ``colour`` (height, width, 3).
+        """
+        r, time_s = self.records, now_s(self.records.clock)
+        newest = int(r.sensors[0]["object_frames"]) - 1
+        if acting(r.faults, FaultKind.CAMERA_BLIND, time_s):
+            colour = _black(colour.shape)
+        if acting(r.faults, FaultKind.CAMERA_FROZEN, time_s):
+            colour = self._pictures.get(newest - 1, _black(colour.shape))
+        colour.setflags(write=False)
+        oldest = min(int(r.sensors[0]["object_delivered"]), newest) - 1
+        self._pictures = {k: one for k, one in self._pictures.items() if k >= oldest} | {newest: colour}
+
+    def _picture(self) -> NDArray[np.uint8]:
+        """(height, width, 3) what the object's camera sees, rendered."""
+        camera, r = self._settings.camera, self.records
+        pose, camera_to_base = r.truth[0]["transform_tcp_to_base"], np.empty((4, 4))
+        compose_into(pose, r.sensors[0]["transform_camera_to_tcp"], camera_to_base)
+        place_hands(self._client, self._bodies, r.hands)
+        colour, _ = render(self._client, camera_to_base, camera.focal_px, camera.width_px, camera.height_px)
+        return colour
+
+    def _object(self, colour: NDArray[np.uint8] | None) -> tuple[bool, NDArray[np.float64]]:
+        """Is the object in view, and its moments, in a rendered image (height, width, 3) or exactly."""
+        r = self.records
+        if colour is not None:
+            return rendered_object(colour, self._settings.camera.focal_px)
+        pose, moments = r.truth[0]["transform_tcp_to_base"], np.full(MOMENT_COUNT, np.nan)
+        return exact_object(r.sensors, r.polygon_in_base_m, pose, moments), moments
+
+    def _boxes(self) -> tuple[NDArray[np.float64], int]:
+        """Bounding boxes of the hands, in a rendered image or exactly, and how many."""
+        sensor, r = self._settings.hand_sensor, self.records
+        pose = r.truth[0]["transform_tcp_to_base"]
+        boxes = np.zeros_like(r.observation["boxes"][0])
+        if not self._render_hands:
+            ends = r.capsule_endpoints_in_base_m
+            return boxes, exact_boxes(r.sensors, r.hands, pose, r.capsules, ends, boxes)
+        sensor_to_base = sensor_pose(r.sensors, pose)
+        place_hands(self._client, self._bodies, r.hands)
+        colour, depth_m = render(
+            self._client, sensor_to_base, sensor.focal_px, sensor.width_px, sensor.height_px
+        )
+        return boxes, copy_detections(self._detector.detect(colour, depth_m), boxes)
+
+
+def _black(shape: tuple[int, ...]) -> NDArray[np.uint8]:
+    pixels = np.zeros(shape, np.uint8)
+    pixels.setflags(write=False)
+    return pixels

@@ -1,0 +1,456 @@
+"""A formula as a property: judged on a trace, three-valued, each part with its own margin and unit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.base.exceptions import FormulaError, Place
+from safety_harness.claims.formulas.formula import (
+    Always,
+    Comparison,
+    Eventually,
+    Formula,
+    Globally,
+    Relation,
+    Truth,
+    Until,
+    check_windows,
+    formula_of,
+    goal_of,
+    parts_of,
+    shown_in,
+    signals_of,
+    unit_of,
+)
+from safety_harness.claims.formulas.measured import as_known, blanked, gaps_of
+from safety_harness.claims.formulas.semantics import (
+    LEAST,
+    OF_A_TICK,
+    Atoms,
+    Case,
+    MarginBounds,
+    Margins,
+    Witness,
+    comparison_bounds,
+    margins,
+    ticks_asked,
+    truth_bounds,
+    witness,
+)
+from safety_harness.claims.formulas.signal import Interpolation, Measure, Sampled, Signal
+from safety_harness.claims.formulas.signals import MODES
+from safety_harness.claims.properties.base import (
+    MAY_SATURATE,
+    NEAR_M,
+    Evaluation,
+    Unit,
+    inconclusive,
+    occasion_m,
+    times_begun,
+    unreadable,
+)
+from safety_harness.claims.properties.measured import not_measured
+from safety_harness.claims.properties.unexercised import nearest_of, went
+from safety_harness.scenario.model import EDITION, Scenario, Verdict
+from safety_harness.trace.trace import Trace
+
+GRAVEST = (Verdict.VIOLATED, Verdict.INCONCLUSIVE, Verdict.HOLDS)
+
+
+@dataclass(frozen=True)
+class FormulaClaim:
+    """The property that ``formula`` says; FormulaError if it mixes margins that cannot be compared.
+
+    It is violated if that is certain at the ticks, whatever is unknown; it holds if that is certain
+    at the ticks and between them, in a run that was not cut short and put it to the test; else it
+    is inconclusive, with the reason.  Of several parts the gravest verdict counts.  Where not everything
+    was measured, or not exactly, both are asked of all that may have been.  ``edition`` says what the
+    sentence meant when it was stored.
+    """
+
+    formula: Formula
+    edition: int = EDITION
+
+    def __post_init__(self) -> None:
+        parts_of(formula_of(self.formula, "claim"))
+
+    @property
+    def sentence(self) -> str:
+        """As a scenario file writes it."""
+        return str(self.formula)
+
+    @property
+    def close(self) -> float | None:
+        """As ``close_to``, of a claim that is one comparison, asked at every tick."""
+        match parts_of(self.formula):
+            case (Always(body=Comparison() as one),):
+                least = one.relation in (Relation.ABOVE, Relation.AT_LEAST)
+                return abs(one.limit.value) * (1.0 if least else 0.5)
+        return None
+
+    @property
+    def unit(self) -> Unit:
+        """Of the first part's margin."""
+        return unit_of(parts_of(self.formula)[0])
+
+    @property
+    def reads(self) -> tuple[str, ...]:
+        """The columns of a trace that its signals read."""
+        return _columns_of(self.formula)
+
+    def check(self, scenario: Scenario, place: Place | None = None) -> None:
+        """FormulaError at ``place`` for windows that a run of ``scenario`` has no room for."""
+        check_windows(self.formula, scenario, place or Place(field="formula"))
+
+    def evaluate(self, trace: Trace) -> Evaluation:
+        """Judge one trace; FormulaError as ``check`` says."""
+        self.check(trace.scenario)
+        problem = unreadable(trace, ())
+        if problem is not None:
+            return inconclusive(self, problem)
+        parts = tuple(judge_part(part, trace, self.edition) for part in parts_of(self.formula))
+        if len(parts) == 1:
+            return replace(parts[0], sentence=self.sentence, close=self.close)
+        return replace(
+            _deciding(parts),
+            sentence=self.sentence,
+            exercised=min(part.exercised for part in parts),
+            parts=parts,
+        )
+
+
+def _deciding(parts: tuple[Evaluation, ...]) -> Evaluation:
+    """The first part with the gravest verdict, of those in its unit the one with the least margin.
+
+    The reason says how each of them came out.
+    """
+    verdict = next(v for v in GRAVEST if any(part.verdict is v for part in parts))
+    grave = [part for part in parts if part.verdict is verdict]
+    same = [part for part in grave if part.unit is grave[0].unit and part.margin is not None]
+    worst = min(same, key=lambda part: part.margin or 0.0, default=grave[0])
+    each = (f"{p.sentence}: {p.verdict.value}, {p.margin_text()} ({p.reason})" for p in parts)
+    unmeasured = tuple(dict.fromkeys(name for part in grave for name in part.unmeasured))
+    return replace(worst, reason="; ".join(each), unmeasured=unmeasured)
+
+
+def _columns_of(formula: Formula) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(name for signal in signals_of(formula) for name in signal.reads))
+
+
+WITHOUT_END = 1.0  # the margin, as a plain number, of what truths alone decide
+Values = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class _Asked:
+    """One part of a claim that is asked of one run, and the signals that it reads there."""
+
+    part: Formula
+    trace: Trace
+    sampled: dict[Signal, Sampled]
+    edition: int = EDITION
+
+    @property
+    def period_s(self) -> float:
+        return self.trace.scenario.settings.clock.control_period_s
+
+    @property
+    def sentence(self) -> str:
+        return str(self.part)
+
+    @property
+    def unit(self) -> Unit:
+        return unit_of(self.part)
+
+    def at_ticks(self, atom: Comparison | Truth) -> MarginBounds:
+        one = self.sampled[atom.signal]
+        value = _whole_run(one.value, self.trace)
+        if isinstance(atom, Truth):
+            return truth_bounds(value)
+        if one.value_low is None or one.value_high is None:
+            return comparison_bounds(atom, value, value)
+        low, high = (_whole_run(side, self.trace) for side in (one.value_low, one.value_high))
+        return comparison_bounds(atom, low, high)
+
+    def between(self, atom: Comparison | Truth) -> MarginBounds:
+        """From each tick to the next; what is not known at the tick is not known after it either."""
+        one = self.sampled[atom.signal]
+        if isinstance(atom, Truth) or one.low is one.high:
+            return self.at_ticks(atom)
+        unknown = np.isnan(one.value)
+        low, high = (_whole_run(np.where(unknown, np.nan, side), self.trace) for side in (one.low, one.high))
+        return comparison_bounds(atom, low, high)
+
+    def reached(self, atom: Comparison | Truth) -> MarginBounds:
+        """When the signal with a ``surely`` is least, from each tick to the next."""
+        one = self.sampled[atom.signal]
+        if one.surely is None or isinstance(atom, Truth):
+            return self.between(atom)
+        low, high = (_whole_run(side, self.trace) for side in (one.low, one.surely))
+        return comparison_bounds(atom, low, high)
+
+    def surely(self, at_ticks: Margins) -> float:
+        """What the part's margin is certainly not above, by the ticks and by moments between them.
+
+        A part that asks the same of every moment is violated by any.  The last one is of one tick alone.
+        """
+        part, most = self.part, float(at_ticks.bounds.high[0])
+        always = isinstance(part, Globally) or (isinstance(part, Always) and part.span is None)
+        plain = all(isinstance(node, OF_A_TICK) for one in part.parts for node in one.nodes())
+        known = all(signal.between is not Interpolation.TICKS_ONLY for signal in self.sampled)
+        if self.lacking or not (always and plain and known):
+            return most
+        return min(most, float(margins(part, self.reached, self.period_s).bounds.high[0]))
+
+    def cases(self, atoms: Atoms) -> list[Case]:
+        """The modes that may have been, where it was either of several and more than one is asked of."""
+        gaps = self.trace.known.of("mode").gaps
+        several = len(MODES.keys() & self.sampled.keys()) > 1
+        either = {mode for gap in gaps for mode in gap.either} if several else set()
+        count, found = self.trace.scenario.ticks + 1, []
+        for mode in sorted(either):
+            where = np.zeros(count, np.bool_)
+            for gap in sorted(gaps, key=lambda one: one.either == ()):  # those of any mode last
+                where[gap.first : gap.after] = mode in gap.either
+
+            def told(atom: Comparison | Truth, mode: int = mode) -> MarginBounds:
+                own = MODES.get(atom.signal) if isinstance(atom, Truth) else None
+                return atoms(atom) if own is None else truth_bounds(np.full(count, float(own == mode)))
+
+            found.append(Case(where, told))
+        return found
+
+    def exercised(self, at_ticks: Margins, *, perhaps: bool = False) -> tuple[int, str]:
+        """How often the part was certainly put to the test, and what it is that never happened if that is 0.
+
+        A trigger counts each time that it begins to hold, "until" and "eventually" the ticks before what
+        they wait for (before edition 3 "until" alone), anything else every tick that is known and asked of.
+        A signal that counts its own occasions bounds the number by those at such ticks, unless the trigger
+        has set it; a way gone is one of a speed that is certain at no tick. ``perhaps``: as if all that is
+        unknown had been an occasion.
+        """
+        part, tried = self.part, set(self.sampled)
+        asked = ticks_asked(at_ticks, self.period_s)
+        when = {signal: np.zeros(len(self.trace.ticks), np.bool_) for signal in self.sampled}
+        for node, mask in asked:
+            when[node.signal] |= mask[: len(self.trace.ticks)]
+        known = np.all([perhaps | ~np.isnan(one.value) for one in self.sampled.values()], axis=0)
+        known &= np.any(list(when.values()), axis=0)
+        count, untried = int(np.count_nonzero(known)), "what it reads is never known"
+        if isinstance(part, Globally):
+            trigger = at_ticks.parts[0].bounds
+            count = self.begun((trigger.high if perhaps else trigger.low) >= 0.0, trigger.high < 0.0)
+            untried = f'"{part.trigger}" never holds{self.nearest(part.trigger, at_ticks.parts[0])}'
+            tried -= set(signals_of(part.trigger))
+        elif (goal := goal_of(part)) is not None and (self.edition > 2 or isinstance(part, Until)):
+            met = at_ticks.parts[-1].bounds
+            if not isinstance(part, Until | Eventually):
+                met = -at_ticks.parts[0].parts[0].bounds
+            ends = np.flatnonzero((met.high if self.lacking and not perhaps else met.low) >= 0.0)
+            count = min(count, int(ends[0])) if len(ends) else count
+            untried = f'"{goal}" holds from the beginning'
+        for signal in tried:
+            one = self.sampled[signal]
+            if one.tried is not None:
+                near_m = near_of(part, signal) if one.comes else 0.0
+                least, most = (side + (near_m - NEAR_M) * bool(one.comes) for side in one.tried)
+                tries, never = ((least, most)[perhaps] > 0.0) & when[signal], (most <= 0.0) | ~when[signal]
+                own = self.begun(tries, never) if one.comes else int(np.count_nonzero(tries))
+                if own == 0 and signal.place in self.lacking:
+                    own = int(went(self.trace, signal.place, when[signal]))
+                if own < count:
+                    count, untried = own, self.untried(one, when[signal], near_m)
+        return count, untried
+
+    def untried(self, one: Sampled, when: NDArray[np.bool_], near_m: float) -> str:
+        """What it is that did not happen at the ticks ``when`` (n,) it is asked of."""
+        asked = "" if when.all() else " at any tick that the formula asks of"
+        if one.comes is None:
+            return f"{one.untried}{asked}"
+        whose, what = one.comes
+        nearest = nearest_of(self.trace, np.where(when, one.value, np.inf), near_m, whose, what)
+        return (nearest or f"there was no {whose}") + asked
+
+    def begun(self, surely: NDArray[np.bool_], never: NDArray[np.bool_]) -> int:
+        """How often something begins, at least: between two unknown ticks it may have gone on."""
+        return times_begun(surely[surely | never] if self.lacking else surely)
+
+    def unexercised(self, at_ticks: Margins, untried: str) -> Evaluation:
+        """Inconclusive: it was never exercised, or only by what was not measured if at all."""
+        if self.lacking and self.exercised(at_ticks, perhaps=True)[0]:
+            return self.lacks(self.lacking, "nothing else tells whether it was exercised")
+        return inconclusive(self, f"never exercised: {untried}")
+
+    @cached_property
+    def lacking(self) -> tuple[str, ...]:
+        """The columns that it reads of which not everything is known."""
+        known = self.trace.known
+        return () if known.whole else tuple(n for n in _columns_of(self.part) if known.of(n).limited)
+
+    def lacks(self, columns: tuple[str, ...], told: str = "", exercised: int = 0) -> Evaluation:
+        """Inconclusive for want of what ``columns`` do not tell."""
+        gaps = gaps_of(self.trace, columns)
+        words = f"not measured: {', '.join(gaps)}" if gaps else ""
+        rest = [name for name in columns if name not in gaps]
+        if rest:
+            words += f"{'; ' * bool(gaps)}known only to within an uncertainty: {', '.join(rest)}"
+        words += f"; {told}" * bool(told)
+        return replace(inconclusive(self, words, exercised=exercised), unmeasured=columns)
+
+    def nearest(self, trigger: Formula, at_ticks: Margins) -> str:
+        """By how little a trigger did not hold, and when; empty where that is no one quantity."""
+        low = at_ticks.bounds.low[: len(self.trace.ticks)]
+        try:
+            unit = unit_of(trigger)
+        except FormulaError:  # of several kinds, which a trigger may mix
+            return ""
+        if not np.isfinite(low).any():
+            return ""
+        tick = int(np.argmax(np.where(np.isfinite(low), low, -np.inf)))
+        lacked = unit.margin_text(-float(low[tick])).removeprefix("+")
+        return f": it lacked at least {lacked}, at {self.trace.time_s[tick]:.3f} s"
+
+    def undecided(self, at_ticks: Margins, between: Margins, surely: float, exercised: int) -> Evaluation:
+        """Inconclusive: something is unknown or uncertain, or the bounds between the ticks are too wide."""
+        holds, uncertain = at_ticks.bounds.low[0] >= 0.0, self.trace.known.uncertain(self.lacking)
+        ends = [float(between.bounds.low[0]), surely]
+        told = self.told(Verdict.INCONCLUSIVE, between, exercised)
+        least, most = (self.unit.margin_text(end) for end in ends)
+        if uncertain and np.isfinite(ends).all():
+            why = f"between {least} and {most}, as {', '.join(uncertain)} may be that far off: {told.reason}"
+            return replace(inconclusive(self, why, exercised=exercised), unmeasured=uncertain)
+        if not self.lacking and holds and ends[0] == -np.inf:
+            why = f"{MAY_SATURATE}; at the ticks {most} ({told.reason})"
+            return inconclusive(self, why, exercised=exercised)
+        if not self.lacking and (holds or np.isfinite(ends).all()):
+            why = "it holds at the ticks, perhaps not between them" if holds else "it is not known so closely"
+            return replace(told, reason=f"{why}: between {least} and {most} ({told.reason})")
+        return self.unknown(witness(between if holds else at_ticks, 0, self.period_s, low=True), exercised)
+
+    def unknown(self, found: Witness, exercised: int) -> Evaluation:
+        """What is not known: at the tick that would decide, else the first thing of all."""
+        trace, columns = self.trace, self.lacking
+        why = "a window runs beyond the end of the run, which does not decide it"
+        if not trace.complete:
+            why = f"the run was cut short ({trace.ended})"
+        if found.tick < len(trace.ticks) and found.atom is not None:
+            every = sorted((found.atom.signal, *self.sampled), key=lambda one: not gaps_of(trace, one.reads))
+            for signal in every:  # first those that were not always measured
+                holes = _holes(self.sampled[signal])
+                if holes.any():
+                    tick = found.tick if holes[found.tick] else int(np.argmax(holes))
+                    why = f"{signal.words} is not known at {trace.time_s[tick]:.3f} s"
+                    gaps = gaps_of(trace, signal.reads)
+                    columns = gaps_of(trace, gaps, tick) or gaps or columns
+                    break
+        if columns:
+            return self.lacks(columns, why, exercised)
+        return inconclusive(self, why, exercised=exercised)
+
+    def told(self, verdict: Verdict, seen: Margins, exercised: int, *, low: bool = True) -> Evaluation:
+        """A verdict by the lower (or upper) bound of what was seen, with the moment that decided it."""
+        found = witness(seen, 0, self.period_s, low=low)
+        margin, unit = float((seen.bounds.low if low else seen.bounds.high)[0]), self.unit
+        margin = 0.0 if margin == LEAST else margin
+        if not np.isfinite(margin):
+            margin, unit = float(np.copysign(WITHOUT_END, margin)), Unit.COUNT
+        told = replace(
+            inconclusive(self, "what comes after the run decides", exercised=exercised),
+            verdict=verdict,
+            unit=unit,
+            margin=margin,
+        )
+        if found.atom is None or found.tick >= len(self.trace.ticks):
+            return told
+        signal = found.atom.signal
+        value = float(self.sampled[signal].value[found.tick])
+        if isinstance(found.atom, Truth):
+            reason = signal.words if value else f"not {signal.words}"
+        else:
+            shown = shown_in(signal.dimension)
+            reason = f"{signal.words} {value * shown.per_si:.4g} {shown.symbol}".rstrip()
+            reason += ", exactly the limit" if abs(margin) <= LEAST else ""
+        return replace(told, worst_time_s=float(self.trace.time_s[found.tick]), reason=reason)
+
+
+def near_of(part: Formula, signal: Signal) -> float:
+    """How near has to come what a part says of the distance ``signal``, for it to be an occasion."""
+    said = (node for node in part.nodes() if isinstance(node, Comparison) and node.signal is signal)
+    return occasion_m(max((one.limit.value for one in said), default=0.0))
+
+
+def judge_part(part: Formula, trace: Trace, edition: int = EDITION, *, finely: bool = False) -> Evaluation:
+    """The verdict on one part; ``trace`` is not empty and does not contradict itself.
+
+    ``finely``: with the closer bounds of signals that have such, which are asked for where they may decide.
+    """
+    whole = trace.known.whole
+    missing = () if whole else trace.known.missing(_columns_of(part))
+    if missing:
+        return not_measured(_Asked(part, trace, {}), missing, known=trace.known)
+    seen = trace if whole else blanked(trace)
+    with np.errstate(invalid="ignore", over="ignore"):  # of values that no run has, which is found below
+        sampled = {
+            signal: (signal.finer if finely and signal.finer else signal.sample)(seen)
+            for signal in signals_of(part)
+        }
+    asked = _Asked(part, trace, sampled, edition)
+    for signal, one in sampled.items():
+        gaps = () if whole else gaps_of(trace, signal.reads)
+        uncertain = () if whole else trace.known.uncertain(signal.reads)
+        if one.absent and (gaps or (uncertain and one.lost is not None and one.lost.any())):
+            return asked.lacks(gaps or uncertain, one.absent)
+        why = one.absent or _impossible(signal, one, trace)
+        if why:
+            return inconclusive(asked, why)
+        if uncertain and signal.off is None:
+            return asked.lacks(uncertain, f"{signal.words} is not judged by that")
+        sampled[signal] = one if whole else as_known(signal, one, trace)
+    at_ticks, between = (
+        margins(part, atoms, asked.period_s, asked.cases(atoms)) for atoms in (asked.at_ticks, asked.between)
+    )
+    low, surely = between.bounds.low[0], asked.surely(at_ticks)
+    if low < 0.0 <= surely and not finely and any(signal.finer for signal in sampled):
+        return judge_part(part, trace, edition, finely=True)
+    exercised, untried = asked.exercised(at_ticks)
+    if surely < 0.0:
+        exercised = max(exercised, 1)
+        if np.isfinite(low) and not asked.lacking:
+            return asked.told(Verdict.VIOLATED, between, exercised)
+        return asked.told(Verdict.VIOLATED, at_ticks, exercised, low=False)
+    if low < 0.0:
+        return asked.undecided(at_ticks, between, surely, exercised)
+    if exercised == 0 and (asked.lacking or np.isinf(low)):  # nothing was asked at all
+        return asked.unexercised(at_ticks, untried)
+    told = asked.told(Verdict.HOLDS, between, exercised)
+    if exercised == 0:
+        return replace(told, verdict=Verdict.INCONCLUSIVE, reason=f"never exercised: {untried}")
+    if not trace.complete:
+        cut = f"the run was cut short ({trace.ended}): {told.reason}"
+        return replace(told, verdict=Verdict.INCONCLUSIVE, reason=cut)
+    return told
+
+
+def _holes(one: Sampled) -> NDArray[np.bool_]:
+    """(n,) the ticks at which a signal is not known, or not wholly."""
+    return np.isnan(one.value) if one.lost is None else np.isnan(one.value) | one.lost
+
+
+def _impossible(signal: Signal, one: Sampled, trace: Trace) -> str:
+    """Why a signal's values are no evidence; empty if a run can have them."""
+    found = signal.impossible(one) if isinstance(signal, Measure) else None
+    if found is None:
+        return ""
+    (tick, value), shown = found, shown_in(signal.dimension)
+    number = f"{value * shown.per_si:.4g} {shown.symbol}".rstrip()
+    return f"no run has what is stored: {signal.words} {number} at {trace.time_s[tick]:.3f} s"
+
+
+def _whole_run(values: Values, trace: Trace) -> Values:
+    """(scenario.ticks + 1,): NaN for the ticks that the run did not reach."""
+    missing = trace.scenario.ticks + 1 - len(values)
+    return np.append(values, np.full(missing, np.nan)) if missing > 0 else values

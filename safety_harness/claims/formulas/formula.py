@@ -1,0 +1,423 @@
+"""What a formula is made of, and how it is written in Python.
+
+    always(hand_distance() > mm(50))
+    whenever(hand_distance() < mm(300)).then(eventually(tcp_speed() < mm_per_s(100), within=ms(200)))
+    repulsing().until(hand_distance() > mm(300), within=s(4))
+
+Formulas are frozen trees, equal when they say the same; ``str`` is the sentence that a scenario file
+has for them.  They are joined by ``&``, ``|`` and ``~``, each comparison in parentheses; Python's own
+``and``, ``or``, ``not`` and ``a < x < b`` ask whether a formula is true, which only a run can say, and
+raise FormulaError.
+
+A claim asks its formula as the parts that "and" joins at its top, each of the whole run.  A part without a
+temporal operator is asked at every tick, as if "always" stood before it; one that such operators begin is
+asked once, of the first tick and what follows.  One that joins both kinds could mean either, and is refused.
+"always (a and b)" and "whenever t then (a and b)" are the same as their two halves, so that each has a margin
+of its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from enum import Enum
+from typing import TYPE_CHECKING
+
+from safety_harness.base.exceptions import FormulaError, Place
+from safety_harness.claims.formulas.quantities import Quantity, Span, Window, formula_error, span_of
+from safety_harness.claims.properties.base import Unit
+from safety_harness.scenario.model import Scenario
+from safety_harness.scenario.units import (
+    ANGLE,
+    ANGULAR_SPEED,
+    LENGTH,
+    NUMBER,
+    OTHER_UNIT,
+    SPEED,
+    TIME,
+    Dimension,
+)
+
+if TYPE_CHECKING:
+    from safety_harness.claims.formulas.signal import Signal
+
+
+class Relation(Enum):
+    """How a value stands to its limit."""
+
+    BELOW = "<"
+    AT_MOST = "<="
+    ABOVE = ">"
+    AT_LEAST = ">="
+
+
+class Formula:
+    """Any formula; the classes below are all there are."""
+
+    def __post_init__(self) -> None:
+        _refuse_what_stands_at_the_top(self)
+
+    @property
+    def parts(self) -> tuple[Formula, ...]:
+        """The formulas that it is directly made of."""
+        return ()
+
+    def nodes(self) -> Iterator[Formula]:
+        """It and everything in it, depth first."""
+        yield self
+        for part in self.parts:
+            yield from part.nodes()
+
+    def __and__(self, other: Formula) -> Formula:
+        return conjunction(self, formula_of(other, "&"))
+
+    def __or__(self, other: Formula) -> Formula:
+        return disjunction(self, formula_of(other, "|"))
+
+    def __invert__(self) -> Formula:
+        return Not(self)
+
+    def until(self, other: Formula, *, within: Window = None) -> Formula:
+        """It holds from now until a tick, in the window, at which ``other`` does; there it need not."""
+        return Until(self, formula_of(other, "until"), span_of(within))
+
+    def __bool__(self) -> bool:
+        raise formula_error(
+            "formulas joined by &, | and ~, and comparisons of one signal with one quantity",
+            f'a question whether "{self}" is true, without a run',
+            'Python\'s "and", "or", "not" and "a < x < b" ask that: write (x > a) & (x < b)',
+        )
+
+
+@dataclass(frozen=True)
+class Comparison(Formula):
+    """A signal's value beside a limit.  Margin: how far it is on the right side of it."""
+
+    signal: Signal
+    relation: Relation
+    limit: Quantity
+
+    def __post_init__(self) -> None:
+        wanted = self.signal.dimension
+        if wanted is None or self.limit.dimension is not wanted:
+            expected = (
+                f"{self.signal.words} beside {wanted.expected}" if wanted else "a truth without a limit"
+            )
+            hint = f"allowed units: {', '.join(wanted.units)}" if wanted and wanted.units else ""
+            raise formula_error(expected, str(self.limit), hint)
+        least, most = self.signal.limits
+        if not least <= self.limit.value <= most:
+            expected = f"a limit of {self.signal.words} from {least:g} to {most:.4g} {wanted.si}".rstrip()
+            raise formula_error(expected, str(self.limit), OTHER_UNIT)
+
+    def __str__(self) -> str:
+        return f"{self.signal.words} {self.relation.value} {self.limit}"
+
+
+@dataclass(frozen=True)
+class Truth(Formula):
+    """A signal that is true or false; its margin is without end either way."""
+
+    signal: Signal
+
+    def __str__(self) -> str:
+        return self.signal.words
+
+
+@dataclass(frozen=True)
+class _Over(Formula):
+    """An operator over one formula."""
+
+    body: Formula
+
+    @property
+    def parts(self) -> tuple[Formula, ...]:
+        """What it is said of."""
+        return (self.body,)
+
+
+@dataclass(frozen=True)
+class Not(_Over):
+    """It does not hold: the same margin with the other sign."""
+
+    def __str__(self) -> str:
+        return f"not {operand(self.body)}"
+
+
+@dataclass(frozen=True)
+class Initially(_Over):
+    """It holds at the first tick."""
+
+    def __str__(self) -> str:
+        return f"initially {operand(self.body)}"
+
+
+@dataclass(frozen=True)
+class Always(_Over):
+    """It holds at every tick of the window, or from now to the end of the run: the least margin."""
+
+    span: Span | None = None
+
+    def __str__(self) -> str:
+        words = f"always {self.span.words('for')}" if self.span else "always"
+        return f"{words} {operand(self.body)}"
+
+
+@dataclass(frozen=True)
+class Eventually(_Over):
+    """It holds at one tick of the window at least, or of the rest of the run: the largest margin."""
+
+    span: Span | None = None
+
+    def __str__(self) -> str:
+        body = operand(self.body)
+        if self.span is None:  # "eventually within 1 s" is one operator
+            return f"eventually ({body})" if body.startswith("within") else f"eventually {body}"
+        words = self.span.words("within")
+        return f"eventually {words} {body}" if words.startswith("from") else f"{words} {body}"
+
+
+@dataclass(frozen=True)
+class _Several(Formula):
+    members: tuple[Formula, ...]
+
+    @property
+    def parts(self) -> tuple[Formula, ...]:
+        """What is joined."""
+        return self.members
+
+
+@dataclass(frozen=True)
+class And(_Several):
+    """All of them hold: the least margin."""
+
+    def __post_init__(self) -> None:
+        """It joins what stands at the top, whatever that is."""
+
+    def __str__(self) -> str:
+        return " and ".join(joined(part) for part in self.members)
+
+
+@dataclass(frozen=True)
+class Or(_Several):
+    """One of them holds: the largest margin."""
+
+    def __str__(self) -> str:
+        return " or ".join(joined(part) for part in self.members)
+
+
+@dataclass(frozen=True)
+class Until(Formula):
+    """``first`` holds at every tick before one, in the window, at which ``second`` does."""
+
+    first: Formula
+    second: Formula
+    span: Span | None = None
+
+    @property
+    def parts(self) -> tuple[Formula, ...]:
+        """What lasts, and what ends it."""
+        return (self.first, self.second)
+
+    def __str__(self) -> str:
+        words = f"{joined(self.first)} until {joined(self.second)}"
+        return f"{words} {self.span.words('within')}" if self.span else words
+
+
+@dataclass(frozen=True)
+class Globally(Formula):
+    """At every tick at which ``trigger`` holds, ``response`` does.  The trigger has no margin of its own."""
+
+    trigger: Formula
+    response: Formula
+
+    @property
+    def parts(self) -> tuple[Formula, ...]:
+        """Trigger and response."""
+        return (self.trigger, self.response)
+
+    def __str__(self) -> str:
+        response = str(self.response) if isinstance(self.response, Until) else operand(self.response)
+        return f"whenever {self.trigger} then {response}"
+
+
+def goal_of(part: Formula) -> Formula | None:
+    """Return what has to hold at some tick from the first one on; None if ``part`` asks no such thing."""
+    match part:
+        case Until():
+            return part.second
+        case Eventually() if part.span is None or part.span.begin.value <= 0.0:
+            return part.body
+        case Not(body=Always(span=None) as always):
+            return Not(always.body)
+    return None
+
+
+TEMPORAL = (Always, Eventually, Until, Globally, Initially)
+_JOINS = (And, Or, Until)
+
+
+def operand(formula: Formula) -> str:
+    """As it stands after an operator: in parentheses if it joins several."""
+    return f"({formula})" if isinstance(formula, _JOINS) else str(formula)
+
+
+def joined(formula: Formula) -> str:
+    """As it stands beside "and", "or", "until": in parentheses if it could be taken to reach further."""
+    inner = formula
+    while isinstance(inner, Not):
+        inner = inner.body
+    wide = isinstance(formula, _JOINS) or (isinstance(inner, TEMPORAL) and not isinstance(inner, Until))
+    return f"({formula})" if wide else str(formula)
+
+
+def conjunction(*formulas: Formula) -> Formula:
+    """All of ``formulas``; what they themselves join stands beside the rest."""
+    return And(tuple(p for one in formulas for p in (one.members if isinstance(one, And) else (one,))))
+
+
+def disjunction(*formulas: Formula) -> Formula:
+    """One of ``formulas``; what they themselves join stands beside the rest."""
+    return Or(tuple(p for one in formulas for p in (one.members if isinstance(one, Or) else (one,))))
+
+
+def formula_of(value: object, word: str) -> Formula:
+    """``value`` if it is a formula; else FormulaError, naming the operator beside which it stands."""
+    if isinstance(value, Formula):
+        return value
+    raise formula_error(f'a formula such as hand_distance() > mm(50) beside "{word}"', str(value))
+
+
+def _refuse_what_stands_at_the_top(formula: Formula) -> None:
+    """FormulaError for a part that is no formula, or that only a whole claim can be."""
+    word = type(formula).__name__.lower()
+    for part in formula.parts:
+        for node in formula_of(part, word).nodes():
+            if isinstance(node, Globally | Initially):
+                begins = type(node).__name__.lower()
+                raise formula_error(
+                    f'"{begins}" at the beginning of a claim, or of a part that "and" joins to others',
+                    f'"{node}" within "{word}"',
+                    "it is asked of the whole run already",
+                )
+
+
+_UNITS = (
+    (LENGTH, Unit.LENGTH),
+    (ANGLE, Unit.ANGLE),
+    (SPEED, Unit.SPEED),
+    (ANGULAR_SPEED, Unit.ANGULAR_SPEED),
+    (TIME, Unit.TIME),
+    (NUMBER, Unit.COUNT),
+)
+
+
+def parts_of(formula: Formula) -> tuple[Formula, ...]:
+    """The parts that a claim is made of, each ready to be asked; FormulaError if one has no margin."""
+    parts = tuple(_asked(part) for part in _split(formula))
+    for part in parts:
+        dimension_of(part)
+    return parts
+
+
+def _split(formula: Formula) -> list[Formula]:
+    """At every "and" that stands at the top, or directly in what "always" or "whenever" says there."""
+    match formula:
+        case And():
+            return [part for member in formula.members for part in _split(member)]
+        case Always(body=And() as body, span=span):
+            return [part for member in body.members for part in _split(Always(member, span))]
+        case Globally(trigger=trigger, response=And() as body):
+            return [part for member in body.members for part in _split(Globally(trigger, member))]
+        case Initially(body=And() as body):
+            return [part for member in body.members for part in _split(Initially(member))]
+    return [formula]
+
+
+def _asked(part: Formula) -> Formula:
+    """With "always" before it if no operator says when; FormulaError if one does for a part of it alone."""
+    if not any(isinstance(node, TEMPORAL) for node in part.nodes()):
+        return Always(part)
+    if (bare := next(_of_no_time(part), None)) is not None:
+        raise formula_error(
+            f'"always ({part})" or "initially ({part})", which say when "{bare}" is asked',
+            f'"{part}", where a temporal word stands beside what has none',
+            "in Python: always(...) or initially(...) around the whole",
+        )
+    return part
+
+
+def _of_no_time(formula: Formula) -> Iterator[Formula]:
+    """The comparisons and truths that no temporal operator stands over."""
+    if isinstance(formula, Comparison | Truth):
+        yield formula
+    elif not isinstance(formula, TEMPORAL):
+        for part in formula.parts:
+            yield from _of_no_time(part)
+
+
+def unit_of(part: Formula) -> Unit:
+    """What the margin of a part is shown in; a number for truths alone."""
+    return shown_in(dimension_of(part))
+
+
+def shown_in(dimension: Dimension | None) -> Unit:
+    """The unit for values of a dimension."""
+    return next((unit for own, unit in _UNITS if own is dimension), Unit.COUNT)
+
+
+def dimension_of(formula: Formula) -> Dimension | None:
+    """Of a formula's margin, None for truths alone; FormulaError where it would mix two of them.
+
+    A trigger has no margin, and may mix.
+    """
+    if isinstance(formula, Comparison):
+        return formula.signal.dimension
+    parts = formula.parts[1:] if isinstance(formula, Globally) else formula.parts
+    found: list[tuple[Dimension, Formula]] = []
+    for part in parts:
+        dimension = dimension_of(part)
+        if dimension is not None:
+            found.append((dimension, part))
+    for dimension, part in found[1:]:
+        if dimension is not found[0][0]:
+            raise formula_error(
+                f"one kind of margin in {type(formula).__name__.lower()!r}, all of them lengths, say",
+                f'"{found[0][1]}" beside "{part}"',
+                'let one be a trigger, which has no margin: "whenever ... then ..."',
+            )
+    return found[0][0] if found else None
+
+
+def signals_of(formula: Formula) -> tuple[Signal, ...]:
+    """Every signal that a formula reads, once, in the order of the sentence."""
+    atoms = (node for node in formula.nodes() if isinstance(node, Comparison | Truth))
+    return tuple(dict.fromkeys(atom.signal for atom in atoms))
+
+
+def check_windows(formula: Formula, scenario: Scenario, place: Place) -> None:
+    """FormulaError at ``place`` for windows that end after every run of ``scenario``, or have no tick."""
+    period_s = scenario.settings.clock.control_period_s
+    for node in formula.nodes():
+        span = getattr(node, "span", None)
+        if span is not None and span.ticks(period_s)[0] > span.ticks(period_s)[1]:
+            raise FormulaError(
+                place=place,
+                expected=f"a window with a control tick in it (one every {period_s * 1e3:g} ms)",
+                got=f'{span.begin} to {span.end} in "{formula}"',
+            )
+    reach = reach_ticks(formula, period_s)
+    if reach > scenario.ticks:
+        raise FormulaError(
+            place=place,
+            expected=f"windows that end within the scenario's duration, {scenario.duration_s:g} s",
+            got=f'"{formula}", which looks {reach * period_s:g} s ahead',
+            hint="windows within one another add up",
+        )
+
+
+def reach_ticks(formula: Formula, period_s: float) -> int:
+    """How many ticks after the one that it is asked of its windows end."""
+    span = formula.span if isinstance(formula, Always | Eventually | Until) else None
+    own = span.ticks(period_s)[1] if span is not None else 0
+    return own + max((reach_ticks(part, period_s) for part in formula.parts), default=0)

@@ -1,0 +1,185 @@
+"""Everything that formulas are written with in Python."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from safety_harness.claims.formulas.formula import (
+    Always,
+    Eventually,
+    Formula,
+    Globally,
+    Initially,
+    formula_of,
+)
+from safety_harness.claims.formulas.parse import parse_formula
+from safety_harness.claims.formulas.quantities import Quantity, Window, quantity, span_of
+from safety_harness.claims.formulas.signal import Signal
+from safety_harness.claims.formulas.signals import (
+    angle_to_desired_pose,
+    deciding,
+    distance_to_desired_pose,
+    elapsed_time,
+    falling_back,
+    fault_acting,
+    hand_distance,
+    hand_tracked,
+    image_error,
+    joint_speed,
+    nearest_hand_to_tcp,
+    object_lost,
+    object_visible,
+    predicted_hand_distance,
+    prediction_error,
+    repulsing,
+    servoing,
+    spread,
+    stopped,
+    tcp_height,
+    tcp_speed,
+)
+from safety_harness.scenario.units import ANGLE, ANGULAR_SPEED, LENGTH, SPEED, TIME
+
+__all__ = [
+    "Formula",
+    "Quantity",
+    "Signal",
+    "always",
+    "angle_to_desired_pose",
+    "cm",
+    "cm_per_s",
+    "deciding",
+    "deg",
+    "deg_per_s",
+    "distance_to_desired_pose",
+    "elapsed_time",
+    "eventually",
+    "falling_back",
+    "fault_acting",
+    "hand_distance",
+    "hand_tracked",
+    "image_error",
+    "initially",
+    "joint_speed",
+    "m",
+    "m_per_s",
+    "minutes",
+    "mm",
+    "mm_per_s",
+    "ms",
+    "nearest_hand_to_tcp",
+    "object_lost",
+    "object_visible",
+    "parse_formula",
+    "predicted_hand_distance",
+    "prediction_error",
+    "rad",
+    "rad_per_s",
+    "repulsing",
+    "s",
+    "servoing",
+    "spread",
+    "stopped",
+    "tcp_height",
+    "tcp_speed",
+    "whenever",
+]
+
+
+def mm(number: float) -> Quantity:
+    """Millimetres."""
+    return quantity(number, "mm", LENGTH)
+
+
+def cm(number: float) -> Quantity:
+    """Centimetres."""
+    return quantity(number, "cm", LENGTH)
+
+
+def m(number: float) -> Quantity:
+    """Metres."""
+    return quantity(number, "m", LENGTH)
+
+
+def deg(number: float) -> Quantity:
+    """Degrees."""
+    return quantity(number, "deg", ANGLE)
+
+
+def rad(number: float) -> Quantity:
+    """Radians."""
+    return quantity(number, "rad", ANGLE)
+
+
+def s(number: float) -> Quantity:
+    """Seconds."""
+    return quantity(number, "s", TIME)
+
+
+def ms(number: float) -> Quantity:
+    """Milliseconds."""
+    return quantity(number, "ms", TIME)
+
+
+def minutes(number: float) -> Quantity:
+    """Minutes."""
+    return quantity(number, "min", TIME)
+
+
+def mm_per_s(number: float) -> Quantity:
+    """Millimetres a second."""
+    return quantity(number, "mm/s", SPEED)
+
+
+def cm_per_s(number: float) -> Quantity:
+    """Centimetres a second."""
+    return quantity(number, "cm/s", SPEED)
+
+
+def m_per_s(number: float) -> Quantity:
+    """Metres a second."""
+    return quantity(number, "m/s", SPEED)
+
+
+def deg_per_s(number: float) -> Quantity:
+    """Degrees a second."""
+    return quantity(number, "deg/s", ANGULAR_SPEED)
+
+
+def rad_per_s(number: float) -> Quantity:
+    """Radians a second."""
+    return quantity(number, "rad/s", ANGULAR_SPEED)
+
+
+def always(formula: Formula, *, within: Window = None) -> Formula:
+    """It holds at every tick from now on, or at every one of the window.
+
+    ``within=s(2)``: from now to 2 s; ``within=(s(0.1), s(0.5))``: from 0.1 s to 0.5 s, ends included.
+    """
+    return Always(formula_of(formula, "always"), span_of(within))
+
+
+def eventually(formula: Formula, *, within: Window = None) -> Formula:
+    """It holds at one tick at least, from now on or in the window."""
+    return Eventually(formula_of(formula, "eventually"), span_of(within))
+
+
+def initially(formula: Formula) -> Formula:
+    """It holds at the first tick of the run."""
+    return Initially(formula_of(formula, "initially"))
+
+
+@dataclass(frozen=True)
+class Antecedent:
+    """The first half of ``whenever(...).then(...)``."""
+
+    trigger: Formula
+
+    def then(self, response: Formula) -> Formula:
+        """At every tick at which the trigger holds, ``response`` does."""
+        return Globally(self.trigger, formula_of(response, "then"))
+
+
+def whenever(trigger: Formula) -> Antecedent:
+    """``whenever(p).then(q)``: q at every tick at which p holds; if p never does, that is no evidence."""
+    return Antecedent(formula_of(trigger, "whenever"))

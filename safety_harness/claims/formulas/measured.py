@@ -1,0 +1,147 @@
+"""What is known of a signal in a trace of which not all was measured: the ends of what it can have been."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.claims.formulas.signal import Interpolation, Sampled, Signal
+from safety_harness.claims.properties.hand_distance import distance_moved_m
+from safety_harness.claims.properties.true_motion import follows_unknown, tcp_of
+from safety_harness.trace.trace import Trace, once_a_trace
+from safety_harness.trace.unmeasured import as_measured
+
+Bound = float | NDArray[np.float64]  # everywhere, or (n,) at each tick and from it to the next
+Off = Callable[[Trace], tuple[Bound, Bound, Bound]]
+Truths = NDArray[np.bool_]
+TCP, TCP_SPEED, HANDS = "transform_tcp_to_base", "tcp_speed_mps", "hand_position_in_base_m"
+
+
+blanked = once_a_trace(as_measured)
+
+
+def gaps_of(trace: Trace, columns: Iterable[str], tick: int | None = None) -> tuple[str, ...]:
+    """Those that were measured, but not always: at ``tick``, or at any."""
+    known = trace.known
+    return tuple(
+        name
+        for name in columns
+        if any(tick is None or g.first <= tick < g.after for g in known.of(name).gaps)
+    )
+
+
+def lost_of_hands(trace: Trace, columns: Iterable[str]) -> Truths:
+    """(n, hands) the ticks at which one of ``columns`` was not measured, of each hand that there may be."""
+    found = np.zeros((len(trace.ticks), *trace.ticks.dtype["hand_present"].shape), np.bool_)
+    for name in columns:
+        for gap in trace.known.of(name).gaps:
+            found[gap.first : gap.after, ... if gap.hand is None else gap.hand] = True
+    return found
+
+
+def lost(trace: Trace, columns: Iterable[str]) -> Truths:
+    """(n,) the ticks at which one of ``columns`` was not measured, of any hand."""
+    if trace.known.whole:
+        return np.zeros(len(trace.ticks), np.bool_)
+    return np.asarray(lost_of_hands(trace, columns).any(axis=1))
+
+
+def or_next(state: Truths) -> Truths:
+    """(n, ...) from each tick to the next: at the one or at the other.  ``state`` (n, ...)."""
+    either = state.copy()
+    either[:-1] |= state[1:]
+    return either
+
+
+def as_known(signal: Signal, one: Sampled, trace: Trace) -> Sampled:
+    """The bounds within which ``signal`` was, where ``one`` is what was measured of it.
+
+    Unknown at lost ticks, and in the cells that touch them; but at most as large where it has a value
+    there, which is then that of the hands that were measured.
+    """
+    columns = [name for name in signal.reads if trace.known.of(name).limited]
+    if not columns or one.absent:
+        return one
+    at, below, above = signal.off(trace) if signal.off else (0.0, 0.0, 0.0)
+    value, low, high = one.value, one.low, one.high
+    gone = lost(trace, columns) if one.lost is None else one.lost
+    held = signal.between is not Interpolation.BOUNDED
+    cells = gone if held else or_next(gone)
+    if one.lost is None:
+        value = np.where(gone, np.nan, value)
+        low, high = (np.where(cells, np.nan, side) for side in (low, high))
+    value_low, value_high = np.where(gone, -np.inf, value - at), value + at
+    tried = one.tried
+    if tried is not None:
+        by, untold = (at, gone) if one.comes else (above, cells)
+        least, most = tried[0] - by, tried[1] + by
+        tried = np.where(np.isnan(least), -np.inf, least), np.where(untold | np.isnan(most), np.inf, most)
+    return replace(
+        one,
+        value=value,
+        low=value_low if held else np.where(cells, -np.inf, low - below),
+        high=value_high if held else high + above,
+        value_low=value_low,
+        value_high=value_high,
+        lost=gone,
+        tried=tried,
+    )
+
+
+# By how much a signal may be off, as its columns are uncertain: at the ticks, and its bounds between them,
+# (at, below, above) in SI.
+
+
+def by_uncertainty_of(*columns: str) -> Off:
+    """By that of ``columns`` together."""
+
+    def off(trace: Trace) -> tuple[float, float, float]:
+        together = sum(trace.known.of(name).uncertainty for name in columns)
+        return together, together, together
+
+    return off
+
+
+def of_speed(speed: str, position: str) -> Off:
+    """Of a speed; the mean ones between ticks are off by both positions over the period."""
+
+    def off(trace: Trace) -> tuple[float, float, float]:
+        at, place = (trace.known.of(name).uncertainty for name in (speed, position))
+        between = max(at, 2.0 * place / trace.scenario.settings.clock.control_period_s)
+        return at, between, between
+
+    return off
+
+
+def of_place(trace: Trace) -> tuple[float, float, float]:
+    """Of a place of the TCP: beside its own, half of what its way within a tick is off by."""
+    at, speed = (trace.known.of(name).uncertainty for name in (TCP, TCP_SPEED))
+    between = at + 0.5 * max(speed * trace.scenario.settings.clock.control_period_s, 2.0 * at)
+    return at, between, between
+
+
+def of_nearest_hand(trace: Trace) -> tuple[float, float, float]:
+    """Of the TCP from a hand: both places; below by joints and their bend, above by half of both ways."""
+    if follows_unknown(trace):
+        return np.inf, np.inf, np.inf
+    tcp, between, _ = of_place(trace)
+    columns = ("joint_position_rad", "joint_velocity_radps", HANDS)
+    turned_rad, faster_radps, hand = (trace.known.of(name).uncertainty for name in columns)
+    turned_rad += 0.5 * trace.scenario.settings.clock.control_period_s * faster_radps
+    low = max(tcp, turned_rad * float(tcp_of(trace).reach_m.sum()))
+    return tcp + hand, low + hand, between + 2.0 * hand
+
+
+def of_hand_distance(trace: Trace) -> tuple[Bound, Bound, Bound]:
+    """Below as far as the catalogue's bound; above by that beside the distances at the ticks."""
+    at, moved = distance_moved_m(trace)
+    between, beside = np.maximum(at, moved), at + moved
+    return at, np.maximum(between, _next(between)), np.maximum(beside, _next(beside))
+
+
+def _next(value: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(n,) of each tick that of the one after."""
+    return np.append(value[1:], value[-1:])

@@ -1,0 +1,311 @@
+"""From a sentence to its formula.
+
+    claim    := operand ("and" operand)* | operand ("or" operand)* | operand "until" operand [window] | far
+    far      := ("always" [lasting] | "eventually" ["from" t "to" t] | "within" t | "initially" | "not") reach
+              | "whenever" claim "then" (reach | operand "until" operand [window])
+    reach    := operand | far
+    operand  := "not" operand | "(" claim ")" | signal | signal ("<" | "<=" | ">" | ">=") quantity
+    lasting  := "for" t | "from" t "to" t
+    window   := "within" t | "from" t "to" t
+
+What could be read in two ways is refused: "and" mixed with "or", and anything that goes on after a
+``far`` one, wants parentheses.  Words count in either case.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+from safety_harness.base.exceptions import FormulaError, InputError, Place, near_miss, refuse_other_type
+from safety_harness.claims.formulas.formula import (
+    Always,
+    And,
+    Comparison,
+    Eventually,
+    Formula,
+    Globally,
+    Initially,
+    Not,
+    Or,
+    Relation,
+    Truth,
+    Until,
+    conjunction,
+    disjunction,
+    parts_of,
+)
+from safety_harness.claims.formulas.quantities import NOW, Quantity, Span, read_quantity
+from safety_harness.claims.formulas.signal import Signal
+from safety_harness.claims.formulas.signals import SIGNALS
+from safety_harness.scenario.units import TIME, Dimension
+
+FIRST = ("always", "eventually", "whenever", "within", "initially", "not")
+KEYWORDS = (*FIRST, "and", "or", "until", "then", "for", "from", "to")
+MAX_DEPTH = 30  # parentheses and operators within one another
+
+
+def parse_formula(sentence: str, place: Place | None = None) -> Formula:
+    """The formula that a sentence says; FormulaError at ``place`` with the column of the wrong word."""
+    refuse_other_type("parse_formula(sentence)", sentence, str, expected="a sentence")
+    place = place or Place(field="formula")
+    parser = _Parser(sentence, place, tokens_of(sentence, place))
+    formula = parser.claim(0)
+    if parser.now.kind != "end":
+        raise parser.error('the end of the claim, "and", "or" or "until"')
+    try:
+        parts_of(formula)
+    except FormulaError as error:
+        raise FormulaError(place=place, expected=error.expected, got=error.got, hint=error.hint) from error
+    return formula
+
+
+def looks_like_formula(sentence: str) -> bool:
+    """Does a sentence that nothing else understands mean to be a formula?"""
+    if any(sign in sentence for sign in "<>≤≥=()"):
+        return True
+    words = sentence.lower().split()
+    names = {signal.words.lower() for signal in SIGNALS}
+    return bool(words) and (words[0] in FIRST or "until" in words or " ".join(words) in names)
+
+
+ALL_CLAIMS = "safety-harness claims"  # the command that lists the catalogue and the signals
+
+
+@dataclass
+class _Parser:
+    sentence: str
+    place: Place
+    tokens: list[Token]
+    at: int = 0
+
+    @property
+    def now(self) -> Token:
+        return self.tokens[self.at]
+
+    def take(self, *texts: str) -> Token | None:
+        """The token that stands here if it is one of ``texts``; the next one follows."""
+        token = self.now
+        if token.text not in texts or token.kind == "end":
+            return None
+        self.at += 1
+        return token
+
+    def need(self, text: str, expected: str) -> None:
+        if self.take(text) is None:
+            raise self.error(expected)
+
+    def error(self, expected: str, token: Token | None = None, hint: str = "", got: str = "") -> FormulaError:
+        token = token or self.now
+        where = f'at column {token.column} of "{self.sentence}"'
+        what = f'"{got or token.written}" {where}' if token.kind != "end" else f'the end of "{self.sentence}"'
+        return FormulaError(place=self.place, expected=expected, got=what, hint=hint)
+
+    def made(self, token: Token, make: type[Formula], *parts: object) -> Formula:
+        """A node; what it refuses is told at ``token``."""
+        try:
+            return make(*parts)
+        except FormulaError as error:
+            raise self.error(error.expected, token, error.hint, error.got) from error
+
+    def claim(self, depth: int) -> Formula:
+        begins = self.now
+        self.refuse_deeper(depth)
+        if self.far_begins():
+            formula = self.far(depth)
+            self.refuse_more(begins)
+            return formula
+        first = self.operand(depth)
+        joint = self.take("and", "or", "until")
+        if joint is None:
+            return first
+        if joint.text == "until":
+            return self.until(joint, first, depth)
+        members = [first, self.operand(depth)]
+        while self.take(joint.text):
+            members.append(self.operand(depth))
+        self.refuse_more(joint)
+        join, make = (conjunction, And) if joint.text == "and" else (disjunction, Or)
+        self.made(joint, make, tuple(members))
+        return join(*members)
+
+    def refuse_deeper(self, depth: int) -> None:
+        if depth > MAX_DEPTH:
+            raise self.error(f"at most {MAX_DEPTH} parentheses and operators within one another")
+
+    def refuse_more(self, begins: Token) -> None:
+        """After an operator that could be taken to reach further, or another joint."""
+        if self.now.text in ("and", "or", "until") and self.now.kind == "word":
+            word = begins.text
+            hint = f'"{word} (...)" with what belongs to it, or "({word} ...)" around it'
+            if word in ("and", "or", "until"):
+                hint = f'such as "(a {word} b) {self.now.text} c"'
+            raise self.error(f'parentheses that say how far "{word}" reaches', hint=hint)
+
+    def until(self, word: Token, first: Formula, depth: int) -> Formula:
+        formula = self.made(word, Until, first, self.operand(depth), self.window("within"))
+        self.refuse_more(word)
+        return formula
+
+    def far_begins(self) -> bool:
+        """Does an operator stand here that reaches over what follows?  "not" does if the next one does."""
+        ahead = self.at
+        while self.tokens[ahead].text == "not":
+            ahead += 1
+        return self.tokens[ahead].text in FIRST
+
+    def far(self, depth: int) -> Formula:
+        word = self.now
+        self.at += 1
+        if word.text == "whenever":
+            trigger = self.claim(depth + 1)
+            self.need("then", '"then" and what is to hold whenever the first part does')
+            return self.made(word, Globally, trigger, self.reach(depth, until=True))
+        if word.text in ("not", "initially"):
+            return self.made(word, Not if word.text == "not" else Initially, self.reach(depth))
+        if word.text == "within":
+            span = Span(NOW, self.later(NOW))
+            return self.made(word, Eventually, self.reach(depth), span)
+        make, lasting = (Always, "for") if word.text == "always" else (Eventually, "within")
+        lasts = self.window(lasting)
+        return self.made(word, make, self.reach(depth), lasts)
+
+    def reach(self, depth: int, *, until: bool = False) -> Formula:
+        """What an operator is said of: one operand, or another operator with its own."""
+        self.refuse_deeper(depth)
+        if self.far_begins():
+            return self.far(depth + 1)
+        first = self.operand(depth)
+        word = self.take("until") if until else None
+        return first if word is None else self.until(word, first, depth)
+
+    def operand(self, depth: int) -> Formula:
+        if (word := self.take("not")) is not None:
+            return self.made(word, Not, self.operand(depth + 1))
+        if self.take("("):
+            formula = self.claim(depth + 1)
+            self.need(")", '")"')
+            return formula
+        if self.now.text in FIRST:
+            word = self.now
+            raise self.error(
+                f'parentheses around what "{word.text}" begins', hint=f'write "({word.text} ...)"'
+            )
+        self.refuse_deeper(depth)
+        return self.atom()
+
+    def atom(self) -> Formula:
+        name, signal = self.now, self.signal()
+        dimension = signal.dimension
+        sign = self.now
+        if sign.kind == "sign" and sign.text not in "()":
+            if dimension is None:
+                raise self.error(f'"{signal.words}" without a comparison: it is true or false')
+            if sign.text not in {relation.value for relation in Relation}:
+                raise self.error("<, <=, > or >=")
+            self.at += 1
+            limit = self.quantity(dimension)
+            return self.made(sign, Comparison, signal, Relation(sign.text), limit)
+        if dimension is not None:
+            raise self.error(f"<, <=, > or >= after {signal.words}, and {dimension.expected}")
+        return self.made(name, Truth, signal)
+
+    def signal(self) -> Signal:
+        """The signal with the most words of those that stand here."""
+        ahead = [token.text for token in self.tokens[self.at :]]
+        found = [signal for signal in SIGNALS if ahead[: len(_words(signal))] == _words(signal)]
+        if found:
+            signal = max(found, key=lambda one: len(_words(one)))
+            self.at += len(_words(signal))
+            return signal
+        first, last = self.at, self.at
+        while self.tokens[last].kind == "word" and (last == first or self.tokens[last].text not in KEYWORDS):
+            last += 1
+        end = self.tokens[last - 1]
+        ends = end.column - 1 + len(end.written) if last > first else 0
+        written = self.sentence[self.now.column - 1 : ends]
+        names = [signal.words for signal in SIGNALS]
+        raise self.error(
+            "a signal or an operator",
+            got=written,
+            hint=near_miss(written, (*names, *FIRST), most=3, all_of_them=ALL_CLAIMS),
+        )
+
+    def quantity(self, dimension: Dimension) -> Quantity:
+        token = self.now
+        text = token.written
+        if token.kind != "end" and token.text not in ("(", ")"):
+            self.at += 1
+        if self.now.kind == "word" and self.now.text not in KEYWORDS and token.kind == "number":
+            text += f" {self.now.written}"
+            self.at += 1
+        try:
+            return read_quantity(text, dimension, self.place)
+        except InputError as error:
+            raise self.error(error.expected, token, error.hint, text) from error
+
+    def window(self, from_now: str) -> Span | None:
+        """``for 2 s`` or ``within 2 s`` (as ``from_now`` says), or ``from 0.1 s to 0.5 s``."""
+        word = self.take(from_now, "from")
+        if word is None:
+            return None
+        if word.text == from_now:
+            return Span(NOW, self.later(NOW))
+        begin = self.quantity(TIME)
+        self.need("to", '"to" and when the window ends')
+        if begin.value < 0.0:
+            raise self.error("a window that does not begin before now", word)
+        return Span(begin, self.later(begin))
+
+    def later(self, begin: Quantity) -> Quantity:
+        """A time after ``begin``."""
+        token = self.now
+        end = self.quantity(TIME)
+        if not end.value > begin.value:
+            raise self.error(f"a time after {begin}", token, got=str(end))
+        return end
+
+
+def _words(signal: Signal) -> list[str]:
+    return signal.words.lower().split()
+
+
+_TOKEN = re.compile(
+    r"(?P<number>[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?)"
+    r"|(?P<sign><=|>=|==|!=|[<>≤≥=()])"
+    r"|(?P<word>[^\s<>≤≥=()0-9.+\-][^\s<>≤≥=()]*)"
+)
+SAME = {"≤": "<=", "≥": ">="}
+
+
+@dataclass(frozen=True)
+class Token:
+    """One word (in lower case as ``text``, as it is written in ``written``), number or sign; or the end."""
+
+    kind: str  # "number", "sign", "word" or "end"
+    written: str
+    column: int  # counted from 1
+
+    @property
+    def text(self) -> str:
+        """What it says, however it is written."""
+        return SAME.get(self.written, self.written.lower())
+
+
+def tokens_of(sentence: str, place: Place) -> list[Token]:
+    """The tokens of a sentence, with one that says where it ends; FormulaError for what is none."""
+    found, at = [], 0
+    while at < len(sentence):
+        if sentence[at].isspace():
+            at += 1
+            continue
+        match = _TOKEN.match(sentence, at)
+        if match is None:
+            raise FormulaError(
+                place=place,
+                expected="words, numbers with units, <, <=, >, >= and parentheses",
+                got=f'"{sentence[at]}" at column {at + 1} of "{sentence}"',
+            )
+        found.append(Token(match.lastgroup or "", match.group(), at + 1))
+        at = match.end()
+    return [*found, Token("end", "", len(sentence) + 1)]

@@ -1,0 +1,376 @@
+"""What a formula's margin is at every tick: an interval, so that what is not known is not guessed.
+
+And which tick, and which comparison or truth, a margin comes from (``witness``).
+
+The margin of a comparison is the distance to its limit, that of a truth +-inf; "not" turns the sign,
+"and" and "always" take the least, "or" and "eventually" the largest, "until" the largest over the
+ticks j of its window of the least of second(j) and first before j.  Windows are in control ticks,
+ends included.  A value at its very limit is ``LEAST``, the smallest normal number, on the right side of <=
+and >=, and on the wrong side of < and >: no margin is 0, and a formula and its negation never both hold.
+
+Each margin is an interval from ``low`` to ``high``: NaN, ticks that were not reached and windows that run
+beyond the last tick make it [-inf, inf], and every operator takes the bounds of its parts to its own.
+(Compare Deshmukh et al., Robust online monitoring of signal temporal logic, 2017.)  Operators
+without a window end with the run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.base.compiled import compiled
+from safety_harness.claims.formulas.formula import (
+    Always,
+    And,
+    Comparison,
+    Eventually,
+    Formula,
+    Globally,
+    Initially,
+    Not,
+    Or,
+    Relation,
+    Truth,
+    Until,
+)
+from safety_harness.claims.formulas.quantities import Span
+
+LEAST = float(np.finfo(np.float64).tiny)
+OF_A_TICK = (Comparison, Truth, Not, And, Or)
+
+Values = NDArray[np.float64]
+Atoms = Callable[[Comparison | Truth], "MarginBounds"]
+
+
+@dataclass(frozen=True, eq=False)
+class MarginBounds:
+    """Margins (n,) that lie between ``low`` and ``high``, never NaN; one array where they are known."""
+
+    low: Values
+    high: Values
+
+    def __neg__(self) -> MarginBounds:
+        low = -self.high
+        return MarginBounds(low, low if self.low is self.high else -self.low)
+
+
+@dataclass(frozen=True, eq=False)
+class Margins:
+    """A formula with its margins at every tick, and those of its parts."""
+
+    formula: Formula
+    bounds: MarginBounds
+    parts: tuple[Margins, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """What may have been at the ticks ``where`` (n,), with the ``atoms`` as they are then."""
+
+    where: NDArray[np.bool_]
+    atoms: Atoms
+
+
+def margins(formula: Formula, atoms: Atoms, period_s: float, cases: Sequence[Case] = ()) -> Margins:
+    """The margins of ``formula`` at every tick, ``atoms`` giving those of its comparisons and truths.
+
+    At a tick that has ``cases`` one of them was: an "and" or "or" of comparisons and truths, of which each is
+    unknown by itself, is then between the least and the largest that any of them gives.
+    """
+    if isinstance(formula, Comparison | Truth):
+        return Margins(formula, atoms(formula))
+    parts = tuple(margins(part, atoms, period_s, cases) for part in formula.parts)
+    bounds = _joined(formula, [part.bounds for part in parts], period_s)
+    if (
+        cases
+        and isinstance(formula, And | Or)
+        and all(isinstance(node, OF_A_TICK) for node in formula.nodes())
+    ):
+        bounds = _of_any_case(
+            bounds, [(case.where, margins(formula, case.atoms, period_s)) for case in cases]
+        )
+    return Margins(formula, bounds, parts)
+
+
+def ticks_asked(
+    margins: Margins, period_s: float, begin: NDArray[np.bool_] | None = None
+) -> list[tuple[Comparison | Truth, NDArray[np.bool_]]]:
+    """Each comparison and truth with the ticks (n,) at which the formula, asked at the first, asks of it.
+
+    Asked at the ticks ``begin`` (n,), an operator asks its parts at those of its window, to its end.
+    """
+    formula, n = margins.formula, len(margins.bounds.low)
+    asked = np.arange(n) == 0 if begin is None else begin
+    if isinstance(formula, Comparison | Truth):
+        return [(formula, asked)]
+    whens = [asked] * len(margins.parts)
+    if isinstance(formula, Always | Eventually | Until):
+        first, last = (0, n) if formula.span is None else formula.span.ticks(period_s)
+        whens = [_windows(asked, 0 if k + 1 < len(whens) else first, last) for k in range(len(whens))]
+    elif isinstance(formula, Globally):
+        every = _windows(asked, 0, n)
+        whens = [every, every & (margins.parts[0].bounds.high >= 0.0)]
+    pairs = zip(margins.parts, whens, strict=True)
+    return [one for part, when in pairs for one in ticks_asked(part, period_s, when)]
+
+
+def _windows(begin: NDArray[np.bool_], first: int, last: int) -> NDArray[np.bool_]:
+    """(n,) from ``first`` to ``last`` ticks after any of ``begin`` (n,)."""
+    before = np.append(0, np.cumsum(begin))
+    ticks = np.arange(len(begin))
+    found: NDArray[np.bool_] = before[np.maximum(ticks - first + 1, 0)] > before[np.maximum(ticks - last, 0)]
+    return found
+
+
+def _of_any_case(bounds: MarginBounds, cases: list[tuple[NDArray[np.bool_], Margins]]) -> MarginBounds:
+    low = np.minimum.reduce([np.where(where, one.bounds.low, np.inf) for where, one in cases])
+    high = np.maximum.reduce([np.where(where, one.bounds.high, -np.inf) for where, one in cases])
+    some = np.logical_or.reduce([where for where, _ in cases])
+    return MarginBounds(np.where(some, low, bounds.low), np.where(some, high, bounds.high))
+
+
+def _joined(formula: Formula, parts: list[MarginBounds], period_s: float) -> MarginBounds:
+    match formula:
+        case Not():
+            return -parts[0]
+        case And():
+            return _least(parts)
+        case Or():
+            return -_least([-part for part in parts])
+        case Always(span=span):
+            return _always(parts[0], span, period_s)
+        case Eventually(span=span):
+            return -_always(-parts[0], span, period_s)
+        case Until(span=span):
+            return _until(parts[0], parts[1], span, period_s)
+        case Globally():
+            return _always(where_triggered(*parts), None, period_s)
+        case Initially():
+            return parts[0]
+    raise TypeError(f"no formula: {formula!r}")
+
+
+def _least(parts: list[MarginBounds]) -> MarginBounds:
+    low = np.minimum.reduce([part.low for part in parts])
+    if all(part.low is part.high for part in parts):
+        return MarginBounds(low, low)
+    return MarginBounds(low, np.minimum.reduce([part.high for part in parts]))
+
+
+def _always(body: MarginBounds, span: Span | None, period_s: float) -> MarginBounds:
+    if span is None:
+        low = least_from_here(body.low)
+        return MarginBounds(low, low if body.low is body.high else least_from_here(body.high))
+    begin, end = span.ticks(period_s)
+    return MarginBounds(
+        least_in_window(body.low, begin, end, -np.inf), least_in_window(body.high, begin, end, np.inf)
+    )
+
+
+def _until(lasts: MarginBounds, ends: MarginBounds, span: Span | None, period_s: float) -> MarginBounds:
+    """With a window: second comes within it, and first lasts until second comes after its begin.
+
+    (Donze, Ferrere, Maler, Efficient robust monitoring for STL, 2013.)
+    """
+    if span is None:
+        return MarginBounds(
+            until_from_here(lasts.low, ends.low, -np.inf), until_from_here(lasts.high, ends.high, -np.inf)
+        )
+    begin, end = span.ticks(period_s)
+    bounds = []
+    for first, second, beyond in ((lasts.low, ends.low, -np.inf), (lasts.high, ends.high, np.inf)):
+        comes = -least_in_window(-second, begin, end, -beyond)
+        lasting = until_from_here(first, second, beyond)
+        if begin > 0:
+            shifted = np.full(len(first), beyond)
+            shifted[: max(len(first) - begin, 0)] = lasting[begin:]
+            lasting = np.minimum(shifted, least_in_window(first, 0, begin - 1, beyond))
+        bounds.append(np.minimum(comes, lasting))
+    return MarginBounds(*bounds)
+
+
+def where_triggered(trigger: MarginBounds, response: MarginBounds) -> MarginBounds:
+    """The response's margin where the trigger holds, inf where it does not, both where that is unknown."""
+    low = np.where(trigger.high < 0.0, np.inf, response.low)
+    high = np.where(trigger.low >= 0.0, response.high, np.inf)
+    return MarginBounds(low, high)
+
+
+def comparison_bounds(comparison: Comparison, low: Values, high: Values) -> MarginBounds:
+    """The margins of a comparison whose signal lies between ``low`` and ``high`` (n,), NaN where unknown."""
+    limit, relation = comparison.limit.value, comparison.relation
+    above = relation in (Relation.ABOVE, Relation.AT_LEAST)
+    least = low - limit if above else limit - high
+    most = least if low is high else high - limit if above else limit - low
+    at_limit = -LEAST if relation in (Relation.ABOVE, Relation.BELOW) else LEAST
+    for margin in (least, most):
+        margin[margin == 0.0] = at_limit
+    unknown = np.isnan(least) | np.isnan(most)
+    if not unknown.any():
+        return MarginBounds(least, most)
+    return MarginBounds(np.where(unknown, -np.inf, least), np.where(unknown, np.inf, most))
+
+
+def truth_bounds(value: Values) -> MarginBounds:
+    """The margins of a truth ``value`` (n,): 1.0, 0.0, or NaN where it is unknown."""
+    margin = np.where(value > 0.5, np.inf, -np.inf)
+    unknown = np.isnan(value)
+    return MarginBounds(margin, np.where(unknown, np.inf, margin) if unknown.any() else margin)
+
+
+@compiled
+def least_from_here(x: NDArray[np.float64]) -> NDArray[np.float64]:
+    """out[k] = min of x[k:] of ``x`` (n,)."""
+    out = np.empty(x.shape[0])
+    least = np.inf
+    for k in range(x.shape[0] - 1, -1, -1):
+        least = min(least, x[k])
+        out[k] = least
+    return out
+
+
+@compiled
+def least_in_window(x: NDArray[np.float64], begin: int, end: int, beyond: float) -> NDArray[np.float64]:
+    """out[k] = min of x[k + begin] to x[k + end], ends included, with ``beyond`` where they leave x.
+
+    0 <= begin <= end.  A queue keeps the positions at which a smaller value than all before it
+    stands, seen from the window's begin: each is put in and taken out once.
+
+    ``x`` (n,).
+    """
+    n = x.shape[0]
+    out = np.empty(n)
+    queue = np.empty(n, np.int64)
+    first, last = 0, 0  # the queue is queue[first:last], its values falling from last to first
+    for k in range(n - 1, -1, -1):
+        entering = k + begin
+        if entering < n:
+            value = x[entering]
+            while last > first and x[queue[last - 1]] >= value:
+                last -= 1
+            queue[last] = entering
+            last += 1
+            while queue[first] > k + end:
+                first += 1
+        least = x[queue[first]] if last > first else np.inf
+        out[k] = min(least, beyond) if k + end >= n else least
+    return out
+
+
+@compiled
+def until_from_here(
+    lasts: NDArray[np.float64], ends: NDArray[np.float64], beyond: float
+) -> NDArray[np.float64]:
+    """out[k] = max over j >= k of min(ends[j], min of lasts[k:j]); ``beyond`` follows the last sample.
+
+    ``lasts`` and ``ends`` (n,).
+    """
+    n = lasts.shape[0]
+    out = np.empty(n)
+    after = beyond
+    for k in range(n - 1, -1, -1):
+        after = max(ends[k], min(lasts[k], after))
+        out[k] = after
+    return out
+
+
+@dataclass(frozen=True)
+class Witness:
+    """A tick, from 0, and what is said there; ``atom`` is None for what comes after the last tick."""
+
+    tick: int
+    atom: Comparison | Truth | None
+
+
+def witness(margins: Margins, tick: int, period_s: float, *, low: bool) -> Witness:
+    """Where the lower (or upper) bound of the margin at ``tick`` comes from.
+
+    Of several places with the same margin the first that is not known for certain, else the first.
+    """
+    formula, parts = margins.formula, margins.parts
+    match formula:
+        case Comparison() | Truth():
+            return Witness(tick, formula)
+        case Not():
+            return witness(parts[0], tick, period_s, low=not low)
+        case And() | Or():
+            best = _first([part.bounds for part in parts], tick, low=low, least=isinstance(formula, And))
+            return witness(parts[best], tick, period_s, low=low)
+        case Always(span=span) | Eventually(span=span):
+            least = isinstance(formula, Always)
+            at = _in_window(parts[0].bounds, tick, span, period_s, low=low, least=least)
+            return witness(parts[0], at, period_s, low=low) if at is not None else _beyond(margins)
+        case Globally():
+            asked = where_triggered(parts[0].bounds, parts[1].bounds)
+            at = _in_window(asked, tick, None, period_s, low=low, least=True)
+            return witness(parts[1], at or 0, period_s, low=low)
+        case Until(span=span):
+            return _of_until(margins, tick, span, period_s, low=low)
+    return witness(parts[0], tick, period_s, low=low)
+
+
+def _beyond(margins: Margins) -> Witness:
+    return Witness(len(margins.bounds.low), None)
+
+
+def _side(bounds: MarginBounds, *, low: bool) -> NDArray[np.float64]:
+    return bounds.low if low else bounds.high
+
+
+def _extreme(values: NDArray[np.float64], doubtful: NDArray[np.bool_], *, least: bool) -> int:
+    """The place of the least or largest value, a doubtful one before others."""
+    at = np.flatnonzero(values == (values.min() if least else values.max()))
+    unsure = at[doubtful[at]]
+    return int(unsure[0] if len(unsure) else at[0])
+
+
+def _first(parts: list[MarginBounds], tick: int, *, low: bool, least: bool) -> int:
+    values = np.array([_side(part, low=low)[tick] for part in parts])
+    doubtful = np.array([part.low[tick] < part.high[tick] for part in parts])
+    return _extreme(values, doubtful, least=least)
+
+
+def _in_window(
+    body: MarginBounds, tick: int, span: Span | None, period_s: float, *, low: bool, least: bool
+) -> int | None:
+    """The tick that decides, or None where that is one beyond the last."""
+    values, n = _side(body, low=low), len(body.low)
+    begin, end = (tick, n - 1) if span is None else (tick + t for t in span.ticks(period_s))
+    within = slice(begin, min(end, n - 1) + 1)
+    if begin >= n:
+        return None
+    at = begin + _extreme(values[within], body.low[within] < body.high[within], least=least)
+    beyond = -np.inf if low else np.inf
+    runs_on = end >= n and (beyond < values[at] if least else beyond > values[at])
+    return None if runs_on else at
+
+
+def _of_until(margins: Margins, tick: int, span: Span | None, period_s: float, *, low: bool) -> Witness:
+    """Of the ticks at which the second part may end it the best, and there the worst of what is asked."""
+    first, second = margins.parts
+    n = len(margins.bounds.low) - tick
+    begin, end = (0, n - 1) if span is None else span.ticks(period_s)
+    later = max(begin + 1 - n, 0 if end < n else 1)  # as many ticks beyond the last as matter
+    lasts, ends = (_from(part.bounds, tick, later) for part in (first, second))
+    ways = [
+        np.minimum(e, np.append(np.inf, np.minimum.accumulate(f)[:-1]))[begin : end + 1]
+        for f, e in ((lasts.low, ends.low), (lasts.high, ends.high))
+    ]
+    j = begin + _extreme(ways[0 if low else 1], ways[0] < ways[1], least=False)
+    asked = MarginBounds(np.append(lasts.low[:j], ends.low[j]), np.append(lasts.high[:j], ends.high[j]))
+    at = _extreme(_side(asked, low=low), asked.low < asked.high, least=True)
+    if at >= n:
+        return _beyond(margins)
+    return witness(second if at == j else first, tick + at, period_s, low=low)
+
+
+def _from(bounds: MarginBounds, tick: int, later: int) -> MarginBounds:
+    """From ``tick`` on, with as many unknown ones after the last."""
+    return MarginBounds(
+        np.append(bounds.low[tick:], np.full(later, -np.inf)),
+        np.append(bounds.high[tick:], np.full(later, np.inf)),
+    )

@@ -1,0 +1,241 @@
+"""A signal: a name for something that a trace knows at every control tick, with its unit.
+
+Between its ticks it is held, bounded by ways, or nothing is known of it.  The cell of a tick lasts until
+the next one; that of the last tick is the tick.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.claims.formulas.formula import Comparison, Formula, Relation, Truth
+from safety_harness.claims.formulas.quantities import Quantity, formula_error, plain
+from safety_harness.scenario.units import NUMBER, Dimension
+from safety_harness.trace.records import ENDLESS
+from safety_harness.trace.trace import Trace
+
+Values = NDArray[np.float64]
+MOVING = 1e-3  # m/s or rad/s: slower is rest, as for the catalogue's limits of speed
+
+
+class Interpolation(Enum):
+    """What is known of a signal from one tick to the next.
+
+    HELD: it keeps its value until the next tick.  BOUNDED: it stays within bounds.  TICKS_ONLY: nothing,
+    and a formula speaks of the ticks alone.
+    """
+
+    HELD = "held"
+    BOUNDED = "bounded"
+    TICKS_ONLY = "not known"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Sampled:
+    """A signal along a trace of n ticks, in SI; a truth is 1.0 or 0.0; NaN is unknown, inf a value.
+
+    ``value`` (n,) at each tick; ``low`` and ``high`` (n,) bound it from that tick to the next one.
+    ``surely`` (n,): between that tick and the next it is at most that at least once (None: nobody asked).
+    ``absent`` says why there is no such signal in this run at all, else it is empty.  ``tried`` (n,) are
+    bounds of a number, above 0 where the run puts a claim on it to the test (None: every tick does), and
+    ``untried`` says what it is that did not happen.  Of a distance both are of somebody who ``comes`` near to
+    something: it counts as often as that begins, and its limit says how near is near.
+
+    Of a trace that was measured in part, ``lost`` (n,) are the ticks at which it is not known, and
+    ``value_low`` and ``value_high`` (n,) bound it at the ticks (None: it is ``value``).  ``value`` at a lost
+    tick is of the hands that were measured, NaN without one; it is at most that.
+    """
+
+    value: Values
+    low: Values
+    high: Values
+    absent: str = ""
+    tried: tuple[Values, Values] | None = None
+    comes: tuple[str, str] | None = None
+    untried: str = ""
+    value_low: Values | None = None
+    value_high: Values | None = None
+    lost: NDArray[np.bool_] | None = None
+    surely: Values | None = None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Signal:
+    """``words`` name it in sentences; ``dimension`` is None for one that is true or false.
+
+    ``sample`` takes it from a trace, of which it ``reads`` these columns and no others.  ``off`` says by how
+    much it may be off as they are uncertain (SI), at the ticks, and below and above its bounds between them;
+    without it nothing is said of a trace in which any is.  ``finer`` takes it with closer bounds, for more
+    work.  ``place`` is the column of which it is the speed.  Two signals are the same only if they are one
+    object.
+    """
+
+    words: str
+    dimension: Dimension | None
+    meaning: str
+    between: Interpolation
+    sample: Callable[[Trace], Sampled]
+    reads: tuple[str, ...]
+    off: Callable[[Trace], tuple[float, float, float]] | None = None
+    finer: Callable[[Trace], Sampled] | None = None
+    place: str = ""
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """Of what has no limit: none."""
+        return 0.0, 0.0
+
+    def __str__(self) -> str:
+        return f'the signal "{self.words}" alone'
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Flag(Signal):
+    """Something that is true or false at each tick.  ``stopped()`` is the formula that it is true."""
+
+    dimension: None = None
+    between: Interpolation = Interpolation.HELD
+
+    def __call__(self) -> Formula:
+        """That it is true."""
+        return Truth(self)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Measure(Signal):
+    """Something with a value of ``dimension`` at each tick, to be compared with a limit of that kind.
+
+    No run has a value below ``least``, nor one without end unless it is ``endless``.  No run comes near to a
+    limit below ``lowest``, or above what a limit of its dimension can be.
+    """
+
+    dimension: Dimension
+    least: float = 0.0
+    endless: bool = False
+    lowest: float = 0.0
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """Between which its limits (SI) lie."""
+        return self.lowest, self.dimension.most_of_limits
+
+    def impossible(self, sampled: Sampled) -> tuple[int, float] | None:
+        """The first tick with a value, or a bound of one, that no run has, and what it is; NaN is unknown.
+
+        So is what has no lower bound: motors that may saturate leave none between two ticks.
+        """
+        least, unbounded = self.least, np.isneginf(sampled.low)
+        for side, unknown in ((sampled.value, np.nan), (sampled.low, -np.inf), (sampled.high, np.inf)):
+            endless = (np.abs(side) >= ENDLESS) & ~(self.endless & np.isposinf(side))
+            endless &= ~(unbounded & (side == unknown))
+            wrong = (side < least) | endless
+            if wrong.any():
+                tick = int(np.argmax(wrong))
+                return tick, float(side[tick])
+            least = -np.inf  # a bound may be below what it bounds
+        return None
+
+    def __call__(self) -> Measure:
+        """Itself: ``tcp_speed() < mm_per_s(250)`` and ``tcp_speed < mm_per_s(250)`` are the same."""
+        return self
+
+    def __lt__(self, limit: Quantity | float) -> Comparison:
+        return self._compare(Relation.BELOW, limit)
+
+    def __le__(self, limit: Quantity | float) -> Comparison:
+        return self._compare(Relation.AT_MOST, limit)
+
+    def __gt__(self, limit: Quantity | float) -> Comparison:
+        return self._compare(Relation.ABOVE, limit)
+
+    def __ge__(self, limit: Quantity | float) -> Comparison:
+        return self._compare(Relation.AT_LEAST, limit)
+
+    def __eq__(self, other: object) -> bool:
+        if isinstance(other, Quantity | int | float):
+            raise formula_error(f"{self.words} beside a limit with <, <=, > or >=", f"== {other}")
+        return self is other
+
+    def __hash__(self) -> int:
+        return id(self)
+
+    def _compare(self, relation: Relation, limit: Quantity | float) -> Comparison:
+        if isinstance(limit, int | float) and self.dimension is NUMBER:
+            limit = plain(limit)
+        if not isinstance(limit, Quantity):
+            units = f"; allowed units: {', '.join(self.dimension.units)}" if self.dimension.units else ""
+            expected = f"{self.words} beside {self.dimension.expected}{units}"
+            raise formula_error(expected, str(limit), "quantities are written mm(50), deg_per_s(30), s(0.2)")
+        return Comparison(self, relation, limit)
+
+
+def at_ticks(value: Values) -> Sampled:
+    """A signal that keeps its value until the next tick, or of which no more is asked.  ``value`` (n,)."""
+    return Sampled(value=value, low=value, high=value)
+
+
+def absent(trace: Trace, why: str) -> Sampled:
+    """A signal that there is not in this run."""
+    nothing = np.full(len(trace.ticks), np.nan)
+    return Sampled(value=nothing, low=nothing, high=nothing, absent=why)
+
+
+def speeds(at_tick: Values, mean: Values, *, of: str) -> Sampled:
+    """Speeds at the ticks with the mean ones from tick to tick; the largest of each row.
+
+    Within a cell each is taken to lie between its least and its largest value at both ends and in
+    the mean.  Occasions: the ticks from which on it moves.
+
+    ``at_tick`` is of shape (n, ...) and ``mean`` of shape (n-1, ...).
+    """
+    low, high = at_tick.copy(), at_tick.copy()
+    low[:-1] = np.minimum(np.minimum(at_tick[:-1], at_tick[1:]), mean)
+    high[:-1] = np.maximum(np.maximum(at_tick[:-1], at_tick[1:]), mean)
+    within_a_row = tuple(range(1, at_tick.ndim))
+    value, low, high, mean = (a.max(axis=within_a_row) for a in (at_tick, low, high, mean))
+    moves = value - MOVING
+    moves[:-1] = np.fmax(moves[:-1], mean - MOVING)
+    return Sampled(value=value, low=low, high=high, tried=(moves, moves), untried=f"{of} never moves")
+
+
+def bounded(value: Values, way: Values) -> Sampled:
+    """A signal ``value`` (n,) that changes by at most ``way`` (n-1,) within each cell."""
+    low, high = value.copy(), value.copy()
+    low[:-1], high[:-1] = tent(value, way, 0.0)
+    return Sampled(value=value, low=low, high=high)
+
+
+def tent(value: Values, way: Values, slack: Values | float) -> tuple[Values, Values]:
+    """(n-1,) bounds of a signal that has ``value`` (n,) at the ticks and between them goes ``way`` (n-1,).
+
+    After a part x of the way it has left the one end by at most x and is at most way - x from the
+    other; ``slack`` is what it may be off by beside that.
+
+    ``slack`` (n-1,).
+    """
+    first, second = value[:-1], value[1:]
+    low = np.minimum(0.5 * (first + second - way), np.minimum(first, second)) - slack
+    high = np.maximum(0.5 * (first + second + way), np.maximum(first, second)) + slack
+    return low, high
+
+
+def tcp_way_m(trace: Trace) -> Values:
+    """(n-1,) how far the TCP goes within each tick: its largest speed, at the ends or in the mean."""
+    speed = trace.ticks["tcp_speed_mps"]
+    steps = np.linalg.norm(np.diff(trace.ticks["transform_tcp_to_base"][:, :3, 3], axis=0), axis=1)
+    way: Values = np.maximum(np.maximum(speed[:-1], speed[1:]) * np.diff(trace.time_s), steps)
+    return way
+
+
+def turned_rad(trace: Trace) -> Values:
+    """(n-1,) by what angle the TCP can turn within each tick: those of all joints together."""
+    speed = np.abs(trace.ticks["joint_velocity_radps"])
+    steps = np.abs(np.diff(trace.ticks["joint_position_rad"], axis=0))
+    most = np.maximum(np.maximum(speed[:-1], speed[1:]) * np.diff(trace.time_s)[:, None], steps)
+    turned: Values = most.sum(axis=1)
+    return turned

@@ -1,0 +1,476 @@
+"""From a trace to each signal: its value at the ticks and what is known of it between them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from fractions import Fraction
+from functools import lru_cache, partial
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.claims.formulas.measured import (
+    HANDS,
+    TCP,
+    TCP_SPEED,
+    by_uncertainty_of,
+    gaps_of,
+    lost,
+    lost_of_hands,
+    of_hand_distance,
+    of_nearest_hand,
+    of_place,
+    of_speed,
+    or_next,
+)
+from safety_harness.claims.formulas.signal import (
+    Flag,
+    Interpolation,
+    Measure,
+    Sampled,
+    Signal,
+    absent,
+    at_ticks,
+    bounded,
+    speeds,
+    tcp_way_m,
+    tent,
+    turned_rad,
+)
+from safety_harness.claims.properties.base import NEAR_M
+from safety_harness.claims.properties.hand_distance import ends_between, followed_hands, joint_bend_m
+from safety_harness.claims.properties.hand_prediction import prediction_errors_m
+from safety_harness.claims.properties.limits import known_to_radps
+from safety_harness.claims.properties.servoing import pose_errors
+from safety_harness.claims.properties.true_motion import (
+    TOLERANCE,
+    HandPaths,
+    arm_of,
+    finer_paths,
+    hand_bend_m,
+    true_motion,
+)
+from safety_harness.claims.properties.unexercised import no_decision, no_hand, no_predicted_hand
+from safety_harness.scenario.units import ANGLE, ANGULAR_SPEED, LENGTH, NUMBER, SPEED, TIME, Dimension
+from safety_harness.trace.known import PRESENCE
+from safety_harness.trace.records import DecisionOutcome, Mode
+from safety_harness.trace.trace import Trace
+
+Sample = Callable[[Trace], Sampled]
+Listed = TypeVar("Listed", bound=Signal)
+SIGNALS: list[Signal] = []  # in the order of the pages
+
+
+def measure(
+    words: str,
+    dimension: Dimension,
+    meaning: str,
+    between: Interpolation = Interpolation.BOUNDED,
+    *,
+    reads: Sequence[str],
+    **more: Any,
+) -> Callable[[Sample], Measure]:
+    """The signal of a function that takes it from a trace, one of ``SIGNALS`` from then on."""
+    said = partial(Measure, words=words, dimension=dimension, meaning=meaning, between=between, **more)
+    said = partial(said, reads=tuple(reads))
+    return lambda sample: _listed(said(sample=sample))
+
+
+def flag(words: str, meaning: str, *, reads: Sequence[str]) -> Callable[[Sample], Flag]:
+    """The same for what is true or false."""
+    return lambda sample: _listed(Flag(words=words, meaning=meaning, sample=sample, reads=tuple(reads)))
+
+
+def _listed(signal: Listed) -> Listed:
+    SIGNALS.append(signal)
+    return signal
+
+
+def in_force(trace: Trace) -> NDArray[np.int64]:
+    """(n,) the latest decision at each tick, -1 before the first."""
+    return np.maximum.accumulate(trace.ticks["decision"])
+
+
+def out_of_knowledge(trace: Trace, signal: Signal) -> NDArray[np.bool_]:
+    """(n,) where ``signal``, of the latest decision, is not known: from a gap up to the next decision."""
+    gone = lost(trace, signal.reads)
+    if gone.any():
+        ticks, made = np.arange(len(gone)), trace.ticks["decision"] >= 0
+        unsure = np.where(lost(trace, ["decision"]), ticks, -1)
+        gone |= np.maximum.accumulate(unsure) > np.maximum.accumulate(np.where(made, ticks, -1))
+    return gone
+
+
+def in_mode(mode: Mode) -> Sample:
+    """Whether the controller is in ``mode``; where it was either of some others, it is not."""
+
+    def sample(trace: Trace) -> Sampled:
+        found, gone = truth(trace.ticks["mode"] == mode), lost(trace, ["mode"])
+        if not gone.any():
+            return found
+        value = found.value.copy()
+        for gap in trace.known.of("mode").gaps:
+            if gap.either and mode not in gap.either:
+                value[gap.first : gap.after], gone[gap.first : gap.after] = 0.0, False
+        return replace(at_ticks(np.where(gone, np.nan, value)), lost=gone)
+
+    return sample
+
+
+def truth(true: NDArray[np.bool_] | np.bool_) -> Sampled:
+    """Something (n,) that is true or false until the next tick.  ``true`` (n,)."""
+    return at_ticks(np.asarray(true, np.float64))
+
+
+@measure(
+    "hand distance",
+    LENGTH,
+    "of any hand or forearm from any link of the robot, surface to surface; negative inside",
+    least=-np.inf,
+    lowest=-0.3,  # a hand and a link are no thicker
+    reads=[
+        "joint_position_rad",
+        "joint_velocity_radps",
+        TCP,
+        HANDS,
+        "elbow_position_in_base_m",
+        "hand_distance_m",
+        PRESENCE,
+    ],
+    off=of_hand_distance,
+    finer=lambda trace: _from_hands(trace, finely=True),
+)
+@lru_cache(maxsize=4)
+def hand_distance(trace: Trace) -> Sampled:
+    """Of any hand or forearm from any link, surface to surface, with the bounds of the catalogue's claim.
+
+    Occasions: a hand comes near to the arm's surface.
+    """
+    return _from_hands(trace)
+
+
+@measure(
+    "nearest hand to TCP",
+    LENGTH,
+    "from the TCP to the centre of the nearest true hand",
+    reads=["joint_position_rad", "joint_velocity_radps", TCP, TCP_SPEED, HANDS, PRESENCE],
+    off=of_nearest_hand,
+    finer=lambda trace: _from_hands(trace, from_tcp=True, finely=True),
+)
+@lru_cache(maxsize=4)
+def nearest_hand_to_tcp(trace: Trace) -> Sampled:
+    """From the TCP to the nearest hand's centre, with bounds as of the hand distance."""
+    return _from_hands(trace, from_tcp=True)
+
+
+def _from_hands(trace: Trace, *, from_tcp: bool = False, finely: bool = False) -> Sampled:
+    """The distance of the nearest hand; ``finely``: with the hands followed in parts of a tick.
+
+    Between two ticks its least value lies between both ends of ``ends_between``, and it is not above what
+    both ticks and the ways of arm and hand allow.
+    """
+    paths, why = followed_hands(trace)
+    if paths is None:
+        return replace(absent(trace, why), lost=np.full(len(trace.ticks), bool(trace.scenario.hands)))
+    paths = finer_paths(trace) if finely else paths
+    hands = len(trace.scenario.hands)
+    if from_tcp:
+        value = np.linalg.norm(trace.ticks[HANDS][:, :hands] - trace.ticks[TCP][:, None, :3, 3], axis=2)
+    else:
+        value, present = trace.ticks["hand_distance_m"][:, :hands], trace.ticks["hand_present"][:, :hands]
+        value = np.where(present & np.isinf(value), np.nan, value)  # else the other hand would hide it
+    low, high, surely = value.copy(), value.copy(), value.copy()
+    for hand in range(hands):
+        ends_m = ends_between(trace, paths, hand, from_tcp=from_tcp)
+        for side, least_m in zip((low, surely), ends_m, strict=True):
+            side[:-1, hand] = np.minimum(side[:-1, hand], least_m)
+        way_m, slack_m = _ways(trace, paths, hand, from_tcp=from_tcp)
+        high[:-1, hand] = tent(value[:, hand], way_m, slack_m)[1]
+    signal, what = (nearest_hand_to_tcp, "the TCP") if from_tcp else (hand_distance, "the arm's surface")
+    return replace(_nearest(signal, trace, value, low, high, what), surely=surely.min(axis=1))
+
+
+@measure(
+    "TCP speed",
+    SPEED,
+    "of the TCP; between ticks the mean speed counts too",
+    reads=[TCP_SPEED, TCP],
+    off=of_speed(TCP_SPEED, TCP),
+    place=TCP,
+)
+def tcp_speed(trace: Trace) -> Sampled:
+    """Of the TCP; between ticks the mean speed counts too."""
+    at_tick = trace.ticks["tcp_speed_mps"]
+    steps = np.linalg.norm(np.diff(trace.ticks["transform_tcp_to_base"][:, :3, 3], axis=0), axis=1)
+    mean = steps / np.diff(trace.time_s)
+    return speeds(at_tick, mean, of="the TCP")
+
+
+@measure(
+    "TCP height",
+    LENGTH,
+    "of the TCP above the origin of the robot's base frame",
+    least=-np.inf,
+    lowest=-LENGTH.most,
+    reads=[TCP, TCP_SPEED],
+    off=of_place,
+)
+def tcp_height(trace: Trace) -> Sampled:
+    """Above the base frame's origin."""
+    return bounded(trace.ticks["transform_tcp_to_base"][:, 2, 3], tcp_way_m(trace))
+
+
+@measure(
+    "distance to desired pose",
+    LENGTH,
+    "of the TCP from where servoing wants it",
+    reads=[TCP, TCP_SPEED],
+    off=of_place,
+)
+def distance_to_desired_pose(trace: Trace) -> Sampled:
+    """Of the TCP from where servoing wants it."""
+    return bounded(pose_errors(trace)[0], tcp_way_m(trace))
+
+
+@measure(
+    "angle to desired pose",
+    ANGLE,
+    "by which the TCP is turned away from how servoing wants it",
+    reads=[TCP, "joint_position_rad", "joint_velocity_radps"],
+)
+def angle_to_desired_pose(trace: Trace) -> Sampled:
+    """By which the TCP would have to turn; endless, which it never is, for a pose that is none."""
+    none = np.abs(trace.ticks["transform_tcp_to_base"][:, :3, :3]).max(axis=(1, 2)) > 1.0 + TOLERANCE
+    return bounded(np.where(none, np.inf, pose_errors(trace)[1]), turned_rad(trace))
+
+
+@measure(
+    "joint speed",
+    ANGULAR_SPEED,
+    "of the fastest joint; between ticks the mean speed counts too",
+    reads=["joint_velocity_radps", "joint_position_rad"],
+    off=of_speed("joint_velocity_radps", "joint_position_rad"),
+    place="joint_position_rad",
+)
+def joint_speed(trace: Trace) -> Sampled:
+    """Of the fastest joint, likewise; it may be lower by what motors miss (``known_to_radps``)."""
+    at_tick = np.abs(trace.ticks["joint_velocity_radps"])
+    mean = np.abs(np.diff(trace.ticks["joint_position_rad"], axis=0)) / np.diff(trace.time_s)[:, None]
+    found, off_radps = speeds(at_tick, mean, of="the arm"), known_to_radps(trace)
+    return replace(
+        found, low=found.low - off_radps, value_low=found.value - off_radps, value_high=found.value
+    )
+
+
+@measure(
+    "image error",
+    NUMBER,
+    "eq. 15 of the paper as the controller has it; unknown while the object is not seen",
+    Interpolation.HELD,
+    reads=["sse"],
+    off=by_uncertainty_of("sse"),
+)
+def image_error(trace: Trace) -> Sampled:
+    """Eq. 15 as the controller has it; unknown while the object is not seen."""
+    sse = trace.ticks["sse"]
+    if not np.any(np.isfinite(sse)):
+        return absent(trace, "the object is never seen")
+    return at_ticks(sse)
+
+
+@measure(
+    "spread",
+    LENGTH,
+    "of the latest decision's proposal, largest of the three axes; unknown before the first decision",
+    Interpolation.HELD,
+    reads=["decision", "decision.proposed_spread_m"],
+    off=by_uncertainty_of("decision.proposed_spread_m"),
+)
+def spread(trace: Trace) -> Sampled:
+    """The largest of the three axes, as the gate takes it."""
+    if len(trace.decisions) == 0:
+        return _untried(trace, no_decision, "nothing was decided")
+    spread_m = trace.decisions["proposed_spread_m"].max(axis=1)
+    if not np.any(np.isfinite(spread_m)):
+        return absent(trace, "the avoider says no spread")
+    number, gone = in_force(trace), out_of_knowledge(trace, spread)
+    return replace(at_ticks(np.where((number >= 0) & ~gone, spread_m[number], np.nan)), lost=gone)
+
+
+@measure(
+    "predicted hand distance",
+    LENGTH,
+    "from the TCP to the nearest hand that the controller predicts; endless where it predicts none",
+    Interpolation.HELD,
+    endless=True,
+    reads=["predicted_distance_m"],
+    off=by_uncertainty_of("predicted_distance_m"),
+)
+def predicted_hand_distance(trace: Trace) -> Sampled:
+    """From the TCP to the nearest predicted hand, inf where none is.  Occasions: one comes near."""
+    distance_m = trace.ticks["predicted_distance_m"]
+    if not np.any(np.isfinite(distance_m)):
+        return _untried(trace, no_predicted_hand, "no hand was predicted")
+    return _coming_near(at_ticks(distance_m), "predicted hand", "the TCP")
+
+
+@measure(
+    "prediction error",
+    LENGTH,
+    "of each prediction made now from the nearest true hand at the time that it is for, the largest; "
+    "unknown where none is made, or that time is after the run",
+    Interpolation.TICKS_ONLY,
+    reads=["track_valid", "predicted_hand_in_base_m", HANDS, PRESENCE],
+    off=by_uncertainty_of("predicted_hand_in_base_m", HANDS),
+)
+def prediction_error(trace: Trace) -> Sampled:
+    """What ``HandPredictions`` judges, at the tick of the prediction; unknown if it is for after the run."""
+    valid, hands = trace.ticks["track_valid"], len(trace.scenario.hands)
+    if hands == 0 or not valid.any():
+        return _untried(trace, no_predicted_hand if hands else no_hand, "no hand was predicted")
+    errors_m = prediction_errors_m(trace)
+    tracked = valid[: len(errors_m)]
+    value = np.full(len(valid), np.nan)
+    value[: len(errors_m)] = np.where(tracked, errors_m, -np.inf).max(axis=1)
+    value[np.isneginf(value)] = np.nan  # nothing is tracked
+    gone, then = lost(trace, ["track_valid", "predicted_hand_in_base_m"]), lost(trace, [HANDS, PRESENCE])
+    if then.any():
+        for later in (-1, 0, 1):  # the ticks about the time that it is for
+            ticks = np.arange(len(errors_m)) + len(valid) - len(errors_m) + later
+            gone[: len(errors_m)] |= then[np.clip(ticks, 0, len(valid) - 1)]
+    return replace(at_ticks(np.where(gone, np.nan, value)), lost=gone)
+
+
+@measure("elapsed time", TIME, "since the run began", reads=[])
+def elapsed_time(trace: Trace) -> Sampled:
+    """Since the run began: the floats nearest to whole control periods, so that none is beside its limit."""
+    period = Fraction(repr(trace.scenario.settings.clock.control_period_s))  # as it is written, in decimals
+    ticks: NDArray[np.float64] = np.arange(len(trace.ticks), dtype=np.float64)
+    time_s = ticks * float(period.numerator) / float(period.denominator)
+    later = np.append(time_s[1:], time_s[-1:])
+    return Sampled(value=time_s, low=time_s, high=later)
+
+
+object_visible = flag("object visible", "the controller's image shows the object", reads=["object_visible"])(
+    lambda trace: truth(trace.ticks["object_visible"])
+)
+servoing = flag("servoing", "the controller servoes", reads=["mode"])(in_mode(Mode.SERVOING))
+repulsing = flag("repulsing", "the controller gives way", reads=["mode"])(in_mode(Mode.REPULSING))
+stopped = flag("stopped", "a protective stop", reads=["mode"])(in_mode(Mode.PROTECTIVE_STOP))
+object_lost = flag("object lost", "the controller waits for the object to be seen", reads=["mode"])(
+    in_mode(Mode.OBJECT_LOST)
+)
+MODES: dict[Signal, Mode] = {
+    servoing: Mode.SERVOING,
+    repulsing: Mode.REPULSING,
+    stopped: Mode.PROTECTIVE_STOP,
+    object_lost: Mode.OBJECT_LOST,
+}
+deciding = flag("deciding", "a decision is made at this tick", reads=["decision"])(
+    lambda trace: truth(trace.ticks["decision"] >= 0)
+)
+
+
+@flag(
+    "falling back",
+    "it gives way to the opposite pose, or stops, since the latest proposal was refused",
+    reads=["mode", "decision", "decision.outcome"],
+)
+def falling_back(trace: Trace) -> Sampled:
+    """While it gives way to the opposite pose, or stops, because of its latest decision."""
+    if len(trace.decisions) == 0:
+        return _untried(trace, no_decision, "nothing was decided")
+    number, gone = in_force(trace), out_of_knowledge(trace, falling_back)
+    gives_way = np.isin(trace.ticks["mode"], (Mode.REPULSING, Mode.PROTECTIVE_STOP))
+    refused = trace.decisions["outcome"][number] != DecisionOutcome.PROPOSED
+    return replace(at_ticks(np.where(gone, np.nan, gives_way & (number >= 0) & refused)), lost=gone)
+
+
+hand_tracked = flag("hand tracked", "the controller predicts a hand at least", reads=["track_valid"])(
+    lambda trace: truth(trace.ticks["track_valid"].any(axis=1))
+)
+
+
+@flag("fault acting", "one of the scenario's faults acts", reads=["faults"])
+def fault_acting(trace: Trace) -> Sampled:
+    """At least one of the scenario's faults acts."""
+    if not trace.scenario.faults:
+        return absent(trace, "there is no fault in this scenario")
+    return truth(trace.ticks["faults"] != 0)
+
+
+def _untried(trace: Trace, lacked: Callable[[Trace], str], words: str) -> Sampled:
+    """A signal that this run lacks, as ``lacked`` tells of a trace that is wholly known, else ``words``."""
+    return absent(trace, f"never exercised: {lacked(trace) if trace.known.whole else words}")
+
+
+def _nearest(
+    signal: Signal,
+    trace: Trace,
+    value: NDArray[np.float64],
+    low: NDArray[np.float64],
+    high: NDArray[np.float64],
+    what: str,
+) -> Sampled:
+    """The nearest of the hands of (n, hands) distances and bounds of them: of those that were measured."""
+    gone = None
+    if gaps_of(trace, signal.reads):
+        gone = lost(trace, signal.reads)
+        own = lost_of_hands(trace, signal.reads)[:, : value.shape[1]]
+        sides = ((value, own), (low, or_next(own)), (high, or_next(own)))
+        value, low, high = (
+            np.where(unknown.all(axis=1, keepdims=True), np.nan, np.where(unknown, np.inf, side))
+            for side, unknown in sides
+        )
+    nearest = Sampled(value=value.min(axis=1), low=low.min(axis=1), high=high.min(axis=1), lost=gone)
+    return _coming_near(nearest, "hand", what)
+
+
+def _coming_near(distance: Sampled, whose: str, what: str) -> Sampled:
+    """The distance of ``whose`` from ``what``, exercised each time that it falls below NEAR_M."""
+    near = NEAR_M - distance.value
+    return replace(distance, tried=(near, near), comes=(whose, what))
+
+
+def _path_m(trace: Trace, paths: HandPaths, hand: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """(n-1,) ways of a hand and of its elbow within each tick [m], corners of a recording included."""
+    own, last = paths.corner_hand == hand, len(trace.ticks) - 1
+    at = np.append(np.arange(last + 1, dtype=np.float64), paths.corner_at[own])
+    points = np.append(true_motion(trace).hands_m[:, hand], paths.corners_in_base_m[own], axis=0)
+    order = np.argsort(at, kind="stable")
+    tick = np.minimum(at[order][:-1].astype(int), max(last - 1, 0))
+    ways = np.zeros((2, max(last, 0)))
+    for way, place in zip(ways, points[order].transpose(1, 0, 2), strict=True):
+        np.add.at(way, tick, np.linalg.norm(np.diff(place, axis=0), axis=1))
+    return ways[0], ways[1]
+
+
+def _ways(
+    trace: Trace, paths: HandPaths, hand: int, *, from_tcp: bool
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """(n-1,) how far arm and hand can go to or from each other within a tick, and by how much they bend."""
+    hand_m, elbow_m = _path_m(trace, paths, hand)
+    if from_tcp:
+        return tcp_way_m(trace) + hand_m, hand_bend_m(trace, paths, hand, centre=True)
+    turned = np.abs(np.diff(trace.ticks["joint_position_rad"], axis=0))
+    way_m = turned @ arm_of(trace).reach_m + np.maximum(hand_m, elbow_m)
+    return way_m, joint_bend_m(trace) + hand_bend_m(trace, paths, hand)
+
+
+def markdown_of_signals(signals: Sequence[Signal] = SIGNALS) -> str:
+    """A row for each signal: its words and Python name, units, meaning, what is known between ticks."""
+    rows = ["| words | in Python | units | what it is | between ticks |", "|---|---|---|---|---|"]
+    for signal in signals:
+        units = "true or false"
+        if signal.dimension:
+            units = ", ".join(signal.dimension.units) or "a plain number"
+        name = f"`{signal.words}` | `{python_name(signal)}()`"
+        rows.append(f"| {name} | {units} | {signal.meaning} | {signal.between.value} |")
+    return "\n".join(rows) + "\n"
+
+
+def python_name(signal: Signal) -> str:
+    """What ``claims.formulas.language`` calls it."""
+    return signal.words.lower().replace(" ", "_")

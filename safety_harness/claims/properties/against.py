@@ -1,0 +1,275 @@
+"""Two avoiders on the same draws: what the one on trial does that the other, the reference, does not.
+
+Scenario, seed and everything else are the same for both, so that what differs is the avoiders' doing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from enum import Enum
+from math import isfinite
+from typing import Any
+
+import numpy as np
+
+from safety_harness.base.proportions import sign_test
+from safety_harness.claims.properties.answered import AvoiderAnswered, is_claimed
+from safety_harness.claims.properties.base import Evaluation, Unit
+from safety_harness.scenario.model import Verdict
+from safety_harness.trace.overruling import Overruling
+from safety_harness.trace.trace import Trace
+
+# For each unit a difference of margins that matters and is common: what a search divides margins by, so that
+# those of several claims can be compared.  Searching one claim at a time does not depend on it.
+SCALES = {
+    Unit.LENGTH: 0.1,
+    Unit.ANGLE: np.pi / 18.0,
+    Unit.SPEED: 0.1,
+    Unit.ANGULAR_SPEED: np.pi / 6.0,
+    Unit.TIME: 1.0,
+    Unit.ACCELERATION: 1.0,
+    Unit.ANGULAR_ACCELERATION: np.pi,
+    Unit.FRACTION: 0.1,
+    Unit.COUNT: 1.0,
+}
+TOLERANCE = 0.1  # of the scale, 10 mm of a length: what a margin may be less without being told
+
+
+def tolerance(*both: Evaluation) -> float:
+    """Return the margin [SI] that may be lost without being told; of a share, at least one occasion."""
+    unit, exercised = both[0].unit, min(one.exercised for one in both)
+    whole = 1.0 / max(exercised, 1) if unit is Unit.FRACTION else 0.0
+    return max(TOLERANCE * SCALES[unit], whole)
+
+
+class VerdictChange(Enum):
+    """What becomes of a claim with the avoider on trial in the reference's place."""
+
+    NEW = "new violation"
+    DEEPER = "violated by more"
+    SILENT = "no verdict any more"
+    LOST = "margin lost"
+    GONE = "violation gone"
+    NONE = "no difference"
+
+
+_TOLD = (VerdictChange.NEW, VerdictChange.DEEPER, VerdictChange.SILENT, VerdictChange.LOST)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ClaimDifference:
+    """One claim in one run with either avoider."""
+
+    mine: Evaluation
+    reference: Evaluation
+
+    @property
+    def lost(self) -> float:
+        """How much less the margin is than the reference's [SI]; NaN where one of them has none."""
+        a, b = self.reference.margin, self.mine.margin
+        return a - b if a is not None and b is not None else float("nan")
+
+    @property
+    def change(self) -> VerdictChange:
+        """A violation is new as well where the reference has no verdict: nobody saw it violate."""
+        mine, reference = self.mine.verdict, self.reference.verdict
+        less = self.lost > tolerance(self.mine, self.reference)
+        if mine is Verdict.VIOLATED:
+            if reference is not Verdict.VIOLATED:
+                return VerdictChange.NEW
+            return VerdictChange.DEEPER if less else VerdictChange.NONE
+        if mine is Verdict.INCONCLUSIVE:
+            silent = reference is Verdict.HOLDS and self.mine.applicable  # else there is nothing to compare
+            return VerdictChange.SILENT if silent else VerdictChange.NONE
+        if reference is Verdict.VIOLATED:
+            return VerdictChange.GONE
+        return VerdictChange.LOST if less and reference is Verdict.HOLDS else VerdictChange.NONE
+
+    def words(self, reference: str) -> str:
+        """Margins of both, or the verdict where there is none."""
+        mine, other = (
+            one.verdict.value if one.margin is None else one.margin_text()
+            for one in (self.mine, self.reference)
+        )
+        return f"{mine} against {other} with {reference}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunDifference:
+    """One scenario with one seed, run with either avoider."""
+
+    run: str
+    claims: tuple[ClaimDifference, ...]
+    mine: Overruling
+    reference: Overruling
+
+    @classmethod
+    def of(
+        cls, mine: Trace, reference: Trace, judged: Iterable[tuple[Evaluation, Evaluation]]
+    ) -> RunDifference:
+        """Of two traces and what was said of them; that the avoider answered is judged in every run."""
+        pairs = list(judged)
+        if not is_claimed(mine.scenario.claims):
+            answered = AvoiderAnswered()
+            pairs.append((answered.evaluate(mine), answered.evaluate(reference)))
+        return cls(
+            run=mine.scenario.name,
+            claims=tuple(ClaimDifference(mine=a, reference=b) for a, b in pairs),
+            mine=Overruling.of([mine]),
+            reference=Overruling.of([reference]),
+        )
+
+    def has(self, *changes: VerdictChange) -> bool:
+        """Is any of them in it?"""
+        return any(one.change in changes for one in self.claims)
+
+    def lines(self, reference: str) -> Iterator[str]:
+        """What the reference does not do, the overruling among it."""
+        for one in self.claims:
+            if one.change in _TOLD:
+                yield f"{one.change.value}: {self.run}: {one.mine.sentence}: {one.words(reference)}"
+        if self.more_overruled > 0.0:
+            yield (
+                f"overruled more: {self.run}: {self.mine.overruled} of {self.mine.proposals} proposals "
+                f"against {self.reference.overruled} of {self.reference.proposals} with {reference}"
+            )
+
+    @property
+    def more_overruled(self) -> float:
+        """By how much the share of overruled proposals is greater; 0 where one of them proposed nothing."""
+        more = self.mine.share - self.reference.share
+        return more if isfinite(more) else 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Against:
+    """``mine`` (its name) held against ``reference`` in ``runs`` of the same draws.
+
+    Of runs that a search chose nothing is tested: then they are not ``drawn``.
+    """
+
+    mine: str
+    reference: str
+    runs: Sequence[RunDifference]
+    drawn: bool = True
+
+    @property
+    def worse(self) -> bool:
+        """Is there a violation that the reference does not have or has by less, or a verdict lost?"""
+        return any(
+            run.has(VerdictChange.NEW, VerdictChange.DEEPER, VerdictChange.SILENT) for run in self.runs
+        )
+
+    def count(self, change: VerdictChange) -> int:
+        """Runs in which any claim changes so."""
+        return sum(run.has(change) for run in self.runs)
+
+    @property
+    def sentence(self) -> str:
+        """Violations in pairs, with the exact test.  Where one has no verdict the pair tells nothing."""
+        new = [self._certain(run, VerdictChange.NEW) for run in self.runs]
+        gone = [self._certain(run, VerdictChange.GONE) for run in self.runs]
+        both = sum(a and b for a, b in zip(new, gone, strict=True))
+        alone = sum(new) - both, sum(gone) - both
+        unclear = sum(run.has(VerdictChange.NEW) for run in self.runs) - sum(new)
+        more = f"; in {unclear} more, where {self.reference} has no verdict" if unclear else ""
+        words = paired_words(self.mine, self.reference, *alone, len(self.runs), both=both)
+        return words + (p_words(*alone) if self.drawn else "") + more
+
+    @staticmethod
+    def _certain(run: RunDifference, change: VerdictChange) -> bool:
+        return any(
+            one.change is change and Verdict.INCONCLUSIVE not in (one.mine.verdict, one.reference.verdict)
+            for one in run.claims
+        )
+
+    @property
+    def overruling(self) -> str:
+        """Overruled proposals of both, and in how many runs more or less; empty if nothing was proposed."""
+        mine, reference = (
+            sum((getattr(run, name) for run in self.runs), Overruling()) for name in ("mine", "reference")
+        )
+        more = sum(run.more_overruled > 0.0 for run in self.runs)
+        less = sum(run.more_overruled < 0.0 for run in self.runs)
+        words = overruling_words((self.mine, mine), (self.reference, reference), more, less)
+        return words and words + (p_words(more, less) if self.drawn else "")
+
+    def lines(self) -> Iterator[str]:
+        """Of each claim how much of what there is, then the two sentences."""
+        sentences = dict.fromkeys(one.mine.sentence for run in self.runs for one in run.claims)
+        for sentence in sentences:
+            found = [(run, one) for run in self.runs for one in run.claims if one.mine.sentence == sentence]
+            parts = [
+                f"{change.value} in {count}"
+                for change in (*_TOLD, VerdictChange.GONE)
+                if (count := sum(one.change is change for _, one in found))
+            ]
+            if not parts:
+                continue
+            run, worst = max(found, key=lambda pair: -np.inf if np.isnan(pair[1].lost) else pair[1].lost)
+            if worst.change in _TOLD and worst.lost > 0.0:
+                parts.append(f"the most lost in {run.run}: {worst.words(self.reference)}")
+            yield f"{sentence}: {'; '.join(parts)}"
+        if not self.worse:
+            yield f"{self.mine}: no violation that {self.reference} does not have, in {len(self.runs)} runs"
+        yield from filter(None, (self.sentence, self.overruling))
+
+    def as_json(self) -> dict[str, Any]:
+        """For programs; margins are SI."""
+        return {
+            "mine": self.mine,
+            "reference": self.reference,
+            "tolerance": {unit.name.lower(): float(TOLERANCE * scale) for unit, scale in SCALES.items()},
+            "summary": list(self.lines()),
+            "runs": [
+                {
+                    "scenario": run.run,
+                    "claims": [_as_json(one) for one in run.claims],
+                    "overruled": [run.mine.overruled, run.reference.overruled],
+                    "proposals": [run.mine.proposals, run.reference.proposals],
+                }
+                for run in self.runs
+            ],
+        }
+
+
+def _as_json(one: ClaimDifference) -> dict[str, Any]:
+    margins = (found.margin for found in (one.mine, one.reference))
+    return {
+        "claim": one.mine.sentence,
+        "change": one.change.value,
+        "verdicts": [one.mine.verdict.value, one.reference.verdict.value],
+        "margins_si": [m if m is not None and isfinite(m) else None for m in margins],
+    }
+
+
+def paired_words(mine: str, reference: str, new: int, gone: int, runs: int, *, both: int = 0) -> str:
+    """One sentence, for ``p_words`` behind it: in how many of ``runs`` only one of them violates a claim.
+
+    In ``both`` each violates one that the other keeps: they speak for neither.
+    """
+    as_well = f"; in {both} each violates one that the other keeps" if both else ""
+    return (
+        f"{mine} violates a claim that {reference} keeps in {new} of {runs} runs; the other way round in "
+        f"{gone}{as_well}"
+    )
+
+
+def overruling_words(
+    mine: tuple[str, Overruling], reference: tuple[str, Overruling], more: int, less: int
+) -> str:
+    """One sentence, for ``p_words`` behind it, on two names with their tallies; empty without proposals."""
+    if not (mine[1].proposals and reference[1].proposals):
+        return ""
+    shares = ", ".join(
+        f"of {name} {one.overruled} of {one.proposals} proposals ({one.share:.0%})"
+        for name, one in (mine, reference)
+    )
+    return f"overruled were {shares}: a greater share in {more} runs, a lesser in {less}"
+
+
+def p_words(more: int, fewer: int) -> str:
+    """McNemar's exact test of "either is equally likely", in which ties say nothing."""
+    p = sign_test(more, fewer)
+    return " (p < 0.001)" if p < 0.001 else f" (p = {p:.2g})"

@@ -1,0 +1,225 @@
+"""The avoider is what answers, and in time: else the fallback stands in for it, and is what is shown.
+
+That it answers is the one claim that is judged of every run, whether its scenario makes it or not.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.claims.properties.base import Evaluation, Unit, inconclusive, judged, time_left_s
+from safety_harness.claims.properties.entry import CatalogueEntry, quantity
+from safety_harness.claims.properties.measured import reads
+from safety_harness.claims.properties.unexercised import no_decision, unexercised
+from safety_harness.scenario.fault_table import TIME_EPS_S
+from safety_harness.scenario.faults import AvoiderLate, AvoiderNaN, AvoiderSilent
+from safety_harness.scenario.model import Claim, Scenario, Verdict
+from safety_harness.scenario.units import TIME
+from safety_harness.trace.records import ENDLESS, Check
+from safety_harness.trace.trace import Trace
+
+_MEASURED = re.compile(r"-?\d+\.\d+(?:e[+-]?\d+)?")
+_NUMBER = re.compile(r"(?<![\w.-])(?<!\.py:)(?<!status )-?\d+(?:\.\d+)?(?:e[+-]?\d+)?(?!\w|\.\d)")
+NOT_MODELLED = "computing time not modelled"
+
+
+@dataclass(frozen=True, kw_only=True)
+class AvoiderAnswered:
+    """Minus the number of questions that got no usable answer.
+
+    No answer is an exception, what is no proposal, a NaN, an answer that came too late, a process that
+    ended.  One that the gate refuses is an answer.  A fault of the scenario that keeps the avoider from
+    answering is not the avoider's: such questions do not count.
+    """
+
+    unit: Unit = Unit.COUNT
+    sentence: str = "the avoider answered"
+
+    @reads(
+        also=[
+            "faults",
+            "decision.tick",
+            "decision.time_s",
+            "decision.proposed_position_in_base_m",
+            "decision.proposed_failed",
+            "decision.fault",
+        ]
+    )
+    def evaluate(self, trace: Trace) -> Evaluation:
+        """Judge every decision."""
+        own, silent = _own(trace), unanswered(trace)
+        asked, missing = int(np.count_nonzero(own)), int(np.count_nonzero(silent))
+        if asked == 0:
+            return unexercised(self, self._never_asked(trace))
+        first = int(np.argmax(silent if missing else own))
+        why = f"; first: {_words(trace, first)}" if missing else ""
+        reason = f"{missing} of {asked} questions without a usable answer{why}"
+        return judged(self, trace, -missing, trace.decisions["time_s"][first], reason, exercised=asked)
+
+    def _never_asked(self, trace: Trace) -> str:
+        suppressed = len(trace.decisions)
+        if suppressed == 0:
+            return no_decision(trace)
+        return f"answers that a fault of the scenario kept away: all {suppressed}; another one exercises it"
+
+
+def unanswered(trace: Trace) -> NDArray[np.bool_]:
+    """(m,) decisions without a usable answer for which no fault of the scenario accounts."""
+    decisions = trace.decisions
+    if len(decisions) == 0:
+        return np.zeros(0, np.bool_)
+    none: NDArray[np.bool_] = decisions["fault"] != ""
+    none |= ~(np.abs(decisions["proposed_position_in_base_m"]) < ENDLESS).all(axis=1)
+    return none & _own(trace)
+
+
+def fault_of(trace: Trace) -> str:
+    """What the avoider did first instead of answering, without its numbers; empty if it always answered."""
+    if len(trace.decisions) == 0 or not (silent := unanswered(trace)).any():
+        return ""
+    return f"the avoider gave no answer: {_MEASURED.sub('...', _words(trace, int(np.argmax(silent))))}"
+
+
+def without_numbers(text: str) -> str:
+    """By what mistakes are told apart: those of names, lines of files and exit codes stay."""
+    return _NUMBER.sub("...", text)
+
+
+def fallback_words(unanswered: int, decisions: int) -> str:
+    """For headlines, of an avoider that gave no usable answer to some questions; empty if it always did."""
+    if not unanswered:
+        return ""
+    never = "did not answer" if unanswered == decisions else "did not always answer"
+    made = f"{unanswered:,} of {decisions:,} {'decision' if decisions == 1 else 'decisions'}"
+    return f"the avoider {never}: with the fallback in its place in {made}"
+
+
+def _own(trace: Trace) -> NDArray[np.bool_]:
+    """(m,) questions whose answer no fault of the scenario suppresses; such a fault is marked at the tick.
+
+    An answer that takes longer than the deadline by itself is late whatever fault acts.
+    """
+    if not trace.scenario.faults:
+        return np.ones(len(trace.decisions), np.bool_)
+    slow = nan = 0
+    for k, fault in enumerate(trace.scenario.faults):
+        slow |= (1 << k) * isinstance(fault, AvoiderLate | AvoiderSilent)
+        nan |= (1 << k) * isinstance(fault, AvoiderNaN)
+    decisions, count = trace.decisions, len(trace.ticks)
+    acted = np.append(trace.ticks["faults"], 0)[np.clip(decisions["tick"], 0, count)]  # of any trace at all
+    late = decisions["proposed_failed"] & Check.LATE != 0
+    if not trace.known.missing(["decision.decision_time_s"]):
+        deadline_s = trace.scenario.settings.avoidance.decision_deadline_s + TIME_EPS_S
+        late &= ~(decisions["decision_time_s"] > deadline_s)
+    own: NDArray[np.bool_] = ~((acted & nan != 0) | (late & (acted & slow != 0)))
+    return own
+
+
+def _words(trace: Trace, number: int) -> str:
+    return str(trace.decisions["fault"][number]) or "a position that is not finite"
+
+
+ANSWERED = CatalogueEntry(
+    prop=AvoiderAnswered(),
+    rationale="where the avoider gives no answer the fallback stands in for it, and whatever holds then was "
+    "shown of the fallback. It is judged of every run; a scenario that does not claim it expects it to hold",
+    source="the seam of the avoider: one proposal of finite numbers for each question, in time",
+    margin="minus the number of questions without a usable answer: an exception, what is no proposal, NaN, "
+    "an answer that came too late, a process that ended; 0 holds",
+    parameters="the decision deadline of the settings",
+    exercised="the avoider was asked while no fault of the scenario kept it from answering",
+    broken_by="an avoider that raises at every question",
+)
+DEFAULT_CLAIM = Claim(sentence=ANSWERED.example, expected=Verdict.HOLDS)
+
+
+def is_claimed(claims: Iterable[Claim]) -> bool:
+    """Do ``claims`` say anything of it themselves?"""
+    return any(ANSWERED.understands(claim.sentence) for claim in claims)
+
+
+def with_expectation(claims: tuple[Claim, ...], scenario: Scenario) -> tuple[Claim, ...]:
+    """``claims`` with what the scenario itself expects of the avoider's answering, unless they say it."""
+    if is_claimed(claims):
+        return claims
+    return claims + tuple(claim for claim in scenario.claims if is_claimed([claim]))
+
+
+def by_default(trace: Trace) -> Evaluation | None:
+    """The word on a run that the avoider did not answer in, although nobody expects that; else None."""
+    expected = (c.expected for c in trace.scenario.claims if ANSWERED.understands(c.sentence))
+    if next(expected, Verdict.HOLDS) is not Verdict.HOLDS:
+        return None
+    evaluation = AvoiderAnswered().evaluate(trace)
+    return evaluation if evaluation.verdict is Verdict.VIOLATED else None
+
+
+@dataclass(frozen=True, kw_only=True)
+class DecisionTime:
+    """min over decisions of ``within_s`` less the time that the arm went on without the answer.
+
+    That is the decision time of the settings, or as the avoider declares it, and what a fault of the
+    scenario adds, to the tick at which the answer counts.  An answer that was given up on at the deadline
+    never came: it counts as one control period more than the limit, at least.  A decision that costs no
+    simulated time shows nothing: with one of those nothing holds.
+    """
+
+    within_s: float
+    unit: Unit = Unit.TIME
+
+    @property
+    def sentence(self) -> str:
+        """As the catalogue writes it."""
+        return f"decisions within {self.within_s * 1e3:g} ms"
+
+    @reads(
+        also=[
+            "decision.tick",
+            "decision.time_s",
+            "decision.asked_tick",
+            "decision.decision_time_s",
+            "decision.proposed_failed",
+        ]
+    )
+    def evaluate(self, trace: Trace) -> Evaluation:
+        """Judge each decision."""
+        decisions, period_s = trace.decisions, trace.scenario.settings.clock.control_period_s
+        if len(decisions) == 0:
+            return unexercised(self, f"{no_decision(trace)} if the settings have a decision time")
+        took = decisions["tick"] - decisions["asked_tick"]
+        late = (decisions["proposed_failed"] & Check.LATE) != 0
+        left_s = np.array([time_left_s(trace, self.within_s, int(ticks)) for ticks in took])
+        left_s = np.where(late, np.minimum(left_s, -period_s), left_s)
+        worst = int(np.argmin(left_s))
+        free = ~late & (decisions["decision_time_s"] == 0.0)
+        if free.any() and not left_s[worst] < 0.0:
+            return inconclusive(self, f"{NOT_MODELLED}; a decision time in the settings exercises it")
+        reason = (
+            f"slowest {took[worst] * period_s * 1e3:.1f} ms, median {np.median(took) * period_s * 1e3:.1f} ms"
+        )
+        if late.any():
+            reason = f"{np.count_nonzero(late)} of {len(late)} were never answered"
+        exercised = int(np.count_nonzero(~free | (left_s < 0.0)))
+        return judged(self, trace, left_s[worst], decisions["time_s"][worst], reason, exercised)
+
+
+DECISION_TIME = CatalogueEntry(
+    prop=DecisionTime(within_s=0.1),
+    pattern=r"decisions within (.+)",
+    make=lambda match, _, place: DecisionTime(within_s=quantity(match[1], TIME, place)),
+    rationale="the hand moves on while the avoider thinks. What a decision costs is declared, or measured in "
+    "a profile: whether the avoider keeps to it on the robot's own computer is not shown by any run here",
+    source="the reaction time T_r, in which all has to fit",
+    margin="the limit less the longest simulated time from a question to the tick at which its answer "
+    "counts; one control period over the limit, at least, for an answer that was given up on",
+    parameters="the limit; the decision time and the decision deadline of the settings",
+    exercised="a decision was made that costs simulated time",
+    inconclusive="a decision that costs none: its computing time is not modelled",
+    scenario="decisions-take-90-ms",
+    broken_by="an avoider that never answers",
+)

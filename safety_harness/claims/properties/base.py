@@ -1,0 +1,336 @@
+"""What every property is and says: a function of a Trace with a signed margin and a verdict.
+
+A margin is positive where the property holds and negative where it is violated, in a physical
+unit, never rounded before it is compared.  *Inconclusive* is for a trace that is no evidence
+either way: empty, truncated, in contradiction with itself, with a NaN or an infinity in what the
+property reads, or one in which the property was never exercised.  A violation seen before a
+truncation is still a violation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from enum import Enum
+from functools import lru_cache
+from math import isclose, isfinite
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.base.compiled import compiled
+from safety_harness.base.exceptions import no_truth_value
+from safety_harness.base.geometry.arrays import Array3
+from safety_harness.scenario.model import Verdict
+from safety_harness.trace.consistency import first_inconsistency
+from safety_harness.trace.records import ENDLESS, as_numbers, columns
+from safety_harness.trace.trace import Trace, once_a_trace
+
+HORIZON_M = 1e3
+# A hand nearer than this puts a claim to the test: the claims' own number.  Were it a setting of the tested
+# system, whoever changes that setting would change how many runs count.
+NEAR_M = 0.4
+MAY_SATURATE = "between the ticks nothing is known, as motors may saturate"
+OF_HANDS = ("hand_position_in_base_m", "elbow_position_in_base_m", "hand_distance_m")
+
+
+class Unit(Enum):
+    """The unit that a margin is shown in: (symbol, factor from SI)."""
+
+    LENGTH = ("mm", 1e3)
+    ANGLE = ("deg", 180.0 / np.pi)
+    SPEED = ("mm/s", 1e3)
+    ANGULAR_SPEED = ("deg/s", 180.0 / np.pi)
+    TIME = ("s", 1.0)
+    ACCELERATION = ("m/s2", 1.0)
+    ANGULAR_ACCELERATION = ("deg/s2", 180.0 / np.pi)
+    FRACTION = ("%", 100.0)
+    COUNT = ("", 1.0)
+
+    @property
+    def symbol(self) -> str:
+        """As people write it."""
+        return self.value[0]
+
+    @property
+    def per_si(self) -> float:
+        """How many of it are one SI unit."""
+        return self.value[1]
+
+    def margin_text(self, margin: float | None) -> str:
+        """A margin (SI) with its sign, in this unit; a dash for none, or for a NaN."""
+        if margin is None or np.isnan(margin):
+            return "-"
+        return shown_margin(margin * self.per_si, self.symbol)
+
+
+SI_UNITS = {
+    Unit.LENGTH: "m",
+    Unit.ANGLE: "rad",
+    Unit.SPEED: "m/s",
+    Unit.ANGULAR_SPEED: "rad/s",
+    Unit.TIME: "s",
+    Unit.ACCELERATION: "m/s2",
+    Unit.ANGULAR_ACCELERATION: "rad/s2",
+    Unit.FRACTION: "1",
+    Unit.COUNT: "1",
+}
+
+
+def shown_margin(margin: float, symbol: str) -> str:
+    """A margin that is in the unit ``symbol`` already; without a symbol it is a count, and whole."""
+    number = f"{margin:+.1f}" if abs(margin) >= 1.0 and symbol else f"{margin:+.{3 if symbol else 9}g}"
+    return f"{number} {symbol}".rstrip()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Evaluation:
+    """One property's word on one trace.
+
+    ``margin`` (SI) and ``worst_time_s`` are None where there is none to give; ``reason`` says in
+    a sentence what decided; ``exercised`` counts the occasions on which the property could have
+    been violated (0 for a property that was never put to the test).  ``parts`` are the words on its
+    conjuncts, if it is made of several.  ``close`` is that of ``close_to``.  It is not ``applicable`` if it
+    is about what the controller under test does not have or say, such as an avoider's answers.
+    """
+
+    sentence: str
+    verdict: Verdict
+    unit: Unit
+    margin: float | None = None
+    worst_time_s: float | None = None
+    reason: str
+    exercised: int
+    parts: tuple[Evaluation, ...] = ()
+    unmeasured: tuple[str, ...] = ()
+    close: float | None = None
+    applicable: bool = True
+
+    def __bool__(self) -> bool:
+        raise no_truth_value(f"whether an evaluation is true, of {self.sentence}: {self.verdict.value}")
+
+    def margin_text(self) -> str:
+        """The margin with its sign and unit, or a dash."""
+        return self.unit.margin_text(self.margin)
+
+
+class Evaluations(tuple[Evaluation, ...]):
+    """What a run's claims came to, in their order; to ask whether that is true is refused."""
+
+    def __bool__(self) -> bool:
+        raise no_truth_value(f"whether {len(self)} evaluations are true")
+
+
+class Said(Protocol):
+    """What an evaluation is of."""
+
+    @property
+    def sentence(self) -> str:
+        """As the catalogue and the reports write it."""
+
+    @property
+    def unit(self) -> Unit:
+        """What its margins are shown in."""
+
+
+def close_to(prop: Said) -> float | None:
+    """The margin (SI) of a run that comes within half of a property's limit; None without one such limit.
+
+    That is half of the most that is allowed, and twice the least.
+    """
+    if hasattr(prop, "close"):
+        return prop.close  # type: ignore[no-any-return]
+    most = ("maximum_m", "maximum_mps", "maximum_mps2", "maximum_radps2")
+    halves = (0.5 * getattr(prop, name) for name in most if hasattr(prop, name))
+    return next(halves, getattr(prop, "minimum_m", None))
+
+
+def far_words(close: float | None, least_margin: float | None) -> str:
+    """That no run came within half of a limit; empty if one did, or if there is no limit."""
+    far = close and least_margin is not None and least_margin > close
+    return "no run came within half of its limit; is it in the unit that is meant?" if far else ""
+
+
+class Property(Said, Protocol):
+    """A safety property."""
+
+    def evaluate(self, trace: Trace) -> Evaluation:
+        """Judge one trace."""
+
+
+def inconclusive(prop: Said, reason: str, *, exercised: int = 0) -> Evaluation:
+    """No evidence either way, and why."""
+    return Evaluation(
+        sentence=prop.sentence,
+        verdict=Verdict.INCONCLUSIVE,
+        unit=prop.unit,
+        reason=reason,
+        exercised=exercised,
+        close=close_to(prop),
+    )
+
+
+def unreadable(trace: Trace, fields: Sequence[str]) -> str | None:
+    """Why a trace cannot be judged on ``fields`` at all, else None.
+
+    It is empty, it contradicts itself, or something in ``fields`` is not finite: of a hand only
+    while that hand is there, for its distance is infinite while it is not.
+    """
+    if len(trace.ticks) == 0:
+        return "the trace is empty"
+    wrong = first_inconsistency(trace)
+    if wrong is not None:
+        return f"the trace contradicts itself: {wrong}"
+    unreal = first_unreal(trace)
+    for name in fields:
+        if name in unreal:
+            return f"{name} is not finite from {trace.time_s[unreal[name]]:.3f} s"
+    return None
+
+
+@once_a_trace
+def first_unreal(trace: Trace) -> dict[str, int]:
+    """By field the first tick at which it is not finite, of a hand that is there; others are left out."""
+    rows, present = as_numbers(trace.ticks), trace.ticks["hand_present"]
+    first = _first_unreal(rows, nonfinite_count(trace), _told(trace.ticks.dtype), present).tolist()
+    fields = columns(trace.ticks.dtype)
+    return {name: tick for name, tick in zip(fields, first, strict=True) if tick < len(rows)}
+
+
+@lru_cache(maxsize=64)
+def _told(dtype: np.dtype[Any]) -> NDArray[np.int64]:
+    """(f, 3) as ``_first_unreal`` wants them."""
+    hands = dtype["hand_present"].shape[0]
+    of_each = {name: (c, c.stop - c.start) for name, c in columns(dtype).items()}
+    return np.array([(c.start, c.stop, n // hands * (name in OF_HANDS)) for name, (c, n) in of_each.items()])
+
+
+@once_a_trace
+def nonfinite_count(trace: Trace) -> NDArray[np.int64]:
+    """(c,) how many values of each column of ``as_numbers`` are not below ENDLESS, NaN among them."""
+    return _endless(as_numbers(trace.ticks))
+
+
+@compiled
+def _endless(rows: NDArray[np.float64]) -> NDArray[np.int64]:
+    """(c,) how many of each column of ``rows`` (n, c) are not below ENDLESS in size."""
+    found = np.zeros(rows.shape[1], np.int64)
+    for k in range(rows.shape[0]):
+        for column in range(rows.shape[1]):
+            found[column] += not abs(rows[k, column]) < ENDLESS
+    return found
+
+
+@compiled
+def _first_unreal(
+    rows: NDArray[np.float64],  # (n, c)
+    nonfinite_count: NDArray[np.int64],  # (c,)
+    fields: NDArray[np.int64],  # (f, 3) first column, the one after the last, how many of each hand or 0
+    present: NDArray[np.bool_],  # (n, hands)
+) -> NDArray[np.int64]:
+    """(f,) the first tick with one in any column of a field that is not below ENDLESS, else n."""
+    found = np.full(fields.shape[0], rows.shape[0])
+    for field in range(fields.shape[0]):
+        start, stop, width = fields[field, 0], fields[field, 1], fields[field, 2]
+        for column in range(start, stop):
+            if nonfinite_count[column] == 0:
+                continue
+            for k in range(found[field]):
+                there = width == 0 or present[k, (column - start) // width]
+                if there and not abs(rows[k, column]) < ENDLESS:
+                    found[field] = k
+                    break
+    return found
+
+
+def is_somewhere(position_in_base_m: Array3) -> bool:
+    """Is a position of a decision one at all: finite, and on this side of the horizon?"""
+    return bool(np.all(np.abs(position_in_base_m) < HORIZON_M))  # of a NaN it is false
+
+
+def begins_at(state: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """(n,) does a state (n,) begin?  One that is there at the first tick begins then."""
+    begins = state.copy()
+    begins[1:] &= ~state[:-1]
+    return begins
+
+
+def runs_of(state: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """(k,) where each stretch of a state (n,) begins, and (k,) the first after its end."""
+    padded = np.zeros(len(state) + 2, np.int8)
+    padded[1:-1] = state
+    change = padded[1:] - padded[:-1]
+    return np.flatnonzero(change == 1), np.flatnonzero(change == -1)
+
+
+def times_begun(state: NDArray[np.bool_]) -> int:
+    """How often a state (n,) begins."""
+    return int(np.count_nonzero(begins_at(state)))
+
+
+def occasion_m(limit_m: float = 0.0) -> float:
+    """How near a hand has to come to put a limit of its distance to the test: twice the limit, or NEAR_M."""
+    return max(NEAR_M, 2.0 * limit_m)
+
+
+def time_left_s(trace: Trace, limit_s: float, ticks: int) -> float:
+    """``limit_s`` less a whole number of control periods; 0.0 where they differ by their own rounding.
+
+    A limit of 24 ms is three periods of 8 ms, though the floats are not: 4 units in the last place are more
+    than what the rounding of limit, period and product makes.
+    """
+    took_s = ticks * trace.scenario.settings.clock.control_period_s
+    return 0.0 if isclose(limit_s, took_s, rel_tol=2.0**-51) else limit_s - took_s
+
+
+def judged(
+    prop: Property,
+    trace: Trace,
+    margin: float,
+    worst_time_s: float,
+    reason: str,
+    exercised: int,
+    lacked: Callable[[], str] | None = None,
+    *,
+    revocable: bool = False,
+    most: float | None = None,
+    unsure: str = "it holds at the ticks, perhaps not between them",
+) -> Evaluation:
+    """The verdict that a finite margin gives, with the two ways in which it is no evidence.
+
+    Violated when negative; when not, inconclusive if the property was never exercised or if the
+    run did not last as long as its scenario says.  A margin that is not finite, of whichever sign,
+    comes from nothing that can have happened and is no evidence at all.  ``lacked`` says, in place of
+    ``reason``, what it would have taken to exercise it.  A violation is ``revocable`` where later ticks could
+    undo it: of a run that was cut short it is none.  Where ``margin`` is a lower end, ``most`` is the
+    upper one, and only a violation by both is one; ``unsure`` says why they differ.
+    """
+    if most is not None and margin < 0.0:
+        if most >= 0.0:
+            ends = f"between {prop.unit.margin_text(margin)} and {prop.unit.margin_text(most)}"
+            why = f"{unsure}: {ends} ({reason})"
+            if not isfinite(margin):
+                why = f"{MAY_SATURATE}; at the ticks {prop.unit.margin_text(most)} ({reason})"
+            told = inconclusive(prop, why, exercised=exercised)
+            return told if not isfinite(margin) else replace(told, margin=margin, worst_time_s=worst_time_s)
+        margin = max(margin, most) if not isfinite(margin) else margin
+    if not isfinite(margin):
+        return inconclusive(prop, f"the margin is not finite ({margin})", exercised=exercised)
+    verdict = Verdict.HOLDS
+    if margin < 0.0 and (trace.complete or not revocable):
+        verdict = Verdict.VIOLATED
+    elif exercised == 0:
+        verdict, reason = Verdict.INCONCLUSIVE, f"never exercised: {lacked() if lacked else reason}"
+    elif not trace.complete:
+        verdict, reason = Verdict.INCONCLUSIVE, f"the run was cut short ({trace.ended}): {reason}"
+    return Evaluation(
+        sentence=prop.sentence,
+        verdict=verdict,
+        unit=prop.unit,
+        margin=float(margin),
+        worst_time_s=float(worst_time_s),
+        reason=reason,
+        exercised=exercised,
+        close=close_to(prop),
+    )

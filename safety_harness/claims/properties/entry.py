@@ -1,0 +1,141 @@
+"""What the catalogue says of a property: how to claim it, and everything that one should know before.
+
+Pages are written from the entries, so that they say what the code knows.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+
+from safety_harness.base.exceptions import InadmissibleError, Place
+from safety_harness.claims.properties.base import Property, Unit
+from safety_harness.claims.properties.measured import columns_read_by
+from safety_harness.scenario.model import Scenario
+from safety_harness.scenario.units import FRACTION, OTHER_UNIT, TIME, Dimension, parse_quantity
+
+LARGEST_COUNT = 1_000_000
+NONE = "-"
+
+Maker = Callable[[re.Match[str], Scenario, Place], Property]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class CatalogueEntry:
+    """One property of the catalogue.
+
+    ``prop`` is an example of it, and ``pattern`` matches every sentence that claims one whole, in either
+    case; ``make`` turns the match into the property.  Without these two it is claimed by the example's own
+    sentence alone.  The rest is for people: ``rationale``, ``source``, the ``margin``'s formula, the
+    ``parameters`` that it takes from the sentence and from the settings, when it is ``exercised`` (otherwise
+    it is inconclusive), what else makes it ``inconclusive``, the shipped ``scenario`` that exercises it, and
+    what it is ``broken_by``: the controller or avoider with which the tests see it violated.
+    """
+
+    prop: Property
+    pattern: str = ""
+    make: Maker | None = None
+    rationale: str
+    source: str
+    margin: str
+    parameters: str
+    exercised: str
+    inconclusive: str = NONE
+    scenario: str = "hand-visits-and-leaves"
+    broken_by: str
+
+    @property
+    def example(self) -> str:
+        """A sentence that claims it."""
+        return self.prop.sentence
+
+    @property
+    def unit(self) -> Unit:
+        """What its margins are shown in."""
+        return self.prop.unit
+
+    def property_of(self, match: re.Match[str], scenario: Scenario, place: Place) -> Property:
+        """What the sentence of ``match`` claims of ``scenario``; InadmissibleError at ``place``."""
+        return self.prop if self.make is None else self.make(match, scenario, place)
+
+    def understands(self, sentence: str) -> re.Match[str] | None:
+        """The match of a sentence that claims this property, whatever its case and outer spaces."""
+        return re.fullmatch(self.pattern or self.example, sentence.strip(), re.IGNORECASE)
+
+
+def quantity(text: str, dimension: Dimension, place: Place) -> float:
+    """A quantity above zero: a limit of zero or less would be kept by anything, or by nothing."""
+    value, most = parse_quantity(text, dimension, place), dimension.most_of_limits
+    if not 0.0 < value <= most:
+        expected = f"{dimension.expected}, above zero and at most {most:g} {dimension.si}"
+        hint = OTHER_UNIT if value > most else ""
+        raise InadmissibleError(place=place, expected=expected, got=repr(text), hint=hint)
+    return value
+
+
+def time_within(text: str, scenario: Scenario, place: Place) -> float:
+    """A time above zero that ends within a run of ``scenario``: a later end would be kept by anything."""
+    value_s = quantity(text, TIME, place)
+    if value_s > scenario.duration_s:
+        expected = f"a time that ends within the scenario's duration, {scenario.duration_s:g} s"
+        raise InadmissibleError(place=place, expected=expected, got=repr(text))
+    return value_s
+
+
+def share(text: str, place: Place) -> float:
+    """A share of at least 0 %, and less than 100 %, which anything would keep."""
+    value = parse_quantity(text, FRACTION, place)
+    if not 0.0 <= value < 1.0:
+        expected = f"{FRACTION.expected}, of at least 0 % and less than 100 %"
+        raise InadmissibleError(place=place, expected=expected, got=repr(text))
+    return value
+
+
+def count(text: str, place: Place) -> int:
+    """A whole number of at least one."""
+    if not (text.isascii() and text.isdigit() and 0 < int(text[:9]) <= LARGEST_COUNT and len(text) < 9):
+        expected = f"a whole number from 1 to {LARGEST_COUNT}"
+        raise InadmissibleError(place=place, expected=expected, got=repr(text))
+    return int(text)
+
+
+def told(entry: CatalogueEntry) -> Iterator[tuple[str, str]]:
+    """(name, text) of everything that an entry says for people, in the order to read it in."""
+    yield "why", entry.rationale
+    yield "source", entry.source
+    yield "margin", f"{entry.margin} ({_unit_words(entry)})"
+    yield "parameters", entry.parameters
+    yield "exercised", entry.exercised
+    also = entry.inconclusive
+    yield "inconclusive", "only for the reasons that make any claim so" if also == NONE else also
+    yield "reads", ", ".join(columns_read_by(entry.prop) or ())
+    yield "tried in", f"shipped:{entry.scenario}"
+    yield "broken by", entry.broken_by
+
+
+def _unit_words(entry: CatalogueEntry) -> str:
+    return entry.unit.symbol or "a number"
+
+
+def markdown_of_claims(
+    entries: Sequence[CatalogueEntry],
+    told: Callable[[CatalogueEntry], Iterable[tuple[str, str]]] = told,
+    breaks: Mapping[str, str] = MappingProxyType({}),
+) -> str:
+    """A table of all sentences, then each with everything that is ``told`` of it.
+
+    ``breaks`` has the smallest break that is caught, by sentence.
+    """
+    rows = ["| sentence | margin in | exercised when | smallest break caught |", "|---|---|---|---|"]
+    rows += [
+        f"| `{e.example}` | {_unit_words(e)} | {e.exercised} | {breaks.get(e.example, 'not measured')} |"
+        for e in entries
+    ]
+    sections = []
+    for entry in entries:
+        lines = [f"### {entry.example}", ""]
+        lines += [f"- *{name}*: {text}" for name, text in told(entry)]
+        sections.append("\n".join(lines))
+    return "\n".join(rows) + "\n\n" + "\n\n".join(sections) + "\n"

@@ -1,0 +1,386 @@
+"""Doubt leads to the fallback, certainty to the answer: judged by where the arm goes.
+
+The fallback is there when it is needed, and where there is nothing to give way to the arm stops.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.cell.avoidance.flaky import question_of
+from safety_harness.claims.properties.base import Evaluation, Unit, inconclusive, is_somewhere, judged
+from safety_harness.claims.properties.entry import CatalogueEntry, count
+from safety_harness.claims.properties.giving_way import LEAST_WAY_M, Finding, worst_of
+from safety_harness.claims.properties.measured import reads
+from safety_harness.claims.properties.positions import opposite_position, reach_m, spare_m, stopped_m
+from safety_harness.claims.properties.proposals import PROPOSAL
+from safety_harness.claims.properties.unexercised import (
+    millimetres,
+    no_decision,
+    spread_beside_threshold,
+    unexercised,
+)
+from safety_harness.claims.properties.way_gone import OFF_RAD, PACE, SHORT_M, way_gone
+from safety_harness.trace.known import OF_DECISIONS
+from safety_harness.trace.records import Check, DecisionOutcome, Mode
+from safety_harness.trace.trace import Trace
+
+SAME_M = 0.001  # a chosen position this near to another is the same
+READS = (
+    "joint_position_rad",
+    "joint_velocity_radps",
+    "transform_tcp_to_base",
+    "tcp_speed_mps",
+    "demanded_joint_velocity_radps",
+)
+ALSO = (
+    "mode",
+    "limits",
+    "track_valid",
+    "predicted_hand_in_base_m",
+    "decision.tick",
+    "decision.time_s",
+    "decision.trigger",
+    "decision.proposed_spread_m",
+    "decision.spread_threshold_m",
+    "decision.chosen_position_in_base_m",
+)
+BEYOND_DOUBT_M = 0.0002  # reach is known to 0.1 mm
+USED_CYCLES = 2  # within which a certain answer is acted on, as an uncertain one in the catalogue's sentence
+Findings = dict[str, list[Finding]]  # by the part that they judge
+
+
+def has_doubt(decision: np.void) -> bool | None:
+    """Is the spread above the avoider's threshold on any axis?  None if it gave no answer or has none."""
+    spread_m, threshold_m = decision["proposed_spread_m"], decision["spread_threshold_m"]
+    if not (np.isfinite(spread_m).all() and np.isfinite(threshold_m)):
+        return None
+    return bool(spread_m.max() > threshold_m)
+
+
+def outside_region(trace: Trace, decision: np.void) -> bool:
+    """Was the avoider asked something outside of the region that the gate keeps to?"""
+    region = None if trace.scenario.gate is None else trace.scenario.gate.questions_within
+    return region is not None and not region.depth_m(*question_of(trace, decision)) >= 0.0
+
+
+def kept_from_possible_hands(trace: Trace, decision: np.void, failed: str) -> bool:
+    """Was a position refused for where a hand may be, as a rule of the gate has it?
+
+    How sure the filter was of its hands is in no trace: only here the gate is believed.
+    """
+    rule = trace.scenario.gate
+    if rule is None or rule.hands_within is None:
+        return False
+    return trace.known.missing([OF_DECISIONS + failed]) != () or bool(decision[failed] & Check.TOWARDS_A_HAND)
+
+
+def _add(findings: Findings, found: Findings) -> None:
+    for part, more in found.items():
+        findings[part] += more
+
+
+def went(
+    trace: Trace, number: int, target_in_base_m: NDArray[np.float64], cycles: int, where: str
+) -> tuple[Findings, bool]:
+    """Judge the choice and the motion of a decision by ``target_in_base_m`` (3,); was there time for any?"""
+    decision = trace.decisions[number]
+    found, tried = way_gone(trace, number, target_in_base_m, cycles, where)
+    chosen, off_m = decision["chosen_position_in_base_m"], np.nan
+    if is_somewhere(chosen) and is_somewhere(target_in_base_m):
+        off_m = float(np.linalg.norm(chosen - target_in_base_m))
+    if off_m <= SAME_M:
+        return found, tried
+    said = f"told to go elsewhere than {where}"
+    return {"choice": [Finding(SAME_M - off_m, float(decision["time_s"]), said)], **found}, True
+
+
+def concluded(
+    prop: UncertainFallsBack | CertainIsUsed,
+    trace: Trace,
+    found: Findings,
+    exercised: int,
+    none: Callable[[], str],
+) -> Evaluation:
+    """The word on the worst finding, with one on each part; ``none`` says why there is no finding."""
+    if not any(found.values()):
+        return unexercised(prop, none())
+    lacked = f"no repulsion had time for {LEAST_WAY_M * 1e3:g} mm of way; a longer duration exercises it"
+
+    def said(findings: list[Finding]) -> Evaluation:
+        worst = worst_of(findings)
+        reason = worst.what + (f", worst of {exercised} decisions" if exercised > 1 else "")
+        return judged(prop, trace, worst.margin_m, worst.time_s, reason, exercised, lambda: lacked)
+
+    parts = [replace(said(one), sentence=f"{prop.sentence}: {part}") for part, one in found.items() if one]
+    return replace(said([finding for one in found.values() for finding in one]), parts=tuple(parts))
+
+
+@dataclass(frozen=True, kw_only=True)
+class UncertainFallsBack:
+    """Where the spread is above the avoider's threshold, the arm goes to the opposite pose, or stops.
+
+    The opposite pose is computed again from the predictions of the tick.  ``way_gone`` judges apart when the
+    motion begins (within ``cycles`` control ticks), its direction, its pace and its end; a chosen position
+    more than 1 mm from the pose is a violation at once.  A stop before the next decision is
+    right where the opposite pose could not be used (``spare_m``), and then has to be one (``stopped_m``);
+    where it could have been, its margin is minus what the pose had to spare.
+    """
+
+    cycles: int
+    unit: Unit = Unit.LENGTH
+
+    @property
+    def sentence(self) -> str:
+        """As the catalogue writes it."""
+        return f"uncertain answers fall back within {self.cycles} cycles"
+
+    @reads(*READS, also=[*ALSO, "decision.hand_position_in_base_m"])
+    def evaluate(self, trace: Trace) -> Evaluation:
+        """Judge each decision whose answer was uncertain."""
+        findings: Findings = defaultdict(list)
+        exercised = 0
+        for number, decision in enumerate(trace.decisions):
+            if not has_doubt(decision):
+                continue
+            opposite = opposite_position(trace, decision)
+            tick, time_s = int(decision["tick"]), float(decision["time_s"])
+            until = min([tick + self.cycles, *trace.decisions["tick"][number + 1 : number + 2] - 1])
+            if np.any(trace.ticks["mode"][tick : until + 1] == Mode.PROTECTIVE_STOP):
+                if not kept_from_possible_hands(trace, decision, "opposite_failed"):
+                    lacked_m = -spare_m(trace, decision, opposite)
+                    findings["stop"].append(
+                        Finding(lacked_m, time_s, "stopped, what the opposite pose lacked")
+                    )
+                left_m = stopped_m(trace, min(until, len(trace.ticks) - 1))
+                findings["stop"].append(Finding(left_m, time_s, "the way of the stop"))
+                exercised += 1
+                continue
+            found, tried = went(trace, number, opposite, self.cycles, "the opposite pose")
+            _add(findings, found)
+            exercised += tried
+        return concluded(self, trace, findings, exercised, lambda: spread_beside_threshold(trace, above=True))
+
+
+@dataclass(frozen=True, kw_only=True)
+class CertainIsUsed:
+    """An answer within the avoider's threshold, and the gate's region, that could be used is used.
+
+    The other direction: a gate that always falls back would make every avoider look safe.  Asked of
+    answers that have something to spare (``spare_m``, at least 1 mm).  The arm has to go there, as for
+    an uncertain one to the opposite pose; a stop costs the whole way.
+    """
+
+    unit: Unit = Unit.LENGTH
+    sentence: str = "certain answers are used"
+
+    @reads(*READS, also=[*ALSO, *PROPOSAL, "decision.outcome"])
+    def evaluate(self, trace: Trace) -> Evaluation:
+        """Judge each decision whose answer was certain and usable."""
+        findings: Findings = defaultdict(list)
+        exercised, kept, most_m = 0, 0, -np.inf
+        for number, decision in enumerate(trace.decisions):
+            proposed = decision["proposed_position_in_base_m"]
+            if has_doubt(decision) is not False or outside_region(trace, decision):
+                continue
+            if kept_from_possible_hands(trace, decision, "proposed_failed"):
+                kept += 1
+                continue
+            to_spare_m = spare_m(trace, decision, proposed)
+            most_m = max(most_m, to_spare_m)
+            if not to_spare_m >= SAME_M:
+                continue
+            if decision["outcome"] == DecisionOutcome.STOP:
+                tcp_in_base = trace.ticks["transform_tcp_to_base"][decision["tick"], :3, 3]
+                way_m = float(np.linalg.norm(proposed - tcp_in_base))
+                findings["stop"].append(Finding(-way_m, float(decision["time_s"]), "stopped all the same"))
+                exercised += 1
+                continue
+            found, tried = went(trace, number, proposed, USED_CYCLES, "the proposed position")
+            _add(findings, found)
+            exercised += tried
+
+        def none() -> str:
+            if not np.isfinite(most_m) and kept:
+                return f"the gate kept all {kept} from where a hand may be; one that it does not exercises it"
+            if not np.isfinite(most_m):
+                return spread_beside_threshold(trace, above=False)
+            had = f"the certain answers had {millimetres(most_m, SAME_M)} to spare at most"
+            return f"{had}; {SAME_M * 1e3:g} mm within reach, and away from hands and robot, exercises it"
+
+        return concluded(self, trace, findings, exercised, none)
+
+
+WAY = (
+    f"what is left of a cone of {np.degrees(OFF_RAD):g} deg to the pose, from 10 mm of way on; how far the "
+    f"TCP keeps up with a point mass of {PACE.speed:.0%} of a repulsion's speed and "
+    f"{PACE.acceleration:.0%} of its acceleration; what is left of the arrival tolerance and "
+    f"{SHORT_M * 1e3:g} mm at the end"
+)
+
+UNCERTAIN = CatalogueEntry(
+    prop=UncertainFallsBack(cycles=2),
+    pattern=r"uncertain answers fall back within (\S+) cycles?",
+    make=lambda match, _, place: UncertainFallsBack(cycles=count(match[1], place)),
+    rationale="the spread is worth something only if it keeps the arm from going where the network guesses",
+    source="the paper, section 3.3: the opposite pose where the network is not sure",
+    margin=f"the least of: cycles left at the onset, as way; {WAY}; after a stop what the opposite pose "
+    "lacked, or minus what it had to spare",
+    parameters="the number of control ticks; the threshold of the avoider, the radius of the settings",
+    exercised="a spread above the avoider's threshold, and time for 10 mm of way, or a stop",
+    scenario="hesitating-reach",
+    broken_by="an avoider in doubt behind a gate that does not ask for its spread",
+)
+
+CERTAIN = CatalogueEntry(
+    prop=CertainIsUsed(),
+    rationale="a system that always falls back is not the one whose avoider was tested",
+    source="the other direction of the same rule",
+    margin=f"the least of: cycles left of two at the onset, as way; {WAY}; after a stop minus the way there",
+    parameters="the threshold of the avoider; what a position has to spare",
+    exercised="a spread within the avoider's threshold, a usable position, and time for 10 mm of way",
+    scenario="hesitating-reach",
+    broken_by="a gate that lets no proposal pass",
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FallbackPoses:
+    """At every decision the fallback pose that the gate had at hand is reachable and leads away.
+
+    Asked of all decisions, not only of those that fell back: a net is tested before one falls.  The
+    first of the ``parts`` is as for ``repulsive poses reachable``, from the true joints; the second is
+    the component of the way to it away from each true hand, least over hands; the margin is the least
+    of both.  Where it is violated the system has nothing left but to stop.
+
+    Exercised by every decision; the second part by those made while a true hand was there.
+    """
+
+    unit: Unit = Unit.LENGTH
+    sentence: str = "fallback poses reachable and away"
+
+    @reads(
+        "joint_position_rad",
+        "transform_tcp_to_base",
+        "hand_position_in_base_m",
+        also=["decision.tick", "decision.time_s", "decision.opposite_position_in_base_m"],
+    )
+    def evaluate(self, trace: Trace) -> Evaluation:
+        """Judge the fallback pose of every decision."""
+        if len(trace.decisions) == 0:
+            return unexercised(self, no_decision(trace))
+        reachable = [
+            Finding(reach_m(trace, one, one["opposite_position_in_base_m"]), float(one["time_s"]), "")
+            for one in trace.decisions
+        ]
+        away = [finding for decision in trace.decisions for finding in _away(trace, decision)]
+        parts = (self._part(trace, "reachable", reachable), self._part(trace, "away from every hand", away))
+        tried = [part for part in parts if part.exercised]  # each decision has a pose to be reached
+        # A margin that is not finite is worse than one that holds, and hides none that is violated.
+        worst = min(tried, key=lambda part: -math.ulp(0.0) if part.margin is None else part.margin)
+        return replace(worst, sentence=self.sentence, exercised=len(trace.decisions), parts=parts)
+
+    def _part(self, trace: Trace, what: str, findings: list[Finding]) -> Evaluation:
+        if not findings:
+            evaluation = inconclusive(self, f"{what}: never exercised, no true hand was there")
+        else:
+            worst, count = worst_of(findings), len(findings)
+            reason = f"{what}{worst.what}: {f'worst of {count}' if count > 1 else 'one pose'}"
+            evaluation = judged(self, trace, worst.margin_m, worst.time_s, reason, exercised=count)
+        return replace(evaluation, sentence=f"fallback poses {what}")
+
+
+def _away(trace: Trace, decision: np.void) -> list[Finding]:
+    tick, found = trace.ticks[decision["tick"]], []
+    tcp_in_base = tick["transform_tcp_to_base"][:3, 3]
+    position = decision["opposite_position_in_base_m"]
+    for hand in np.flatnonzero(tick["hand_present"]):
+        apart = tcp_in_base - tick["hand_position_in_base_m"][hand]
+        distance = float(np.linalg.norm(apart))
+        margin_m = -trace.scenario.settings.avoidance.radius_m  # no pose leads away from nobody
+        if is_somewhere(position):
+            way = position - tcp_in_base
+            margin_m = float(way @ apart) / distance if distance > 0.0 else float(np.linalg.norm(way))
+        name = trace.scenario.hands[hand].name
+        found.append(Finding(margin_m, float(decision["time_s"]), f" ({name})"))
+    return found
+
+
+FALLBACK_POSES = CatalogueEntry(
+    prop=FallbackPoses(),
+    rationale="the fallback is what doubt, faults and lateness end in: it has to be there beforehand",
+    source="the paper, section 3.3; opposite poses out of reach are counted in its table 4",
+    margin="the lesser of how far beyond the pose the straight way goes on (at most 100 mm) and of the way's "
+    "component away from each true hand",
+    parameters="radius and least singular value of the settings",
+    exercised="a decision was made",
+    broken_by="a gate whose fallback heads for the hand",
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class StopsWhereNothingIsReachable:
+    """Where neither the answer nor the opposite pose can be reached, the arm comes to a stop.
+
+    Both are tried again from the true joints; an avoider that gave no answer gave none that can be
+    reached.  Margin: what the TCP's way leaves of that of a protective stop from the decision on
+    (``stopped_m``), so that an arm that goes on to anywhere is violated, whatever its controller says.
+    """
+
+    unit: Unit = Unit.LENGTH
+    sentence: str = "stops where neither answer nor opposite pose can be reached"
+
+    @reads(
+        "joint_position_rad",
+        "transform_tcp_to_base",
+        "tcp_speed_mps",
+        also=[
+            "mode",
+            "track_valid",
+            "predicted_hand_in_base_m",
+            "decision.tick",
+            "decision.time_s",
+            "decision.hand_position_in_base_m",
+            "decision.proposed_position_in_base_m",
+        ],
+    )
+    def evaluate(self, trace: Trace) -> Evaluation:
+        """Judge each decision that left nothing."""
+        findings: list[Finding] = []
+        least_m, when_s = np.inf, 0.0
+        for decision in trace.decisions:
+            answers = (decision["proposed_position_in_base_m"], opposite_position(trace, decision))
+            farthest_m = max(reach_m(trace, decision, position) for position in answers)
+            if farthest_m >= -BEYOND_DOUBT_M:
+                least_m, when_s = min((least_m, when_s), (farthest_m, float(decision["time_s"])))
+                continue
+            left_m = stopped_m(trace, int(decision["tick"]))
+            findings.append(Finding(left_m, float(decision["time_s"]), "way left of a stop's"))
+        if not findings:
+            least = f"with {least_m * 1e3:.1f} mm to spare at {when_s:.3f} s, or more"
+            found = f"one of the two could always be reached, {least}; neither within reach exercises it"
+            if len(trace.decisions) == 0:
+                found = f"{no_decision(trace)} if neither can be reached"
+            return unexercised(self, found)
+        worst = worst_of(findings)
+        reason = worst.what + (f", worst of {len(findings)}" if len(findings) > 1 else "")
+        return judged(self, trace, worst.margin_m, worst.time_s, reason, exercised=len(findings))
+
+
+STOPS = CatalogueEntry(
+    prop=StopsWhereNothingIsReachable(),
+    rationale="an arm that goes on as before has not noticed the hand; one that heads for where it cannot go "
+    "ends at its limits",
+    source="the last of the three steps: answer, opposite pose, stop",
+    margin="way allowed to a protective stop (v T_r + v T_s/2, one period's and 2 mm) less the TCP's",
+    parameters="reaction and stop time, radius and least singular value of the settings",
+    exercised="a decision of which neither can be reached",
+    scenario="nothing-reachable",
+    broken_by="an avoider that proposes a position two metres away, behind a gate that passes everything",
+)

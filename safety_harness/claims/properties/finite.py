@@ -1,0 +1,172 @@
+"""The record itself: every number is one, and time goes forward."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache, partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.base.compiled import compiled
+from safety_harness.claims.properties.base import (
+    OF_HANDS,
+    Evaluation,
+    Unit,
+    inconclusive,
+    judged,
+    nonfinite_count,
+)
+from safety_harness.claims.properties.entry import CatalogueEntry
+from safety_harness.claims.properties.unexercised import only_whole
+from safety_harness.trace.consistency import first_inconsistency
+from safety_harness.trace.known import OF_DECISIONS
+from safety_harness.trace.records import DECISION, ENDLESS, TICK, DecisionOutcome, as_numbers, columns
+from safety_harness.trace.trace import Trace
+from safety_harness.trace.unmeasured import decided, without_gaps
+
+OF_IMAGES = ("features", "feature_error", "sse")
+ALWAYS, HAND, IMAGE, TRACK, ANY_TRACK = range(5)  # what has to be there for a field to be a number
+
+
+def _needs(name: str) -> int:
+    if name in OF_HANDS:
+        return HAND
+    if name in OF_IMAGES:
+        return IMAGE
+    return {"predicted_hand_in_base_m": TRACK, "predicted_distance_m": ANY_TRACK}.get(name, ALWAYS)
+
+
+THERE = (
+    "hand_present",
+    "object_visible",
+    "track_valid",
+    "decision.tick",
+    "decision.outcome",
+    "decision.fault",
+)
+OF_A_DECISION = tuple(
+    name for name in DECISION.names or () if DECISION[name].base.kind == "f" and name != "spread_threshold_m"
+)
+READ = (
+    *(name for name in columns(TICK) if name != "time_s"),
+    *(OF_DECISIONS + name for name in OF_A_DECISION),
+    *THERE,
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FiniteTrace:
+    """Minus the number of records in which a number is none, or which are not later than the one before.
+
+    What is not there is left out: a hand that is absent, the features of an image without the object,
+    the prediction of a slot that tracks nothing, the proposal of an avoider that gave none, the position
+    that a stop chose, the threshold of an avoider without one, the time of a decision that was not timed.
+    """
+
+    unit: Unit = Unit.COUNT
+    sentence: str = "trace finite and monotone"
+
+    @only_whole(*READ, of_any=True)
+    def evaluate(self, trace: Trace) -> Evaluation:
+        """Judge ticks and decisions."""
+        ticks, decisions = trace.ticks, trace.decisions
+        if len(ticks) == 0:
+            return inconclusive(self, "the trace is empty")
+        wrong = bad_ticks(trace)
+        wrong_decisions = bad_decisions(trace)
+        total = int(np.count_nonzero(wrong) + np.count_nonzero(wrong_decisions))
+        if total == 0:
+            odd = first_inconsistency(trace)
+            if odd is not None:
+                return inconclusive(self, f"the trace contradicts itself: {odd}")
+        first = int(np.argmax(wrong)) if wrong.any() else len(ticks) - 1
+        if wrong_decisions.any():
+            first = min(first, int(decisions["tick"][int(np.argmax(wrong_decisions))]))
+        worst_time_s = max(first, 0) * trace.scenario.settings.clock.control_period_s
+        reason = f"{total or 'nothing'} wrong; {len(ticks)} ticks, decisions: {len(decisions)}"
+        return judged(self, trace, -total, worst_time_s, reason, exercised=len(ticks))
+
+
+def bad_ticks(trace: Trace) -> NDArray[np.bool_]:
+    """(n,) ticks with something that was measured and is no number, or no later than the tick before."""
+    trace = without_gaps(trace, READ)
+    bad = np.zeros(len(trace.ticks), np.bool_)
+    ticks, time_s, lacking = trace.ticks, trace.time_s, trace.known.missing(READ)
+    bad[1:] = ~(time_s[1:] > time_s[:-1])
+    present, visible, tracked = (
+        np.zeros_like(ticks[name]) if name in lacking else ticks[name]
+        for name in ("hand_present", "object_visible", "track_valid")
+    )
+    kinds = _kinds(ticks.dtype, lacking)
+    _mark(as_numbers(ticks), nonfinite_count(trace), kinds, present, visible, tracked, bad)
+    return bad
+
+
+@lru_cache(maxsize=64)
+def _kinds(dtype: np.dtype[Any], lacking: tuple[str, ...]) -> NDArray[np.int64]:
+    """(f, 3) as ``_mark`` wants them, of the fields of a tick that were measured."""
+    kept = [(c.start, c.stop, _needs(name)) for name, c in columns(dtype).items() if name not in lacking]
+    return np.array(kept, np.int64).reshape(-1, 3)
+
+
+@compiled
+def _mark(
+    rows: NDArray[np.float64],  # (n, c)
+    nonfinite_count: NDArray[np.int64],  # (c,)
+    fields: NDArray[np.int64],  # (f, 3) first column, the one after the last, what has to be there
+    present: NDArray[np.bool_],  # (n, hands)
+    visible: NDArray[np.bool_],  # (n,)
+    tracked: NDArray[np.bool_],  # (n, tracks)
+    bad: NDArray[np.bool_],  # (n,), written
+) -> None:
+    """Mark the rows with a value that is not below ENDLESS in size, of something that is there."""
+    for field in range(fields.shape[0]):
+        start, stop, what = fields[field, 0], fields[field, 1], fields[field, 2]
+        for column in range(start, stop):
+            if nonfinite_count[column] == 0:
+                continue
+            hand = (column - start) * present.shape[1] // (stop - start)
+            track = (column - start) * tracked.shape[1] // (stop - start)
+            for k in range(rows.shape[0]):
+                there = (
+                    what == ALWAYS
+                    or (what == HAND and present[k, hand])
+                    or (what == IMAGE and visible[k])
+                    or (what == TRACK and tracked[k, track])
+                    or (what == ANY_TRACK and tracked[k].any())
+                )
+                bad[k] |= there and not abs(rows[k, column]) < ENDLESS
+
+
+def bad_decisions(trace: Trace) -> NDArray[np.bool_]:
+    """(m,) decisions with something that was measured and is no number, or no later than the one before."""
+    decisions, latency_s = trace.decisions, trace.decision_latency_s
+    bad = np.zeros(len(decisions), np.bool_)
+    if len(decisions) == 0:
+        return bad
+    in_time, said, chose = (decided(trace, name) for name in ("time_s", "fault", "outcome"))
+    bad[1:] = ~(np.diff(decisions["time_s"]) > 0.0) & in_time
+    if len(latency_s) == len(decisions):
+        bad |= np.isinf(latency_s)  # NaN: not timed
+    answered = said & (decisions["fault"] == "")
+    chosen = chose & (decisions["outcome"] != DecisionOutcome.STOP)
+    opposite = chose & (decisions["outcome"] == DecisionOutcome.OPPOSITE)
+    expected = {"proposed": answered, "chosen": chosen, "opposite": opposite}
+    for name in filter(partial(decided, trace), OF_A_DECISION):
+        wrong = ~(np.abs(decisions[name]) < ENDLESS).reshape(len(bad), -1).all(axis=1)
+        bad |= wrong & expected.get(name.split("_")[0], np.True_)
+    return bad
+
+
+FINITE_TRACE = CatalogueEntry(
+    prop=FiniteTrace(),
+    rationale="whatever else is claimed of a run is claimed of these numbers",
+    source="arithmetic: a comparison with what is no number is never true",
+    margin="minus the number of ticks and decisions that hold something that is no number, or that are not "
+    "later than the one before; 0 holds",
+    parameters="none",
+    exercised="always",
+    broken_by="a controller whose features are no numbers",
+)

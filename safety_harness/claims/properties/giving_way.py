@@ -1,0 +1,502 @@
+"""Giving way is done, not only decided: away from every hand, as far and as fast as the arm can.
+
+How far a repulsion has got is held against how far it had time to get: a point mass as the reference.
+It begins with the TCP's true position and velocity, and heads for the chosen position with nine tenths
+of the repulsion speed and seven tenths of its acceleration, slowing down in time to stop there.  A
+system that is set to give way more slowly than 20 mm/s (or 0.1 m/s^2) is measured by these: anything
+slower is no giving way beside a hand.  In ticks in which the drives brake or a joint is at its speed
+limit, the reference moves as the TCP does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from math import sqrt
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.base.compiled import compiled
+from safety_harness.base.geometry.arrays import Array3
+from safety_harness.cell.robot.robots import arm_model
+from safety_harness.claims.properties.base import Evaluation, Unit, is_somewhere, judged
+from safety_harness.claims.properties.entry import CatalogueEntry, quantity
+from safety_harness.claims.properties.measured import reads
+from safety_harness.claims.properties.unexercised import (
+    nearest_of,
+    no_hand,
+    no_position,
+    no_time,
+    unexercised,
+)
+from safety_harness.scenario.units import LENGTH
+from safety_harness.trace.records import DecisionOutcome, Limit, Mode, Trigger
+from safety_harness.trace.trace import Trace
+
+LEAST_WAY_M = 0.010  # a shorter way is no giving way, and less of one is no evidence of it
+ARRIVED_FRACTION = 0.1  # of the way may be left when the controller takes itself to have arrived
+DIP_M = 1e-4  # how far the executed way may come nearer beyond the unavoidable
+SPEED_SHARE, ACCELERATION_SHARE = 0.9, 0.7
+LEAST_SPEED_MPS, LEAST_ACCELERATION_MPS2 = 0.020, 0.1
+SLACK_M = 0.002  # how far the TCP may stay behind the reference; one control period's way more, but
+NOT_OFF = np.zeros(3)
+SLACK_SHARE = 0.1  # at most this share of the whole way
+
+
+class Shares(NamedTuple):
+    """How much of the repulsion speed and, while speeding up, of its acceleration the reference takes."""
+
+    speed: float
+    acceleration: float
+
+
+MODEST = Shares(SPEED_SHARE, ACCELERATION_SHARE)
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A margin [m] with the moment [s] and the words that belong to it."""
+
+    margin_m: float
+    time_s: float
+    what: str
+
+
+def worst_of(findings: Sequence[Finding]) -> Finding:
+    """The first whose margin is not finite, else that with the least margin; there must be one."""
+    unknown = next((finding for finding in findings if not np.isfinite(finding.margin_m)), None)
+    return unknown or min(findings, key=lambda finding: finding.margin_m)
+
+
+@dataclass(frozen=True)
+class _End:
+    """The ends of one finding's margin [m]; is it there in any case, or only where it is negative?"""
+
+    low_m: float
+    high_m: float
+    always: bool = False
+
+
+def _ends(prop: MovesAway, trace: Trace) -> tuple[float, float, bool]:
+    """For ``reads``, of every decision by itself; nothing of one that goes on for another hand."""
+    if trace.known.uncertain(["demanded_joint_velocity_radps"]):
+        return -np.inf, np.inf, False
+    ends: list[_End] = []
+    exercised = False
+    for number, decision in enumerate(trace.decisions):
+        if decision["outcome"] == DecisionOutcome.STOP:
+            continue
+        somewhere = is_somewhere(decision["chosen_position_in_base_m"])
+        if decision["trigger"] == Trigger.ANOTHER_HAND or not somewhere:
+            return -np.inf, np.inf, False
+        found, done = _ends_of(prop, trace, number)
+        ends += found
+        exercised |= done
+    sure = [end.high_m for end in ends if end.always or end.high_m < 0.0]
+    return min((end.low_m for end in ends), default=-np.inf), min(sure, default=np.inf), exercised
+
+
+def _ends_of(prop: MovesAway, trace: Trace, number: int) -> tuple[list[_End], bool]:
+    """Of one decision, which may have been a tick away, or as far as it is not known; was it exercised?
+
+    The reference may begin elsewhere, and faster, by as much as the TCP's place and velocity are known to.
+    """
+    decision, count, known = trace.decisions[number], len(trace.ticks), trace.known
+    first, last = int(decision["tick"]), last_tick(trace, number)
+    gaps = ((gap.first, gap.after) for gap in known.of("decision").gaps)
+    about = slice(*next((gap for gap in gaps if gap[0] <= first < gap[1]), (max(first - 1, 0), first + 2)))
+    run, period_s = slice(first, last + 1), trace.scenario.settings.clock.control_period_s
+    tcp_m, hands_m = trace.ticks["transform_tcp_to_base"][:, :3, 3], trace.ticks["hand_position_in_base_m"]
+    columns = "transform_tcp_to_base", "hand_position_in_base_m"
+    off_m, hand_off_m = (known.within(name, count) for name in columns)
+    start_off_m = float(off_m[about].max() + np.linalg.norm(tcp_m[about] - tcp_m[first], axis=1).max())
+    way_m, moved_m = decision["chosen_position_in_base_m"] - tcp_m[first], tcp_m[run] - tcp_m[first]
+    length_m = float(np.linalg.norm(way_m))
+    velocities = np.array([velocity_at(trace, tick) for tick in range(*about.indices(count))])
+    speeds_mps = trace.ticks["tcp_speed_mps"] + known.within("tcp_speed_mps", count)
+    fastest_mps = float(np.nan_to_num(speeds_mps[about], nan=np.inf).max())
+    dv_mps = 2.0 * float(off_m[about].max()) / period_s
+    dv_mps = float(np.fmin(dv_mps, fastest_mps + np.linalg.norm(velocities, axis=1).max()))
+    ends = [_End(length_m - start_off_m - LEAST_WAY_M, length_m + start_off_m - LEAST_WAY_M)]
+    avoidance, counted = trace.scenario.settings.avoidance, False
+    braking_mps2 = max(avoidance.repulsion_acceleration_mps2, LEAST_ACCELERATION_MPS2)
+    for hand in np.flatnonzero(trace.ticks["hand_present"][first]).tolist():
+        u_m = float(hand_off_m[about].max())
+        u_m += float(np.linalg.norm(hands_m[about, hand] - hands_m[first, hand], axis=1).max())
+        apart_m = tcp_m[first] - hands_m[first, hand]
+        distance_m = float(np.linalg.norm(apart_m))
+        if distance_m - start_off_m - u_m >= prop.nearer_m:
+            continue
+        sure = distance_m + start_off_m + u_m < prop.nearer_m
+        counted |= sure
+        away = apart_m / max(distance_m, 1e-9)
+        turned = min(2.0, 2.0 * (start_off_m + u_m) / max(distance_m, 1e-9))
+        planned_m, planned_off_m = float(way_m @ away) + prop.tolerance_m, start_off_m + length_m * turned
+        ends.append(_End(planned_m - planned_off_m, planned_m + planned_off_m if sure else np.inf, sure))
+        towards = -velocities @ away
+        towards = np.maximum(0.0, np.array([towards.min() - dv_mps, towards.max() + dv_mps]))
+        unavoidable_m = towards**2 / (2.0 * braking_mps2) + 2.0 * towards * period_s
+        unavoidable_m += DIP_M + prop.tolerance_m
+        nearer_m = np.linalg.norm(tcp_m[run] - hands_m[first, hand], axis=1) - distance_m
+        least_m = max(distance_m - u_m - start_off_m, 1e-9)
+        nearer_off_m = off_m[run] + start_off_m
+        nearer_off_m += u_m * np.minimum(2.0, 2.0 * np.linalg.norm(moved_m, axis=1) / least_m)
+        nearer_off_m[0] = 0.0
+        low_m = float((nearer_m - nearer_off_m).min()) + float(unavoidable_m[0])
+        high_m = float((nearer_m + nearer_off_m).min()) + float(unavoidable_m[1])
+        ends.append(_End(low_m, high_m if sure else np.inf))
+    done = _followed(trace, decision, last)
+    period_m = SPEED_SHARE * max(avoidance.repulsion_speed_mps, LEAST_SPEED_MPS) * period_s
+    follow = off_m[run] + _led_m(trace, decision, last, start_off_m + period_m, dv_mps)
+    slack_off_m = SLACK_SHARE * start_off_m
+    low_m = done.slack_m - slack_off_m - float((done.behind_m + follow).max())
+    high_m = done.slack_m + slack_off_m - float((done.behind_m - follow).max())
+    ends.append(_End(-np.inf, np.inf) if done.excused else _End(low_m, high_m if counted else np.inf))
+    if arrival_claimed(trace, number, last):
+        left_m = float(np.linalg.norm(decision["chosen_position_in_base_m"] - tcp_m[last]))
+        left_off_m = float(off_m[last]) + ARRIVED_FRACTION * start_off_m
+        margin_m = ARRIVED_FRACTION * length_m - left_m
+        ends.append(_End(margin_m - left_off_m, margin_m + left_off_m if counted else np.inf))
+    return ends, counted and done.due_m - float(follow[-1]) >= LEAST_WAY_M
+
+
+def _led_m(trace: Trace, decision: np.void, last: int, off_m: float, dv_mps: float) -> NDArray[np.float64]:
+    """(n,) how far off a reference gets that begins ``off_m`` away and ``dv_mps`` faster, and a half more.
+
+    Along the way and back, and to four sides of it, which is the most that a beginning can do; zero at first.
+    """
+    first = int(decision["tick"])
+    way_m = decision["chosen_position_in_base_m"] - trace.ticks["transform_tcp_to_base"][first, :3, 3]
+    axes = np.linalg.svd(way_m[None, :])[2]
+    plain_m, found = _followed(trace, decision, last).behind_m, np.zeros(last + 1 - first)
+    for axis in (*axes, *-axes):
+        other = _followed(trace, decision, last, off_m * axis, dv_mps * axis)
+        found = np.maximum(found, np.abs(other.behind_m - plain_m))
+    found[0] = 0.0
+    return np.asarray(1.5 * found)
+
+
+@dataclass(frozen=True, kw_only=True)
+class MovesAway:
+    """Giving way never brings the TCP nearer to any hand, and does take place.
+
+    Planned: the distance from a fixed point to a straight way is convex, so the way leads away
+    from a hand everywhere if it does at its start; its margin is the component of the
+    displacement away from the hand, (p - t) . (t - h)/|t - h|, least over all true hands.  A way
+    shorter than 10 mm is none; what is missing is the negative margin.
+
+    Executed, from the decision to the next one or the end of the repulsion; each counts only
+    where it is negative: (1) the TCP must not come nearer to where the hand was by more than the
+    unavoidable, v^2/(2 a) + 2 v dt for the speed v towards the hand that it had when the decision
+    was made.  (2) It must get on as the reference says that it had time for.  (3) Where the
+    controller goes on because it has arrived, at most a tenth of the way may be left.
+
+    ``tolerance_m`` is how much nearer to a hand the planned and the executed way (1) may lead; only hands
+    ``nearer_m`` than that to the TCP count, at the decision: one that rests far away is no hazard.
+
+    Exercised by decisions, made while a true hand was there, whose repulsion lasted long enough
+    for 10 mm of way.  Source: section 4.1 of the paper ("a quarter of a sphere will lead the robot
+    to move away").
+    """
+
+    nearer_m: float = np.inf
+    tolerance_m: float = 0.0
+    unit: Unit = Unit.LENGTH
+
+    @property
+    def sentence(self) -> str:
+        """As the catalogue writes it."""
+        nearer = f" nearer than {self.nearer_m * 1e3:g} mm" if np.isfinite(self.nearer_m) else ""
+        within = f" to within {self.tolerance_m * 1e3:g} mm" if self.tolerance_m else ""
+        return f"repulsion moves away from every hand{nearer}{within}"
+
+    @reads(
+        "transform_tcp_to_base",
+        "hand_position_in_base_m",
+        "demanded_joint_velocity_radps",
+        also=[
+            "mode",
+            "limits",
+            "decision.tick",
+            "decision.time_s",
+            "decision.trigger",
+            "decision.chosen_position_in_base_m",
+            "decision.outcome",
+        ],
+        ends=lambda prop, trace, _: _ends(prop, trace),
+    )
+    def evaluate(self, trace: Trace) -> Evaluation:
+        """Judge each decision's planned and executed way."""
+        findings: list[Finding] = []
+        made = exercised = 0
+        longest_m, nearest_m = 0.0, np.full(len(trace.ticks), np.inf)
+        before: RepulsionProgress | None = None
+        for number, decision in enumerate(trace.decisions):
+            if decision["outcome"] == DecisionOutcome.STOP:
+                continue
+            made += 1
+            tick = trace.ticks[decision["tick"]]
+            apart_m = np.linalg.norm(
+                tick["hand_position_in_base_m"] - tick["transform_tcp_to_base"][:3, 3], axis=1
+            )
+            nearest_m[decision["tick"]] = np.min(apart_m, where=tick["hand_present"], initial=np.inf)
+            hands = np.flatnonzero(tick["hand_present"] & ~(apart_m >= self.nearer_m))
+            if len(hands) == 0:
+                continue  # nobody there to move away from
+            if not is_somewhere(decision["chosen_position_in_base_m"]):
+                findings.append(Finding(np.nan, float(decision["time_s"]), "no position"))
+                continue
+            last = last_tick(trace, number)
+            goes_on = before is not None and decision["trigger"] == Trigger.ANOTHER_HAND
+            done = progress(trace, decision, last, before if goes_on else None)
+            exercised += done.due_m >= LEAST_WAY_M
+            longest_m = max(longest_m, done.due_m)
+            before = done
+            for hand in hands:
+                findings.extend(away_from(trace, decision, int(hand), last, self.tolerance_m))
+            findings.extend(given(trace, number, last, done))
+        if not findings:
+            far = nearest_of(trace, nearest_m, self.nearer_m, "hand at a decision") or no_hand(trace)
+            return unexercised(self, far if made else no_position(trace))
+        worst = worst_of(findings)
+        reason = worst.what + (f", worst of {made}" if made > 1 else "")
+        lacked = partial(no_time, longest_m, LEAST_WAY_M)
+        return judged(self, trace, worst.margin_m, worst.time_s, reason, exercised, lacked)
+
+
+def last_tick(trace: Trace, number: int) -> int:
+    """The last tick of the repulsion that decision ``number`` began: the first that is none of it."""
+    first = int(trace.decisions[number]["tick"])
+    following = trace.decisions["tick"][number + 1 :]
+    end = int(following[0]) if len(following) else len(trace.ticks) - 1
+    moved_on = np.flatnonzero(trace.ticks["mode"][first : end + 1] != Mode.REPULSING)
+    return first + int(moved_on[0]) if len(moved_on) else end
+
+
+def away_from(
+    trace: Trace, decision: np.void, hand: int, last: int, tolerance_m: float = 0.0
+) -> list[Finding]:
+    """What the planned and the executed way say about one hand, held where it was at the decision."""
+    first, time_s = int(decision["tick"]), float(decision["time_s"])
+    settings, name = trace.scenario.settings, trace.scenario.hands[hand].name
+    hand_in_base = trace.ticks["hand_position_in_base_m"][first, hand]
+    tcp_in_base = trace.ticks["transform_tcp_to_base"][first : last + 1, :3, 3]  # (n, 3)
+    way = decision["chosen_position_in_base_m"] - tcp_in_base[0]
+    apart = tcp_in_base[0] - hand_in_base
+    distance = float(np.linalg.norm(apart))
+    if distance == 0.0:  # every way leads away from a hand that is at the TCP
+        return [Finding(float(np.linalg.norm(way)), time_s, f"planned way, {name}")]
+    away = apart / distance
+    findings = [Finding(float(way @ away) + tolerance_m, time_s, f"planned way, {name}")]
+    dt_s = settings.clock.control_period_s
+    towards_mps = max(0.0, -float(velocity_at(trace, first) @ away))
+    braking_mps2 = max(settings.avoidance.repulsion_acceleration_mps2, LEAST_ACCELERATION_MPS2)
+    unavoidable_m = towards_mps**2 / (2.0 * braking_mps2) + 2.0 * towards_mps * dt_s
+    distances = np.linalg.norm(tcp_in_base - hand_in_base, axis=1)
+    nearest = int(np.argmin(distances))
+    nearer = Finding(
+        float(distances[nearest]) - distance + unavoidable_m + DIP_M + tolerance_m,
+        float(trace.time_s[first + nearest]),
+        f"executed way, nearer to {name}",
+    )
+    return [*findings, nearer] if nearer.margin_m < 0.0 else findings
+
+
+def given(trace: Trace, number: int, last: int, done: RepulsionProgress) -> list[Finding]:
+    """What is wrong with the way itself: too short, not gone, not gone to its end."""
+    decision = trace.decisions[number]
+    tcp_in_base = trace.ticks["transform_tcp_to_base"][:, :3, 3]
+    target_in_base = decision["chosen_position_in_base_m"]
+    length_m = float(np.linalg.norm(target_in_base - tcp_in_base[int(decision["tick"])]))
+    findings = [Finding(length_m - LEAST_WAY_M, float(decision["time_s"]), "hardly any way at all")]
+    findings.append(Finding(done.margin_m, float(trace.time_s[done.worst_tick]), "executed way, too slow"))
+    if arrival_claimed(trace, number, last):
+        left_m = float(np.linalg.norm(target_in_base - tcp_in_base[last]))
+        margin_m = ARRIVED_FRACTION * length_m - left_m
+        findings.append(Finding(margin_m, float(trace.time_s[last]), "executed way, ended too early"))
+    return [finding for finding in findings if not finding.margin_m >= 0.0]
+
+
+def arrival_claimed(trace: Trace, number: int, last: int) -> bool:
+    """Does the controller take itself to have arrived when the repulsion of a decision ends?
+
+    It does if it goes back to servoing (or has lost the object), and if it decides anew for any
+    reason but another hand; not at a protective stop or at the end of the trace.
+    """
+    mode = trace.ticks["mode"][last]
+    if mode == Mode.PROTECTIVE_STOP and last == trace.decisions["tick"][number]:
+        return False  # too near to a singularity, at once
+    following = number + 1
+    if following < len(trace.decisions) and trace.decisions["tick"][following] == last:
+        return bool(trace.decisions["trigger"][following] != Trigger.ANOTHER_HAND)
+    return bool(mode in (Mode.SERVOING, Mode.OBJECT_LOST))
+
+
+def velocity_at(trace: Trace, tick: int) -> NDArray[np.float64]:
+    """(3,) mean velocity [m/s] of the TCP over the tick before, in the base frame; zero at the start."""
+    if tick == 0:
+        return np.zeros(3)
+    positions = trace.ticks["transform_tcp_to_base"][tick - 1 : tick + 1, :3, 3]
+    step: NDArray[np.float64] = positions[1] - positions[0]
+    return step / trace.scenario.settings.clock.control_period_s
+
+
+MOVES_AWAY = CatalogueEntry(
+    prop=MovesAway(),
+    pattern=r"repulsion moves away from every hand(?: nearer than (.+?))?(?: to within (.+))?",
+    make=lambda match, _, place: MovesAway(
+        nearer_m=quantity(match[1], LENGTH, place) if match[1] else np.inf,
+        tolerance_m=quantity(match[2], LENGTH, place) if match[2] else 0.0,
+    ),
+    rationale="an avoider that moves towards a hand, or not at all, makes the hazard worse",
+    source="the paper, section 4.1",
+    margin="component of the planned displacement away from the hand, least over all hands; negative also if "
+    "the arm does not do it",
+    parameters='"... nearer than 600 mm": only hands so near to the TCP when decided; "... to within 5 mm": '
+    "how much nearer to a hand the planned and the executed way may lead; repulsion speed and acceleration",
+    exercised="a true hand was there, and the repulsion had time for 10 mm of way",
+    inconclusive="a chosen position that is not finite",
+    broken_by="an avoider that heads for the hand, behind a gate that passes everything",
+)
+
+
+@dataclass(frozen=True)
+class RepulsionProgress:
+    """What one repulsion has done of its way.
+
+    ``margin_m`` is the slack less the longest that the TCP was behind the reference, at
+    ``worst_tick``; ``behind_m`` is how far it is at the end; ``due_m`` is how far the reference got.
+    """
+
+    margin_m: float
+    worst_tick: int
+    behind_m: float
+    due_m: float
+
+
+def progress(
+    trace: Trace,
+    decision: np.void,
+    last: int,
+    before: RepulsionProgress | None,
+    shares: Shares = MODEST,
+) -> RepulsionProgress:
+    """Of the repulsion from ``decision`` to the tick ``last``, beside a reference that takes ``shares``.
+
+    ``before`` is the progress of the repulsion that this one cuts short because of another hand:
+    what was due and what was behind are carried over, so that deciding again and again does not
+    take the place of moving.
+    """
+    first = int(decision["tick"])
+    done = _followed(trace, decision, last, shares=shares)
+    behind_m, due_m = done.behind_m, done.due_m
+    if before is not None:
+        behind_m, due_m = behind_m + max(before.behind_m, 0.0), due_m + before.due_m
+    worst = int(np.argmax(behind_m))  # the first NaN, if there is one
+    return RepulsionProgress(done.slack_m - float(behind_m[worst]), first + worst, float(behind_m[-1]), due_m)
+
+
+@dataclass(frozen=True, eq=False)
+class _Followed:
+    """A repulsion beside its reference: ``behind_m`` (n,) at each tick; was any of them ``excused``?"""
+
+    behind_m: NDArray[np.float64]
+    due_m: float
+    slack_m: float
+    excused: bool
+
+
+def _followed(
+    trace: Trace,
+    decision: np.void,
+    last: int,
+    off_m: NDArray[np.float64] = NOT_OFF,  # (3,)
+    faster_mps: NDArray[np.float64] = NOT_OFF,  # (3,)
+    shares: Shares = MODEST,
+) -> _Followed:
+    """The repulsion from ``decision`` to the tick ``last``; the reference may begin elsewhere, and faster."""
+    first = int(decision["tick"])
+    settings, avoidance = trace.scenario.settings, trace.scenario.settings.avoidance
+    window = trace.ticks[first : last + 1]
+    tcp_in_base = np.ascontiguousarray(window["transform_tcp_to_base"][:, :3, 3])
+    earlier = trace.ticks["transform_tcp_to_base"][max(first - 1, 0), :3, 3]
+    period_s = settings.clock.control_period_s
+    velocity = (tcp_in_base[0] - earlier) / period_s + faster_mps
+    tcp_in_base[0] += off_m
+    excused = excused_in(trace, first, last)
+    behind_m, due_m = _behind(
+        tcp_in_base,
+        velocity,
+        decision["chosen_position_in_base_m"].copy(),
+        excused,
+        shares.speed * max(avoidance.repulsion_speed_mps, LEAST_SPEED_MPS),
+        shares.acceleration * max(avoidance.repulsion_acceleration_mps2, LEAST_ACCELERATION_MPS2),
+        ACCELERATION_SHARE * max(avoidance.repulsion_acceleration_mps2, LEAST_ACCELERATION_MPS2),
+        period_s,
+    )
+    way_m = float(np.linalg.norm(decision["chosen_position_in_base_m"] - tcp_in_base[0]))
+    slack_m = SLACK_M + min(period_s * avoidance.repulsion_speed_mps, SLACK_SHARE * way_m)
+    return _Followed(behind_m, due_m, slack_m, bool(excused.any()))
+
+
+def excused_in(trace: Trace, first: int, last: int) -> NDArray[np.bool_]:
+    """(n,) in which ticks from ``first`` to ``last`` the drives brake, or a joint is at its speed limit."""
+    window, arm = trace.ticks[first : last + 1], arm_model(trace.scenario.robot)
+    at_limit = np.abs(window["demanded_joint_velocity_radps"]) >= 0.999 * arm.velocity_limit_radps
+    slowed = (window["limits"] & Limit.JOINT_SPEED != 0) & at_limit.any(axis=1)
+    return np.asarray(slowed | (window["limits"] & Limit.BRAKING != 0))
+
+
+@compiled
+def _behind(
+    tcp_in_base_m: NDArray[np.float64],  # (n, 3)
+    velocity_in_base_mps: NDArray[np.float64],  # (3,) at the first
+    target_in_base_m: NDArray[np.float64],  # (3,)
+    excused: NDArray[np.bool_],  # (n,)
+    speed_mps: float,
+    acceleration_mps2: float,
+    braking_mps2: float,
+    period_s: float,
+) -> tuple[NDArray[np.float64], float]:
+    """How much farther from the target the TCP is than the reference, each tick, and the latter's way [m].
+
+    The reference x at the speed v: v <- v + min(1, a dt/|u - v|) (u - v), x <- x + v dt, with u = min(v_max,
+    (2 b s)^(1/2), s/dt) towards the target, s away; in an excused tick it moves as the TCP does.
+    """
+    n = tcp_in_base_m.shape[0]
+    behind = np.zeros(n)
+    x, v, change = tcp_in_base_m[0].copy(), velocity_in_base_mps.copy(), np.empty(3)
+    way = _apart(x, target_in_base_m)
+    left = way
+    for k in range(n):
+        left = _apart(x, target_in_base_m)
+        behind[k] = _apart(tcp_in_base_m[k], target_in_base_m) - left
+        if k == n - 1:
+            break
+        if excused[k]:
+            for i in range(3):
+                step = tcp_in_base_m[k + 1, i] - tcp_in_base_m[k, i]
+                x[i] += step
+                v[i] = step / period_s
+            continue
+        speed = min(speed_mps, sqrt(2.0 * braking_mps2 * left), left / period_s)
+        total = 0.0
+        for i in range(3):
+            wanted = speed * (target_in_base_m[i] - x[i]) / left if left > 0.0 else 0.0
+            change[i] = wanted - v[i]
+            total += change[i] * change[i]
+        most = acceleration_mps2 * period_s
+        share = most / sqrt(total) if total > most * most else 1.0
+        for i in range(3):
+            v[i] += share * change[i]
+            x[i] += v[i] * period_s
+    return behind, way - left
+
+
+@compiled
+def _apart(a: Array3, b: Array3) -> float:
+    """|a - b| of two points."""
+    return sqrt((a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2 + (a[2] - b[2]) ** 2)

@@ -1,0 +1,254 @@
+"""What a property reads of a trace, and its word on a trace of which not all of that was measured.
+
+It never guesses: what reads a column that nobody measured is inconclusive, and names it.  Three things can be
+said all the same.  What is violated until a column ends is violated.  What is violated by the hands that were
+measured is violated, whatever the others did, if the property says the same of each hand.  And a verdict
+stands that every value within the uncertainty of its columns gives.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import wraps
+from math import inf
+from typing import Any, TypeVar, cast
+
+import numpy as np
+
+from safety_harness.claims.properties.base import (
+    OF_HANDS,
+    Evaluation,
+    Property,
+    Said,
+    inconclusive,
+    unreadable,
+)
+from safety_harness.claims.properties.true_motion import apart_moved_m, derived
+from safety_harness.scenario.model import MAX_HANDS, MovingHand, RecordedHand, Verdict
+from safety_harness.trace.known import (
+    PER_HAND,
+    PRESENCE,
+    UNMEASURED,
+    Knowledge,
+    Measurement,
+    Source,
+    measurement,
+    until,
+)
+from safety_harness.trace.trace import Trace
+
+Judge = TypeVar("Judge", bound=Callable[[Any, Trace], Evaluation])
+Ends = Callable[[Any, Trace, float], tuple[float, float, bool]]
+FAR_M = (100.0, 0.0, 0.0)
+WITHOUT_ARMS = {"elbow_position_in_base_m", "hand_distance_m", "hand_distance_capsule"}  # the rest is hands
+
+
+def reads(
+    *finite: str,
+    also: Sequence[str] = (),
+    bounded: Sequence[str] = (),
+    filled: Sequence[str] = (),
+    of_each_hand: bool = False,
+    ends: Ends | None = None,
+) -> Callable[[Judge], Judge]:
+    """For ``evaluate``, which reads these columns and no others.
+
+    Those that are ``finite`` make it inconclusive where they are not; ``also`` and ``bounded`` are the rest.
+    Whether a hand is there is read with everything of hands.  ``of_each_hand``: it is violated if it is for
+    some of the hands alone.
+
+    ``ends`` says of a margin (SI) how low and how high the true one may be, as the columns are uncertain, and
+    whether the property was exercised in any case; without it nothing is said of a trace in which any is.
+    It reckons with any value of those that are ``bounded``, where they were not measured, and in the gaps of
+    those that are ``filled``.
+    """
+    there = [PRESENCE] if {*finite} & {*OF_HANDS} else []
+    names = tuple(dict.fromkeys((*finite, *filled, *also, *bounded, *there)))
+
+    def decorate(evaluate: Judge) -> Judge:
+        def plain(prop: Property, trace: Trace) -> Evaluation:
+            problem = unreadable(trace, finite)
+            return evaluate(prop, trace) if problem is None else inconclusive(prop, problem)
+
+        judging = _Judging(plain, names, tuple(bounded), tuple(filled), of_each_hand, ends)
+
+        @wraps(evaluate)
+        def evaluate_what_is_known(prop: Property, trace: Trace) -> Evaluation:
+            return plain(prop, trace) if trace.known.whole else judging.evaluate(prop, trace)
+
+        evaluate_what_is_known.reads = names  # type: ignore[attr-defined]
+        return cast(Judge, evaluate_what_is_known)
+
+    return decorate
+
+
+def columns_read_by(prop: Property) -> tuple[str, ...] | None:
+    """The columns that it reads; None for one that does not say."""
+    said = getattr(prop, "reads", getattr(prop.evaluate, "reads", None))
+    return None if said is None else tuple(said)
+
+
+def not_measured(
+    prop: Said, columns: Sequence[str], what: str = "", known: Knowledge | None = None
+) -> Evaluation:
+    """Inconclusive for want of ``columns``; ``what`` says more exactly what of them was not measured.
+
+    Or not reported, if all of them are what the controller of a ``known`` run does not say.
+    """
+    words = what or ", ".join(columns)
+    other = known is not None and known.unreported(columns)
+    why = "not reported" if other else "not measured"
+    return replace(inconclusive(prop, f"{why}: {words}"), unmeasured=tuple(columns), applicable=not other)
+
+
+@dataclass(frozen=True)
+class _Judging:
+    """A property by all that was measured of the columns ``names``; the fields are those of ``reads``."""
+
+    plain: Callable[[Property, Trace], Evaluation]
+    names: tuple[str, ...]
+    bounded: tuple[str, ...]
+    filled: tuple[str, ...]
+    of_each_hand: bool
+    ends: Ends | None
+
+    def evaluate(self, prop: Property, trace: Trace) -> Evaluation:
+        """All of it, or else in parts: what one of them violates is violated."""
+        known = trace.known
+        limited = [name for name in self.names if known.of(name).limited]
+        lacking = [
+            name
+            for name in limited
+            if name not in self.bounded
+            and (known.missing([name]) or (known.of(name).gaps and name not in self.filled))
+        ]
+        if not lacking:
+            found = self.plain(prop, trace)
+            return self._widened(found, prop, trace, limited) if limited else found
+        words = ", ".join(_lack(trace, name) for name in lacking)
+        told = [words]
+        for which, piece in _pieces(trace, lacking, self.of_each_hand):
+            found = self.evaluate(prop, piece)
+            if found.verdict is Verdict.VIOLATED:
+                return replace(found, reason=f"{found.reason} ({which}; not measured: {words})")
+            words_of = found.verdict.value if found.margin is None else found.margin_text()
+            told.append(f"{which}: {words_of} ({found.reason})")
+        return not_measured(prop, lacking, "; ".join(told), known)
+
+    def _widened(self, found: Evaluation, prop: Property, trace: Trace, limited: Sequence[str]) -> Evaluation:
+        """The verdict that every value within the uncertainty gives, with the margin that is certain."""
+        if found.verdict is Verdict.INCONCLUSIVE and self.ends is not None and not self.filled:
+            return found
+        low, high, exercised = -inf, inf, False
+        if self.ends is not None and found.margin is not None:
+            low, high, exercised = self.ends(prop, trace, found.margin)
+        if found.verdict is Verdict.VIOLATED and high < 0.0:
+            return replace(found, margin=high)
+        if found.verdict is Verdict.HOLDS and low >= 0.0 and exercised:
+            return replace(found, margin=low)
+        unknown = [name for name in limited if trace.known.of(name).uncertainty == 0.0]
+        why = "not measured" if unknown else "known only to within an uncertainty"
+        why = f"{why}: {', '.join(unknown or limited)}; the margin is "
+        if low == -inf and high == inf:
+            why += "not bounded"
+        else:
+            why += f"from {found.unit.margin_text(low)} to {found.unit.margin_text(high)}"
+        if found.verdict is Verdict.HOLDS and not exercised:
+            why += ", and perhaps it was never exercised"
+        why = f"{why}; by what was measured {found.margin_text()}: {found.reason}"
+        return replace(inconclusive(prop, why, exercised=found.exercised), unmeasured=tuple(limited))
+
+
+def _lack(trace: Trace, name: str) -> str:
+    """What is lacking of a column, in words."""
+    first = trace.known.first_gap([name])
+    if trace.known.missing([name]) or first is None:
+        return name
+    names = [hand.name for hand in trace.scenario.hands]
+    whose = "" if first.hand is None else f" of {[*names, *['another hand'] * MAX_HANDS][first.hand]}"
+    begin_s, end_s = (_time_s(trace, tick) for tick in (first.first, first.after))
+    more = " and later" * (len(trace.known.of(name).gaps) > 1)
+    return f"{name}{whose} from {begin_s:.3f} to {end_s:.3f} s{more}"
+
+
+def _time_s(trace: Trace, tick: int) -> float:
+    return tick * trace.scenario.settings.clock.control_period_s
+
+
+def _pieces(trace: Trace, lacking: Sequence[str], of_each_hand: bool) -> Iterator[tuple[str, Trace]]:
+    """What was measured whole: until the first gap, the hands without one, hands without their forearms."""
+    known, hands = trace.known, trace.scenario.hands
+    gap = known.first_gap(lacking)
+    if gap is not None and gap.first > 0:
+        yield f"until {_time_s(trace, gap.first):.3f} s", until(trace, gap.first, UNMEASURED)
+    of_hands = {name for name in lacking if name in PER_HAND}
+    if not of_each_hand or not of_hands:
+        return
+    gaps = [(name, gap.hand) for name in of_hands for gap in known.of(name).gaps]
+    gaps += [(name, None) for name in known.missing(of_hands)]
+    lost = {
+        k
+        for k in range(len(hands))
+        for name, hand in gaps
+        if hand == k or (hand is None and name != PRESENCE)  # that of others; these were measured
+    }
+    lost = {
+        k for k, hand in enumerate(hands) if hands.index(trace.scenario.leader(hand) or hand) in lost
+    } | lost
+    kept = [hand.name for k, hand in enumerate(hands) if k not in lost]
+    if kept:
+        yield f"of {' and '.join(kept)} alone", _without(trace, lost)
+    if of_hands <= WITHOUT_ARMS:
+        yield "of hands without their forearms", _without_arms(trace)
+
+
+def _without(trace: Trace, lost: set[int]) -> Trace:
+    """The trace as if the hands ``lost`` had rested far away, and nobody else had been there."""
+    hands, ticks = list(trace.scenario.hands), trace.ticks.copy()
+    ticks["hand_present"] = np.arange(ticks["hand_present"].shape[1]) < len(hands)
+    for k in lost:
+        hands[k] = MovingHand(
+            name=hands[k].name, starts_at_in_base_m=FAR_M, elbow_towards_in_base_m=FAR_M, moves=()
+        )
+        ticks["hand_position_in_base_m"][:, k] = ticks["elbow_position_in_base_m"][:, k] = FAR_M
+        ticks["elbow_position_in_base_m"][:, k, 2] += trace.scenario.settings.hand.forearm_length_m
+        ticks["hand_distance_m"][:, k], ticks["hand_distance_capsule"][:, k] = FAR_M[0], 0
+    kept = {*range(len(hands))} - lost
+    columns = {
+        name: replace(one, gaps=tuple(gap for gap in one.gaps if gap.hand in (None, *kept)))
+        for name, one in trace.known.columns.items()
+        if name != PRESENCE
+    }
+    scenario = replace(trace.scenario, hands=tuple(hands))
+    return replace(trace, scenario=scenario, ticks=ticks, known=Knowledge(columns))
+
+
+def _without_arms(trace: Trace) -> Trace:
+    """The trace as if there had been hands alone, spheres, with their distances from the arm."""
+    scenario, ticks = trace.scenario, trace.ticks.copy()
+    sphere = replace(
+        scenario.settings.hand,
+        forearm_length_m=0.0,
+        forearm_radius_m=min(scenario.settings.hand.forearm_radius_m, scenario.settings.hand.radius_m),
+    )
+    hands = tuple(
+        replace(
+            hand, motion=replace(hand.motion, elbow_position_in_base_m=hand.motion.hand_position_in_base_m)
+        )
+        if isinstance(hand, RecordedHand)
+        else hand
+        for hand in scenario.hands
+    )
+    scenario = replace(scenario, hands=hands, settings=replace(scenario.settings, hand=sphere))
+    ticks["elbow_position_in_base_m"] = ticks["hand_position_in_base_m"]
+    position = trace.known.of("hand_position_in_base_m")
+    columns = {**trace.known.columns, "elbow_position_in_base_m": position}
+    armless = replace(trace, scenario=scenario, ticks=ticks, known=Knowledge(columns))
+    ticks = ticks.copy()
+    for name in ("hand_distance_m", "hand_distance_capsule"):
+        ticks[name] = derived(armless)[name]
+    distance = measurement(Source.DERIVED, apart_moved_m(armless), position.gaps)
+    part = Measurement(source=Source.DERIVED, gaps=position.gaps)
+    columns |= {"hand_distance_m": distance, "hand_distance_capsule": part}
+    return replace(armless, ticks=ticks, known=Knowledge(columns))

@@ -1,0 +1,69 @@
+"""The arm keeps away from the boxes that stand in its cell."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from safety_harness.cell.robot.obstacles import box_records, distances_m
+from safety_harness.claims.properties.base import Evaluation, Unit, judged
+from safety_harness.claims.properties.clear_ways import least_along
+from safety_harness.claims.properties.entry import CatalogueEntry, quantity
+from safety_harness.claims.properties.hand_distance import joint_bend_m
+from safety_harness.claims.properties.measured import reads
+from safety_harness.claims.properties.true_motion import arm_of
+from safety_harness.claims.properties.unexercised import unexercised
+from safety_harness.scenario.units import LENGTH
+from safety_harness.trace.trace import Trace
+
+
+@dataclass(frozen=True, kw_only=True)
+class ObstacleDistance:
+    """Least distance of any moving link from any obstacle, less ``minimum_m``; a lower bound between ticks.
+
+    Between ticks by ``least_along``, and it is violated if the upper end of the least distance is below too.
+    Exercised by every tick of a scenario with an obstacle.
+    """
+
+    minimum_m: float
+    unit: Unit = Unit.LENGTH
+
+    @property
+    def sentence(self) -> str:
+        """The claim."""
+        return f"obstacle distance never below {1e3 * self.minimum_m:g} mm"
+
+    @reads("joint_position_rad", "joint_velocity_radps")
+    def evaluate(self, trace: Trace) -> Evaluation:
+        """Judge every tick and what lies between."""
+        obstacles = trace.scenario.obstacles
+        if not obstacles:
+            return unexercised(self, "obstacles = 0; a box in the cell exercises it")
+        arm, boxes = arm_of(trace), box_records(obstacles)
+        (low_m,), (high_m,), (worst,) = least_along(
+            lambda q: distances_m(arm, boxes, np.ascontiguousarray(q))[:, None],
+            trace.ticks["joint_position_rad"],
+            arm.reach_m,
+            joint_bend_m(trace),
+            self.minimum_m,
+        )
+        words, most = "the arm and an obstacle", float(high_m) - self.minimum_m
+        return judged(
+            self, trace, low_m - self.minimum_m, trace.time_s[worst], words, len(trace.ticks), most=most
+        )
+
+
+OBSTACLE_DISTANCE = CatalogueEntry(
+    prop=ObstacleDistance(minimum_m=0.02),
+    pattern=r"obstacle distance never below (.+)",
+    make=lambda match, scenario, place: ObstacleDistance(minimum_m=quantity(match[1], LENGTH, place)),
+    rationale="an arm that runs into a fixture stops there or breaks it, and what is between them is crushed",
+    source="the project's own; capsules as for the hand distance",
+    margin="least distance, surface to surface, of any link but the base from any obstacle, less the limit; "
+    "a lower bound between ticks",
+    parameters="the limit; the scenario's obstacles",
+    exercised="the scenario has an obstacle",
+    scenario="box-beside-the-way",
+    broken_by="the visual servo, which knows no obstacles, with one in its way",
+)

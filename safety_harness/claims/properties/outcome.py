@@ -1,0 +1,213 @@
+"""What comes of a whole controller, by the motion of arm and hands alone: does it stay, and react in time?"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.claims.properties.base import Evaluation, Unit, inconclusive, judged, runs_of, time_left_s
+from safety_harness.claims.properties.entry import CatalogueEntry, quantity, time_within
+from safety_harness.claims.properties.measured import reads
+from safety_harness.claims.properties.reaction import NoFalseAlarms, nearest_off_m
+from safety_harness.claims.properties.servoing import position_errors_m, retreat_s
+from safety_harness.claims.properties.true_motion import nearest_hand_m, true_motion
+from safety_harness.claims.properties.unexercised import MOVES, no_near_hand, unexercised
+from safety_harness.scenario.model import Verdict
+from safety_harness.scenario.units import LENGTH
+from safety_harness.trace.records import Limit
+from safety_harness.trace.trace import Trace
+
+HELD_S = 1.0  # that long within the limit of one place, and an arm holds it
+HELD_AT = 32  # times in that at which it is looked where the arm is, at least
+HALF = 0.5  # of its speed: what an arm has to lose, or to gain away from the hand, to have reacted
+BEFORE_S = 0.5  # an arm that reacted so shortly before a hand came near has reacted to it
+STARTED_S = 0.1  # a run begins with an arm that stands, and gets up to speed
+HALVED_S = 0.25  # in which an arm that reacts has lost half of its speed
+TINY_MPS = TINY_M = 1e-6  # nothing moves so slowly, or is so near
+
+
+@dataclass(frozen=True, kw_only=True)
+class KeepsItsPlace:
+    """``within_m`` less how far the TCP goes from its place, or the desired position, without a hand.
+
+    An arm holds its place once it has stayed within the limit of it for a second, with no true hand so near
+    that a right prediction of it is within the critical distance (``NoFalseAlarms``), nor as long before as
+    a retreat takes.  From there on, until a hand is as near again, two ways count: the farthest from the
+    desired position less the nearest before, and the way from where it was when it came to be as near, less
+    what that brings it nearer.  Nearer by the limit is another place: an arm that goes on towards the desired
+    position keeps its place, one that circles about it does not.  Positions alone: no angle.
+    """
+
+    within_m: float
+    unit: Unit = Unit.LENGTH
+
+    @property
+    def sentence(self) -> str:
+        """As the catalogue writes it."""
+        return f"keeps its place within {self.within_m * 1e3:g} mm"
+
+    @reads("transform_tcp_to_base", "hand_position_in_base_m", ends=lambda prop, trace, _: prop.ends(trace))
+    def evaluate(self, trace: Trace) -> Evaluation:
+        """Judge every stretch without a hand."""
+        worst_m, tick, held = self._worst(trace)
+        reason = f"{1e3 * worst_m:.2f} mm from its place or from the desired position, with no hand near"
+        free = (nearest_hand_m(trace) > NoFalseAlarms().limit_m(trace.scenario.settings)).any()
+        lacked = f"with no hand near the TCP never stayed within {self.within_m * 1e3:g} mm for 1 s; "
+        lacked += f"a {'longer duration' if free else 'hand that leaves earlier'} exercises it"
+        left_m = self.within_m - worst_m
+        return judged(self, trace, left_m, trace.time_s[tick], reason, held, lambda: lacked)
+
+    def _worst(self, trace: Trace, farther_m: float = 0.0) -> tuple[float, int, int]:
+        """How far it went, when, and how often it held; with hands, and the TCP's ways, off by as much."""
+        period_s = trace.scenario.settings.clock.control_period_s
+        left, held = (round(time_s / period_s) for time_s in (retreat_s(trace), HELD_S))
+        errors_m, tcp_m = position_errors_m(trace), true_motion(trace).tcp_m
+        found = []
+        nearest_m = nearest_hand_m(trace) + farther_m * nearest_off_m(trace)
+        slack_m = 4.0 * farther_m * trace.known.of("transform_tcp_to_base").uncertainty
+        for begin, end in np.transpose(runs_of(nearest_m > NoFalseAlarms().limit_m(trace.scenario.settings))):
+            first = begin + left * bool(begin)
+            ways_m = np.zeros(max(end - held - first, 0))
+            for later in range(held, 0, -max(held // HELD_AT, 1)):
+                way_m = tcp_m[first + later :][: len(ways_m)] - tcp_m[first:][: len(ways_m)]
+                ways_m = np.maximum(ways_m, np.linalg.norm(way_m, axis=1))
+            stays = np.flatnonzero(ways_m <= self.within_m + slack_m)
+            if len(stays):
+                first += int(stays[0])
+                error_m, least_m = errors_m[first:end], np.minimum.accumulate(errors_m[first:end])
+                places = np.floor((least_m[0] - least_m) / self.within_m)
+                place = np.searchsorted(places, places)  # (n,) the tick at which it came there
+                way_m = np.linalg.norm(tcp_m[first:end] - tcp_m[first:end][place], axis=1)
+                gone_m = np.maximum(error_m - least_m, way_m - np.maximum(error_m[place] - error_m, 0.0))
+                found.append((float(gone_m.max()), first + int(gone_m.argmax())))
+        worst_m, worst = max(found, default=(0.0, 0))
+        return worst_m + slack_m, worst, len(found)
+
+    def ends(self, trace: Trace) -> tuple[float, float, bool]:
+        """For ``reads``: with hands as far away, and ways as long, as they may be, and as near and short."""
+        (most_m, _, _), (least_m, _, held) = self._worst(trace, 1.0), self._worst(trace, -1.0)
+        return self.within_m - most_m, self.within_m - least_m, held > 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReactsWithin:
+    """``within_s`` less the longest time from a hand's coming near to the arm's reaction.
+
+    Of each true hand apart, each time that it comes within the critical distance of a TCP that moves.  The
+    arm reacts when its drives brake, or where its motion begins to change so that it soon has half of the
+    speed that it would have had, or leads away from that hand by half of its speed faster.  It would have
+    gone on slowing as before, and slowed as it came nearer to the desired position: who arrives does not
+    react.  Not exercised by a hand to which it has reacted in the half second before, or from which it goes
+    at half of the speed of a retreat or, more slowly, not on its way to the desired position.  A hand that
+    leaves, or a run that ends, before it could be told is no evidence; a stop or a retreat counts from where
+    it begins.
+    """
+
+    within_s: float
+    unit: Unit = Unit.TIME
+
+    @property
+    def sentence(self) -> str:
+        """As the catalogue writes it."""
+        return f"reacts within {self.within_s * 1e3:g} ms"
+
+    @reads("transform_tcp_to_base", "hand_position_in_base_m", also=["limits"], of_each_hand=True)
+    def evaluate(self, trace: Trace) -> Evaluation:
+        """Judge every hand that comes near."""
+        hands = range(len(trace.scenario.hands))
+        found = [one for hand in hands for one in self._encounters(trace, hand)]
+        if not found:
+            near_m = float(nearest_hand_m(trace).min())
+            if near_m >= trace.scenario.settings.avoidance.critical_distance_m:
+                return unexercised(self, no_near_hand(trace))
+            why = f"a hand came to {1e3 * near_m:.1f} mm of the TCP, which stood, or had reacted to it"
+            return unexercised(self, f"{why}; one that stays until the arm comes back exercises it")
+        decided = [(took, tick) for took, tick, known in found if known]
+        took, tick = max(decided, default=(0, 0))
+        reason = f"longest {1e3 * trace.time_s[took]:.0f} ms, of {len(decided)} times that a hand came near"
+        margin_s = time_left_s(trace, self.within_s, took)
+        told = judged(self, trace, margin_s, trace.time_s[tick + took], reason, len(decided))
+        if len(decided) == len(found) or told.verdict is Verdict.VIOLATED:
+            return told
+        open_s = next(trace.time_s[tick] for _, tick, known in found if not known)
+        why = f"a hand came near at {open_s:.3f} s, and it left, or the run ended, before the arm reacted"
+        return inconclusive(self, why, exercised=len(decided))
+
+    def _encounters(self, trace: Trace, hand: int) -> Iterator[tuple[int, int, bool]]:
+        """(ticks until the reaction, tick at which the hand came, is it told?) of each that counts."""
+        settings, ticks = trace.scenario.settings, trace.ticks
+        period_s, tcp_m = settings.clock.control_period_s, true_motion(trace).tcp_m
+        last, halved = len(ticks) - 1, round(HALVED_S / period_s)
+        from_hand_m = tcp_m - ticks["hand_position_in_base_m"][:, hand]
+        apart_m, errors_m = np.linalg.norm(from_hand_m, axis=1), position_errors_m(trace)
+        near = ticks["hand_present"][:, hand] & (apart_m < settings.avoidance.critical_distance_m)
+        velocity, braking = np.diff(tcp_m, axis=0) / period_s, ticks["limits"] & int(Limit.BRAKING) != 0
+        speed = np.maximum(np.linalg.norm(velocity, axis=1), TINY_MPS)
+        for first, end in np.transpose(runs_of(near)).tolist():
+            before, was = first - 1, max(first - 1 - round(BEFORE_S / period_s), round(STARTED_S / period_s))
+            if before < was or first == last or speed[before] <= MOVES or braking[before]:
+                continue
+            leads = velocity @ (from_hand_m[first] / max(apart_m[first], TINY_MPS))
+            # an arm that arrives slows as what is left of its way does
+            now, away, left = speed[before], leads[before], errors_m / max(errors_m[before], TINY_M)
+            arrives = min(1.0 / max(left[was], TINY_M), 1.0)
+            reacted = now <= HALF * arrives * speed[was]
+            reacted |= away - arrives * leads[was] >= HALF * speed[was] > HALF * MOVES
+            reacted |= away > 0.0 and errors_m[first] > errors_m[before]
+            if reacted or away >= HALF * settings.avoidance.repulsion_speed_mps:
+                continue
+            until = slice(first, min(end + halved, last))
+            slowing = min(now / speed[was], 1.0) ** (1.0 / max(before - was, 1))
+            usual = np.minimum(slowing ** np.arange(1, until.stop - first + 1), left[until])
+            change = 1.0 - speed[until] / np.maximum(usual * now, TINY_MPS)
+            change = np.maximum(change, (leads[until] - away * usual) / now)
+            motion, avoids = settings.motion, settings.avoidance
+            most_mps2 = min(motion.max_tcp_acceleration_mps2, avoids.repulsion_acceleration_mps2)
+            soon = halved + round(HALF * now / most_mps2 / period_s)
+            took, lasted = _began(np.where(braking[until], np.inf, change), soon), end - 1 - first
+            known = took is not None and time_left_s(trace, self.within_s, took) >= 0.0
+            if not known and time_left_s(trace, self.within_s, lasted) < 0.0:  # the hand stayed
+                known = took is not None or (last - first) * period_s >= self.within_s + HALVED_S
+            yield lasted if took is None else took, first, known
+
+
+def _began(change: NDArray[np.float64], soon: int) -> int | None:
+    """The tick at which a ``change`` (n,) begins that becomes HALF: the knee below its chord; else None.
+
+    But no sooner than ``soon`` before it is HALF: what takes longer, such as a wide curve, is no answer.
+    """
+    end = int(np.argmax(change >= HALF))
+    if not change[end] >= HALF:
+        return None
+    chord = min(change[end], 1.0) * np.arange(1, end + 2) / (end + 1)
+    return end if np.isinf(change[end]) else max(int(np.argmin(change[: end + 1] - chord)), end - soon)
+
+
+KEEPS_ITS_PLACE = CatalogueEntry(
+    prop=KeepsItsPlace(within_m=0.005),
+    pattern=r"keeps its place within (.+)",
+    make=lambda match, _, place: KeepsItsPlace(within_m=quantity(match[1], LENGTH, place)),
+    rationale="people come near an arm that holds its place, and do not reckon with one that drifts",
+    source="the project's own; by motion, whatever mode is reported",
+    margin="the limit less how far the TCP goes from its place or the desired position, with no hand near",
+    parameters="the limit; critical distance, prediction horizon and retreat of the settings",
+    exercised="no hand is near, or was while a retreat lasts, and the TCP stays within the limit for 1 s",
+    scenario="servoing-alone",
+    broken_by="a controller that drifts",
+)
+REACTS = CatalogueEntry(
+    prop=ReactsWithin(within_s=0.12),
+    pattern=r"reacts within (.+)",
+    make=lambda match, scenario, place: ReactsWithin(within_s=time_within(match[1], scenario, place)),
+    rationale="a hand is met by an arm that slows or retreats, whatever it says that it does",
+    source="the reaction time T_r, by motion and drives, of each hand apart",
+    margin="the time allowed less the longest until the drives brake, or the TCP slows or retreats",
+    parameters="the time; critical distance and speed of a retreat of the settings",
+    exercised="a true hand comes within the critical distance of a TCP that moves and does not retreat yet",
+    inconclusive="a hand that leaves, or a run that ends, before a reaction could be told; an uncertain log",
+    scenario="hand-stays",
+    broken_by="a controller that stops too late",
+)

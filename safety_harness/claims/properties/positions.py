@@ -1,0 +1,243 @@
+"""What a position to give way to was worth, and whether the arm went there or stopped: from the truth alone.
+
+Nothing here believes what the gate noted down: the opposite pose is computed again, and so is whether
+a position could have been used: whether it can be reached is a claim of its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from math import ceil
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.cell.avoidance.gate import OWN_CLEARANCE_M, REACH_MARGIN_M
+from safety_harness.cell.robot.inverse import REACH_RESOLUTION_M, straight_way
+from safety_harness.cell.robot.obstacles import box_records, distances_m
+from safety_harness.cell.robot.robots import arm_model, inverse_kinematics
+from safety_harness.claims.properties.base import Evaluation, Unit, is_somewhere, judged
+from safety_harness.claims.properties.clear_ways import clearances_m
+from safety_harness.claims.properties.entry import CatalogueEntry
+from safety_harness.claims.properties.giving_way import MODEST, RepulsionProgress, Shares, last_tick, progress
+from safety_harness.claims.properties.measured import reads
+from safety_harness.claims.properties.true_motion import arm_of
+from safety_harness.claims.properties.unexercised import no_position, unexercised
+from safety_harness.trace.known import OF_DECISIONS
+from safety_harness.trace.records import DecisionOutcome, Mode
+from safety_harness.trace.trace import Trace, once_a_trace
+
+WAY_STEP_M = 0.005
+STOP_SLACK_M = 0.002  # of way, and of time
+STOP_GRACE_TICKS = 3  # the drives lag behind their ramp
+WAYS = ("joint_position_rad", "transform_tcp_to_base")  # where the straight way to a position begins
+BEYOND_M = 0.100  # how far beyond the position reachability is looked for
+
+
+def opposite_position(trace: Trace, decision: np.void) -> NDArray[np.float64]:
+    """(3,) the radius of the settings from the TCP, away from the nearest predicted hand; NaN without one."""
+    tick = trace.ticks[decision["tick"]]
+    tcp_in_base = tick["transform_tcp_to_base"][:3, 3]
+    hands = tick["predicted_hand_in_base_m"][tick["track_valid"]]
+    if len(hands) == 0:  # it has gone while the avoider was thinking
+        hands = decision["hand_position_in_base_m"][None]
+    if not all(is_somewhere(hand) for hand in hands):
+        return np.full(3, np.nan)
+    apart = np.linalg.norm(hands - tcp_in_base, axis=1)
+    nearest = int(np.argmin(apart))
+    if not apart[nearest] > 0.0:
+        return np.full(3, np.nan)
+    share = trace.scenario.settings.avoidance.radius_m / apart[nearest]
+    return np.asarray(tcp_in_base + share * (tcp_in_base - hands[nearest]))
+
+
+def spare_m(trace: Trace, decision: np.void, position_in_base_m: NDArray[np.float64]) -> float:
+    """The least that a position to give way to has to spare; negative for what it lacks to be usable.
+
+    Reach beyond the gate's 10 mm; height above the least of a TCP; component of the way away from each
+    predicted hand; clearance along the way, of the wrist from the body and of the arm from the cell's boxes,
+    beyond the gate's 20 mm, or beyond that of its start.  NaN if a prediction is not finite.
+
+    ``position_in_base_m`` (3,).
+    """
+    settings, tick = trace.scenario.settings, trace.ticks[decision["tick"]]
+    spare = reach_m(trace, decision, position_in_base_m) - REACH_MARGIN_M
+    if not is_somewhere(position_in_base_m):
+        return spare
+    lowest_m = settings.cell.table_height_m + settings.avoidance.table_clearance_m
+    tcp_in_base = tick["transform_tcp_to_base"][:3, 3]
+    spare = min(spare, float(position_in_base_m[2]) - lowest_m)
+    for hand in tick["predicted_hand_in_base_m"][tick["track_valid"]]:
+        if not is_somewhere(hand):
+            return np.nan
+        apart = float(np.linalg.norm(tcp_in_base - hand))
+        away = float((position_in_base_m - tcp_in_base) @ (tcp_in_base - hand))
+        spare = min(spare, away / apart if apart > 0.0 else spare)
+    if spare < 0.0:
+        return spare
+    arm = arm_model(trace.scenario.robot)
+    joints_rad = straight_way(arm, tick["joint_position_rad"], position_in_base_m, step_m=WAY_STEP_M)
+    clear = [clearances_m(trace, joints_rad)[:, 2]]
+    if trace.scenario.obstacles:
+        clear.append(distances_m(arm_of(trace), box_records(trace.scenario.obstacles), joints_rad))
+    return min(spare, *(float(way_m.min() - min(OWN_CLEARANCE_M, way_m[0])) for way_m in clear))
+
+
+def gone_towards(
+    trace: Trace,
+    number: int,
+    target_in_base_m: NDArray[np.float64],
+    after_ticks: int,
+    shares: Shares = MODEST,
+) -> RepulsionProgress | None:
+    """How well the repulsion of decision ``number`` keeps up with the reference that heads for a target.
+
+    The reference begins ``after_ticks`` after the decision, with the TCP's place and speed of then; None
+    if the repulsion was over by then.
+
+    ``target_in_base_m`` (3,).
+    """
+    last = last_tick(trace, number)
+    decision = trace.decisions[number : number + 1].copy()
+    decision["tick"] += after_ticks
+    decision["chosen_position_in_base_m"] = target_in_base_m
+    if int(decision["tick"][0]) >= last:
+        return None
+    return progress(trace, decision[0], last, None, shares)
+
+
+def stopped_m(trace: Trace, tick: int) -> float:
+    """What the TCP's way from ``tick`` on leaves of that of a protective stop which begins there.
+
+    Allowed are v T_r + v T_s/2 at the speed v of then, one control period's way and 2 mm; counted is
+    the way in T_r + T_s, and for as long as the controller calls it a stop.
+    """
+    braking, period_s = trace.scenario.settings.braking, trace.scenario.settings.clock.control_period_s
+    speed_mps = float(trace.ticks["tcp_speed_mps"][tick])
+    stop_s = braking.stop_time_base_s + braking.stop_time_per_speed_s2pm * speed_mps
+    last = tick + ceil((braking.reaction_time_s + stop_s) / period_s) + STOP_GRACE_TICKS
+    released = np.flatnonzero(trace.ticks["mode"][last:] != Mode.PROTECTIVE_STOP)
+    last += int(released[0]) if len(released) else len(trace.ticks)
+    tcp_in_base = trace.ticks["transform_tcp_to_base"][tick : last + 1, :3, 3]
+    way_m = float(np.linalg.norm(np.diff(tcp_in_base, axis=0), axis=1).sum())
+    allowed_s = braking.reaction_time_s + 0.5 * stop_s + period_s
+    return speed_mps * allowed_s + STOP_SLACK_M - way_m
+
+
+@dataclass(frozen=True, kw_only=True)
+class RepulsivePosesReachable:
+    """Every repulsive position can be reached by inverse kinematics along the straight way there.
+
+    Margin of one decision: how much farther along the line from the TCP through the position the
+    arm could go, continuously, within its joint limits and away from singularities (at most
+    100 mm is looked for); negative by what is missing to the position.  ``proposed`` judges what the
+    avoider said, otherwise what the system chose after its checks.  The way begins where the arm
+    truly was.
+
+    Source: table 4 of the paper, which counts positions "out of the reach range of the robot".
+    """
+
+    proposed: bool
+    unit: Unit = Unit.LENGTH
+
+    @property
+    def sentence(self) -> str:
+        """As the catalogue writes it."""
+        return "proposed repulsive poses reachable" if self.proposed else "repulsive poses reachable"
+
+    @property
+    def reads(self) -> tuple[str, ...]:
+        """What was chosen is not asked for where proposals are judged, nor the other way round."""
+        positions = (
+            ("proposed_position_in_base_m",) if self.proposed else ("chosen_position_in_base_m", "outcome")
+        )
+        return (*WAYS, *(f"{OF_DECISIONS}{name}" for name in ("tick", "time_s", *positions)))
+
+    def evaluate(self, trace: Trace) -> Evaluation:
+        """Judge every decision's position."""
+        return _judging(self.reads)(self, trace)
+
+    def _worst(self, trace: Trace) -> Evaluation:
+        field = "proposed_position_in_base_m" if self.proposed else "chosen_position_in_base_m"
+        worst, worst_time_s, count = np.inf, 0.0, 0
+        for decision in trace.decisions:
+            position_in_base_m = decision[field]
+            if not self.proposed and decision["outcome"] == DecisionOutcome.STOP:
+                continue  # nothing was chosen: the arm stops where it is
+            count += 1
+            margin = reach_m(trace, decision, position_in_base_m)
+            if not margin >= worst:
+                worst, worst_time_s = margin, float(decision["time_s"])
+        if count == 0:
+            return unexercised(self, no_position(trace))
+        reason = f"worst of {count}" if count > 1 else "one position"
+        return judged(self, trace, worst, worst_time_s, reason, exercised=count)
+
+
+@lru_cache(maxsize=2)
+def _judging(names: tuple[str, ...]) -> Callable[[RepulsivePosesReachable, Trace], Evaluation]:
+    return reads(*WAYS, also=names)(RepulsivePosesReachable._worst)
+
+
+def reach_m(trace: Trace, decision: np.void, position_in_base_m: NDArray[np.float64]) -> float:
+    """How much farther than a position the straight way there goes; minus the radius for no position.
+
+    The way begins where the arm truly was at the decision.  Several claims ask for the same ways.
+
+    ``position_in_base_m`` (3,).
+    """
+    if not is_somewhere(position_in_base_m):
+        return -trace.scenario.settings.avoidance.radius_m
+    known, key = _reaches_m(trace), (int(decision["tick"]), position_in_base_m.tobytes())
+    if key not in known:
+        tick = trace.ticks[decision["tick"]]
+        way = position_in_base_m - tick["transform_tcp_to_base"][:3, 3]
+        known[key] = _beyond_m(trace, tick["joint_position_rad"], way)
+    return known[key]
+
+
+@once_a_trace
+def _reaches_m(_: Trace) -> dict[tuple[int, bytes], float]:
+    """By tick and position, those that somebody has asked for."""
+    return {}
+
+
+def _beyond_m(trace: Trace, joints_rad: NDArray[np.float64], way: NDArray[np.float64]) -> float:
+    """How far beyond (or, negative, short of) its end ``way`` (3,) can be gone from ``joints_rad`` (6,).
+
+    At most 0.1 mm too little, but never below zero for a way that can be gone to its end.
+    """
+    length_m = float(np.linalg.norm(way))
+    if length_m == 0.0:
+        return 0.0
+    least = trace.scenario.settings.motion.min_singular_value
+    kinematics = inverse_kinematics(trace.scenario.robot)
+
+    def beyond_m(far_m: float) -> float:
+        gone_m = kinematics.reach_along(joints_rad, way / length_m, far_m, min_singular_value=least)
+        return gone_m - length_m
+
+    found_m = beyond_m(length_m + BEYOND_M)
+    # It stops within the resolution of a boundary, perhaps before the end: then the end itself is tried.
+    return max(found_m, beyond_m(length_m)) if -REACH_RESOLUTION_M <= found_m < 0.0 else found_m
+
+
+REPULSIVE_POSES = CatalogueEntry(
+    prop=RepulsivePosesReachable(proposed=False),
+    rationale="a position out of reach is none to give way to: the arm stops short of it, near the hand",
+    source="the paper, table 4",
+    margin="how far beyond the chosen position the straight way goes on being reachable within the joint "
+    "limits and away from singularities (at most 100 mm is looked for), or what is missing to it",
+    parameters="the least singular value of the settings",
+    exercised="a position was chosen",
+    broken_by="an avoider that proposes a position two metres away, behind a gate that passes everything",
+)
+PROPOSED_POSES = replace(
+    REPULSIVE_POSES,
+    prop=RepulsivePosesReachable(proposed=True),
+    margin="the same for what the avoider proposed, before the gate",
+    exercised="a decision was made",
+    broken_by="an avoider that proposes a position two metres away",
+)

@@ -1,0 +1,308 @@
+"""What the avoider itself proposed, judged before the gate: a good gate makes a bad avoider look safe.
+
+Each answer is judged against the question that the avoider was really asked: where its answer counts later
+than at once (a decision time, or a fault of the scenario that delays it) those are the hand and the TCP of
+the tick at which it was asked.  No answer is no proposal: "the avoider answered" is a claim of its own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.cell.avoidance.flaky import question_of
+from safety_harness.cell.avoidance.measures import gained_m, is_sure, off_m, optimum_in_base_m
+from safety_harness.claims.properties.base import (
+    Evaluation,
+    Property,
+    Unit,
+    is_somewhere,
+    judged,
+)
+from safety_harness.claims.properties.entry import CatalogueEntry, quantity, share
+from safety_harness.claims.properties.measured import reads
+from safety_harness.claims.properties.unexercised import no_answer, spread_beside_threshold, unexercised
+from safety_harness.scenario.units import LENGTH, NUMBER
+from safety_harness.trace.known import OF_DECISIONS
+from safety_harness.trace.overruling import Overruling, answered, overruled
+from safety_harness.trace.records import ENDLESS
+from safety_harness.trace.trace import Trace, once_a_trace
+
+QUESTION = ("hand_position_in_base_m", "tcp_position_in_base_m")
+ANSWER = ("decision.time_s", "decision.proposed_position_in_base_m", "decision.fault")
+PROPOSAL = (
+    *ANSWER,
+    *(f"{OF_DECISIONS}{name}" for name in QUESTION),
+    "decision.tick",
+    "decision.asked_tick",
+    "transform_tcp_to_base",  # as the next two of the tick at which the avoider was asked, if it was another
+    "track_valid",
+    "predicted_hand_in_base_m",
+)
+SURENESS = ("decision.proposed_spread_m", "decision.spread_threshold_m")
+
+
+@once_a_trace
+def proposals(trace: Trace) -> NDArray[np.void]:
+    """(m,) DECISION: those with a usable answer, their hand and TCP as they were when the avoider was asked.
+
+    Left out is an answer to an earlier question of which the trace does not tell the hand.
+    """
+    found: NDArray[np.void] = trace.decisions[answered(trace)]  # a copy
+    told = (found["asked_tick"] == found["tick"]) | trace.ticks["track_valid"][found["asked_tick"]].any(
+        axis=1
+    )
+    found = found[told]
+    for one in found:
+        for name, position in zip(QUESTION, question_of(trace, one), strict=True):
+            one[name] = position if is_somewhere(position) else np.nan
+    return found
+
+
+def as_told(trace: Trace, margin: float) -> tuple[float, float, bool]:
+    """For ``reads``: what decisions say of themselves is exact; only earlier questions take it from ticks."""
+    decisions, known = trace.decisions, trace.known
+    own = bool((decisions["asked_tick"] == decisions["tick"]).all())
+    if not own or known.uncertain([name for name in (*PROPOSAL, *SURENESS) if name.startswith(OF_DECISIONS)]):
+        return -np.inf, np.inf, False
+    return margin, margin, True
+
+
+def optima_in_base_m(trace: Trace, found: NDArray[np.void]) -> NDArray[np.float64]:
+    """(m, 3) the closed-form optimum of the questions of ``found`` (m,)."""
+    hands, tcps = found["hand_position_in_base_m"], found["tcp_position_in_base_m"]
+    return np.asarray(optimum_in_base_m(trace.scenario.settings, hands, tcps))
+
+
+def worst(
+    prop: Property,
+    trace: Trace,
+    found: NDArray[np.void],  # (m,)
+    margins_m: NDArray[np.float64],  # (m,)
+    shown_m: NDArray[np.float64],  # (m,)
+    what: str,
+) -> Evaluation:
+    """The word on the proposal with the least margin, or on the first that has none.
+
+    The reason is ``shown_m`` of it, in mm, and ``what`` that is.
+    """
+    if len(found) == 0:
+        return unexercised(prop, no_answer(trace))
+    at = int(np.argmin(margins_m))  # the first NaN, if there is one
+    reason = f"{shown_m[at] * 1e3:.1f} mm {what}" + (f", worst of {len(found)}" if len(found) > 1 else "")
+    return judged(prop, trace, float(margins_m[at]), float(found["time_s"][at]), reason, len(found))
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProposalsLeadAway:
+    """The straight way from the TCP to a proposal leads away from the hand that the avoider was asked about.
+
+    Margin of one proposal: the component of the way away from the hand, (p - t) . (t - h)/|t - h|, and the
+    tolerance.  An avoider is asked about one hand, the nearest: what the way does to another is for the gate
+    to see, and for "repulsion moves away from every hand".
+    """
+
+    tolerance_m: float
+    unit: Unit = Unit.LENGTH
+
+    @property
+    def sentence(self) -> str:
+        """As the catalogue writes it."""
+        return f"proposals lead away to within {self.tolerance_m * 1e3:g} mm"
+
+    @reads(also=PROPOSAL, ends=lambda prop, trace, margin: as_told(trace, margin))
+    def evaluate(self, trace: Trace) -> Evaluation:
+        """Judge every proposal."""
+        found = proposals(trace)
+        away_m = gained_m(
+            found["hand_position_in_base_m"],
+            found["tcp_position_in_base_m"],
+            found["proposed_position_in_base_m"],
+        )
+        return worst(self, trace, found, away_m + self.tolerance_m, away_m, "away from the hand")
+
+
+@dataclass(frozen=True, kw_only=True)
+class NearOptimum:
+    """No proposal is farther than ``within_m`` from the closed-form optimum of its question."""
+
+    within_m: float
+    unit: Unit = Unit.LENGTH
+
+    @property
+    def sentence(self) -> str:
+        """As the catalogue writes it."""
+        return f"proposals within {self.within_m * 1e3:g} mm of the optimum"
+
+    @reads(also=PROPOSAL, ends=lambda prop, trace, margin: as_told(trace, margin))
+    def evaluate(self, trace: Trace) -> Evaluation:
+        """Judge every proposal."""
+        found = proposals(trace)
+        error_m = off_m(found["proposed_position_in_base_m"], optima_in_base_m(trace, found))
+        return worst(self, trace, found, self.within_m - error_m, error_m, "from the optimum")
+
+
+@dataclass(frozen=True, kw_only=True)
+class WithinSpread:
+    """A proposal is within ``spreads`` of its own spreads, and an allowance, of the optimum, axis by axis.
+
+    Margin of one proposal: the least over axes of k s_i + allowance - |p_i - o_i|.  The allowance is for what
+    a spread of passes or members does not know of: the noise of the labels that the network learnt from.
+    """
+
+    spreads: float
+    allowance_m: float
+    unit: Unit = Unit.LENGTH
+
+    @property
+    def sentence(self) -> str:
+        """As the catalogue writes it."""
+        spreads = f"{self.spreads:g} {'spread' if self.spreads == 1.0 else 'spreads'}"
+        return f"proposals within {spreads} and {self.allowance_m * 1e3:g} mm of the optimum"
+
+    @reads(also=[*PROPOSAL, *SURENESS], ends=lambda prop, trace, margin: as_told(trace, margin))
+    def evaluate(self, trace: Trace) -> Evaluation:
+        """Judge every proposal, axis by axis, unless the avoider gives no spread."""
+        found = proposals(trace)
+        spread_m = np.minimum(found["proposed_spread_m"], ENDLESS)
+        if len(found) and np.isnan(found["spread_threshold_m"]).all() and not (spread_m > 0.0).any():
+            return unexercised(self, "the avoider gives no spread; one that does exercises it")
+        errors_m = np.abs(found["proposed_position_in_base_m"] - optima_in_base_m(trace, found))  # (m, 3)
+        margins_m = self.spreads * spread_m + self.allowance_m - errors_m
+        axis = np.argmin(margins_m, axis=1)[:, None]
+        margin_m, error_m = (np.take_along_axis(each, axis, axis=1)[:, 0] for each in (margins_m, errors_m))
+        return worst(self, trace, found, margin_m, error_m, "from the optimum along an axis")
+
+
+@dataclass(frozen=True, kw_only=True)
+class NeverSureAndOff:
+    """No proposal that is sure is farther than ``within_m`` from the closed-form optimum of its question.
+
+    Sure is one whose largest spread is at most the avoider's own threshold; of an avoider without a threshold
+    every one is.
+    """
+
+    within_m: float
+    unit: Unit = Unit.LENGTH
+
+    @property
+    def sentence(self) -> str:
+        """As the catalogue writes it."""
+        return f"proposals never sure and more than {self.within_m * 1e3:g} mm from the optimum"
+
+    @reads(also=[*PROPOSAL, *SURENESS], ends=lambda prop, trace, margin: as_told(trace, margin))
+    def evaluate(self, trace: Trace) -> Evaluation:
+        """Judge every proposal that is sure."""
+        found = proposals(trace)
+        sure = found[is_sure(found["proposed_spread_m"], found["spread_threshold_m"])]
+        if len(found) and not len(sure):
+            return unexercised(self, spread_beside_threshold(trace, above=False))
+        error_m = off_m(sure["proposed_position_in_base_m"], optima_in_base_m(trace, sure))
+        return worst(self, trace, sure, self.within_m - error_m, error_m, "from the optimum, and sure")
+
+
+@dataclass(frozen=True, kw_only=True)
+class FewOverruled:
+    """At most a share of a run's proposals is overruled: replaced by the opposite pose, or the arm stops.
+
+    All answers in time count, also those to a question that a fault of the scenario made an old one.
+    """
+
+    most: float
+    unit: Unit = Unit.FRACTION
+
+    @property
+    def sentence(self) -> str:
+        """As the catalogue writes it."""
+        return f"at most {self.most * 100.0:.12g} % of proposals overruled"
+
+    @reads(also=[*ANSWER, "decision.outcome"])
+    def evaluate(self, trace: Trace) -> Evaluation:
+        """Judge the run as a whole."""
+        made, vetoed = answered(trace), overruled(trace)
+        asked, count = int(np.count_nonzero(made)), int(np.count_nonzero(vetoed))
+        if asked == 0:
+            return unexercised(self, no_answer(trace))
+        told = not trace.known.missing(["decision.proposed_failed"])
+        reasons = Overruling.of([trace]).reasons if told else {}
+        why = ", ".join(f"{check.name} {n}" for check, n in reasons.items()).lower().replace("_", " ")
+        reason = f"{count} of {asked} overruled" + (f" ({why})" if why else "")
+        time_s = float(trace.decisions["time_s"][int(np.argmax(vetoed if count else made))])
+        return judged(self, trace, self.most - count / asked, time_s, reason, asked, revocable=True)
+
+
+YARDSTICK = (
+    "The closed form of what the networks learn (eq. 13 with the continuous optimum) is a yardstick and no "
+    "duty: an avoider of another kind may be far from it and good"
+)
+ANSWERED = "the avoider was asked and gave a usable answer"
+OPTIMUM_OF = "the length; radius, candidate cone, hand pull, nominal hand and desired pose of the settings"
+
+LEAD_AWAY = CatalogueEntry(
+    prop=ProposalsLeadAway(tolerance_m=0.01),
+    pattern=r"proposals lead away to within (.+)",
+    make=lambda match, _, place: ProposalsLeadAway(tolerance_m=quantity(match[1], LENGTH, place)),
+    rationale="a gate that refuses what heads for a hand hides an avoider that proposes it",
+    source='the paper, section 4.1 ("a quarter of a sphere will lead the robot to move away")',
+    margin="component of the way from the TCP to the proposal away from the hand of the question, and the "
+    "tolerance, least over proposals",
+    parameters="the tolerance: how much nearer to the hand a proposal may lead",
+    exercised=ANSWERED,
+    broken_by="an avoider that heads for the hand, behind the full gate",
+)
+NEAR_OPTIMUM = CatalogueEntry(
+    prop=NearOptimum(within_m=0.06),
+    pattern=r"proposals within (\S+(?: \S+)?) of the optimum",
+    make=lambda match, _, place: NearOptimum(within_m=quantity(match[1], LENGTH, place)),
+    rationale=f"a network that is wrong in a region, a frame or a unit shows here first. {YARDSTICK}",
+    source="eq. 13 of the paper, with the nearest point of the candidates' cap in closed form",
+    margin="the length less the distance from a proposal to its question's optimum, least over proposals",
+    parameters=OPTIMUM_OF,
+    exercised=ANSWERED,
+    scenario="network-certain",
+    broken_by="an avoider that proposes a position two metres away",
+)
+WITHIN_SPREAD = CatalogueEntry(
+    prop=WithinSpread(spreads=3.0, allowance_m=0.03),
+    pattern=r"proposals within (\S+) spreads? and (.+) of the optimum",
+    make=lambda match, _, place: WithinSpread(
+        spreads=quantity(match[1], NUMBER, place), allowance_m=quantity(match[2], LENGTH, place)
+    ),
+    rationale="the gate trusts the spread: an error that it does not announce passes. The spread of dropout "
+    f"or of an ensemble is that of the network alone: an allowance stands for its labels' noise. {YARDSTICK}",
+    source="the paper, section 3.3, and eqs. 10 and 11: the spread of a network's answers",
+    margin="least over axes of the number times the spread, and the allowance, less the distance to the "
+    "optimum along that axis; least over proposals",
+    parameters="the number of spreads and the allowance; those of the optimum in the settings",
+    exercised=ANSWERED,
+    inconclusive="an avoider without a threshold whose spreads are all zero: it gives none",
+    scenario="network-certain",
+    broken_by="an avoider with a threshold, sure of a position far from the optimum",
+)
+NEVER_SURE_AND_OFF = CatalogueEntry(
+    prop=NeverSureAndOff(within_m=0.06),
+    pattern=r"proposals never sure and more than (.+) from the optimum",
+    make=lambda match, _, place: NeverSureAndOff(within_m=quantity(match[1], LENGTH, place)),
+    rationale="doubt leads to the fallback, so that the errors which count are those without doubt. "
+    f"{YARDSTICK}",
+    source="the paper, section 3.3: the opposite pose where the network is not sure",
+    margin="the length less the distance from a proposal to the optimum of its question, least over those "
+    "whose largest spread is at most the avoider's threshold",
+    parameters=f"{OPTIMUM_OF}; the threshold of the avoider: without one it is always sure",
+    exercised=f"{ANSWERED} of which it was sure",
+    scenario="network-certain",
+    broken_by="an avoider with a threshold, sure of a position far from the optimum",
+)
+FEW_OVERRULED = CatalogueEntry(
+    prop=FewOverruled(most=0.5),
+    pattern=r"at most (.+) of proposals overruled",
+    make=lambda match, _, place: FewOverruled(most=share(match[1], place)),
+    rationale="what is assessed is the avoider; where the gate overrules it, the fallback is what is shown",
+    source="the three steps of the gate: answer, opposite pose, stop",
+    margin="the share less that of the proposals in a run that were replaced or stopped",
+    parameters="the share, from 0 % to less than 100 %",
+    exercised=ANSWERED,
+    broken_by="an avoider in doubt at every question",
+)

@@ -1,0 +1,341 @@
+"""The claim that the arm keeps the protective separation distance of ``separation``, with its entries."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from math import ceil
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+
+from safety_harness.base.compiled import compiled
+from safety_harness.base.settings import Settings
+from safety_harness.cell.controller.stack import STANDSTILL_RADPS
+from safety_harness.claims.properties.base import (
+    OF_HANDS,
+    Evaluation,
+    Unit,
+    judged,
+    runs_of,
+    times_begun,
+)
+from safety_harness.claims.properties.entry import CatalogueEntry, quantity
+from safety_harness.claims.properties.measured import reads
+from safety_harness.claims.properties.separation import (
+    REACHING_MPS,
+    Separation,
+    farthest_steps,
+    fastest_mps,
+    least_separation,
+    lengths,
+)
+from safety_harness.claims.properties.true_motion import JOINTS, arm_of, capsules_of, true_motion
+from safety_harness.claims.properties.unexercised import OFF_THE_GOAL, nearest_of, no_hand, unexercised
+from safety_harness.scenario.units import SPEED
+from safety_harness.trace.known import UNMEASURED
+from safety_harness.trace.records import Limit
+from safety_harness.trace.trace import Trace, once_a_trace
+
+GRACE_TICKS = 2  # by which the drives may come to rest after the end of their ramp
+
+
+def _ends(prop: ProtectiveSeparation, trace: Trace, margin_m: float) -> tuple[float, float, bool]:
+    """For ``reads``, with the true distances at the ticks, and any speed that the arm's points may have.
+
+    Which points are nearest may change at once, and their speeds with them.  Where braking is unknown, or
+    when it is over, a stop excuses no more than as many ticks in a row as it may take.
+    """
+    known, true, settings = trace.known, true_motion(trace), trace.scenario.settings
+    braking, period_s, reach_m = settings.braking, settings.clock.control_period_s, arm_of(trace).reach_m
+    distance_m, rate_radps = (
+        known.within(name, len(trace.ticks)) for name in ("hand_distance_m", "joint_velocity_radps")
+    )
+    speed_mps, faster_radps = known.of("tcp_speed_mps").uncertainty, rate_radps[:, None]
+    per_speed_s2pm, grace_s = braking.stop_time_per_speed_s2pm, GRACE_TICKS * period_s
+    stopped_mps = prop.stopped_from_mps(trace)
+    reaction_s, stop_s = _times_s(trace, stopped_mps)
+    longest_s = braking.stop_time_base_s + grace_s
+    longest_s += per_speed_s2pm * float(stopped_mps.max() + speed_mps)
+    turns_radps = np.abs(true.rates_radps)
+    sure = turns_radps.max(axis=1) >= STANDSTILL_RADPS + rate_radps
+    maybe = turns_radps.max(axis=1) >= STANDSTILL_RADPS - rate_radps
+    off_mps = 2.0 / period_s * max(known.of(name).uncertainty for name in OF_HANDS[:2])
+    hand_mps = np.minimum(_steps_m(trace)[1] / period_s + off_mps, _fastest_mps(trace))
+    most_mps = hand_mps if prop.own_speeds else np.full_like(hand_mps, prop.assumed_mps)
+    least_mps = 0.0 if prop.own_speeds else prop.assumed_mps
+
+    stopping = _may_be_stopping(trace)
+    in_doubt = known.of("limits").limited or (bool(stopping.any()) and speed_mps > 0.0)
+    whole_s = per_speed_s2pm * stopped_mps + braking.stop_time_base_s
+    left_s = (
+        whole_s + braking.reaction_time_s if in_doubt else reaction_s + stop_s
+    ) - per_speed_s2pm * speed_mps
+    high_m = np.where(sure, true.nearest_m + distance_m - least_mps * left_s, np.inf)
+    ticks = ceil((braking.reaction_time_s + longest_s) / period_s) + 1 if in_doubt else 1
+    high = min(float(high_m[0]), float(np.where(stopping, np.inf, high_m).min()))
+    if len(high_m) >= ticks:
+        high = min(high, float(sliding_window_view(high_m, ticks).max(axis=1).min()))
+
+    low = margin_m if braking.reaction_time_s >= longest_s - braking.stop_time_base_s else -np.inf
+    if known.uncertain((*JOINTS, "tcp_speed_mps", *OF_HANDS)):
+        reaction_s, stop_s = _times_left_s(trace, stopped_mps, per_speed_s2pm * speed_mps, longest_s)
+        arm_mps = (turns_radps + faster_radps) @ reach_m
+        needed_m = most_mps * (reaction_s + stop_s) + arm_mps * (reaction_s + 0.5 * stop_s)
+        needed_m += 0.5 * period_s * (hand_mps + arm_mps)
+        low = float(np.where(maybe, true.nearest_m - distance_m - needed_m, np.inf).min())
+    near = sure & (true.nearest_m + distance_m < prop.largest_m(settings))
+    return low, high, bool(near.any())
+
+
+def _may_be_stopping(trace: Trace) -> NDArray[np.bool_]:
+    """(n,) the ticks at which a protective stop is carried out, or may be."""
+    braking: NDArray[np.bool_] = trace.ticks["limits"] & int(Limit.BRAKING) != 0
+    return braking | ~trace.known.measured("limits", trace.ticks)
+
+
+def _fastest_mps(trace: Trace) -> float:
+    """No hand or elbow is faster, by what is known of them."""
+    rates = [trace.known.of(name).at_most_per_s for name in OF_HANDS[:2]]
+    return max(np.inf if rate is None else rate for rate in rates)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProtectiveSeparation:
+    """min over time, hands and links of d - S_p while the arm moves (any joint above 1 mrad/s).
+
+    ``hand_speed_mps`` is the v_h of every human, towards the arm; None for ``default_mps``.  With
+    ``own_speeds`` it is that of each hand's and forearm's own nearest point at that tick.  The robot's
+    v_r is that of the link's nearest point towards the human, never below zero.  Both are those of
+    the nearest pair of each link, not only of the nearest link: a slow link may be nearer than a fast
+    one that should be farther away.
+
+    T_r and T_s are the settings', T_s at the TCP's speed of that tick or, where that is larger, at that of
+    the arm's fastest point: all joints brake together, and a link stops no sooner than the fastest.  With
+    ``tcp_alone``, or where joints are known to within some uncertainty only, it is the TCP's.  Once a
+    protective stop is under way only what is left of them counts: a stop that begins in time is no violation
+    later on.
+
+    Exercised when a hand comes as near to the moving arm as S_p can be for an arm at its speed limit.
+    """
+
+    hand_speed_mps: float | None = None
+    default_mps: float = REACHING_MPS
+    own_speeds: bool = False
+    tcp_alone: bool = False  # as editions 1 and 2 of the claims have it
+    unit: Unit = Unit.LENGTH
+
+    @property
+    def sentence(self) -> str:
+        """As the catalogue writes it."""
+        if self.own_speeds:
+            return "protective separation kept from hands at their own speeds"
+        if self.hand_speed_mps is None:
+            return "protective separation kept"
+        return f"protective separation kept at {self.hand_speed_mps:g} m/s"
+
+    @property
+    def assumed_mps(self) -> float:
+        """The v_h that is taken where the hands' own speeds are not."""
+        return self.default_mps if self.hand_speed_mps is None else self.hand_speed_mps
+
+    def stopped_from_mps(self, trace: Trace) -> NDArray[np.float64]:
+        """Return the speed (n,) [m/s] that T_s is taken at."""
+        tcp_mps: NDArray[np.float64] = trace.ticks["tcp_speed_mps"]
+        alone = self.tcp_alone or trace.known.uncertain(JOINTS)
+        return tcp_mps if alone else np.maximum(tcp_mps, _fastest_mps_of(trace))
+
+    @reads(*JOINTS, "tcp_speed_mps", *OF_HANDS, bounded=["limits"], of_each_hand=True, ends=_ends)
+    def evaluate(self, trace: Trace) -> Evaluation:
+        """Judge the pair that has least to spare."""
+        if not trace.scenario.hands:
+            return unexercised(self, no_hand(trace))
+        worst = self.worst(trace)
+        if worst is None:
+            stood = "the arm did not move while a hand was there; one that moves exercises it"
+            return unexercised(self, f"{stood}: {OFF_THE_GOAL}")
+        nearest_m = np.where(moving(trace), true_motion(trace).nearest_m, np.inf)
+        near_m = self.largest_m(trace.scenario.settings)
+
+        def lacked() -> str:
+            return nearest_of(trace, nearest_m, near_m, "hand", "the moving arm's surface")
+
+        reason, times = described(trace, worst), times_begun(nearest_m < near_m)
+        if not self.tcp_alone and trace.known.uncertain(JOINTS):
+            reason += "; T_s is by the TCP's speed alone, as joints are known to within some uncertainty only"
+        return judged(self, trace, worst.margin_m, trace.time_s[worst.tick], reason, times, lacked)
+
+    def worst(self, trace: Trace) -> Separation | None:
+        """The pair and tick with the least margin; None if the arm never moved while a hand was there."""
+        settings, true, turns = trace.scenario.settings, true_motion(trace), moving(trace)
+        if trace.ended == UNMEASURED:  # speeds at its last tick are not those of the whole run
+            turns = turns & (np.arange(len(turns)) < len(turns) - 1)
+        reaction_s, stop_s = _times_s(trace, self.stopped_from_mps(trace))
+        which, what = least_separation(
+            arm_of(trace),
+            turns,
+            true.joints_rad,
+            true.rates_radps,
+            true.present,
+            true.hands_m,
+            reaction_s,
+            stop_s,
+            np.array([settings.hand.radius_m, settings.hand.forearm_radius_m]),
+            np.nan if self.own_speeds else self.assumed_mps,
+            settings.clock.control_period_s,
+            *_steps_m(trace),
+            int(np.argmin(np.where(turns, true.nearest_m, np.inf))),
+        )
+        tick, hand, capsule, body = (int(value) for value in which)
+        if tick < 0:
+            return None
+        distance_m, robot_mps, hand_mps, hand_moves_m, robot_moves_m = (float(value) for value in what)
+        return Separation(
+            tick=tick,
+            hand=hand,
+            capsule=capsule,
+            forearm=body == 1,
+            distance_m=distance_m,
+            robot_speed_mps=robot_mps,
+            hand_speed_mps=hand_mps,
+            reaction_time_s=float(reaction_s[tick]),
+            stop_time_s=float(stop_s[tick]),
+            hand_moves_m=hand_moves_m,
+            robot_moves_m=robot_moves_m,
+        )
+
+    def largest_m(self, settings: Settings) -> float:
+        """S_p for an arm that heads for a human at its speed limit: how near is near."""
+        fastest_mps = max(settings.motion.max_tcp_speed_mps, settings.avoidance.repulsion_speed_mps)
+        braking = settings.braking
+        stop_s = braking.stop_time_base_s + braking.stop_time_per_speed_s2pm * fastest_mps
+        return sum(lengths(self.assumed_mps, fastest_mps, braking.reaction_time_s, stop_s, 0.0, 0.0))
+
+
+@once_a_trace
+def _steps_m(trace: Trace) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """(n,) and (n,) of ``farthest_steps``."""
+    true = true_motion(trace)
+    return farthest_steps(arm_of(trace), true.joints_rad, true.hands_m, true.present)
+
+
+@once_a_trace
+def moving(trace: Trace) -> NDArray[np.bool_]:
+    """(n,) does any joint turn, by the controller's own bound for a standstill?"""
+    return _moving(true_motion(trace).rates_radps)
+
+
+@compiled
+def _moving(rates_radps: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """(n,) is any |q'| of ``rates_radps`` (n, joints) at least STANDSTILL_RADPS?"""
+    turns = np.zeros(rates_radps.shape[0], np.bool_)
+    for k in range(rates_radps.shape[0]):
+        for joint in range(rates_radps.shape[1]):
+            turns[k] |= abs(rates_radps[k, joint]) >= STANDSTILL_RADPS
+    return turns
+
+
+@once_a_trace
+def times_left_s(trace: Trace) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """(n,) of reaction time and (n,) of stop time that an arm needs to stop from now on, or has left.
+
+    All of both, but while a protective stop is carried out (the BRAKING flag of the drives): of an
+    arm that still moves when its ramp has been over for two ticks again all of both.  None is carried out
+    in a trace that does not know of all its flags.
+    """
+    return _times_s(trace, trace.ticks["tcp_speed_mps"])
+
+
+def _times_s(trace: Trace, speed_mps: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """As ``times_left_s``, of stops from a speed (n,) that is no less than the TCP's."""
+    known = not trace.known.of("limits").limited
+    return (_times_left_s if known else _full_times_s)(trace, speed_mps, 0.0)
+
+
+@once_a_trace
+def _fastest_mps_of(trace: Trace) -> NDArray[np.float64]:
+    """(n,) of ``fastest_mps``."""
+    true = true_motion(trace)
+    return fastest_mps(arm_of(trace), true.joints_rad, true.rates_radps)
+
+
+def _full_times_s(
+    trace: Trace, speed_mps: NDArray[np.float64], off_s: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """(n,) and (n,) of all of both; ``speed_mps`` (n,)."""
+    braking = trace.scenario.settings.braking
+    stop_s = braking.stop_time_base_s + braking.stop_time_per_speed_s2pm * speed_mps + off_s
+    return np.full(len(speed_mps), braking.reaction_time_s), stop_s
+
+
+def _times_left_s(
+    trace: Trace, speed_mps: NDArray[np.float64], off_s: float, longest_s: float = 0.0
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """(n,) and (n,) at most, where the stop time that a speed gives may be ``off_s`` more or less.
+
+    Less than all of both only of a stop whose beginning is known, and whose ramp is not over for certain;
+    ``longest_s`` where nothing is known of stops.
+    """
+    period_s, time_s = trace.scenario.settings.clock.control_period_s, trace.time_s
+    reaction_s, stop_s = _full_times_s(trace, speed_mps, off_s)
+    known = trace.known.measured("limits", trace.ticks)
+    stopping = known & _may_be_stopping(trace)
+    whole_s, by_tcp_s = stop_s.copy(), _full_times_s(trace, trace.ticks["tcp_speed_mps"], off_s)[1]
+    stop_s[~known] = longest_s
+    for first, after in zip(*runs_of(stopping), strict=True):
+        if first > 0 and not known[first - 1]:
+            stop_s[first:after] = longest_s
+            continue
+        run = slice(first, after)
+        left_s = reaction_s[run] - (time_s[run] - time_s[first])
+        braked = left_s <= 1e-9
+        begun = first + int(np.argmax(braked))
+        late_s = left_s + (whole_s[begun] if braked.any() else 0.0) + GRACE_TICKS * period_s
+        ramped = braked & (late_s - (whole_s - by_tcp_s)[begun] > 2.0 * off_s)  # the drives ramp by the TCP
+        reaction_s[run] = np.where(ramped, 0.0, np.where(braked, reaction_s[run], left_s))
+        stop_s[run] = np.where(ramped, np.maximum(late_s, 0.0), whole_s[run])
+    return reaction_s, stop_s
+
+
+def described(trace: Trace, found: Separation) -> str:
+    """The pair and its terms in a sentence."""
+    part = capsules_of(trace).names[found.capsule].replace("_", " ")
+    whose = trace.scenario.hands[found.hand].name + ("'s forearm" if found.forearm else "")
+    terms = " + ".join(f"{term.symbol} {term.length_m * 1e3:.1f}" for term in found.terms)
+    return (
+        f"{whose} {found.distance_m * 1e3:.1f} mm from {part}; needed are {found.required_m * 1e3:.1f} mm = "
+        f"{terms} (arm {found.robot_speed_mps * 1e3:.0f} mm/s towards it, v_h {found.hand_speed_mps:.2f} m/s)"
+    )
+
+
+_TIMES = (
+    "reaction time, stop time and hand sizes of the settings; the stop time is by the speed of the TCP or of "
+    "the arm's fastest point, whichever is larger (by the TCP's where a log's joints are uncertain); C, "
+    "Z_d and Z_r are those of an oracle, and a real sensor's are more"
+)
+_MARGIN = "distance, surface to surface, less S_p, least over hands, links and ticks at which the arm moves"
+
+PROTECTIVE_SEPARATION = CatalogueEntry(
+    prop=ProtectiveSeparation(),
+    rationale="a constant distance knows nothing of how long the arm takes to stop, nor of how fast "
+    "either comes: this is the distance at which stopping still helps",
+    source="S_p = S_h + S_r + S_s + C + Z_d + Z_r, as NIST's overview has it (PMC5117641)",
+    margin=_MARGIN,
+    parameters=f"v_h = {REACHING_MPS:g} m/s; {_TIMES}",
+    exercised="a hand comes as near to the moving arm as S_p can be for an arm at its speed limit",
+    inconclusive="the arm did not move while a hand was there",
+    broken_by="an avoider that heads for the hand, behind a gate that passes everything",
+)
+PROTECTIVE_SEPARATION_AT = replace(
+    PROTECTIVE_SEPARATION,
+    prop=ProtectiveSeparation(hand_speed_mps=1.6),
+    pattern=r"protective separation kept at (.+)",
+    make=lambda match, _, place: ProtectiveSeparation(hand_speed_mps=quantity(match[1], SPEED, place)),
+    parameters=f"v_h as written, in place of {REACHING_MPS:g} m/s; {_TIMES}",
+)
+PROTECTIVE_SEPARATION_OWN = replace(
+    PROTECTIVE_SEPARATION,
+    prop=ProtectiveSeparation(own_speeds=True),
+    margin=f"{_MARGIN}; v_h is that of each hand's own nearest point",
+    parameters=f"each hand's own speed towards the link, never below zero; {_TIMES}",
+)

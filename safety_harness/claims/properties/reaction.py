@@ -1,0 +1,460 @@
+"""A hand near the TCP makes the arm give way or stop, and soon: one that is predicted, one that is there.
+
+Where nobody is it does not, nor does it go to and fro between giving way and its task.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from math import sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.base.compiled import compiled
+from safety_harness.base.settings import Settings
+from safety_harness.claims.properties.base import (
+    HORIZON_M,
+    NEAR_M,
+    Evaluation,
+    Unit,
+    begins_at,
+    inconclusive,
+    judged,
+    runs_of,
+    time_left_s,
+    times_begun,
+)
+from safety_harness.claims.properties.entry import CatalogueEntry, count, quantity, time_within
+from safety_harness.claims.properties.measured import reads
+from safety_harness.claims.properties.true_motion import nearest_hand_m, true_motion
+from safety_harness.claims.properties.unexercised import (
+    millimetres,
+    no_decision,
+    no_near_hand,
+    no_predicted_hand,
+    unexercised,
+)
+from safety_harness.scenario.model import Verdict
+from safety_harness.scenario.moves import REACHING_MPS
+from safety_harness.scenario.units import LENGTH
+from safety_harness.trace.records import Limit, Mode
+from safety_harness.trace.trace import Trace, once_a_trace
+
+
+@once_a_trace
+def gives_way(trace: Trace) -> NDArray[np.bool_]:
+    """(n,) is the controller repulsing, or stopped for protection?"""
+    mode = trace.ticks["mode"]
+    given: NDArray[np.bool_] = (mode == Mode.REPULSING) | (mode == Mode.PROTECTIVE_STOP)
+    return given
+
+
+def predicted_near(trace: Trace, within_m: float = np.inf) -> tuple[NDArray[np.bool_], int]:
+    """(n,) is any predicted hand within the critical distance of the true TCP, and within ``within_m``?
+
+    And the first tick with a prediction that is nowhere, or -1.
+    """
+    ticks, near_m = trace.ticks, min(trace.scenario.settings.avoidance.critical_distance_m, within_m)
+    tracked, predicted_m = ticks["track_valid"], ticks["predicted_hand_in_base_m"]
+    return _predicted_near(true_motion(trace).tcp_m, tracked, predicted_m, near_m)
+
+
+@compiled
+def _predicted_near(
+    tcp_m: NDArray[np.float64],  # (n, 3)
+    tracked: NDArray[np.bool_],  # (n, tracks)
+    predicted_m: NDArray[np.float64],  # (n, tracks, 3)
+    critical_m: float,
+) -> tuple[NDArray[np.bool_], int]:
+    """(n,) ``predicted_near``, and the first tick at which a prediction is nowhere, or -1."""
+    near, unknown = np.zeros(tcp_m.shape[0], np.bool_), -1
+    for k in range(near.shape[0]):
+        for track in range(tracked.shape[1]):
+            if not tracked[k, track]:
+                continue
+            total, somewhere = 0.0, True
+            for i in range(3):
+                somewhere &= abs(predicted_m[k, track, i]) < HORIZON_M
+                total += (predicted_m[k, track, i] - tcp_m[k, i]) ** 2
+            near[k] |= sqrt(total) < critical_m
+            if unknown < 0 and not somewhere:
+                unknown = k
+    return near, unknown
+
+
+def may_give_way(trace: Trace) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """(n,) the ticks at which the arm gives way for certain, and (n,) those at which it may."""
+    told = trace.known.measured("mode", trace.ticks)
+    return gives_way(trace) & told, gives_way(trace) | ~told
+
+
+def _answer_ends(
+    prop: GivesWay | GivesWayToTrueHand,
+    trace: Trace,
+    sure: NDArray[np.bool_],
+    maybe: NDArray[np.bool_],
+    whole_stretch: bool,
+) -> tuple[float, float, bool]:
+    """For ``reads``: a hand is near for certain where ``sure`` (n,), and else at most where ``maybe`` (n,).
+
+    The longest time for which it may have been near unanswered, and that for which it was; when a mode and a
+    hand changed between two ticks is not known, so that the one is a period more and the other one less.
+    """
+    gives, may = may_give_way(trace)
+    last, longest, open_from, too_long = len(sure) - 1, [0, 0], len(sure), False
+    for side, (near, giving) in enumerate(((maybe, gives), (sure, may))):
+        for first, end in zip(*runs_of(~giving if whole_stretch else near & ~giving), strict=True):
+            inside = np.flatnonzero(near[first:end])
+            if len(inside):
+                took = min(end, last) - (first + int(inside[0]))
+                over = time_left_s(trace, prop.within_s, took - 1) < 0.0
+                longest[side] = max(longest[side], took if side == 0 or end <= last or over else 0)
+                if side == 0 and end > last:
+                    open_from = first + int(inside[0])
+                too_long |= side == 1 and end > last and over  # already, when the run ends
+    low, high = (time_left_s(trace, prop.within_s, took) for took in (longest[0] + 1, longest[1] - 1))
+    exercised = bool((sure if too_long else sure[:open_from]).any())
+    if not whole_stretch:
+        met = zip(*runs_of(maybe), strict=True)
+        exercised &= too_long or all(end > last or gives[first:end].any() for first, end in met)
+    return low, high if exercised else np.inf, exercised
+
+
+def _predicted_ends(prop: GivesWay, trace: Trace) -> tuple[float, float, bool]:
+    known, ticks, count = trace.known, trace.ticks, len(trace.ticks)
+    off_m = known.within("transform_tcp_to_base", count) + known.within("predicted_hand_in_base_m", count)
+    critical_m = trace.scenario.settings.avoidance.critical_distance_m
+    apart_m = np.linalg.norm(
+        ticks["predicted_hand_in_base_m"] - true_motion(trace).tcp_m[:, None], axis=2
+    )  # (n, tracks)
+    apart_m = np.where(ticks["track_valid"], apart_m, np.inf).min(axis=1)
+    told = known.measured("track_valid", ticks) & known.measured("predicted_hand_in_base_m", ticks)
+    sure, maybe = told & (apart_m + off_m < critical_m), ~told | (apart_m - off_m < critical_m)
+    return _answer_ends(prop, trace, sure, maybe, whole_stretch=True)
+
+
+def _true_ends(prop: GivesWayToTrueHand, trace: Trace) -> tuple[float, float, bool]:
+    nearest_m, off_m = nearest_hand_m(trace), nearest_off_m(trace)
+    critical_m = trace.scenario.settings.avoidance.critical_distance_m
+    sure, maybe = nearest_m + off_m < critical_m, nearest_m - off_m < critical_m
+    return _answer_ends(prop, trace, sure, maybe, whole_stretch=False)
+
+
+def nearest_off_m(trace: Trace) -> NDArray[np.float64]:
+    """(n,) by how much the distance of the nearest hand from the TCP may be off."""
+    count = len(trace.ticks)
+    return trace.known.within("transform_tcp_to_base", count) + trace.known.within(
+        "hand_position_in_base_m", count
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class GivesWay:
+    """``within_s`` less the longest time for which a predicted hand was near and the arm did not give way.
+
+    Near: within the critical distance of the true TCP, centre to TCP, as the controller's own rule has
+    it.  The time runs from the first such tick in a stretch without giving way to that stretch's end,
+    also if the hand leaves meanwhile: what was predicted has to be answered.  A stretch that the end of
+    the run cuts short counts only if it was too long already.
+
+    Giving way is what the controller says it does, repulsion or protective stop; that it then does it
+    is for the claims about ways and stops.  Exercised each time that a predicted hand comes near, and within
+    NEAR_M: a longer critical distance makes no more occasions.
+    """
+
+    within_s: float
+    unit: Unit = Unit.TIME
+
+    @property
+    def sentence(self) -> str:
+        """As the catalogue writes it."""
+        return f"gives way within {self.within_s * 1e3:g} ms of a predicted hand"
+
+    @reads(
+        "transform_tcp_to_base",
+        filled=["mode", "track_valid", "predicted_hand_in_base_m"],
+        ends=lambda prop, trace, _: _predicted_ends(prop, trace),
+    )
+    def evaluate(self, trace: Trace) -> Evaluation:
+        """Judge every stretch without giving way."""
+        near, unknown = predicted_near(trace)
+        if unknown >= 0:
+            return inconclusive(self, f"the prediction is not finite from {trace.time_s[unknown]:.3f} s")
+        found = []
+        for first, end in zip(*runs_of(~gives_way(trace)), strict=True):
+            inside = np.flatnonzero(near[first:end])
+            if len(inside):
+                found.append((first + int(inside[0]), end))
+        return _judged(self, trace, predicted_near(trace, NEAR_M)[0], found, "predicted hand")
+
+
+@dataclass(frozen=True, kw_only=True)
+class GivesWayToTrueHand:
+    """``within_s`` less the longest time for which a true hand was near and the arm did not give way.
+
+    Near: its centre within the critical distance of the TCP, whatever the controller sees, tracks or
+    predicts.  The time is that of consecutive ticks at which a hand is near and the controller neither
+    repulses nor is stopped.  A hand that has left sooner, and to which it never gave way, makes the claim
+    inconclusive: nobody knows if it would have.  A hand that is near when the run ends counts only if that
+    was too long already.
+
+    Giving way is what the controller says it does.  Exercised each time that a true hand comes near, and
+    within NEAR_M.
+    """
+
+    within_s: float
+    unit: Unit = Unit.TIME
+
+    @property
+    def sentence(self) -> str:
+        """As the catalogue writes it."""
+        return f"gives way within {self.within_s * 1e3:g} ms of a true hand"
+
+    @reads(
+        "transform_tcp_to_base",
+        "hand_position_in_base_m",
+        filled=["mode"],
+        of_each_hand=True,
+        ends=lambda prop, trace, _: _true_ends(prop, trace),
+    )
+    def evaluate(self, trace: Trace) -> Evaluation:
+        """Judge every stretch with a hand and without giving way."""
+        nearest_m, gives = nearest_hand_m(trace), gives_way(trace)
+        near = nearest_m < trace.scenario.settings.avoidance.critical_distance_m
+        ignored = [slice(*one) for one in zip(*runs_of(near), strict=True) if not gives[slice(*one)].any()]
+        found = zip(*runs_of(near & ~gives), strict=True)
+        return _judged(self, trace, near & (nearest_m < NEAR_M), found, "true hand", ignored)
+
+
+def _judged(
+    prop: GivesWay | GivesWayToTrueHand,
+    trace: Trace,
+    near: NDArray[np.bool_],  # (n,) what counts as an occasion
+    unanswered: Iterable[tuple[int, int]],
+    whose: str,
+    ignored: Sequence[slice] = (),  # encounters in which the arm never gave way
+) -> Evaluation:
+    """By the longest of the stretches in which a hand that came near was not answered."""
+    occasions = times_begun(near)
+    longest, since, open_from = 0, int(np.argmax(near)), len(near)  # in ticks
+    for first, end in unanswered:
+        took = min(end, len(near) - 1) - first
+        if end == len(near) and time_left_s(trace, prop.within_s, took) >= 0.0:
+            open_from = first
+        elif took > longest:
+            longest, since = took, first
+    margin_s = time_left_s(trace, prop.within_s, longest)
+    decided = times_begun(near[:open_from])  # one that gave way and is open again has been answered once
+    if margin_s >= 0.0 and occasions == 0:
+        true = isinstance(prop, GivesWayToTrueHand)
+        return unexercised(prop, no_near_hand(trace) if true else no_predicted_hand(trace))
+    if margin_s >= 0.0 and decided == 0:
+        had_ms = (len(near) - 1 - int(np.argmax(near))) * trace.scenario.settings.clock.control_period_s * 1e3
+        why = f"the run ends {had_ms:.0f} ms after a {whose} came near, before the {prop.within_s * 1e3:g} ms"
+        return inconclusive(prop, f"{why} allowed; a longer duration exercises it")
+    reason = f"longest {trace.time_s[longest] * 1e3:.0f} ms, of {occasions} times that a {whose} came near"
+    told = judged(prop, trace, margin_s, trace.time_s[since + longest], reason, decided)
+    left = next((one for one in ignored if one.stop < len(near)), None)
+    if left is None or told.verdict is not Verdict.HOLDS:
+        return told
+    when = f"from {trace.time_s[left.start]:.3f} s to {trace.time_s[left.stop]:.3f} s"
+    why = f"a {whose} was near {when} and left before the {prop.within_s * 1e3:g} ms allowed"
+    why += "; the arm never gave way to it"
+    return replace(told, verdict=Verdict.INCONCLUSIVE, reason=why, exercised=decided - 1)
+
+
+GIVES_WAY = CatalogueEntry(
+    prop=GivesWay(within_s=0.1),
+    pattern=r"gives way within (.+) of a predicted hand",
+    make=lambda match, scenario, place: GivesWay(within_s=time_within(match[1], scenario, place)),
+    rationale="every later step takes it for granted that the arm reacts within the time that its separation "
+    "allows for",
+    source="the paper, section 3.3; the reaction time T_r",
+    margin="the time allowed less the longest for which a predicted hand was near and the arm neither gave "
+    "way nor was stopped",
+    parameters="the time; the critical distance of the settings",
+    exercised="a predicted hand comes within the critical distance of the TCP, and within 400 mm",
+    inconclusive="a prediction that is not finite; a run that ends within the time allowed",
+    broken_by="a controller whose own critical distance is too short",
+)
+GIVES_WAY_TO_TRUE_HAND = replace(
+    GIVES_WAY,
+    prop=GivesWayToTrueHand(within_s=0.1),
+    pattern=r"gives way within (.+) of a true hand",
+    make=lambda match, scenario, place: GivesWayToTrueHand(within_s=time_within(match[1], scenario, place)),
+    rationale="a hand that is not seen, or seen elsewhere, is as much in danger as one that is: every claim "
+    "about predictions passes it over",
+    source="the project's own; the reaction time T_r, from the hand and not from what is known of it",
+    margin="the time allowed less the longest for which a true hand was near and the arm neither gave way "
+    "nor was stopped",
+    exercised="a true hand comes within the critical distance of the TCP, and within 400 mm",
+    inconclusive="a hand that leaves, or a run that ends, within the time allowed, without an answer",
+    scenario="hidden-by-the-arm",
+    broken_by="a hand sensor that is blind",
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class GivesWayAtMost:
+    """``most`` less how often the arm went from its task to giving way.
+
+    From servoing, or from standing without the object, to repulsing or to a protective stop.  What is
+    decided anew while it gives way counts as one.
+    """
+
+    most: int
+    unit: Unit = Unit.COUNT
+
+    @property
+    def sentence(self) -> str:
+        """As the catalogue writes it."""
+        return f"gives way at most {self.most} {'time' if self.most == 1 else 'times'}"
+
+    @reads(also=["mode"])
+    def evaluate(self, trace: Trace) -> Evaluation:
+        """Count the transitions."""
+        entered = gives_way_at(trace)
+        times = len(entered)
+        if times == 0:
+            return unexercised(self, no_decision(trace))
+        reason = f"gave way {times} times" if times > 1 else "gave way once"
+        worst_time_s = trace.time_s[entered[min(times - 1, self.most)]]
+        return judged(self, trace, self.most - times, worst_time_s, reason, exercised=times)
+
+
+def gives_way_at(trace: Trace) -> NDArray[np.int64]:
+    """The ticks at which the arm leaves its task to give way; every run begins with its task."""
+    return np.flatnonzero(begins_at(gives_way(trace)))
+
+
+GIVES_WAY_AT_MOST = CatalogueEntry(
+    prop=GivesWayAtMost(most=3),
+    pattern=r"gives way at most (\S+) times?",
+    make=lambda match, _, place: GivesWayAtMost(most=count(match[1], place)),
+    rationale="an arm that goes to and fro before a hand is of no use, and nobody can foresee it",
+    source="hysteresis, a common demand on switched controllers",
+    margin="the times allowed less those at which the arm leaves its task to repulse or to stop",
+    parameters="the times allowed",
+    exercised="the arm gives way",
+    scenario="hand-returns",
+    broken_by="an avoider that hardly leaves a hand that stays",
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class NoFalseAlarms:
+    """The limit less the distance of the nearest true hand from the TCP whenever the arm gives way.
+
+    Asked where repulsion or a protective stop begins, and at every decision; not while they last, for
+    a hand may leave before they end, nor of stops at a singularity.  The limit is ``within_m``, else the
+    critical distance and what a hand at 2 m/s covers within the prediction horizon: a right prediction
+    can be that far ahead.  A hand farther than twice the limit, or none, counts as twice the limit;
+    where the arm never gave way the margin is the limit.
+
+    Exercised by every tick without a true hand within the limit.
+    """
+
+    within_m: float | None = None
+    unit: Unit = Unit.LENGTH
+
+    @property
+    def sentence(self) -> str:
+        """As the catalogue writes it."""
+        words = "never gives way without a hand"
+        return words if self.within_m is None else f"{words} within {self.within_m * 1e3:g} mm"
+
+    @reads(
+        "transform_tcp_to_base",
+        "hand_position_in_base_m",
+        also=["decision.tick"],
+        filled=["mode", "limits"],
+        ends=lambda prop, trace, _: _alarm_ends(prop, trace),
+    )
+    def evaluate(self, trace: Trace) -> Evaluation:
+        """Judge every beginning of giving way."""
+        limit_m = self.limit_m(trace.scenario.settings)
+        nearest_m = np.minimum(nearest_hand_m(trace), 2.0 * limit_m)
+        alarms = beginnings(trace)
+        worst, margin_m, reason = 0, limit_m, "the arm never gave way"
+        if len(alarms):
+            worst = int(alarms[np.argmax(nearest_m[alarms])])
+            margin_m = limit_m - nearest_m[worst]
+            far = nearest_m[worst] >= 2.0 * limit_m
+            reason = "nobody" if far else f"nearest hand {nearest_m[worst] * 1e3:.1f} mm from the TCP"
+            reason += f", worst of {len(alarms)} alarms" if len(alarms) > 1 else ""
+        exercised = int(np.count_nonzero(nearest_m > limit_m))
+
+        def lacked() -> str:
+            tick = int(np.argmax(nearest_m))
+            far = f"a hand was always near the TCP, at most {millimetres(nearest_m[tick], limit_m)} away, at"
+            return f"{far} {trace.time_s[tick]:.3f} s; beyond {limit_m * 1e3:g} mm exercises it"
+
+        return judged(self, trace, margin_m, trace.time_s[worst], reason, exercised, lacked)
+
+    def limit_m(self, settings: Settings) -> float:
+        """How far a hand may be that the arm gives way to."""
+        if self.within_m is not None:
+            return self.within_m
+        horizon_s = settings.hand_filter.prediction_horizon_s
+        return settings.avoidance.critical_distance_m + REACHING_MPS * horizon_s
+
+
+@once_a_trace
+def beginnings(trace: Trace) -> NDArray[np.int64]:
+    """The ticks (k,) at which the arm begins to give way or decides to, stops at a singularity apart."""
+    begins = begins_at(gives_way(trace))
+    begins &= trace.ticks["limits"] & int(Limit.SINGULARITY) == 0
+    begins[trace.decisions["tick"]] = True
+    return np.flatnonzero(begins)
+
+
+def _alarm_ends(prop: NoFalseAlarms, trace: Trace) -> tuple[float, float, bool]:
+    """With the nearest hand as far as it may be where the arm may have begun, and as near where it did.
+
+    A beginning is known to the tick before, and a decision to a tick either way or the gap that it lies in.
+    """
+    limit_m, nearest_m, off_m = (
+        prop.limit_m(trace.scenario.settings),
+        nearest_hand_m(trace),
+        nearest_off_m(trace),
+    )
+    far_m, near_m = np.minimum(nearest_m + off_m, 2.0 * limit_m), nearest_m - off_m
+    told, (gives, may) = trace.known.measured("limits", trace.ticks), may_give_way(trace)
+    singular = trace.ticks["limits"] & int(Limit.SINGULARITY) != 0
+    lows, highs = [limit_m], [limit_m]
+    before = np.append(False, gives[:-1])
+    for tick in np.flatnonzero(may & ~before & ~(singular & told)).tolist():
+        lows.append(limit_m - float(far_m[max(tick - 1, 0) : tick + 1].max()))
+    for first, after in zip(*runs_of(may), strict=True):
+        inside = np.flatnonzero(gives[first:after])
+        begun = slice(max(first - 1, 0), first + int(inside[0]) + 1) if len(inside) else slice(0)
+        if len(inside) and told[begun].all() and not singular[begun].any():
+            highs.append(limit_m - min(float(near_m[begun].min()), 2.0 * limit_m))
+    gaps = [(gap.first, gap.after) for gap in trace.known.of("decision").gaps]
+    for tick in trace.decisions["tick"].tolist():
+        about = next((gap for gap in gaps if gap[0] <= tick < gap[1]), (tick - 1, tick + 2))
+        window = slice(max(about[0], 0), about[1])
+        lows.append(limit_m - float(far_m[window].max()))
+        highs.append(limit_m - min(float(near_m[window].min()), 2.0 * limit_m))
+    return min(lows), min(highs), bool((near_m > limit_m).any())
+
+
+FALSE_ALARMS = CatalogueEntry(
+    prop=NoFalseAlarms(),
+    rationale="an arm that gives way to nobody loses time, and people then switch its avoidance off",
+    source="the project's own",
+    margin="the limit less the distance of the nearest true hand from the TCP when giving way begins",
+    parameters="critical distance and prediction horizon of the settings, hands of at most 2 m/s",
+    exercised="no true hand is within the limit, for a tick at least",
+    scenario="fault-false-hand",
+    broken_by="a controller whose own critical distance is too long",
+)
+FALSE_ALARMS_WITHIN = replace(
+    FALSE_ALARMS,
+    prop=NoFalseAlarms(within_m=0.6),
+    pattern=r"never gives way without a hand within (.+)",
+    make=lambda match, _, place: NoFalseAlarms(within_m=quantity(match[1], LENGTH, place)),
+    parameters="the limit",
+)

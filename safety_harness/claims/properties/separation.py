@@ -1,0 +1,335 @@
+"""Speed and separation monitoring: while the arm moves, every human is far enough away for it to stop.
+
+That is the protective separation distance of ISO/TS 15066, term by term, of every pair of robot and human.
+
+S_p = S_h + S_r + S_s + C + Z_d + Z_r: what the human covers until the robot stands (S_h), what the
+robot covers in its reaction time (S_r) and while it brakes (S_s), how far a body reaches in before it
+is noticed (C), and how uncertain the places of human (Z_d) and robot (Z_r) are.
+
+A pair is one capsule of the arm and one body of one hand, its sphere or its forearm.  Each has its
+own speeds, those of its two nearest points along the line between them: the robot's is the rate at
+which the distance would shrink if the human stood still.  Receding counts as standing.
+
+``least_separation`` finds the pair with least to spare in a run, compiled: every pair, or a bound of it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.base.compiled import compiled, inlined
+from safety_harness.base.geometry.segments import ROUNDING_M, axes_lower_m, nearest_of_segments
+from safety_harness.cell.robot.capsules import Arm
+from safety_harness.cell.robot.distance import place_capsules
+from safety_harness.cell.robot.kinematics import fastest_end, forward_kinematics, link_twists, point_velocity
+
+REACHING_MPS = 2.0  # ISO 13855, for a hand that reaches from close by
+WALKING_MPS = 1.6  # ISO 13855 and ISO/TS 15066, for a person who walks; what edition 1 of the claims assumed
+ASSUMED = (
+    ("S_h", "the human goes on at this speed until the robot stands, v_h (T_r + T_s)"),
+    ("S_r", "the robot goes on at its speed towards the human for the reaction time, v_r T_r"),
+    ("S_s", "then it brakes uniformly, v_r T_s/2"),
+    ("C", "none: the distance is measured from the true surfaces of hand and forearm"),
+    ("Z_d", "the human is known at control ticks, and is that much elsewhere between two, |v| dt/2"),
+    ("Z_r", "so is the robot; its capsules enclose its meshes"),
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Term:
+    """One term of S_p [m] and what it takes for granted."""
+
+    symbol: str
+    length_m: float
+    assumption: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Separation:
+    """One pair at one tick: how far apart it is and has to be.
+
+    ``robot_speed_mps`` and ``hand_speed_mps`` are those towards each other that the terms use;
+    ``reaction_time_s`` and ``stop_time_s`` what is left of them; ``hand_moves_m`` and ``robot_moves_m``
+    how far the nearest points move within half a tick.
+    """
+
+    tick: int
+    hand: int
+    capsule: int
+    forearm: bool
+    distance_m: float
+    robot_speed_mps: float
+    hand_speed_mps: float
+    reaction_time_s: float
+    stop_time_s: float
+    hand_moves_m: float
+    robot_moves_m: float
+
+    @property
+    def terms(self) -> tuple[Term, ...]:
+        """The six of S_p, in the order of ``ASSUMED``."""
+        found = lengths(
+            self.hand_speed_mps,
+            self.robot_speed_mps,
+            self.reaction_time_s,
+            self.stop_time_s,
+            self.hand_moves_m,
+            self.robot_moves_m,
+        )
+        return tuple(
+            Term(symbol=symbol, length_m=length, assumption=assumption)
+            for (symbol, assumption), length in zip(ASSUMED, found, strict=True)
+        )
+
+    @property
+    def required_m(self) -> float:
+        """S_p."""
+        return sum(term.length_m for term in self.terms)
+
+    @property
+    def margin_m(self) -> float:
+        """How much farther apart the pair is than it has to be."""
+        return self.distance_m - self.required_m
+
+
+@compiled
+def lengths(
+    hand_speed_mps: float,
+    robot_speed_mps: float,
+    reaction_time_s: float,
+    stop_time_s: float,
+    hand_moves_m: float,
+    robot_moves_m: float,
+) -> tuple[float, float, float, float, float, float]:
+    """The six lengths [m], in the order of ``ASSUMED``."""
+    return (
+        hand_speed_mps * (reaction_time_s + stop_time_s),
+        robot_speed_mps * reaction_time_s,
+        0.5 * robot_speed_mps * stop_time_s,
+        0.0,
+        hand_moves_m,
+        robot_moves_m,
+    )
+
+
+@compiled
+def least_separation(
+    arm: Arm,
+    judged: NDArray[np.bool_],  # (n,) which ticks count
+    joints_rad: NDArray[np.float64],  # (n, joints)
+    rates_radps: NDArray[np.float64],  # (n, joints)
+    present: NDArray[np.bool_],  # (n, hands)
+    hands_m: NDArray[np.float64],  # (n, hands, 2, 3): hand and elbow
+    reaction_s: NDArray[np.float64],  # (n,) what is left of the reaction time
+    stop_s: NDArray[np.float64],  # (n,) and of the stop time
+    body_radius_m: NDArray[np.float64],  # (2,): hand and forearm
+    hand_speed_mps: float,  # constant, or NaN for each hand's own
+    period_s: float,
+    arm_step_m: NDArray[np.float64],  # (n,) of ``farthest_steps``, as the next
+    hand_step_m: NDArray[np.float64],  # (n,)
+    first_look: int,  # a tick whose margin is likely to be small: for less work, the answer is the same
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """The pair with the least margin, the first of equals.
+
+    (4,) tick, hand, capsule, body (1 the forearm), with tick -1 if there is no pair at all; and (5,)
+    distance [m], v_r, v_h, and how far the nearest points of hand and robot move in half a tick.
+
+    Ticks and pairs are passed over that cannot have as little to spare as the best so far: distances
+    change by no more than points move, and no point of a capsule or of a hand is faster than an end.
+    The trace's own distances are not believed.
+    """
+    which, what = np.full(4, -1), np.full(5, np.nan)
+    joints, capsules = arm.chain[0].joint_axes.shape[0], arm.capsules.shape[0]
+    transforms, ends = np.empty((joints + 2, 4, 4)), np.empty((capsules, 2, 3))
+    twists, fastest_mps, velocities = np.empty((joints + 1, 6)), np.empty(capsules), np.empty((2, 3))
+    apart, robot, human = np.empty(3), np.empty(3), np.empty(3)
+    thickest_m = max(body_radius_m[0], body_radius_m[1])
+    least, good_enough = np.inf, np.inf
+    looked, near_m, arm_mps = 0, -np.inf, np.inf  # when all pairs were looked at, and what was found
+    for step in range(-1, judged.shape[0]):
+        k = step if step >= 0 else first_look
+        if step > 0:
+            near_m -= arm_step_m[k - 1] + hand_step_m[k - 1]
+        elif step == 0:
+            near_m, least = -np.inf, np.inf  # what was found at the first look counts in its turn
+        if not judged[k]:
+            continue
+        human_mps = hand_step_m[k] / period_s
+        v_h = human_mps if np.isnan(hand_speed_mps) else hand_speed_mps
+        most_human_m = max(v_h * (reaction_s[k] + stop_s[k]), 0.0) + 0.5 * period_s * human_mps
+        per_speed_s = max(reaction_s[k] + 0.5 * stop_s[k], 0.0) + 0.5 * period_s
+        if near_m - most_human_m > good_enough:
+            arm_now_mps = arm_mps + faster_mps(arm, joints_rad, rates_radps, looked, k)
+            if near_m - most_human_m - per_speed_s * arm_now_mps > good_enough + ROUNDING_M:
+                continue  # never for a NaN, which must come out
+        forward_kinematics(arm.chain[0], joints_rad[k], transforms)
+        place_capsules(arm.capsules, transforms, ends)
+        link_twists(arm.chain[0].joint_axes, transforms, rates_radps[k], twists)
+        looked, near_m, arm_mps = k, np.inf, 0.0
+        for capsule in range(capsules):
+            link = min(arm.capsules[capsule].link_index, joints)
+            fastest_mps[capsule] = fastest_end(twists[link], ends[capsule])
+            if not fastest_mps[capsule] <= arm_mps:
+                arm_mps = fastest_mps[capsule]
+        for hand in range(present.shape[1]):
+            if not present[k, hand]:
+                continue
+            for body in range(2):
+                for i in range(3):
+                    velocities[body, i] = _speed(hands_m, period_s, k, hand, body, i)
+            for capsule in range(capsules):
+                radius_m = arm.capsules[capsule].radius_m
+                most_arm_m = per_speed_s * fastest_mps[capsule] + ROUNDING_M
+                lower_m = axes_lower_m(hands_m[k, hand], ends[capsule]) - radius_m - thickest_m
+                if lower_m - most_human_m - most_arm_m > good_enough:
+                    near_m = min(near_m, lower_m)
+                    continue
+                for body in range(2):
+                    start, end = hands_m[k, hand, 0], hands_m[k, hand, body]
+                    _, _, _, s, t = nearest_of_segments(start, end, ends[capsule, 0], ends[capsule, 1])
+                    total = 0.0
+                    for i in range(3):
+                        robot[i] = ends[capsule, 0, i]
+                        robot[i] += t * (ends[capsule, 1, i] - ends[capsule, 0, i])
+                        apart[i] = start[i] + s * (end[i] - start[i]) - robot[i]
+                        total += apart[i] * apart[i]
+                        human[i] = velocities[0, i]
+                        human[i] += s * (velocities[body, i] - velocities[0, i])
+                    axes = sqrt(total)
+                    distance = axes - radius_m - body_radius_m[body]
+                    near_m = min(near_m, distance)
+                    own_speed = _along(human, apart, -axes)
+                    hand_speed = own_speed if np.isnan(hand_speed_mps) else hand_speed_mps
+                    hand_moves = 0.5 * period_s * sqrt(human[0] ** 2 + human[1] ** 2 + human[2] ** 2)
+                    human_m = hand_speed * (reaction_s[k] + stop_s[k]) + hand_moves
+                    if distance - human_m - most_arm_m > good_enough:
+                        continue
+                    link = min(arm.capsules[capsule].link_index, joints)
+                    robot[0], robot[1], robot[2] = point_velocity(twists[link], robot)
+                    robot_speed = _along(robot, apart, axes)
+                    robot_moves = 0.5 * period_s * sqrt(robot[0] ** 2 + robot[1] ** 2 + robot[2] ** 2)
+                    needed = 0.0
+                    for length in lengths(
+                        hand_speed, robot_speed, reaction_s[k], stop_s[k], hand_moves, robot_moves
+                    ):
+                        needed += length
+                    if not distance - needed >= least:  # a NaN comes out, and nothing is less than it
+                        least = distance - needed
+                        good_enough = min(good_enough, least)
+                        which[0], which[1], which[2], which[3] = k, hand, capsule, body
+                        what[0], what[1], what[2] = distance, robot_speed, hand_speed
+                        what[3], what[4] = hand_moves, robot_moves
+                        if np.isnan(least) and step >= 0:
+                            return which, what
+    return which, what
+
+
+@compiled
+def fastest_mps(
+    arm: Arm,
+    joints_rad: NDArray[np.float64],  # (n, joints)
+    rates_radps: NDArray[np.float64],  # (n, joints)
+) -> NDArray[np.float64]:
+    """Return the speed (n,) [m/s] of the fastest end of any capsule's axis: no point of an axis is faster."""
+    n, joints, capsules = joints_rad.shape[0], arm.chain[0].joint_axes.shape[0], arm.capsules.shape[0]
+    transforms, ends = np.empty((joints + 2, 4, 4)), np.empty((capsules, 2, 3))
+    twists, fastest = np.empty((joints + 1, 6)), np.zeros(n)
+    for k in range(n):
+        forward_kinematics(arm.chain[0], joints_rad[k], transforms)
+        place_capsules(arm.capsules, transforms, ends)
+        link_twists(arm.chain[0].joint_axes, transforms, rates_radps[k], twists)
+        for capsule in range(capsules):
+            speed = fastest_end(twists[min(arm.capsules[capsule].link_index, joints)], ends[capsule])
+            if not speed <= fastest[k]:
+                fastest[k] = speed
+    return fastest
+
+
+@compiled
+def farthest_steps(
+    arm: Arm,
+    joints_rad: NDArray[np.float64],  # (n, joints)
+    hands_m: NDArray[np.float64],  # (n, hands, 2, 3)
+    present: NDArray[np.bool_],  # (n, hands)
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """(n,) and (n,) how far [m], at most, any point of the arm and of a hand goes from each tick to the next.
+
+    Without end where a hand comes or goes.  At the last tick that of the one before, as for velocities.
+    """
+    n, joints = joints_rad.shape[0], arm.chain[0].joint_axes.shape[0]
+    arm_step_m, hand_step_m = np.zeros(n), np.zeros(n)
+    for k in range(n - 1):
+        farthest = 0.0
+        for i in range(joints):
+            arm_step_m[k] += abs(joints_rad[k + 1, i] - joints_rad[k, i]) * arm.reach_m[i]
+        for hand in range(hands_m.shape[1]):
+            if present[k, hand] != present[k + 1, hand]:
+                farthest = np.inf
+            if not (present[k, hand] and present[k + 1, hand]):
+                continue  # what stands where no hand is need not be a number
+            for body in range(2):
+                total = 0.0
+                for i in range(3):
+                    total += (hands_m[k + 1, hand, body, i] - hands_m[k, hand, body, i]) ** 2
+                if not total <= farthest:
+                    farthest = total
+        hand_step_m[k] = sqrt(farthest)
+    if n > 1:
+        arm_step_m[n - 1], hand_step_m[n - 1] = arm_step_m[n - 2], hand_step_m[n - 2]
+    return arm_step_m, hand_step_m
+
+
+@inlined
+def _speed(hands_m: NDArray[np.float64], period_s: float, k: int, hand: int, body: int, i: int) -> float:
+    """One component of a mean velocity [m/s] over the tick that follows; at the last one over that before.
+
+    ``hands_m`` (n, hands, 2, 3).
+    """
+    n = hands_m.shape[0]
+    if n < 2:
+        return 0.0
+    before = min(k, n - 2)
+    return float((hands_m[before + 1, hand, body, i] - hands_m[before, hand, body, i]) / period_s)
+
+
+@inlined
+def faster_mps(
+    arm: Arm,
+    joints_rad: NDArray[np.float64],  # (n, joints)
+    rates_radps: NDArray[np.float64],  # (n, joints)
+    a: int,
+    b: int,
+) -> float:
+    """By how much [m/s] a point of the arm can be faster at tick b than the same point at tick a.
+
+    sum over j of |q'_j(b) - q'_j(a)| l_j + |q'_j(b)| sum over i of |q_i(b) - q_i(a)| l_max(i, j).
+    Its velocity is the sum of rate_j dp/dq_j; |dp/dq_j| and |d^2 p/dq_i dq_j| are at most the lengths of
+    the chains of links from j, and from the farther out of i and j, to p.
+    """
+    faster, beyond, before = 0.0, 0.0, 0.0  # the sums of turns times lengths beyond j, and of turns up to j
+    joints, reach_m = arm.chain[0].joint_axes.shape[0], arm.reach_m
+    for i in range(joints):
+        beyond += abs(joints_rad[b, i] - joints_rad[a, i]) * reach_m[i]
+    for j in range(joints):
+        turn = abs(joints_rad[b, j] - joints_rad[a, j])
+        before += turn
+        beyond -= turn * reach_m[j]
+        faster += abs(rates_radps[b, j] - rates_radps[a, j]) * reach_m[j]
+        faster += abs(rates_radps[b, j]) * (before * reach_m[j] + beyond)
+    return faster
+
+
+@compiled
+def _along(velocity: NDArray[np.float64], way: NDArray[np.float64], length: float) -> float:
+    """The component of a velocity along ``way``/``length``, never below zero; all of it if there is none.
+
+    ``velocity`` and ``way`` (3,).
+    """
+    if length == 0.0:
+        return sqrt(velocity[0] ** 2 + velocity[1] ** 2 + velocity[2] ** 2)
+    total = velocity[0] * way[0] + velocity[1] * way[1] + velocity[2] * way[2]
+    return float(max(total / length, 0.0))

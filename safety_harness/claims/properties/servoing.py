@@ -1,0 +1,463 @@
+"""Servoing gets there once the hands have left: gain switch reached, and converged.
+
+On the way the task never starves, and the camera keeps the object in view.  The first two are judged
+against the closed form of eq. 1 with the right interaction matrix: the error decays as exp(-lambda t), so
+from an error d the threshold c takes ln(d/c)/lambda seconds.  A run that ends before the time allowed is
+no evidence.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from math import floor
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.base.compiled import compiled
+from safety_harness.base.settings import CONVERGED_ANGLE_RAD, CONVERGED_POSITION_M
+from safety_harness.cell.controller.desired import desired_transform_tcp_to_base
+from safety_harness.claims.properties.base import (
+    Evaluation,
+    Unit,
+    inconclusive,
+    judged,
+    runs_of,
+    time_left_s,
+)
+from safety_harness.claims.properties.entry import CatalogueEntry, count, quantity
+from safety_harness.claims.properties.measured import columns_read_by, reads
+from safety_harness.claims.properties.reaction import nearest_off_m
+from safety_harness.claims.properties.true_motion import nearest_hand_m, true_motion
+from safety_harness.claims.properties.unexercised import (
+    MOVES,
+    OFF_THE_GOAL,
+    millimetres,
+    only_whole,
+    tcp_stood,
+)
+from safety_harness.scenario.model import Verdict
+from safety_harness.scenario.units import TIME
+from safety_harness.trace.records import Mode
+from safety_harness.trace.trace import Trace, history, once_a_trace
+
+ALLOWANCE = 1.25  # times the closed form, for the limits and the other five features
+GRACE_S = 1.0  # for getting up to speed
+ROUNDED_UP_S = 0.1
+LEAST_GAIN_M = 1e-3  # nearer by less is not getting on (metres and radians together, as in eq. 15)
+ABOUT = 1.5  # critical distances, within which a hand may be the cause: a retreat goes beyond one
+STANDS_S = 5.0  # without getting on, and it does not converge
+LEAST_SHARE = 0.1  # of the closed form's rate, with which servoing gets on
+
+
+def retreat_s(trace: Trace) -> float:
+    """For how long an arm may still retreat, or stand, once the last hand has left."""
+    avoidance = trace.scenario.settings.avoidance
+    speed_mps, most_mps2 = avoidance.repulsion_speed_mps, avoidance.repulsion_acceleration_mps2
+    return avoidance.restart_delay_s + avoidance.radius_m / speed_mps + speed_mps / most_mps2
+
+
+@once_a_trace
+def left_at(trace: Trace) -> int | None:
+    """The tick from which on the arm is free for its task, by motion, whatever mode is reported; else None.
+
+    No true hand is within the critical distance of the TCP, nor does it go away from the desired pose while
+    one is within ABOUT of that.  Then it may stand or go on, for ``retreat_s``: the last tick of those
+    counts at which it is as far off as at any.
+    """
+    settings, error = trace.scenario.settings, np.hypot(*pose_errors(trace))
+    nearest_m, critical_m = nearest_hand_m(trace), settings.avoidance.critical_distance_m
+    period_s = settings.clock.control_period_s
+    away = np.diff(error, prepend=error[0]) > 10.0 * MOVES * period_s
+    busy = np.flatnonzero((nearest_m < critical_m) | (away & (nearest_m < ABOUT * critical_m)))
+    if len(busy) == 0:
+        return 0
+    if (first := int(busy[-1]) + 1) == len(error):
+        return None
+    rest = error[first : first + round(retreat_s(trace) / period_s)]
+    return first + int(np.flatnonzero(rest >= rest.max() - LEAST_GAIN_M)[-1])
+
+
+def busy_to_the_end(trace: Trace) -> str:
+    """Why servoing was not free to go on."""
+    critical_m, left_m = trace.scenario.settings.avoidance.critical_distance_m, nearest_hand_m(trace)[-1]
+    near = f"a hand is near to the end: {millimetres(left_m, critical_m)} from the TCP"
+    beyond_m = critical_m if left_m < critical_m else ABOUT * critical_m  # from where the arm still goes away
+    return f"{near}; beyond {beyond_m * 1e3:g} mm, or a longer duration, exercises it"
+
+
+@once_a_trace
+def pose_errors(trace: Trace) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """(n,) distance [m] and angle [rad] of the TCP from the desired pose at each tick."""
+    desired = desired_transform_tcp_to_base(trace.scenario.settings)
+    turns = desired[:3, :3].T @ trace.ticks["transform_tcp_to_base"][:, :3, :3]
+    axis = np.stack(
+        [turns[:, 2, 1] - turns[:, 1, 2], turns[:, 0, 2] - turns[:, 2, 0], turns[:, 1, 0] - turns[:, 0, 1]]
+    )
+    cosine = np.trace(turns, axis1=1, axis2=2) - 1.0
+    return position_errors_m(trace), np.arctan2(np.linalg.norm(axis, axis=0), cosine)
+
+
+@once_a_trace
+def position_errors_m(trace: Trace) -> NDArray[np.float64]:
+    """(n,) distance of the TCP from the desired position at each tick."""
+    desired = desired_transform_tcp_to_base(trace.scenario.settings)
+    return np.asarray(np.linalg.norm(true_motion(trace).tcp_m - desired[:3, 3], axis=1))
+
+
+@dataclass(frozen=True, kw_only=True)
+class GainSwitchReached:
+    """Eq. 15 falls below the switch within the allowed time after the last hand has left.
+
+    Margin: time left when it does, or minus the time that had been overrun at the end of the run.
+    Allowed: ``within_s``, else 1.25 times the closed form ln(|e|/sqrt(c))/lambda plus 1 s.  An
+    object that is not seen is not below the switch.
+
+    Exercised when the error is above the switch after the last hand has left: one that is below
+    already then has been brought there by something else, by the start or while the hand was near.
+    """
+
+    within_s: float | None = None
+    unit: Unit = Unit.TIME
+
+    @property
+    def sentence(self) -> str:
+        """As the catalogue writes it."""
+        return "gain switch reached" + ("" if self.within_s is None else f" within {self.within_s:g} s")
+
+    @only_whole()
+    @reads("transform_tcp_to_base", "hand_position_in_base_m", also=["sse"])
+    def evaluate(self, trace: Trace) -> Evaluation:
+        """Judge the first crossing after the hands have left."""
+        first = left_at(trace)
+        if first is None:
+            return inconclusive(self, busy_to_the_end(trace))
+        servo = trace.scenario.settings.servo
+        sse = history(trace, "sse")[first:]
+        errors = np.where(
+            np.isfinite(sse), sse, position_errors_m(trace)[first:] ** 2
+        )  # unseen: as if upright
+        allowed_s = self.within_s
+        if allowed_s is None:
+            ratio = max(float(errors[0]) / servo.gain_switch_sse, 1.0)
+            allowed_s = ALLOWANCE * 0.5 * float(np.log(ratio)) / servo.gain_far + GRACE_S
+        below = np.flatnonzero(np.isfinite(sse) & (sse < servo.gain_switch_sse))
+        above = errors[: below[0] if len(below) else None] >= servo.gain_switch_sse
+        took = int(below[0]) if len(below) else len(trace.ticks) - 1 - first  # in ticks
+        took_s, left_s = float(trace.time_s[took]), time_left_s(trace, allowed_s, took)
+        allowed = f"{allowed_s:.2f} s were allowed"
+        if len(below) == 0 and left_s >= 0.0:
+            ends = f"the run ends {took_s:.2f} s after the hands have left; {allowed_s:.2f} s are allowed"
+            return inconclusive(self, f"{ends}: {longer(trace, left_s)}")
+        reason = f"not reached in {took_s:.2f} s; {allowed}"
+        if len(below):
+            reason = f"reached {took_s:.2f} s after the hands had left; {allowed}"
+        if not above.any():
+            reason = (
+                f"below the switch already when the hands had left: |f - f*|^2 = {errors[0]:.2g}; at least "
+            )
+            reason += f"{servo.gain_switch_sse:g} then exercises it, with the TCP farther off"
+        exercised = int(above.any())
+        return judged(self, trace, left_s, trace.time_s[first + took], reason, exercised, revocable=True)
+
+
+def longer(trace: Trace, lacked_s: float) -> str:
+    """The duration that would decide it."""
+    duration_s = trace.scenario.duration_s + lacked_s + ROUNDED_UP_S
+    return f"a duration of {duration_s:.1f} s exercises it if no hand comes near again"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Converged:
+    """The TCP ends within 1 mm and 0.1 degree of the desired pose, judged by pose, not by features.
+
+    Margin: 1 mm less the distance at the end; where the angle is too large, minus the distance
+    that the excess angle means at the camera's desired depth.  A run shorter than the closed form
+    needs (both gains) is inconclusive unless it has converged already, or has hardly come nearer in the
+    last 5 s.  By motion alone: what mode is reported does not matter.
+
+    Exercised when the TCP was farther off at any tick of the run, so that servoing has brought it
+    here; a TCP that began there and was never pushed away says nothing.
+    """
+
+    unit: Unit = Unit.LENGTH
+    sentence: str = "converged to the desired pose"
+
+    @only_whole()
+    @reads(
+        "transform_tcp_to_base",
+        "hand_position_in_base_m",
+        ends=lambda _, trace, margin: _converged_ends(trace, margin),
+    )
+    def evaluate(self, trace: Trace) -> Evaluation:
+        """Judge the last tick."""
+        first = left_at(trace)
+        if first is None:
+            return inconclusive(self, busy_to_the_end(trace))
+        (position, angle), settings = pose_errors(trace), trace.scenario.settings
+        needed_s = self._needed_s(trace, float(np.hypot(position[first], angle[first])))
+        had_s = float(trace.time_s[-1] - trace.time_s[first])
+        margin = CONVERGED_POSITION_M - float(position[-1])
+        if angle[-1] > CONVERGED_ANGLE_RAD:
+            depth_m = settings.cell.desired_tcp_position_in_base_m[2] - settings.object.position_in_base_m[2]
+            margin = min(margin, -float(angle[-1] - CONVERGED_ANGLE_RAD) * depth_m)
+        if margin < 0.0 and had_s < needed_s and not _stands(trace, first):
+            needed = f"the closed form needs {needed_s:.1f} s; the run leaves {had_s:.1f} s"
+            return inconclusive(self, f"{needed}: {longer(trace, needed_s - had_s)}")
+        reason = f"ends {position[-1] * 1e3:.2f} mm and {np.degrees(angle[-1]):.3f} deg off"
+        far = f"the TCP was {1e3 * position.max():.2g} mm and {np.degrees(angle.max()):.2g} deg off at most"
+        limits = f"{CONVERGED_POSITION_M * 1e3:g} mm or {np.degrees(CONVERGED_ANGLE_RAD):g} deg"
+        lacked = f"{far}; beyond {limits} exercises it: {OFF_THE_GOAL}"
+        off = int(np.any(position > CONVERGED_POSITION_M) or np.any(angle > CONVERGED_ANGLE_RAD))
+        return judged(self, trace, margin, trace.time_s[-1], reason, off, lambda: lacked, revocable=True)
+
+    def _needed_s(self, trace: Trace, distance_m: float) -> float:
+        """Closed form from ``distance_m``, angle included: fast until the gain switch, slow on to 1 mm."""
+        servo = trace.scenario.settings.servo
+        switch_m = float(np.sqrt(servo.gain_switch_sse))
+        far_s = np.log(max(distance_m, switch_m) / switch_m) / servo.gain_far
+        near_s = np.log(max(min(distance_m, switch_m), CONVERGED_POSITION_M) / CONVERGED_POSITION_M)
+        return float(ALLOWANCE * (far_s + near_s / servo.gain_near) + GRACE_S)
+
+
+def _stands(trace: Trace, first: int) -> bool:
+    """Has it hardly come nearer in the last STANDS_S since ``first``: by less than half of its rate does?"""
+    begin = len(trace.ticks) - 1 - round(STANDS_S / trace.scenario.settings.clock.control_period_s)
+    error = np.hypot(*pose_errors(trace))
+    rate_per_s = 0.5 * trace.scenario.settings.servo.gain_near
+    return begin >= first and bool(error[-1] > error[begin] * np.exp(-rate_per_s * STANDS_S))
+
+
+def _converged_ends(trace: Trace, margin: float) -> tuple[float, float, bool]:
+    """For ``reads``: as the last pose is uncertain; not violated if a hand may have come near after all."""
+    off_m, first = trace.known.within("transform_tcp_to_base", len(trace.ticks)), left_at(trace) or 0
+    apart_m = (nearest_hand_m(trace) - nearest_off_m(trace))[first:]
+    left = bool((apart_m >= trace.scenario.settings.avoidance.critical_distance_m).all())
+    off = bool((position_errors_m(trace) - off_m > CONVERGED_POSITION_M).any())
+    return margin - float(off_m[-1]), margin + float(off_m[-1]) if left else np.inf, off
+
+
+GAIN_SWITCH = CatalogueEntry(
+    prop=GainSwitchReached(),
+    rationale="an avoider that leaves the arm where servoing cannot go on ends the task",
+    source="the paper, eq. 15",
+    margin="time left of 1.25 times the closed form plus 1 s, counted from when the last hand has left",
+    parameters="the gains and the switch of the settings",
+    exercised="the error is above the switch after the last hand has left",
+    inconclusive="a hand is near to the end, or the run ends before the time allowed",
+    scenario="servoing-alone",
+    broken_by="a controller that does nothing",
+)
+
+GAIN_SWITCH_WITHIN = replace(
+    GAIN_SWITCH,
+    prop=GainSwitchReached(within_s=5.0),
+    pattern=r"gain switch reached within (?!.* iterations$)(.+)",
+    make=lambda match, _, place: GainSwitchReached(within_s=quantity(match[1], TIME, place)),
+    rationale="the same, for a cell with a cycle time",
+    margin="time left of the time allowed",
+    parameters="the time allowed",
+)
+
+CONVERGED = CatalogueEntry(
+    prop=Converged(),
+    rationale="small image errors can belong to another pose of the same triangle",
+    source="the P3P ambiguity of a triangle; judged by pose",
+    margin="1 mm less the distance at the end (and 0.1 degree)",
+    parameters="the gains of the settings",
+    exercised="the TCP was farther off than that at some tick",
+    inconclusive="the run is shorter than the closed form needs, and the TCP comes nearer in its last 5 s",
+    scenario="servoing-alone",
+    broken_by="a controller that does nothing",
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class GainSwitchIterations:
+    """``GainSwitchReached`` with its time counted in control ticks after the last hand has left."""
+
+    within: int
+    unit: Unit = Unit.COUNT
+
+    @property
+    def sentence(self) -> str:
+        """As the catalogue writes it."""
+        return f"gain switch reached within {self.within} iterations"
+
+    @property
+    def reads(self) -> tuple[str, ...] | None:
+        """What the claim in seconds does."""
+        return columns_read_by(GainSwitchReached())
+
+    def evaluate(self, trace: Trace) -> Evaluation:
+        """Judge the first crossing after the hands have left."""
+        period_s = trace.scenario.settings.clock.control_period_s
+        # half a period more, so that no rounding of times decides; the margin is cut to whole ticks
+        timed = GainSwitchReached(within_s=(self.within + 0.5) * period_s).evaluate(trace)
+        found = replace(timed, sentence=self.sentence, unit=self.unit)
+        if timed.margin is None:
+            return found
+        left = floor(timed.margin / period_s)
+        if timed.verdict is Verdict.INCONCLUSIVE:
+            return replace(found, margin=float(left))
+        how = "not reached in" if timed.reason.startswith("not") else "reached after"
+        words = f"{how} {self.within - left} iterations; {self.within} were allowed"
+        return replace(found, margin=float(left), reason=words)
+
+
+GAIN_SWITCH_ITERATIONS = replace(
+    GAIN_SWITCH,
+    prop=GainSwitchIterations(within=600),
+    pattern=r"gain switch reached within (\S+) iterations",
+    make=lambda match, _, place: GainSwitchIterations(within=count(match[1], place)),
+    rationale="the same in the paper's measure, which does not depend on the control period",
+    source="the paper, eq. 15 and section 5: iterations until |f - f*|^2 is below the threshold",
+    margin="iterations left of those allowed, counted in control ticks from when the last hand has left",
+    parameters="the iterations allowed",
+    inconclusive="a hand is near to the end, or the run ends before the iterations allowed",
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class NeverStarved:
+    """``longest_s`` less the longest time that the task was starved.
+
+    The error is eq. 15's for the true pose, (distance^2 + angle^2)^(1/2) in metres and radians; below the
+    root of the gain switch the task is done.  Time is lost at every tick at which it is not done and the
+    controller does not servo, or does with less than a tenth of the closed form's rate lambda |e|.  What
+    was lost is made good when the error is 1 mm smaller than ever since the task was last done: so a
+    system that servoes and gives way in turns, without ever getting nearer, starves.
+    """
+
+    longest_s: float
+    unit: Unit = Unit.TIME
+
+    @property
+    def sentence(self) -> str:
+        """As the catalogue writes it."""
+        return f"task never starved longer than {self.longest_s:g} s"
+
+    @reads("transform_tcp_to_base", also=["mode"])
+    def evaluate(self, trace: Trace) -> Evaluation:
+        """Judge the whole run."""
+        if time_left_s(trace, self.longest_s, len(trace.ticks) - 1) >= 0.0:
+            lasts = f"the run lasts {trace.time_s[-1]:g} s"
+            return inconclusive(self, f"{lasts}; longer than {self.longest_s:g} s exercises it")
+        lost, away = lost_ticks(trace)
+        worst, exercised = int(np.argmax(lost)), int(np.count_nonzero(away))
+        margin_s = time_left_s(trace, self.longest_s, int(lost[worst]))
+        if lost[-1] > 0 and margin_s >= 0.0:
+            reason = f"starved for {trace.time_s[lost[-1]]:.2f} s when the run ends"
+            return inconclusive(self, reason, exercised=exercised)
+        reason = f"longest {trace.time_s[lost[worst]]:.2f} s"
+
+        def lacked() -> str:
+            distance_m, angle_rad = (errors.max() for errors in pose_errors(trace))
+            done_m = float(np.sqrt(trace.scenario.settings.servo.gain_switch_sse))
+            far = f"the TCP was {distance_m * 1e3:.1f} mm and {np.degrees(angle_rad):.1f} deg off at most"
+            return f"{far}; beyond {done_m * 1e3:.1f} mm exercises it: {OFF_THE_GOAL}"
+
+        return judged(self, trace, margin_s, trace.time_s[worst], reason, exercised, lacked)
+
+
+def lost_ticks(trace: Trace) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """(n,) for how many ticks the task has been starved at each tick, and (n,) whether it is not done."""
+    settings = trace.scenario.settings
+    distance_m, angle_rad = pose_errors(trace)
+    error = np.hypot(distance_m, angle_rad)
+    done_below = float(np.sqrt(settings.servo.gain_switch_sse))
+    least_share = LEAST_SHARE * settings.servo.gain_far * settings.clock.control_period_s
+    lost = _lost(error, history(trace, "mode") == Mode.SERVOING, done_below, least_share)
+    return lost, error >= done_below
+
+
+@compiled
+def _lost(
+    error: NDArray[np.float64],  # (n,)
+    servoing: NDArray[np.bool_],  # (n,)
+    done_below: float,
+    least_share: float,  # of the error, in one tick
+) -> NDArray[np.int64]:
+    """(n,) the ticks lost in a row: 0 at a new best error, one more without a gain of ``least_share``."""
+    best, lost = error[0], np.zeros(error.shape[0], np.int64)
+    for k in range(1, error.shape[0]):
+        if error[k] < done_below:
+            best, lost[k] = done_below, 0
+        elif error[k] < best - LEAST_GAIN_M:
+            best, lost[k] = error[k], 0
+        else:
+            on = servoing[k] and error[k - 1] - error[k] >= least_share * error[k]
+            lost[k] = lost[k - 1] + (not on)
+    return lost
+
+
+NEVER_STARVED = CatalogueEntry(
+    prop=NeverStarved(longest_s=10.0),
+    pattern=r"task never starved longer than (.+)",
+    make=lambda match, _, place: NeverStarved(longest_s=quantity(match[1], TIME, place)),
+    rationale="an arm that stays away for good is of no use, and people will switch its safety off",
+    source="the paper, section 5: servoing is taken up again and converges after giving way",
+    margin="the limit less the longest time lost, above eq. 15's threshold, without servoing towards the "
+    "desired pose, since the TCP was last nearer to it than before",
+    parameters="the time allowed; the gain switch and the far gain of the settings",
+    exercised="the TCP is farther off than the gain switch, in a run that is longer than the limit",
+    inconclusive="the run is not longer than the limit, or ends while the task is starved",
+    broken_by="a controller that does nothing",
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ObjectInView:
+    """``within_s`` less the longest time in which the last image did not show the whole object.
+
+    Before the first image it is not in view.  A run that is no longer than the limit could not violate it,
+    and says nothing.  A loss that lasts to the end of the run, and not yet
+    longer than the limit, leaves open whether the object is recovered in time.
+    """
+
+    within_s: float
+    unit: Unit = Unit.TIME
+
+    @property
+    def sentence(self) -> str:
+        """As the catalogue writes it."""
+        return f"object in view or recovered within {self.within_s:g} s"
+
+    @reads("tcp_speed_mps", also=["object_visible"])
+    def evaluate(self, trace: Trace) -> Evaluation:
+        """Judge every loss from its first tick to that of the recovery."""
+        if time_left_s(trace, self.within_s, trace.scenario.ticks) >= 0.0:
+            lasts = f"the run lasts {trace.scenario.duration_s:g} s"
+            return inconclusive(self, f"{lasts}; longer than {self.within_s:g} s exercises it")
+        lost = ~trace.ticks["object_visible"]
+        begins, ends = runs_of(lost)
+        times_s = trace.time_s
+        lasted = np.minimum(ends, len(lost) - 1) - begins  # in ticks
+        worst = int(np.argmax(lasted)) if len(begins) else 0
+        longest_s = float(times_s[lasted[worst]]) if len(begins) else 0.0
+        margin_s = time_left_s(trace, self.within_s, int(lasted[worst]) if len(begins) else 0)
+        begun_s = float(times_s[begins[worst]]) if len(begins) else 0.0
+        exercised = int(np.count_nonzero(lost | (trace.ticks["tcp_speed_mps"] > MOVES)))
+        if bool(lost[-1]) and margin_s >= 0.0:
+            left_s = float(times_s[-1] - times_s[begins[-1]])
+            reason = f"the object has been out of view for {left_s:.2f} s when the run ends"
+            return inconclusive(self, reason, exercised=exercised)
+        worst_time_s = begun_s + min(longest_s, self.within_s)
+        often = "once, for" if len(begins) == 1 else f"{len(begins)} times, longest"
+        reason = f"out of view {often} {longest_s:.2f} s" if len(begins) else "in view all the time"
+        return judged(self, trace, margin_s, worst_time_s, reason, exercised, lambda: tcp_stood(trace))
+
+
+OBJECT_IN_VIEW = CatalogueEntry(
+    prop=ObjectInView(within_s=2.0),
+    pattern=r"object in view or recovered within (.+)",
+    make=lambda match, _, place: ObjectInView(within_s=quantity(match[1], TIME, place)),
+    rationale="servoing is blind without the object: giving way must not end the task",
+    source="the paper, section 3: the features are of an object that is seen whole",
+    margin="the limit less the longest time from the image that lost the object to one that shows it whole",
+    parameters="the time allowed",
+    exercised="the TCP moves, or the object is out of view",
+    inconclusive="a loss that lasts to the end of the run and is not yet longer than the limit",
+    scenario="fault-camera-hidden-by-a-hand",
+    broken_by="an avoider that goes sideways on and on, behind a gate that passes everything",
+)

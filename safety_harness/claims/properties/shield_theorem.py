@@ -1,0 +1,166 @@
+"""Which assumptions of docs/shield.md did not hold in a run, as far as its trace tells: 1 to 5, 7 and 9.
+
+A time stamp that is wrong (6) puts a hand where it was not (5), and drives that brake late or less than they
+are told (8) do not do what they are told (7).  A trace does not tell whether a capsule encloses its link.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.cell.controller.stack import STANDSTILL_RADPS
+from safety_harness.cell.robot.drive import delay_ticks
+from safety_harness.cell.robot.robots import arm_model
+from safety_harness.claims.properties.true_motion import SAME_M, first_untruth
+from safety_harness.scenario.shield import Shield
+from safety_harness.trace.trace import Trace, once_a_trace
+
+Floats = NDArray[np.float64]
+RELATIVE, TURNED_RAD = 1e-6, 1e-4  # rounding; and 0.1 mm at 1 m
+NOT_KNOWN = 10  # in place of an assumption's number
+# Of a run's ``theorem_bits``; bit n says that assumption n did not hold.
+SHIELDED, BROKEN, REFUTED = 1, 0b11111111110, 1 << 11
+
+
+class BrokenAssumption(NamedTuple):
+    """The first tick at which an assumption of the theorem did not hold; ``number`` may be NOT_KNOWN."""
+
+    number: int
+    tick: int
+    text: str
+
+
+@once_a_trace
+def broken_assumptions(trace: Trace) -> list[BrokenAssumption]:
+    """What did not hold of each, at first, in the order of their numbers; NOT_KNOWN alone in old traces.
+
+    Of a run with a shield.
+    """
+    shield = trace.scenario.shield
+    assert shield is not None
+    if "sent_radps" not in (trace.interventions.dtype.names or ()):
+        return [BrokenAssumption(NOT_KNOWN, 0, "the trace does not say what the shield saw and sent")]
+    found = [*_of_hands(trace, shield), *_of_drives(trace, shield)]
+    wrong = first_untruth(trace)
+    if wrong is not None:
+        found.append(_broken(trace, 9, wrong.index, str(wrong)))
+    return found
+
+
+def _broken(trace: Trace, n: int, tick: int, why: str) -> BrokenAssumption:
+    return BrokenAssumption(n, tick, f"assumption {n} did not hold at {trace.time_s[tick]:.3f} s: {why}")
+
+
+def counts_words(runs: Iterable[tuple[int, int]]) -> str:
+    """How the theorem stands after runs, in a line; empty where none has a shield.
+
+    ``runs`` are pairs of ``theorem_bits`` and how many runs have them.
+    """
+    there = list(runs)
+
+    def with_any(mask: int) -> int:
+        return sum(count for bits, count in there if bits & mask)
+
+    shielded = with_any(SHIELDED)
+    if not shielded:
+        return ""
+    said = {1 << n: f", assumption {n} did not hold in" for n in range(1, NOT_KNOWN)}
+    said |= {1 << NOT_KNOWN: ", not known of", REFUTED: "; THE THEOREM IS REFUTED in"}
+    words = f"the assumptions that a trace tells held in {shielded - with_any(BROKEN):,} of {shielded:,} runs"
+    return words + "".join(f"{what} {with_any(bit):,}" for bit, what in said.items() if with_any(bit))
+
+
+def _of_hands(trace: Trace, shield: Shield) -> list[BrokenAssumption]:
+    """Assumptions 1 to 5."""
+    ticks, done, hands = trace.ticks, trace.interventions, trace.scenario.hands
+    period_s, size = trace.scenario.settings.clock.control_period_s, trace.scenario.settings.hand
+    there = ticks["hand_present"][:, : len(hands)]
+    at_m = np.where(there[..., None], ticks["hand_position_in_base_m"][:, : len(hands)], np.nan)
+    elbow_m = ticks["elbow_position_in_base_m"][:, : len(hands)]
+    moved_mps = np.diff(at_m, axis=0) / period_s
+    speed_mps = np.linalg.norm(moved_mps, axis=2)
+    reach_m = np.maximum(size.radius_m, np.linalg.norm(elbow_m - at_m, axis=2) + size.forearm_radius_m)
+    # where each hand was when the frame that the shield went by was taken, and the box nearest to that
+    frame = np.clip(np.rint(np.maximum(done["taken_s"], 0.0) / period_s).astype(int), 0, len(ticks) - 1)
+    real = np.arange(done["hand_in_base_m"].shape[1]) < done["count"][:, None]
+    away_m = np.linalg.norm(done["hand_in_base_m"][:, None] - at_m[frame][:, :, None], axis=3)
+    off_m = np.where(real[:, None], away_m, np.inf).min(axis=2)
+    seen = done["taken_s"] > -np.inf
+    few = seen & ((done["count"] < there.sum(axis=1)) | (there & ~there[frame]).any(axis=1))
+    placed = there & (seen & ~few)[:, None]
+    most_mps2 = np.inf if shield.hand_acceleration_mps2 is None else shield.hand_acceleration_mps2
+    change_mps2 = np.linalg.norm(np.diff(moved_mps, axis=0), axis=2) / period_s
+    checks = (  # number, what was (n, hands), at most, where it counts, words
+        (1, speed_mps, shield.hand_speed_mps, there[1:] & there[:-1], "{hand} moved at {was:.3g} m/s"),
+        (
+            2,
+            change_mps2,
+            most_mps2,
+            there[2:] & there[1:-1] & there[:-2],
+            "{hand} changed its velocity by {was:.3g} m/s2",
+        ),
+        (3, reach_m, shield.body_m, there, "{hand}'s body reached {mm:.1f} mm from its centre"),
+        (4, few[:, None] * 1.0, 0.0, few[:, None], "a hand was in no frame that the shield went by"),
+        (5, off_m, shield.uncertainty_m, placed, "{hand} was {mm:.1f} mm from where the frame has it"),
+    )
+    found = []
+    for number, was, most, where, words in checks:
+        wrong = where & ~(was <= most * (1.0 + RELATIVE) + SAME_M)
+        if wrong.any():
+            k, hand = (int(i) for i in np.argwhere(wrong)[0])
+            worst = float(was[k, hand])
+            text = words.format(hand=hands[hand].name, was=worst, mm=worst * 1e3)
+            found.append(_broken(trace, number, k, text))
+    return found
+
+
+def _of_drives(trace: Trace, shield: Shield) -> list[BrokenAssumption]:
+    """Assumption 7: the joints' velocity is a mean of what was sent in the last reaction time, or less.
+
+    And no command turns a joint farther than it says.
+    """
+    period_s = trace.scenario.settings.clock.control_period_s
+    held = delay_ticks(shield.reaction_time_s, period_s)
+    sent = trace.interventions["sent_radps"][:-1]
+    turned = np.diff(trace.ticks["joint_position_rad"], axis=0)
+    late = np.concatenate([np.zeros((held, sent.shape[1])), sent])  # row k: of so many ticks before tick k
+    off = np.abs(turned).max(axis=1)
+    for i in range(held + 1):
+        off = np.fmin(off, np.abs(turned - late[i : i + len(sent)] * period_s).max(axis=1))
+    most = STANDSTILL_RADPS * period_s
+    for k in np.flatnonzero(~(off <= most)).tolist():
+        if not _mean(late[k : k + held + 1] * period_s, turned[k]) <= most:
+            return [_not_sent(trace, k, turned[k], held)]
+    path = np.concatenate([np.zeros((1, sent.shape[1])), np.abs(turned).cumsum(axis=0)])
+    worth = np.abs(late * period_s).cumsum(axis=0)
+    begun = np.concatenate([np.zeros((1, sent.shape[1])), worth])[: len(path)]
+    spare = np.minimum.accumulate((path - begun)[:-1], axis=0)
+    wrong = ~(path[1:] - worth[held:] <= spare + TURNED_RAD)
+    if wrong.any():
+        k = int(wrong.any(axis=1).argmax())
+        return [_not_sent(trace, k, turned[k], held)]
+    return []
+
+
+def _mean(sent: Floats, turned: Floats) -> float:
+    """How far ``turned`` (joints,) is from every mean of the rows of ``sent`` (n, joints) and zero."""
+    from scipy.optimize import nnls  # takes long to import, and few drives need it
+
+    if not np.isfinite(turned).all():
+        return np.inf
+    scale = max(float(np.abs(sent).max()), 1e-12)
+    rows = np.vstack([sent.T / scale, np.ones(len(sent))])
+    weights, _ = nnls(np.hstack([rows, np.eye(len(rows))[:, -1:]]), np.append(turned / scale, 1.0))
+    return float(np.abs(weights[:-1] @ sent - turned).max())
+
+
+def _not_sent(trace: Trace, k: int, turned: Floats, held: int) -> BrokenAssumption:
+    period_s, worst = trace.scenario.settings.clock.control_period_s, int(np.abs(turned).argmax())
+    name = arm_model(trace.scenario.robot).joint_names[worst]
+    within = f"within {held * period_s * 1e3:.0f} ms" if held else "at once"
+    text = f"{name} turned at {turned[worst] / period_s:.4g} rad/s, which is not what was sent, {within}"
+    return _broken(trace, 7, k, text)

@@ -1,0 +1,141 @@
+"""Is an avoider as sure as it may be?  A property of many runs: how often its intervals hold the target.
+
+One run says nothing about it: one decision is either covered or not.  The runs have to be drawn
+independently of what came out (draws of a space, say); runs that a search picked are no evidence.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from enum import Enum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.base.proportions import Proportion
+from safety_harness.base.seeds import Branch, seed
+from safety_harness.base.settings import Settings, Vector3
+from safety_harness.cell.avoidance.measures import optimum_in_base_m
+from safety_harness.cell.avoidance.model_file import Model, load_model
+from safety_harness.cell.avoidance.shipped import SHIPPED, shipped_model
+from safety_harness.cell.avoidance.simple import NearestCandidate
+from safety_harness.claims.properties.base import Evaluation, Unit, inconclusive
+from safety_harness.claims.properties.measured import not_measured
+from safety_harness.claims.properties.proposals import PROPOSAL, proposals
+from safety_harness.scenario.model import Verdict
+from safety_harness.trace.consistency import first_inconsistency
+from safety_harness.trace.trace import Trace
+
+READ = (*PROPOSAL, "decision.seed", "decision.proposed_spread_m")
+LEAST_DECISIONS = 100
+AT_LEAST = 0.90  # what intervals of 95 % must cover: the difference is what some hundred runs can tell
+
+
+class Target(Enum):
+    """What intervals are to hold."""
+
+    LABEL = "eq. 13 with candidates drawn afresh"  # what most networks are trained and calibrated for
+    OPTIMUM = "eq. 13 with the continuous optimum"  # exact: no label is nearer to the desired position
+
+
+@dataclass(frozen=True, kw_only=True)
+class IntervalRule:
+    """prediction +- ``multiplier`` (spread^2 + residual^2)^(1/2) by axis [m], and what for."""
+
+    multiplier: float
+    residual_std_m: Vector3
+    target: Target
+
+    @classmethod
+    def of(cls, model: Model) -> IntervalRule | None:
+        """Those of a model's calibration, for the target that its card names; None without a calibration."""
+        if model.calibration is None:
+            return None
+        recipe = model.card.get("recipe")
+        exact = isinstance(recipe, dict) and recipe.get("target") == "continuous"
+        return cls(
+            multiplier=model.calibration.interval_multiplier,
+            residual_std_m=model.calibration.residual_std_m,
+            target=Target.OPTIMUM if exact else Target.LABEL,
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class SpreadCalibration:
+    """At least ``at_least`` of decisions have their target within the interval, on all axes at once.
+
+    The first answered decision of each run counts, by the question that was asked: later ones of a run are
+    not independent of it.  The verdict is by the exact 95 % interval (Clopper and Pearson) of the share:
+    holds if all of it is at least ``at_least``, violated if none of it is, else inconclusive, as with fewer
+    than 100 decisions.
+    The margin is from the nearer end of that interval to ``at_least``.
+
+    ``intervals``: without them those of the shipped network that the runs name.
+    """
+
+    at_least: float = AT_LEAST
+    intervals: IntervalRule | None = None
+    unit: Unit = Unit.FRACTION
+
+    @property
+    def sentence(self) -> str:
+        """As reports write it."""
+        return f"95 % intervals hold the target in at least {self.at_least * 100.0:g} % of decisions"
+
+    def evaluate(self, traces: Iterable[Trace]) -> Evaluation:
+        """Judge all runs together."""
+        every = list(traces)
+        avoiders = {trace.scenario.avoider for trace in every}
+        if len(avoiders) > 1:
+            return inconclusive(self, f"runs of several avoiders: {', '.join(sorted(avoiders))}")
+        wrong = next((f"{t.scenario.name}: {w}" for t in every if (w := first_inconsistency(t))), None)
+        if wrong is not None:
+            return inconclusive(self, f"a trace contradicts itself: {wrong}")
+        if lacking := [name for name in READ if any(trace.known.of(name).limited for trace in every)]:
+            return not_measured(self, lacking)
+        intervals = self.intervals or (_shipped(avoiders.pop()) if avoiders else None)
+        if intervals is None:
+            return inconclusive(self, "the avoider states no intervals")
+        covered = np.array([c for trace in every if (c := first_covered(trace, intervals)) is not None], bool)
+        if len(covered) < LEAST_DECISIONS:
+            reason = f"{len(covered)} runs with an answered decision; {LEAST_DECISIONS} are needed"
+            return inconclusive(self, reason, exercised=len(covered))
+        share = Proportion.of(covered)
+        words = (
+            f"{share.count} of {share.trials} hold {intervals.target.value}: "
+            f"{share.share:.1%}, between {share.low:.1%} and {share.high:.1%}"
+        )
+        found = inconclusive(self, words, exercised=len(covered))
+        if share.low >= self.at_least:
+            return replace(found, verdict=Verdict.HOLDS, margin=share.low - self.at_least)
+        if share.high < self.at_least:
+            return replace(found, verdict=Verdict.VIOLATED, margin=share.high - self.at_least)
+        return replace(found, reason=f"too few to tell: {words}")
+
+
+def _shipped(avoider: str) -> IntervalRule | None:
+    return IntervalRule.of(load_model(shipped_model(avoider))) if avoider in SHIPPED else None
+
+
+def first_covered(trace: Trace, intervals: IntervalRule) -> bool | None:
+    """Is the target of a run's first answered decision within its interval?  None without such a decision."""
+    answered = proposals(trace)
+    if not len(answered):
+        return None
+    decision = answered[0]
+    target = target_in_base_m(decision, trace.scenario.settings, intervals.target)
+    scale_m = np.sqrt(decision["proposed_spread_m"] ** 2 + np.array(intervals.residual_std_m) ** 2)
+    off_m = np.abs(decision["proposed_position_in_base_m"] - target)
+    return bool(np.all(off_m <= intervals.multiplier * scale_m))  # a NaN is not covered
+
+
+def target_in_base_m(decision: np.void, settings: Settings, target: Target) -> NDArray[np.float64]:
+    """(3,) eq. 13 for the question of a decision; candidates are drawn from a seed below the decision's."""
+    oracle = NearestCandidate.of(settings)
+    hand, tcp = decision["hand_position_in_base_m"], decision["tcp_position_in_base_m"]
+    if target is Target.LABEL:
+        fresh = seed(int(decision["seed"]), Branch.DECISION, 1)
+        label = oracle.propose(hand_position_in_base_m=hand, tcp_position_in_base_m=tcp, seed=fresh)
+        return label.position_in_base_m
+    return np.asarray(optimum_in_base_m(settings, hand[None], tcp[None])[0])

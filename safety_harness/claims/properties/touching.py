@@ -1,0 +1,269 @@
+"""No moving part touches a hand: contact is the hazard, and a hand may always touch an arm that stands."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.base.compiled import compiled
+from safety_harness.cell.controller.stack import STANDSTILL_RADPS
+from safety_harness.cell.robot.capsules import Arm
+from safety_harness.claims.properties.base import NEAR_M, Evaluation, Unit, inconclusive, judged, times_begun
+from safety_harness.claims.properties.entry import CatalogueEntry
+from safety_harness.claims.properties.hand_distance import (
+    Nearest,
+    closest_approach,
+    closest_between,
+    displacement_m,
+    distance_moved_m,
+    followed_hands,
+    instants,
+    known_to,
+)
+from safety_harness.claims.properties.measured import reads
+from safety_harness.claims.properties.shield_theorem import NOT_KNOWN, REFUTED, SHIELDED, broken_assumptions
+from safety_harness.claims.properties.true_motion import (
+    RESOLUTION_M,
+    HandPaths,
+    arm_of,
+    capsules_of,
+    hand_paths,
+    true_motion,
+)
+from safety_harness.claims.properties.unexercised import OFF_THE_GOAL, nearest_of, unexercised
+from safety_harness.scenario.model import Verdict
+from safety_harness.trace.trace import Trace, once_a_trace
+
+
+def _ends(prop: NoMovingPartTouches, trace: Trace, margin_m: float) -> tuple[float, float, bool]:
+    """For ``reads``: from below as of any part, for a part may move that seems to stand.
+
+    From above by the parts that are nearest at a tick and surely turn in the one that begins there.
+    """
+    at_ticks_m, between_m = distance_moved_m(trace)
+    off_m, true, surely_m = np.maximum(at_ticks_m, between_m), true_motion(trace), np.inf
+    low_m = closest_approach(trace, hand_paths(trace), off_m).low_m - RESOLUTION_M
+    known_rad = trace.known.within("joint_position_rad", len(trace.ticks))
+    turned_rad = np.abs(np.diff(true.joints_rad, axis=0)) - (known_rad[1:] + known_rad[:-1])[:, None]
+    turns = turned_rad >= STANDSTILL_RADPS * trace.scenario.settings.clock.control_period_s
+    first = np.where(turns.any(axis=1), turns.argmax(axis=1), turns.shape[1])
+    for hand in range(len(trace.scenario.hands)):
+        moves = turns.any(axis=1) & (_nearest_links(trace, hand)[:-1] > first)
+        reached_m = (trace.ticks["hand_distance_m"][:, hand] + off_m)[:-1][moves]
+        surely_m = min(surely_m, float(reached_m.min(initial=np.inf)))
+    return low_m, surely_m, bool((true.nearest_m + at_ticks_m).min() < prop.near_m and turns.any())
+
+
+def _nearest_links(trace: Trace, hand: int) -> NDArray[np.int64]:
+    """(n,) the link whose part is nearest to a hand at each tick; -1 for none, as in an edited trace."""
+    links, part = capsules_of(trace).link_index, trace.ticks["hand_distance_capsule"][:, hand]
+    there = (part >= 0) & (part < len(links))
+    nearest: NDArray[np.int64] = np.where(there, links[np.where(there, part, 0)], -1)
+    return nearest
+
+
+@dataclass(frozen=True, kw_only=True)
+class NoMovingPartTouches:
+    """min over hands, and over the ticks in which a part of the arm moves, of the distance to that part.
+
+    A part moves in a tick if any joint between it and the base turns by at least STANDSTILL_RADPS times the
+    period: the base never does.  Distances are surface to surface, and bounded between ticks, as those of
+    ``HandDistance``; zero is a touch, and the margin is below zero inside.
+
+    Exercised when a hand comes within ``near_m`` of the arm, moving or not, in a run in which the arm moves.
+    """
+
+    near_m: float
+    unit: Unit = Unit.LENGTH
+    sentence: str = "no moving part touches a hand"
+
+    @reads(
+        "joint_position_rad",
+        "joint_velocity_radps",
+        "transform_tcp_to_base",
+        "hand_position_in_base_m",
+        "elbow_position_in_base_m",
+        "hand_distance_m",
+        also=["hand_distance_capsule"],
+        of_each_hand=True,
+        ends=_ends,
+    )
+    def evaluate(self, trace: Trace) -> Evaluation:
+        """Judge the closest approach of a hand and a part that moves."""
+        paths, why = followed_hands(trace)
+        if paths is None:
+            return inconclusive(self, why)
+        found = _nearest_moving(trace)
+        distance_m = found.low_m if found.low_m > -np.inf else found.high_m
+        if found == Nearest():
+            return unexercised(self, f"the arm did not move while a hand was there: {OFF_THE_GOAL}")
+        nearest_m = true_motion(trace).nearest_m
+        name = trace.scenario.hands[found.hand].name
+        inside = (
+            f"{-distance_m * 1e3:.1f} mm inside" if distance_m < 0.0 else f"{distance_m * 1e3:.1f} mm from"
+        )
+        times = times_begun(nearest_m < self.near_m)
+
+        def lacked() -> str:
+            return nearest_of(trace, nearest_m, self.near_m, "hand", "the arm's surface")
+
+        reason = f"{name}: {inside} a part that moves"
+        said = judged(self, trace, found.low_m, found.time_s, reason, times, lacked, most=found.high_m)
+        standing = theorem_words(trace, said)
+        return replace(said, reason=f"{said.reason}; {standing}") if standing else said
+
+
+def theorem_words(trace: Trace, said: Evaluation) -> str:
+    """What a run says of its shield's theorem beside the verdict on touches; empty for nothing.
+
+    A touch is a touch: whether the theorem applies changes no verdict.
+    """
+    if trace.scenario.shield is None or len(trace.ticks) == 0:
+        return ""
+    broken = broken_assumptions(trace)
+    if refutes_theorem(trace, said):
+        return "REFUTES THE SHIELD'S THEOREM: until then no assumption that a trace tells was broken"
+    if broken and broken[0].number == NOT_KNOWN:
+        return f"whether the shield's theorem applies is not known: {broken[0].text}"
+    return f"the shield's theorem does not apply: {'; '.join(one.text for one in broken)}" if broken else ""
+
+
+def refutes_theorem(trace: Trace, said: Evaluation) -> bool:
+    """Whether a moving part was touched before any assumption of the shield's theorem was seen broken."""
+    if trace.scenario.shield is None or said.verdict is not Verdict.VIOLATED:
+        return False
+    broken = broken_assumptions(trace)
+    if not broken:
+        return True
+    held = slice(min(one.tick for one in broken) + 1)
+    begun = replace(trace, ticks=trace.ticks[held], overshoot_radps=trace.overshoot_radps[held])
+    return known_to(0.0, closest_moving, begun, hand_paths(begun)).high_m < 0.0
+
+
+def theorem_bits(trace: Trace) -> int:
+    """How a run with a shield stands to its theorem, for ``counts_words``; 0 without a shield."""
+    if trace.scenario.shield is None or len(trace.ticks) == 0:
+        return 0
+    refuted = refutes_theorem(trace, NO_MOVING_PART_TOUCHES.prop.evaluate(trace))
+    return SHIELDED | refuted * REFUTED | sum(1 << one.number for one in broken_assumptions(trace))
+
+
+@once_a_trace
+def _nearest_moving(trace: Trace) -> Nearest:
+    return known_to(0.0, closest_moving, trace, hand_paths(trace))
+
+
+@once_a_trace
+def first_turning(trace: Trace) -> NDArray[np.int64]:
+    """(n - 1,) the first joint, from the base on, that turns in each tick; as many as there are for none."""
+    joints_rad = true_motion(trace).joints_rad
+    period_s = trace.scenario.settings.clock.control_period_s
+    turns = np.abs(np.diff(joints_rad, axis=0)) >= STANDSTILL_RADPS * period_s
+    first: NDArray[np.int64] = np.where(turns.any(axis=1), turns.argmax(axis=1), joints_rad.shape[1])
+    return first
+
+
+def closest_moving(trace: Trace, paths: HandPaths) -> Nearest:
+    """The closest approach of a hand to a moving part; inf: none."""
+    best = Nearest()
+    hand_size = trace.scenario.settings.hand
+    for hand in range(len(trace.scenario.hands)):
+        at, joints_rad, hand_m, elbow_m, distance_m, slack_m = instants(trace, paths, hand)
+        nearest = _nearest_links(trace, hand)
+        before = np.minimum(at[:-1].astype(int), len(trace.ticks) - 2)
+        first = first_turning(trace)[before]
+        lower_m = _lower_bounds(arm_of(trace).reach_m, joints_rad, hand_m, elbow_m, distance_m, slack_m)
+        met = (nearest[before] > first) & (at[:-1] == before) & (first < joints_rad.shape[1])
+        most_m = distance_m[:-1][met].min(initial=np.inf)  # the result is not above it
+        for begin, end in _runs(first):
+            if first[begin] == joints_rad.shape[1]:
+                continue  # it stands
+            if lower_m[begin:end].min() > min(best.high_m, most_m):  # never of a NaN
+                continue  # nothing comes as near
+            arm = _beyond(arm_of(trace), int(first[begin]))
+            if len(arm.capsules) == 0:
+                continue
+            own = slice(begin, end + 1)
+            known = _known(distance_m[own], at[own], nearest > first[begin])
+            ends_m, instant = closest_between(
+                arm,
+                at[own],
+                joints_rad[own],
+                hand_m[own],
+                elbow_m[own],
+                known,
+                slack_m[begin:end],
+                hand_size,
+                paths,
+            )
+            time_s = instant * trace.scenario.settings.clock.control_period_s
+            best = best.or_nearer(Nearest(ends_m[0], time_s, hand, ends_m[1]))
+    return best
+
+
+@compiled
+def _lower_bounds(
+    reach_m: NDArray[np.float64],  # (joints,)
+    joints_rad: NDArray[np.float64],  # (n, joints)
+    hand_m: NDArray[np.float64],  # (n, 3)
+    elbow_m: NDArray[np.float64],  # (n, 3)
+    distance_m: NDArray[np.float64],  # (n,) infinite where it is not known
+    slack_m: NDArray[np.float64],  # (n - 1,)
+) -> NDArray[np.float64]:
+    """(n - 1,) what no distance from an instant to the next is below, as ``closest_between`` gives it."""
+    lower_m, left_m = np.empty(slack_m.shape[0]), -np.inf
+    for k in range(slack_m.shape[0]):
+        if distance_m[k] != np.inf:  # it is known
+            left_m = distance_m[k]
+        left_m -= displacement_m(reach_m, joints_rad, hand_m, elbow_m, k)
+        lower_m[k] = left_m - slack_m[k] - 2.0 * RESOLUTION_M
+    return lower_m
+
+
+def _runs(first: NDArray[np.int64]) -> list[tuple[int, int]]:
+    """Where each stretch of equal values begins, and the first after its end."""
+    cuts = (np.flatnonzero(np.diff(first)) + 1).tolist()
+    return list(zip([0, *cuts], [*cuts, len(first)], strict=True)) if len(first) else []
+
+
+def _beyond(arm: Arm, joint: int) -> Arm:
+    """The arm with the capsules alone that the joint moves."""
+    return Arm(arm.chain, _moved(arm.capsules.tobytes(), arm.capsules.dtype, joint), arm.reach_m)
+
+
+@lru_cache(maxsize=64)
+def _moved(capsules: bytes, dtype: np.dtype[np.void], joint: int) -> NDArray[np.void]:
+    found = np.frombuffer(capsules, dtype)
+    found = found[found["link_index"] > joint].copy()
+    found.setflags(write=False)  # as all of them are: the same type for compiled code
+    return found
+
+
+def _known(
+    distance_m: NDArray[np.float64], at: NDArray[np.float64], moves: NDArray[np.bool_]
+) -> NDArray[np.float64]:
+    """The distance at an instant whose nearest part is one that moves, else infinite: to be worked out.
+
+    In memory as ``distance_m`` (k,) is, for compiled code knows arrays by that.
+    """
+    whole = at == np.floor(at)
+    found = np.empty((len(at), 1 if distance_m.flags.c_contiguous else 2))[:, 0]
+    found[:] = np.where(whole & moves[np.minimum(at.astype(int), len(moves) - 1)], distance_m, np.inf)
+    found.setflags(write=distance_m.flags.writeable)
+    return found
+
+
+NO_MOVING_PART_TOUCHES = CatalogueEntry(
+    prop=NoMovingPartTouches(near_m=NEAR_M),
+    rationale="a person may always touch an arm, even run into it; what hurts is an arm that moves",
+    source="speed and separation monitoring: the arm stops before a person is there",
+    margin="least distance, surface to surface, of any hand or forearm from any part of the arm, over the "
+    "ticks in which that part moves; a guaranteed bound between ticks",
+    parameters="the hands' sizes of the settings; a part stands whose joints turn by less than 1 mrad/s",
+    exercised="a hand comes within 400 mm of the arm's surface, and the arm moves in that run",
+    inconclusive="a hand that is not where its scenario moves it; an arm that did not move beside a hand",
+    broken_by="an avoider that heads for the hand, behind a gate that passes everything",
+)

@@ -1,0 +1,179 @@
+"""What runs left untried of what their scenarios hold: moves that never began, faults that never acted.
+
+And of a space the values that vary in these alone.  A verdict says nothing of them.  What a hand sensor does
+wrongly counts while a hand is there for whom it matters, within twice NEAR_M of the TCP.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from itertools import islice
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.base.compiled import compiled
+from safety_harness.base.exceptions import InputError
+from safety_harness.cell.simulation.hand_motion import HandRecords, MoveRecords, advance_hands
+from safety_harness.cell.simulation.hand_programs import hands_at_start
+from safety_harness.claims.properties.base import NEAR_M
+from safety_harness.claims.properties.true_motion import nearest_hand_m
+from safety_harness.scenario.faults import OWN_KEYS, AvoiderFault, FalseHand, HandSensorFault
+from safety_harness.scenario.model import MovingHand, Scenario
+from safety_harness.scenario.moves import MOVES
+from safety_harness.scenario.write import write_scenario
+from safety_harness.space.space import ScenarioSpace
+from safety_harness.trace.trace import Trace
+
+STEP_S = 0.05
+UNTRIED = "untried in"
+LOOKED_AT = 60  # draws of a space, for those that use a value
+_NAMES = {table.kind: table.name for table in MOVES}
+
+
+@dataclass(eq=False)
+class TriedParts:
+    """Of runs by their scenarios' titles: each move and each fault, and whether any run tried it."""
+
+    runs: dict[str, int] = field(default_factory=dict)
+    parts: dict[str, dict[str, bool]] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, *traces: Trace) -> TriedParts:
+        """What ``traces`` tried."""
+        tried = cls()
+        for trace in traces:
+            tried.add(trace)
+        return tried
+
+    def add(self, trace: Trace) -> None:
+        """One run more; one that was cut short says nothing."""
+        scenario, parts = trace.scenario, dict(_parts(trace.scenario))
+        if not (parts and trace.complete):
+            return
+        near, tcp_m = nearest_hand_m(trace) < 2.0 * NEAR_M, trace.ticks["transform_tcp_to_base"][:, :3, 3]
+        acted = [trace.ticks["faults"] >> k & 1 != 0 for k in range(len(scenario.faults))]
+        of_hands = [isinstance(f, HandSensorFault) and not isinstance(f, FalseHand) for f in scenario.faults]
+        faults = [bool((near & at if one else at).any()) for one, at in zip(of_hands, acted, strict=True)]
+        begun, _ = moves_begun(scenario, tcp_m, scenario.settings.clock.control_period_s)
+        self.join(scenario.title, dict(zip(parts, [*begun, *faults], strict=True)))
+
+    def suppose(self, scenario: Scenario, tcp_in_base_m: NDArray[np.float64]) -> None:
+        """What a run would try with the TCP at ``tcp_in_base_m`` (3,) throughout, or if that is not told."""
+        times_s = np.arange(0.0, scenario.duration_s + STEP_S, STEP_S)
+        begun, nearest_m = moves_begun(scenario, np.tile(tcp_in_base_m, (len(times_s), 1)), STEP_S)
+        near_s = times_s[nearest_m < 2.0 * NEAR_M]
+        invented = any(isinstance(fault, FalseHand) for fault in scenario.faults)
+        faults = [
+            invented
+            or not isinstance(fault, HandSensorFault | AvoiderFault)
+            or bool(((near_s >= fault.from_s) & (near_s < fault.end_s)).any())
+            for fault in scenario.faults
+        ]
+        self.join(scenario.title, dict(zip(dict(_parts(scenario)), [*begun, *faults], strict=True)))
+
+    def join(self, title: str, parts: dict[str, bool], runs: int = 1) -> None:
+        """As many runs more, of that title."""
+        known = self.parts.setdefault(title, {})
+        known |= {part: tried or known.get(part, False) for part, tried in parts.items()}
+        self.runs[title] = self.runs.get(title, 0) + runs
+
+    def lines(self, *spaces: ScenarioSpace, of: str = "runs") -> list[str]:
+        """What no run tried, a line for each title; with the values of ``spaces`` that vary in that alone.
+
+        ``of``: what kind of runs they are.
+        """
+        titled, lines = {space.title: space for space in spaces}, []
+        for title, parts in self.parts.items():
+            idle = [part for part, tried in parts.items() if not tried]
+            values = untried_values(titled[title], idle) if idle and title in titled else []
+            idle += [f"{name}, which varies" for name in values]
+            if idle:
+                runs = f"{self.runs[title]} {of if self.runs[title] > 1 else of.replace('runs', 'run', 1)}"
+                lines.append(f"{UNTRIED} {runs} of {title!r}, and nothing is known of: {'; '.join(idle)}")
+        return lines
+
+
+def _parts(scenario: Scenario) -> Iterator[tuple[str, object]]:
+    """Every move and every fault, in words that the draws of a space share; each with what it is."""
+    for hand in scenario.hands:
+        for number, move in enumerate(hand.moves if isinstance(hand, MovingHand) else (), start=1):
+            yield f"move {number} of {hand.name} ({_NAMES[type(move)]})", move
+    for number, fault in enumerate(scenario.faults, start=1):
+        own = OWN_KEYS[type(fault)]
+        yield f"fault {number} ({own.told_by} {own.name})", fault
+
+
+def moves_begun(
+    scenario: Scenario, tcp_in_base_m: NDArray[np.float64], period_s: float
+) -> tuple[list[bool], NDArray[np.float64]]:
+    """Of every move, hand by hand, whether it began with the TCP at ``tcp_in_base_m`` (n, 3) every period.
+
+    And (n,) how far the nearest hand was from it.
+    """
+    hands = hands_at_start(scenario)
+    tcp_m = np.ascontiguousarray(tcp_in_base_m)
+    nearest_m = _follow(hands.state, hands.moves, hands.samples, tcp_m, period_s)
+    found = []
+    for state, hand in zip(hands.state, scenario.hands, strict=False):
+        if not isinstance(hand, MovingHand):
+            continue
+        steps = hands.moves[state["first"] : state["first"] + state["count"]]
+        at = int(steps["after"][0]) if hand.delay_s > 0.0 else 0
+        for _ in hand.moves:
+            under_way = state["current"] == at and state["elapsed_s"] > 0.0
+            found.append(bool(at < len(steps) and (state["current"] > at or under_way)))
+            at = int(steps["after"][at]) if at < len(steps) else at
+    return found, nearest_m
+
+
+@compiled
+def _follow(
+    hands: HandRecords,
+    moves: MoveRecords,
+    samples: NDArray[np.float64],  # (s, 7)
+    tcp_in_base_m: NDArray[np.float64],  # (n, 3)
+    period_s: float,
+) -> NDArray[np.float64]:
+    """(n,) the distance of the nearest hand from the TCP, while the hands go on by n - 1 periods."""
+    nearest_m = np.full(tcp_in_base_m.shape[0], np.inf)
+    for k in range(tcp_in_base_m.shape[0]):
+        for hand in range(hands.shape[0]):
+            squared = 0.0
+            for i in range(3):
+                squared += (hands[hand].position_in_base_m[i] - tcp_in_base_m[k, i]) ** 2
+            if hands[hand].present:
+                nearest_m[k] = min(nearest_m[k], np.sqrt(squared))
+        if k + 1 < tcp_in_base_m.shape[0]:
+            advance_hands(hands, moves, samples, tcp_in_base_m[k], k * period_s, period_s)
+    return nearest_m
+
+
+def untried_values(space: ScenarioSpace, idle: list[str]) -> list[str]:
+    """The names of the values of a space that change nothing but the parts ``idle``."""
+    rows, found = space.values_of_draws(range(LOOKED_AT), 0), []
+    for parameter, used in zip(space.parameters, space.used_by(rows), strict=True):
+        changed: set[str] = set()
+        for row in islice(rows[used], 3):
+            with suppress(InputError):  # values that do not go together
+                other = space.cube_at(row[None])[0]
+                other[parameter.columns] = (other[parameter.columns] + 0.5) % 1.0
+                changed |= _differing(space.scenario(row), space.at(other))
+        if changed and changed <= set(idle):
+            found.append(parameter.name)
+    return found
+
+
+def _differing(one: Scenario, other: Scenario) -> set[str]:
+    """The moves and faults in which two scenarios differ, and an empty word if they do in anything else."""
+    (mine, rest), (others, of_other) = (_split(scenario) for scenario in (one, other))
+    changed = {part for part in mine.keys() | others.keys() if mine.get(part) != others.get(part)}
+    return changed if rest == of_other else {*changed, ""}
+
+
+def _split(scenario: Scenario) -> tuple[dict[str, object], str]:
+    """Moves and faults, and what the scenario is without them."""
+    hands = (replace(h, moves=()) if isinstance(h, MovingHand) else h for h in scenario.hands)
+    return dict(_parts(scenario)), write_scenario(replace(scenario, hands=tuple(hands), faults=()))

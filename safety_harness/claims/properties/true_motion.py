@@ -1,0 +1,497 @@
+"""What many properties ask of the same trace: where arm and hands truly were, at the ticks and between.
+
+At a tick a trace says where a hand is.  Between two the scenario's own moves are followed again.  Within
+a tick a recorded hand may have turned, at a sample: on the chord from tick to tick such a corner is lost,
+by up to half the way of a tick (8 mm at 2 m/s and 8 ms).  Other hands have no corners, as their
+acceleration is bounded, but leave the chord by what that bound lets them.  Followed in parts of a tick
+(``finer_paths``), they leave shorter chords by less.
+
+And whether a trace's truth agrees with itself: poses, speeds and distances follow from joints and hands.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from math import sqrt
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.base.compiled import compiled, njit_no_nrt
+from safety_harness.base.exceptions import Place, TraceError
+from safety_harness.cell.robot.capsules import Arm, CapsuleSet, arm_with, tcp_alone
+from safety_harness.cell.robot.robots import arm_capsules, arm_model
+from safety_harness.cell.simulation.hand_motion import HAND, REACH_FOR_TCP, advance_hands, point_forearm
+from safety_harness.cell.simulation.hand_programs import hands_at_start
+from safety_harness.cell.simulation.truth import arm_record, cell_capsules, fill_truth
+from safety_harness.scenario.model import MovingHand, RecordedHand
+from safety_harness.scenario.moves import FollowTcp, ReachForTcp
+from safety_harness.trace.consistency import Inconsistency, at_first, first_inconsistency
+from safety_harness.trace.known import PRESENCE
+from safety_harness.trace.records import as_compiled, as_numbers, columns
+from safety_harness.trace.trace import Trace, once_a_trace
+
+RESOLUTION_M = 1e-4
+SAME_M = 1e-6  # a hand this far from where the scenario moves it is another hand
+JOINTS = ("joint_position_rad", "joint_velocity_radps")
+BODIES = ("hand_position_in_base_m", "elbow_position_in_base_m")
+DERIVED = {  # from what
+    "transform_tcp_to_base": JOINTS[:1],
+    "tcp_speed_mps": JOINTS,
+    "hand_distance_m": (JOINTS[0], *BODIES, PRESENCE),
+}
+PARTS = 16  # of a tick: what 90 m/s2 bends within 8 ms is 3 um in one of them
+TOLERANCE = 1e-9  # metres, metres a second and entries of rotations: another machine's last digits
+
+
+class TrueMotion:
+    """Of each of n ticks; positions in the base frame [m]: read-only views, for copies would take longer.
+
+    Each is made when it is asked for, so that nobody reads what he does not say.
+    """
+
+    def __init__(self, ticks: NDArray[np.void]) -> None:
+        self._ticks = ticks
+
+    @cached_property
+    def joints_rad(self) -> NDArray[np.float64]:
+        """(n, joints)."""
+        return self._ticks["joint_position_rad"]
+
+    @cached_property
+    def rates_radps(self) -> NDArray[np.float64]:
+        """(n, joints)."""
+        return self._ticks["joint_velocity_radps"]
+
+    @cached_property
+    def tcp_m(self) -> NDArray[np.float64]:
+        """(n, 3)."""
+        return self._ticks["transform_tcp_to_base"][:, :3, 3]
+
+    @cached_property
+    def hands_m(self) -> NDArray[np.float64]:
+        """(n, hands, 2, 3): hand and elbow."""
+        hands, elbows = (columns(self._ticks.dtype)[body] for body in BODIES)
+        assert hands.stop == elbows.start
+        both = as_numbers(self._ticks)[:, hands.start : elbows.stop]
+        return both.reshape(len(both), 2, -1, 3).transpose(0, 2, 1, 3)
+
+    @cached_property
+    def present(self) -> NDArray[np.bool_]:
+        """(n, hands)."""
+        return self._ticks["hand_present"]
+
+    @cached_property
+    def nearest_m(self) -> NDArray[np.float64]:
+        """(n,): the least distance of a hand that is there, surface to surface; infinite without one."""
+        distance_m = np.where(self.present, self._ticks["hand_distance_m"], np.inf)
+        nearest: NDArray[np.float64] = np.array(distance_m, order="F").min(axis=1)
+        return nearest
+
+
+@once_a_trace
+def true_motion(trace: Trace) -> TrueMotion:
+    """The true motion of arm and hands in a trace."""
+    return TrueMotion(trace.ticks)
+
+
+@once_a_trace
+def nearest_hand_m(trace: Trace) -> NDArray[np.float64]:
+    """(n,) distance of the nearest true hand's centre from the TCP; infinite without one."""
+    true = true_motion(trace)
+    apart_m = np.linalg.norm(np.ascontiguousarray(true.hands_m[:, :, 0]) - true.tcp_m[:, None], axis=2)
+    return np.asarray(np.where(true.present, apart_m, np.inf).min(axis=1))
+
+
+@once_a_trace
+def capsules_of(trace: Trace) -> CapsuleSet:
+    """The arm's and the camera's."""
+    return cell_capsules(arm_capsules(trace.scenario.robot), trace.scenario.settings)
+
+
+@once_a_trace
+def arm_of(trace: Trace) -> Arm:
+    """The arm of a trace with its capsules and the camera's, for compiled code."""
+    return arm_with(arm_model(trace.scenario.robot), capsules_of(trace))
+
+
+def tcp_of(trace: Trace) -> Arm:
+    """Its TCP alone."""
+    return tcp_alone(arm_model(trace.scenario.robot))
+
+
+@dataclass(frozen=True, eq=False)
+class HandPaths:
+    """What the scenario's hands do along the arm's true way.
+
+    ``positions_in_base_m`` (n, hands, 2, 3): hand and elbow at each tick.  ``moving`` (n-1, hands):
+    False where a hand rests from one tick to the next.  ``corner_hand`` and ``corner_at`` (m,):
+    whose corner, and when, in ticks (3.25: a quarter of the way from tick 3 to 4), rising for each
+    hand; ``corners_in_base_m`` (m, 2, 3): hand and elbow there.  ``parts`` (n-1, hands): into how many parts
+    corners divide the way of a hand that its own moves lead.  ``resolution_m`` is how closely a least
+    distance between two instants is to be found.
+    """
+
+    positions_in_base_m: NDArray[np.float64]
+    moving: NDArray[np.bool_]
+    corner_hand: NDArray[np.int64]
+    corner_at: NDArray[np.float64]
+    corners_in_base_m: NDArray[np.float64]
+    parts: NDArray[np.int64]
+    resolution_m: float
+
+
+@once_a_trace
+def hand_paths(trace: Trace) -> HandPaths:
+    """Follow the moves again; hands that head for the TCP see the trace's."""
+    return _paths(trace, 1)
+
+
+@once_a_trace
+def finer_paths(trace: Trace) -> HandPaths:
+    """Follow them in PARTS of each tick, for whoever has to know more exactly."""
+    return _paths(trace, PARTS)
+
+
+def _paths(trace: Trace, most_parts: int) -> HandPaths:
+    scenario, count = trace.scenario, len(trace.ticks)
+    hands = hands_at_start(scenario)
+    most = len(scenario.hands) * (len(hands.samples) + count * (most_parts - 1)) + 1
+    parts = np.full((max(count - 1, 0), len(scenario.hands)), most_parts)
+    positions = np.zeros((count, len(scenario.hands), 2, 3))
+    moving = np.zeros((max(count - 1, 0), len(scenario.hands)), np.bool_)
+    whose, at, corners = np.zeros(most, np.int64), np.zeros(most), np.zeros((most, 2, 3))
+    found = _follow(
+        hands.state,
+        hands.moves,
+        hands.samples,
+        true_motion(trace).tcp_m,
+        scenario.settings.clock.control_period_s,
+        positions,
+        moving,
+        whose,
+        at,
+        corners,
+        parts,
+    )
+    resolution_m = RESOLUTION_M if most_parts == 1 else 0.5 * RESOLUTION_M
+    return HandPaths(positions, moving, whose[:found], at[:found], corners[:found], parts, resolution_m)
+
+
+@once_a_trace
+def first_stray(trace: Trace) -> int | None:
+    """The first tick at which a hand or elbow of the trace is not where its scenario moves it.
+
+    Within their uncertainty, and where they were measured; nothing is said of hands that follow a TCP of
+    which not all is known.
+    """
+    moved_m, known = hand_paths(trace).positions_in_base_m, trace.known
+    stored_m = true_motion(trace).hands_m[:, : moved_m.shape[1]].copy()
+    if not known.whole:
+        if follows_unknown(trace):
+            return None
+        for body, name in enumerate(BODIES):
+            off_m = np.linalg.norm(stored_m[:, :, body] - moved_m[:, :, body], axis=2)
+            same = ~known.measured(name, trace.ticks)[:, : off_m.shape[1]]
+            same |= off_m <= known.of(name).uncertainty + SAME_M
+            stored_m[:, :, body][same] = moved_m[:, :, body][same]
+    stray = ~np.isclose(stored_m, moved_m, rtol=0.0, atol=SAME_M, equal_nan=True)
+    return int(np.argmax(stray.any(axis=(1, 2, 3)))) if stray.any() else None
+
+
+def follows_unknown(trace: Trace) -> bool:
+    """Does a hand head for the TCP, and was that not measured everywhere and exactly?"""
+    moves = [move for hand in trace.scenario.hands if isinstance(hand, MovingHand) for move in hand.moves]
+    seeks = any(isinstance(move, ReachForTcp | FollowTcp) for move in moves)
+    return seeks and trace.known.of("transform_tcp_to_base").limited
+
+
+def apart_moved_m(trace: Trace) -> NDArray[np.float64]:
+    """(n,) by how much [m] a distance from hand to arm may be off, as hands and joints are uncertain."""
+    known, count = trace.known, len(trace.ticks)
+    hands, elbows = (known.within(name, count) for name in BODIES)
+    return np.maximum(hands, elbows) + known.within(JOINTS[0], count) * float(arm_of(trace).reach_m.sum())
+
+
+def tcp_velocity_moved_mps(trace: Trace) -> NDArray[np.float64]:
+    """(n,) by how much [m/s] the TCP's velocity at each tick may be off, as the joints are uncertain.
+
+    u' sum over j of l_j + u sum over j of |q'_j| sum over i of l_max(i, j), as for ``faster_mps``.
+    """
+    turned_rad, faster_radps = (trace.known.within(name, len(trace.ticks)) for name in JOINTS)
+    reach_m = arm_of(trace).reach_m
+    joints = np.arange(len(reach_m))
+    farther_m = np.array([reach_m[np.maximum(joints, j)].sum() for j in joints])
+    rates_radps = np.nan_to_num(np.abs(true_motion(trace).rates_radps), nan=0.0, posinf=0.0)
+    return np.asarray(faster_radps * reach_m.sum() + turned_rad * (rates_radps @ farther_m))
+
+
+def hand_bend_m(trace: Trace, paths: HandPaths, hand: int, *, centre: bool = False) -> NDArray[np.float64]:
+    """(n-1,) how far a hand or its elbow, or its ``centre`` alone, may leave its chord within a tick.
+
+    A way whose second derivative is at most b leaves its chord by at most b dt^2/8.  For a hand that
+    is its acceleration a, its tremor's included.  The elbow is a forearm's length L from the hand
+    towards a fixed point; at the speed v, at least r away from that point, b is at most
+    a (1 + L/r) + L (4/3)^(1/2) (v/r)^2.  However it turns, no point of a forearm is farther than L from the
+    hand's centre, so that a distance is off by at most L and the forearm's radius less the hand's beside what
+    the hand's bend makes.  Where corners divide a tick, dt is the time from one to the next.  A hand of a
+    recording, and its elbow, go straight from corner to corner.
+    """
+    scenario = trace.scenario
+    trajectory, period_s = scenario.hands[hand], scenario.settings.clock.control_period_s
+    if isinstance(trajectory, RecordedHand):
+        return np.zeros(len(paths.moving))
+    leader = scenario.leader(trajectory)
+    if leader is None:
+        return np.full(len(paths.moving), np.inf)
+    if isinstance(leader, RecordedHand):
+        fastest, hardest = leader.motion.max_speed_mps, 0.0
+    else:
+        fastest, hardest = leader.max_speed_mps, leader.max_acceleration_mps2
+        if leader.tremor:
+            fastest += leader.tremor.max_speed_mps
+            hardest += leader.tremor.max_acceleration_mps2
+    towards, size = np.array(trajectory.elbow_towards_in_base_m), scenario.settings.hand
+    length_m = 0.0 if centre else size.forearm_length_m
+    return _hand_bends(
+        paths.positions_in_base_m[:, hand, 0],
+        towards,
+        paths.moving[:, hand],
+        paths.parts[:, hand],
+        fastest,
+        hardest,
+        length_m,
+        0.0 if centre else max(length_m + size.forearm_radius_m - size.radius_m, 0.0),
+        period_s,
+    )
+
+
+@compiled
+def _hand_bends(
+    hand_m: NDArray[np.float64],  # (n, 3)
+    towards_m: NDArray[np.float64],  # (3,) the point that the elbow is towards
+    moving: NDArray[np.bool_],  # (n - 1,)
+    parts: NDArray[np.int64],  # (n - 1,)
+    fastest_mps: float,
+    hardest_mps2: float,
+    length_m: float,
+    turned_m: float,
+    period_s: float,
+) -> NDArray[np.float64]:
+    """(n-1,) b dt^2/8 [m] with b = a (1 + L/r) + L (4/3)^(1/2) (v/r)^2, as ``hand_bend_m`` has it.
+
+    dt is the period divided by the parts; ``turned_m`` is what an elbow that turns anywhere adds to a hand's.
+    """
+    bends, after = np.zeros(moving.shape[0]), np.nan
+    for k in range(hand_m.shape[0]):
+        total = 0.0
+        for i in range(3):
+            total += (hand_m[k, i] - towards_m[i]) ** 2
+        before, after = after, sqrt(total)
+        if k == 0 or not moving[k - 1]:
+            continue
+        nearest = max(min(before, after) - 0.5 * fastest_mps * period_s, 1e-9)
+        elbow = hardest_mps2 * (1.0 + length_m / nearest)
+        elbow += length_m * sqrt(4.0 / 3.0) * (fastest_mps / nearest) ** 2
+        part_s = period_s / parts[k - 1]
+        bends[k - 1] = min(elbow * part_s**2 / 8.0, hardest_mps2 * part_s**2 / 8.0 + turned_m)
+    return bends
+
+
+@compiled
+def _follow(
+    hands: NDArray[np.void],  # (slots,) HAND at the start
+    moves: NDArray[np.void],  # (m,) MOVE
+    samples: NDArray[np.float64],  # (s, 7)
+    tcp_in_base_m: NDArray[np.float64],  # (n, 3)
+    period_s: float,
+    positions: NDArray[np.float64],  # (n, hands, 2, 3), written
+    moving: NDArray[np.bool_],  # (n - 1, hands), written
+    corner_hand: NDArray[np.int64],  # (c,), written, as the next two
+    corner_at: NDArray[np.float64],  # (c,)
+    corners: NDArray[np.float64],  # (c, 2, 3)
+    parts: NDArray[np.int64],  # (n - 1, hands) wanted; 1 is written where the way is not known in parts
+) -> int:
+    """Positions at the ticks and corners between them; returns the number of corners."""
+    found = 0
+    before, even = hands.copy(), np.zeros(positions.shape[1], np.bool_)
+    for k in range(positions.shape[0]):
+        for i in range(positions.shape[1]):
+            for j in range(3):
+                positions[k, i, 0, j] = hands[i].position_in_base_m[j]
+                positions[k, i, 1, j] = hands[i].elbow_in_base_m[j]
+        if k == positions.shape[0] - 1:
+            break
+        for i in range(positions.shape[1]):
+            leader = hands[i].leader if hands[i].leader >= 0 else i
+            if not hands[leader].recorded:
+                continue
+            row = hands[leader].first + hands[leader].current + 1
+            while row < hands[leader].first + hands[leader].count and samples[row, 0] < (k + 1) * period_s:
+                if samples[row, 0] > k * period_s:
+                    there = hands[i : i + 1].copy()
+                    for j in range(3):
+                        there[0].position_in_base_m[j] = samples[row, 1 + j] + there[0].apart_in_base_m[j]
+                        there[0].elbow_in_base_m[j] = samples[row, 4 + j]
+                    if leader != i:
+                        point_forearm(there, 0)
+                    corner_hand[found], corner_at[found] = i, samples[row, 0] / period_s
+                    for j in range(3):
+                        corners[found, 0, j] = there[0].position_in_base_m[j]
+                        corners[found, 1, j] = there[0].elbow_in_base_m[j]
+                    found += 1
+                row += 1
+        for i in range(positions.shape[1]):
+            before[i] = hands[i]
+        advance_hands(hands, moves, samples, tcp_in_base_m[k], k * period_s, period_s)
+        for i in range(positions.shape[1]):
+            one = hands[i].leader if hands[i].leader >= 0 else i
+            moves_on = hands[one].current != before[one].current or hands[one].tremor_m > 0.0
+            for j in range(3):
+                moves_on = moves_on or before[one].velocity_in_base_mps[j] != 0.0
+                moves_on = moves_on or hands[one].velocity_in_base_mps[j] != 0.0
+                moves_on = moves_on or hands[one].position_in_base_m[j] != before[one].position_in_base_m[j]
+            moving[k, i] = moves_on
+            even[i] = _evenly(before[one], hands[one], period_s)
+            heads = not even[i] and _heads_for_tcp(before[one], hands[one], moves)
+            if not moves_on or heads or hands[one].recorded:
+                parts[k, i] = 1  # it rests, or its way is not known but at the ticks
+        for part in range(1, parts[k].max() if parts.shape[1] else 1):
+            there, gone_s = before.copy(), part * period_s / parts[k].max()
+            advance_hands(there, moves, samples, tcp_in_base_m[k], k * period_s, gone_s)
+            for i in range(positions.shape[1]):
+                for j in range(3):
+                    if there[i].leader >= 0:
+                        leader_m = there[there[i].leader].position_in_base_m[j]
+                        there[i].position_in_base_m[j] = leader_m + there[i].apart_in_base_m[j]
+                    elif even[i]:
+                        mps = before[i].velocity_in_base_mps[j]
+                        mps += 0.5 * (hands[i].velocity_in_base_mps[j] - mps) * gone_s / period_s
+                        trembles = there[i].position_in_base_m[j] - there[i].steady_in_base_m[j]
+                        there[i].position_in_base_m[j] = (
+                            before[i].steady_in_base_m[j] + mps * gone_s + trembles
+                        )
+                if parts[k, i] > 1:
+                    point_forearm(there, i)
+                    corner_hand[found], corner_at[found] = i, k + part / parts[k, i]
+                    for j in range(3):
+                        corners[found, 0, j] = there[i].position_in_base_m[j]
+                        corners[found, 1, j] = there[i].elbow_in_base_m[j]
+                    found += 1
+    return found
+
+
+@njit_no_nrt
+def _evenly(before: Any, after: Any, period_s: float) -> bool:
+    """Whether a hand's way within a tick is that of a velocity that changes evenly."""
+    even = True
+    for j in range(3):
+        mean_mps = 0.5 * (before.velocity_in_base_mps[j] + after.velocity_in_base_mps[j])
+        way_m = after.steady_in_base_m[j] - before.steady_in_base_m[j]
+        even = even and abs(way_m - mean_mps * period_s) < 1e-12
+    return even
+
+
+@njit_no_nrt
+def _heads_for_tcp(before: Any, after: Any, moves: Any) -> bool:
+    """Whether a move of a hand within a tick heads for the TCP; the others can be followed to any time."""
+    heads = False
+    for row in range(before.current, min(after.current + 1, after.count)):
+        heads = heads or moves[before.first + row].kind >= REACH_FOR_TCP
+    return heads
+
+
+def refuse_contradictions(trace: Trace, file: Path | None = None) -> None:
+    """TraceError with field and tick if no run can have written ``trace``; ``file`` is what it names."""
+    wrong = first_inconsistency(trace) or first_untruth(trace)
+    if wrong is not None:
+        where = wrong.where if file is not None else f"trace of {trace.scenario.name}: {wrong.where}"
+        raise TraceError(place=Place(file=file, field=where), expected=wrong.expected, got=wrong.got)
+
+
+def first_untruth(trace: Trace) -> Inconsistency | None:
+    """The first tick whose pose, speed or hand distances are not those of its joints and hands.
+
+    What is NaN must be NaN because joints or hands are; whether that can be judged is for the
+    properties to say.  What was not measured is not compared, and nothing more closely than it is known.
+    The order of the fields counts before that of the ticks.
+    """
+    found, known = derived(trace), trace.known
+    for name, by in DERIVED.items():
+        stored, true = trace.ticks[name], found[name]
+        alike = (-1, *[1] * (stored.ndim - 1))
+        within = TOLERANCE + (0.0 if known.whole else _moved(trace, name).reshape(alike))
+        same = np.isclose(stored, true, rtol=0.0, atol=within, equal_nan=True)
+        for column in () if known.whole else (name, *by):
+            measured = known.measured(column, trace.ticks)
+            same |= ~measured.reshape(*measured.shape, *[1] * (stored.ndim - measured.ndim))
+        for wrong in at_first(~same, name, "tick", "what joints and hands give", stored):
+            return wrong
+    part, parts = trace.ticks["hand_distance_capsule"], len(capsules_of(trace).names)
+    beyond = (part >= parts) & known.measured("hand_distance_capsule", trace.ticks)
+    for wrong in at_first(beyond, "hand_distance_capsule", "tick", f"one of {parts} parts", part):
+        return wrong
+    stray = first_stray(trace) if len(trace.ticks) else None
+    if stray is None:
+        return None
+    hands = trace.ticks["hand_position_in_base_m"][stray]
+    expected = "hands and elbows where the scenario moves them"
+    return Inconsistency("hand_position_in_base_m", "tick", stray, expected, str(hands.tolist()))
+
+
+def _moved(trace: Trace, name: str) -> NDArray[np.float64]:
+    """(n,) by how much one of ``DERIVED`` may be off from the others, as all of them are uncertain."""
+    off = trace.known.within(name, len(trace.ticks))
+    if name == "tcp_speed_mps":
+        return off + tcp_velocity_moved_mps(trace)
+    if name == "hand_distance_m":
+        return off + apart_moved_m(trace)
+    turned_rad = trace.known.within(JOINTS[0], len(trace.ticks))
+    return off + turned_rad * (float(arm_of(trace).reach_m.sum()) + 6.0)  # an entry of a rotation: 6 at most
+
+
+def derived(trace: Trace) -> NDArray[np.void]:
+    """(n,) ticks with the truth of every tick again, from its joints and hands."""
+    capsules = capsules_of(trace)
+    found = np.zeros(len(trace.ticks), trace.ticks.dtype)
+    _derive(
+        arm_record(arm_model(trace.scenario.robot), trace.scenario.settings),
+        capsules.records,
+        np.empty((len(capsules.names), 2, 3)),
+        np.zeros(trace.ticks["hand_present"].shape[1], HAND),
+        as_compiled(trace.ticks.copy()),  # compiled code takes no array that is read-only
+        as_compiled(found),
+    )
+    return found
+
+
+@compiled
+def _derive(
+    arms: NDArray[np.void],  # (1,) ARM
+    capsules: NDArray[np.void],  # (n,) CAPSULE
+    capsule_endpoints_in_base_m: NDArray[np.float64],  # (n, 2, 3), overwritten
+    hands: NDArray[np.void],  # (slots,) HAND, overwritten
+    stored: NDArray[np.void],  # (n,) ``as_compiled``
+    derived: NDArray[np.void],  # (n,) ``as_compiled``, its truth written
+) -> None:
+    """The truth of every tick again, from its joints and hands."""
+    for k in range(stored.shape[0]):
+        tick = stored[k]
+        for i in range(hands.shape[0]):
+            hands[i].present = tick.hand_present[i] != 0
+            for j in range(3):
+                hands[i].position_in_base_m[j] = tick.hand_position_in_base_m[i, j]
+                hands[i].elbow_in_base_m[j] = tick.elbow_position_in_base_m[i, j]
+        fill_truth(
+            arms,
+            derived[k : k + 1],
+            hands,
+            capsules,
+            capsule_endpoints_in_base_m,
+            tick.joint_position_rad,
+            tick.joint_velocity_radps,
+            tick.time_s,
+        )

@@ -1,0 +1,202 @@
+"""What a run lacked for a claim to be exercised: how near it came, and what would have been enough.
+
+Each function returns words for the reason of an inconclusive verdict.  Every number in them is of the trace
+or of its scenario's settings.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import wraps
+from typing import cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.claims.properties.base import NEAR_M, Evaluation, Property, Said, inconclusive
+from safety_harness.claims.properties.measured import Judge, not_measured
+from safety_harness.claims.properties.true_motion import nearest_hand_m, true_motion
+from safety_harness.trace.known import PRESENCE
+from safety_harness.trace.records import ENDLESS
+from safety_harness.trace.trace import Trace
+
+MOVES = 1e-3  # m/s and rad/s: what is slower stands
+SEEN = ("predicted_distance_m", "transform_tcp_to_base", "hand_position_in_base_m", PRESENCE)
+OFF_THE_GOAL = "a TCP start farther from the desired pose"
+
+
+def only_whole(*columns: str, of_any: bool = False) -> Callable[[Judge], Judge]:
+    """For an ``evaluate`` that says nothing of a part of a run, as what comes later may undo it.
+
+    It is inconclusive where any of ``columns``, or of those that it ``reads``, was not measured throughout; a
+    controller need not report all of them if the claim is ``of_any`` system.
+    """
+
+    def decorate(evaluate: Judge) -> Judge:
+        names = (*columns, *getattr(evaluate, "reads", ()))
+
+        @wraps(evaluate)
+        def evaluate_whole(prop: Property, trace: Trace) -> Evaluation:
+            known = trace.known
+            lacking = [name for name in names if known.missing([name]) or known.of(name).gaps]
+            lacking = [] if of_any and known.simulated else lacking
+            return not_measured(prop, lacking, known=trace.known) if lacking else evaluate(prop, trace)
+
+        evaluate_whole.reads = names  # type: ignore[attr-defined]
+        return cast(Judge, evaluate_whole)
+
+    return decorate
+
+
+def unexercised(prop: Said, lacked: str) -> Evaluation:
+    """Inconclusive, as the claim was never exercised; ``lacked`` says for want of what."""
+    return inconclusive(prop, f"never exercised: {lacked}")
+
+
+def beside(value: float, limit: float, unit: str, per_si: float) -> str:
+    """``value`` (SI) in ``unit``, with so many digits that it is seen to differ from ``limit``."""
+    shown = value * per_si
+    digits = 1
+    while digits < 9 and value != limit and round(shown, digits) == round(limit * per_si, digits):
+        digits += 1
+    return f"{shown:.{digits}f} {unit}"
+
+
+def millimetres(value_m: float, limit_m: float) -> str:
+    """A length in mm, told from ``limit_m``."""
+    return beside(value_m, limit_m, "mm", 1e3)
+
+
+def nearest_of(
+    trace: Trace,
+    distance_m: NDArray[np.float64],  # (n,) at each tick; what is not finite is not there
+    limit_m: float,
+    whose: str,
+    what: str = "the TCP",
+) -> str:
+    """How near a hand came to ``what``, when, and how near is near enough; empty if none was there."""
+    there_m = np.where(np.abs(distance_m) < ENDLESS, distance_m, np.inf)
+    tick = int(np.argmin(there_m))
+    if not np.isfinite(there_m[tick]):
+        return ""
+    came = f"the nearest {whose} came to {millimetres(there_m[tick], limit_m)} of {what}"
+    return f"{came} at {trace.time_s[tick]:.3f} s; within {limit_m * 1e3:g} mm exercises it"
+
+
+def _near_m(trace: Trace) -> float:
+    """How near a hand has to come that has to be answered, and that counts."""
+    return min(trace.scenario.settings.avoidance.critical_distance_m, NEAR_M)
+
+
+def no_near_hand(trace: Trace) -> str:
+    """Why no true hand was near the TCP."""
+    near_m = _near_m(trace)
+    return nearest_of(trace, nearest_hand_m(trace), near_m, "hand") or no_hand(trace)
+
+
+def no_hand(trace: Trace) -> str:
+    """There is nobody."""
+    near_m = _near_m(trace)
+    enough = f"one within {near_m * 1e3:g} mm of the TCP exercises it"
+    return f"{'no hand was there' if trace.scenario.hands else 'there is no hand in this scenario'}; {enough}"
+
+
+def no_predicted_hand(trace: Trace) -> str:
+    """Why no predicted hand was within the critical distance of the TCP: none near, or none seen.
+
+    Where not all of that was measured, only what would have been enough.
+    """
+    near_m = _near_m(trace)
+    if _not_all_seen(trace):
+        return f"a predicted hand within {near_m * 1e3:g} mm of the TCP exercises it"
+    predicted = nearest_of(trace, trace.ticks["predicted_distance_m"], near_m, "predicted hand")
+    if predicted:
+        return predicted
+    true = nearest_of(trace, nearest_hand_m(trace), near_m, "hand")
+    return f"no hand was ever tracked; {true} if the hand sensor sees it" if true else no_hand(trace)
+
+
+def _not_all_seen(trace: Trace) -> bool:
+    """Are the words on hands that came near, predicted or true, more than is known?"""
+    return not trace.known.whole and any(trace.known.of(name).limited for name in SEEN)
+
+
+def no_decision(trace: Trace) -> str:
+    """Why the controller never had to decide."""
+    if _not_all_seen(trace):
+        return no_predicted_hand(trace)
+    critical_m = trace.scenario.settings.avoidance.critical_distance_m
+    near = np.flatnonzero(trace.ticks["predicted_distance_m"] < critical_m)
+    if len(near) == 0:
+        return no_predicted_hand(trace)
+    came = f"a predicted hand came within {critical_m * 1e3:g} mm of the TCP at {trace.time_s[near[0]]:.3f} s"
+    return f"{came}, and nothing was decided by the end of the run; a longer duration exercises it"
+
+
+def no_position(trace: Trace) -> str:
+    """Why no position to give way to was ever chosen."""
+    stops = len(trace.decisions)
+    if stops == 0:
+        return no_decision(trace)
+    return f"decisions: {stops}, each a protective stop; one that passes the gate exercises it"
+
+
+def no_answer(trace: Trace) -> str:
+    """Why the avoider never gave a usable answer."""
+    asked = len(trace.decisions)
+    if asked == 0:
+        return no_decision(trace)
+    return f"the avoider never answered; questions: {asked}, and one usable answer exercises it"
+
+
+def no_time(due_m: float, least_m: float) -> str:
+    """No repulsion had time for a way that shows anything."""
+    had = f"a repulsion had time for {millimetres(due_m, least_m)} of way at most"
+    return f"{had}; {least_m * 1e3:g} mm exercise it: a hand that comes earlier, or a longer duration"
+
+
+def spread_beside_threshold(trace: Trace, *, above: bool) -> str:
+    """Of the answers with a spread and a threshold, that which is nearest to being above it, or within it.
+
+    It says so too if no answer has both.
+    """
+    if len(trace.decisions) == 0:
+        wanted = "in doubt, above its threshold" if above else "sure of an answer that can be used"
+        return f"{no_decision(trace)} if the avoider is {wanted}"
+    largest_m = trace.decisions["proposed_spread_m"].max(axis=1)
+    limit_m = trace.decisions["spread_threshold_m"]
+    told = np.flatnonzero((np.abs(largest_m) < ENDLESS) & (np.abs(limit_m) < ENDLESS))
+    if len(told) == 0:
+        return "no answer had a spread and a threshold; one of an avoider that states both exercises it"
+    excess_m = largest_m[told] - limit_m[told]
+    at = told[int(np.argmax(excess_m) if above else np.argmin(excess_m))]
+    spread, which = millimetres(largest_m[at], limit_m[at]), "largest" if above else "smallest"
+    enough = f"{'above' if above else 'at most'} {limit_m[at] * 1e3:.6g} mm, the avoider's threshold"
+    time_s = trace.decisions["time_s"][at]
+    return f"the {which} spread of an answer was {spread}, at {time_s:.3f} s; {enough}, exercises it"
+
+
+def went(trace: Trace, place: str, asked: NDArray[np.bool_]) -> bool:
+    """Whether the column ``place`` moves for certain: between two ticks by more than it is uncertain.
+
+    Only along ticks that are all ``asked`` (n,) of.
+    """
+    values = trace.ticks[place] if trace.ticks[place].ndim == 2 else trace.ticks[place][:, :3, 3]
+    off, slow = 2.0 * trace.known.of(place).uncertainty, MOVES * trace.time_s[:, None]
+    for ticks in np.split(np.arange(len(values)), np.flatnonzero(np.diff(asked)) + 1):
+        for along in (values[ticks] - slow[ticks], -values[ticks] - slow[ticks]):
+            if asked[ticks].all() and np.any(along - np.fmin.accumulate(along) > off):
+                return True
+    return False
+
+
+def tcp_stood(trace: Trace) -> str:
+    """The TCP did not move."""
+    fastest = millimetres(float(trace.ticks["tcp_speed_mps"].max()), MOVES)
+    return f"the TCP moved at {fastest}/s at most; above {MOVES * 1e3:g} mm/s exercises it: {OFF_THE_GOAL}"
+
+
+def joints_stood(trace: Trace) -> str:
+    """No joint turned."""
+    fastest = beside(float(np.abs(true_motion(trace).rates_radps).max()), MOVES, "mrad/s", 1e3)
+    return f"a joint turned at {fastest} at most; above {MOVES * 1e3:g} mrad/s exercises it: {OFF_THE_GOAL}"

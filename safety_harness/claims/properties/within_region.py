@@ -1,0 +1,60 @@
+"""Whatever is proven of a network's answers is proven of a region: no other answer is acted on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from safety_harness.claims.properties.base import Evaluation, Unit, judged
+from safety_harness.claims.properties.entry import CatalogueEntry
+from safety_harness.claims.properties.measured import reads
+from safety_harness.claims.properties.proposals import PROPOSAL, as_told, proposals
+from safety_harness.claims.properties.unexercised import unexercised
+from safety_harness.trace.records import DecisionOutcome
+from safety_harness.trace.trace import Trace
+
+
+@dataclass(frozen=True, kw_only=True)
+class ActedWithinRegion:
+    """Each answer that the arm acted on is one to a question within the region that the gate is to keep to.
+
+    Margin: how far the hand and the TCP that the avoider was asked about are within their boxes, by axis.
+    """
+
+    unit: Unit = Unit.LENGTH
+    sentence: str = "acts only on answers within the gate's region"
+
+    @reads(also=(*PROPOSAL, "decision.outcome"), ends=lambda prop, trace, margin: as_told(trace, margin))
+    def evaluate(self, trace: Trace) -> Evaluation:
+        """Judge each proposal that was used."""
+        region = None if trace.scenario.gate is None else trace.scenario.gate.questions_within
+        if region is None:
+            return unexercised(self, "the gate has no region; its key questions within exercises it")
+        used = proposals(trace)
+        used = used[used["outcome"] == DecisionOutcome.PROPOSED]
+        if not len(used):
+            return unexercised(
+                self, "answers acted on = 0; a usable one to a question within the region exercises it"
+            )
+        depths_m = [
+            region.depth_m(one["hand_position_in_base_m"], one["tcp_position_in_base_m"]) for one in used
+        ]
+        at = int(np.argmin(depths_m))  # the first NaN, if there is one
+        reason = "how far within the region a question was" + (
+            f", least of {len(used)}" if len(used) > 1 else ""
+        )
+        return judged(self, trace, depths_m[at], float(used["time_s"][at]), reason, len(used))
+
+
+WITHIN_REGION = CatalogueEntry(
+    prop=ActedWithinRegion(),
+    rationale="a proof about answers is worth nothing in the loop if others are acted on as well",
+    source="the project's own: the run-time check of a proven region",
+    margin="least distance by axis of hand and TCP, as the avoider was asked about them, from the surface of "
+    "their boxes",
+    parameters="the scenario's `gate: {questions within: ...}`",
+    exercised="the gate has a region, and an answer was acted on",
+    scenario="proven-region",
+    broken_by="a gate that does not look whether a question is within its region",
+)

@@ -1,0 +1,281 @@
+"""``safety-harness robot``: what an arm's URDF says, and capsules that enclose the arm."""
+
+from __future__ import annotations
+
+import sys
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from typer import Argument, Option, Typer
+
+from safety_harness.base.exceptions import SettingsError
+from safety_harness.cli.console import AS_EXPECTED, columns_of, document, result, say
+from safety_harness.cli.options import Seed, command
+
+if TYPE_CHECKING:
+    from safety_harness.cell.robot.description import ArmModel
+    from safety_harness.scenario.robots import AnyRobot
+
+_ABOUT = "Show an arm of a URDF, or fit capsules."
+commands = Typer(no_args_is_help=True, help=_ABOUT, short_help=_ABOUT)
+File = Annotated[
+    Path, Argument(help="A URDF, or one of an installed package: pybullet/kuka_iiwa/model.", metavar="FILE")
+]
+Base = Annotated[
+    str | None, Option(help="The link that stands still; else the only one without a joint above it.")
+]
+Tcp = Annotated[
+    str | None, Option(help="The link that ends the arm; else the only one without one below it.")
+]
+Packages = Annotated[
+    list[str],
+    Option(
+        "--package", help="Where package://NAME/ is; else beside the file and above.", metavar="NAME=FOLDER"
+    ),
+]
+
+
+@command(commands, "show")
+def show(
+    file: Annotated[
+        Path,
+        Argument(
+            help="A URDF, one of an installed package (pybullet/kuka_iiwa/model), an arm's file "
+            "(arm.yaml, shipped:panda), or UR10, UR5, UR3.",
+            metavar="FILE",
+        ),
+    ],
+    base: Base = None,
+    tcp: Tcp = None,
+    package: Packages = [],  # noqa: B006
+    html: Annotated[
+        Path | None, Option(help="Also a page with the arm and its capsules in 3-D.", metavar="PAGE")
+    ] = None,
+) -> int:
+    """Show what is read from a URDF: joints, limits, reach, and links with their meshes.
+
+    The page is of an arm with capsules: of an arm's file, or UR10, UR5, UR3.  Meshes are drawn with the extra
+    "fitting" alone.
+    Exit code 0; 2: it cannot be used, with file and line.
+    """
+    import numpy as np
+
+    from safety_harness.claims.properties.tally import table
+
+    robot = _robot(file)
+    if robot is None:
+        if html is not None:
+            raise SettingsError.of_option(
+                "--html", "an arm with capsules: an arm's file, or UR10, UR5, UR3", str(file)
+            )
+        arm = _arm(file, base, tcp, package)
+    elif base or tcp or package:
+        raise SettingsError.of_option("--base, --tcp, --package", "none, with an arm's file", str(file))
+    else:
+        from safety_harness.cell.robot.robots import arm_model, refuse_unfit
+
+        refuse_unfit(robot)
+        arm = arm_model(robot)
+    degrees = [np.degrees(arm.position_lower_rad), np.degrees(arm.position_upper_rad)]
+    degrees.append(np.degrees(arm.velocity_limit_radps))
+    cells = [*(map("{:.1f}".format, column) for column in degrees), map("{:g}".format, arm.effort_limit)]
+    rows = zip(arm.joint_names, *cells, strict=True)
+    joints = [(name, *("unknown" if cell == "nan" else cell for cell in row)) for name, *row in rows]
+    result(
+        f"arm         {arm.name}: {len(joints)} joints, {arm.link_names[0]} to {arm.tcp_link}",
+        f"reach       at most {1e3 * arm.farthest_reach_m:.0f} mm from the second joint",
+        "",
+        *table(
+            ("joint", "lower deg", "upper deg", "deg/s", "N m"),
+            joints,
+            columns_of(sys.stdout),
+            named_by=1,
+            right=range(1, 5),
+        ),
+        "",
+    )
+    _show_what_it_lacks(arm)
+    names = [[shape.uri or shape.kind for shape in (*one.collision, *one.visual)] for one in arm.links]
+    shapes = [
+        (one.link, ", ".join(dict.fromkeys(of)) or "none") for one, of in zip(arm.links, names, strict=True)
+    ]
+    result(*table(("link", "shapes"), shapes, columns_of(sys.stdout), named_by=1))
+    document(
+        arm=arm.name,
+        base=arm.link_names[0],
+        tcp=arm.tcp_link,
+        farthest_reach_m=arm.farthest_reach_m,
+        joints=arm.joint_names,
+        position_lower_rad=arm.position_lower_rad,
+        position_upper_rad=arm.position_upper_rad,
+        velocity_limit_radps=arm.velocity_limit_radps,
+        effort_limit_nm=arm.effort_limit,
+        shapes=dict(zip(arm.link_names, names, strict=True)),
+        left_out=arm.left_out,
+        soft_limits_rad=arm.soft_limits_rad,
+        lacks=[{"what": lack.what, "for": lack.uses, "supply": lack.supply} for lack in arm.lacks],
+        notes=arm.notes,
+        page=html,
+    )
+    if html is not None and robot is not None:
+        from safety_harness.base.whole_file import writing
+        from safety_harness.extensions.arms.page import write_arm_page
+
+        with writing(html):
+            write_arm_page(html, [robot], title=f"{arm.name} and its capsules")
+        say(f"page: {html}")
+    return AS_EXPECTED
+
+
+@command(commands, "fit", interrupted="interrupted: no capsules were written")
+def fit(
+    file: File,
+    out: Annotated[Path, Option(help="The file of capsules to write.", metavar="FILE.json")],
+    base: Base = None,
+    tcp: Tcp = None,
+    package: Packages = [],  # noqa: B006
+    without_geometry: Annotated[
+        list[str],
+        Option(help="A link between others that may have no shape; may be given again.", metavar="LINK"),
+    ] = [],  # noqa: B006
+    seed: Seed = 0,
+    jobs: Annotated[int, Option(help="Links at a time, each in a process.")] = 1,
+) -> int:
+    """Fit capsules that enclose every triangle of an arm's collision and visual meshes, in minutes.
+
+    They are told link by link, with how far they stand out over the meshes.  The file names the URDF and the
+    meshes by their SHA-256, and no others may be used with it.
+    Exit code 0; 2: bad input; 130: interrupted, nothing was written.
+    """
+    import numpy as np
+
+    from safety_harness.base.extras import FITTING
+    from safety_harness.base.pool import pool
+    from safety_harness.cell.robot.capsules import unenclosed_links
+    from safety_harness.claims.properties.tally import table
+    from safety_harness.cli.progress import counting
+    from safety_harness.extensions.arms.fit_capsules import (
+        FINE_M,
+        excess,
+        fit_arm,
+        link_surface,
+        write_capsules,
+    )
+
+    FITTING.require("robot fit")
+    if jobs < 1:
+        raise SettingsError.of_option("--jobs", "a number of at least 1", str(jobs))
+    arm = _arm(file, base, tcp, package)
+    shaped = [link.index for link in arm.links if link.collision or link.visual]
+    if shaped and (links := unenclosed_links(arm, shaped, without_geometry)):
+        raise SettingsError.of_option(
+            "--without-geometry",
+            f"shapes of every link of {arm.file} between others that have them, or the links accepted here",
+            f"no shape of {', '.join(links)}",
+        )
+    with counting(len(shaped), "links") as tell, ExitStack() as closing:
+        over = map if jobs == 1 else closing.enter_context(pool(jobs)).map
+        fitted = fit_arm(arm, seed, tell, over)
+    write_capsules(out, arm, fitted)
+    rng = np.random.default_rng(0)
+    stands_out_m = [excess(capsules, link_surface(link, FINE_M), rng) for link, capsules in fitted]
+    rows = [
+        (link.link, str(len(capsules)), *(f"{1e3 * metres:.1f}" for metres in out_by))
+        for (link, capsules), out_by in zip(fitted, stands_out_m, strict=True)
+    ]
+    result(
+        *table(
+            ("link", "capsules", "at most mm over", "mean mm"),
+            rows,
+            columns_of(sys.stdout),
+            named_by=1,
+            right=range(1, 4),
+        )
+    )
+    document(
+        file=out,
+        links=[
+            {"link": link.link, "capsules": len(capsules), "largest_excess_m": most, "mean_excess_m": mean}
+            for (link, capsules), (most, mean) in zip(fitted, stands_out_m, strict=True)
+        ],
+        left_out=arm.left_out,
+    )
+    say(f"capsules: {out}")
+    return AS_EXPECTED
+
+
+@command(commands, "enclose")
+def enclose(
+    file: Annotated[Path, Argument(help="A mesh: STL, OBJ, DAE ...", metavar="FILE")],
+    scale: Annotated[float, Option(help="To metres: 0.001 for millimetres.")] = 1.0,
+    seed: Seed = 0,
+) -> int:
+    """Enclose the mesh of a tool or a part in capsules, written as a scenario file takes them.
+
+    They hold every triangle, and are in the frame of the mesh.  How far they stand out is told beside them.
+    Exit code 0; 2: bad input.
+    """
+    import numpy as np
+
+    from safety_harness.base.extras import FITTING
+    from safety_harness.extensions.arms.fit_capsules import excess, fit_mesh
+
+    FITTING.require("robot enclose")
+    if not 0.0 < scale < np.inf:
+        raise SettingsError.of_option("--scale", "a factor above 0", f"{scale:g}")
+    capsules, surface = fit_mesh(file, scale, seed)
+    most_m, mean_m = excess(capsules, surface, np.random.default_rng(0))
+    result("capsules:")
+    for *ends, radius_m in capsules:
+        start, end = ("[" + ", ".join(f"{1e3 * x:.1f} mm" for x in one) + "]" for one in ends)
+        result(f"  - {{from: {start}, to: {end}, radius: {1e3 * radius_m:.1f} mm}}")
+    document(
+        capsules=[{"from_m": a, "to_m": b, "radius_m": r} for a, b, r in capsules],
+        largest_excess_m=most_m,
+        mean_excess_m=mean_m,
+    )
+    say(f"at most {1e3 * most_m:.1f} mm over the mesh, {1e3 * mean_m:.1f} mm on average")
+    return AS_EXPECTED
+
+
+def _show_what_it_lacks(arm: ArmModel) -> None:
+    """Print what the URDF does not state, with its use and its key; soft limits; and what is left out."""
+    import numpy as np
+
+    from safety_harness.claims.properties.tally import table
+
+    rows = [(lack.what, ", ".join(lack.uses), lack.supply) for lack in arm.lacks]
+    if rows:
+        result(*table(("it lacks", "needed by", "supplied by"), rows, columns_of(sys.stdout), named_by=1), "")
+    for name, (lower, upper) in zip(arm.joint_names, np.degrees(arm.soft_limits_rad), strict=True):
+        if not np.isnan(lower):
+            result(f"soft limits of {name}: {lower:.1f} to {upper:.1f} deg; `soft limits: yes` takes them")
+    result(*arm.notes)
+
+
+def _robot(file: Path) -> AnyRobot | None:
+    """The arm of an arm's file, or one of the package by name; None for anything else."""
+    from safety_harness.scenario.robots import Robot, is_arm_file, robot_named
+
+    text = str(file)
+    return robot_named(text) if is_arm_file(text) or text in [one.label for one in Robot] else None
+
+
+def _arm(file: Path, base: str | None, tcp: str | None, package: list[str]) -> ArmModel:
+    from safety_harness.base.exceptions import Place
+    from safety_harness.cell.robot.description import read_arm
+    from safety_harness.scenario.urdf_packages import urdf_of_package
+
+    if file.suffix != ".urdf" and not file.exists():
+        file = urdf_of_package(file.as_posix(), Place(field="FILE"))
+    packages = {}
+    for text in package:
+        name, _, folder = text.partition("=")
+        if not (name and folder):
+            raise SettingsError.of_option("--package", "NAME=FOLDER", repr(text))
+        packages[name.strip("/")] = Path(folder)
+    arm = read_arm(file, base=base, tcp=tcp, packages=packages)
+    if arm.left_out:
+        say(f"not of the arm, since other joints move them: {', '.join(arm.left_out)}")
+    return arm

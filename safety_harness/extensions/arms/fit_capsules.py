@@ -1,0 +1,387 @@
+"""Fit capsules to the shapes of an arm's links, for ``safety-harness robot fit``.
+
+Each link's surface, of its collision and its visual shapes, is cut into pieces of at most ``PIECE_M``.
+Every piece belongs to one capsule that holds it wholly (a capsule is convex, so its three corners suffice);
+hence the capsules together hold every triangle.  As in Lloyd's algorithm, pieces go to the capsule
+that they fit best, then each capsule is shrunk about its pieces to least volume; the best of
+several random starts, judged by the volume of the union, is kept.  A link has as many capsules as each take
+a share of ``WORTH`` off that volume, at most ``MOST_CAPSULES``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+from scipy.spatial import ConvexHull, QhullError, cKDTree
+
+from safety_harness.base.compiled import compiled
+from safety_harness.base.extras import FITTING
+from safety_harness.base.geometry.arrays import Array3, ArrayNx3
+from safety_harness.base.geometry.segments import point_segment_distance
+from safety_harness.base.whole_file import write_text
+from safety_harness.cell.robot.capsules import StoredCapsule, StoredCapsules, hashes_of
+from safety_harness.cell.robot.description import ArmModel, LinkShapes, Shape
+from safety_harness.cell.robot.urdf import ArmFileError
+
+PIECE_M = 0.025
+GRID_M = 0.006
+STARTS = 20
+ROUNDS = 15
+WORTH = 0.1
+MOST_CAPSULES = 4
+LONGEST_M = 4.0  # of a link: a mesh in millimetres is a thousand times as long
+ROUND = 32  # sides of what stands for a cylinder
+POLISH_ROUNDS = 12
+FINE_M = 0.004  # pieces for the last rounds, where capsules hand over to one another
+DECIMALS = 4  # 0.1 mm
+
+Capsule = tuple[NDArray[np.float64], NDArray[np.float64], float]  # start, end, radius
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """The triangles of a link in its frame: ``faces`` (n, 3) index ``vertices`` (v, 3) [m]."""
+
+    vertices: NDArray[np.float64]
+    faces: NDArray[np.int64]
+
+    @property
+    def centres(self) -> NDArray[np.float64]:
+        """Centres of the triangles (n, 3) [m]."""
+        centres: NDArray[np.float64] = self.vertices[self.faces].mean(axis=1)
+        return centres
+
+    @property
+    def areas(self) -> NDArray[np.float64]:
+        """Areas of the triangles (n,) [m^2]."""
+        a, b, c = np.moveaxis(self.vertices[self.faces], 1, 0)
+        areas: NDArray[np.float64] = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
+        return areas
+
+    def corners(self, chosen: NDArray[np.bool_]) -> NDArray[np.float64]:
+        """The vertices (k, 3) of the ``chosen`` (n,) triangles, each once."""
+        return self.vertices[np.unique(self.faces[chosen])]
+
+
+def _faces(shape: Shape) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Vertices (v, 3) [m] and triangles (n, 3) of a shape in its own frame; round ones are within them."""
+    trimesh = _trimesh()
+    if shape.kind == "mesh":
+        if str(shape.file).lower().endswith(".dae"):
+            import_module("collada")  # with which trimesh reads it
+        try:
+            mesh = trimesh.load_mesh(shape.file)
+            vertices = np.asarray(mesh.vertices) * (shape.size * _metres_a_unit(mesh))
+            faces = np.asarray(mesh.faces)
+        except Exception as error:  # whatever its readers of a dozen formats raise
+            raise _of_mesh(shape, "a mesh that can be read", f"{type(error).__name__}: {error}") from error
+        if vertices.ndim != 2 or len(faces) == 0 or not np.isfinite(vertices).all():
+            raise _of_mesh(shape, "triangles with finite corners", f"{len(faces)} triangles")
+        if np.ptp(vertices, axis=0).max() > LONGEST_M:
+            got = f"one of {np.ptp(vertices, axis=0).max():.4g} m: if it is in millimetres, scale it by 0.001"
+            raise _of_mesh(shape, f"a mesh of at most {LONGEST_M:g} m", got)
+        return vertices, faces
+    if shape.kind == "box":
+        mesh = trimesh.creation.box(extents=shape.size)
+    elif shape.kind == "cylinder":
+        radius, height = shape.size
+        mesh = trimesh.creation.cylinder(radius / np.cos(np.pi / ROUND), height, sections=ROUND)
+    else:
+        mesh = trimesh.creation.icosphere(subdivisions=3)
+        nearest = np.abs((mesh.triangles_center * mesh.face_normals).sum(axis=1)).min()
+        mesh.apply_scale(shape.size[0] / nearest)
+    return np.asarray(mesh.vertices), np.asarray(mesh.faces)
+
+
+def _metres_a_unit(mesh: Any) -> float:
+    """The unit [m] that a COLLADA file states.  Its up axis is not applied, as ROS's tools do not."""
+    number, _, rest = str(mesh.metadata.get("units", "")).partition(" ")
+    return float(number) if rest == "* meters" else 1.0
+
+
+def _trimesh() -> Any:
+    import trimesh
+
+    return trimesh
+
+
+def _of_mesh(shape: Shape, expected: str, got: str) -> ArmFileError:
+    return ArmFileError.of_file(shape.file or Path(), expected, got)
+
+
+def link_surface(link: LinkShapes, longest_m: float) -> Surface:
+    """All shapes of a link, cut until no edge is longer than ``longest_m``."""
+    vertices, faces, count = [], [], 0
+    with FITTING.needed("robot fit"):
+        for part in (*link.collision, *link.visual):
+            points, triangles, *_ = _trimesh().remesh.subdivide_to_size(*_faces(part), longest_m)
+            turn, shift = part.transform_shape_to_link[:3, :3], part.transform_shape_to_link[:3, 3]
+            vertices.append(points @ turn.T + shift)
+            faces.append(triangles + count)
+            count += len(points)
+    unique, index = np.unique(np.concatenate(vertices), axis=0, return_inverse=True)
+    return Surface(unique, index[np.concatenate(faces)].astype(np.int64))
+
+
+@compiled
+def farthest(points: ArrayNx3, start: Array3, end: Array3) -> float:
+    """Largest distance of ``points`` (n, 3) from the segment: the radius that holds them all.
+
+    ``start`` and ``end`` (3,).
+    """
+    largest = 0.0
+    for i in range(points.shape[0]):
+        largest = max(largest, point_segment_distance(points[i], start, end))
+    return largest
+
+
+@compiled
+def inside(points: ArrayNx3, start: Array3, end: Array3, radius: float) -> NDArray[np.bool_]:
+    """Which of ``points`` (n, 3) lie in the capsule.  ``start`` and ``end`` (3,)."""
+    result = np.empty(points.shape[0], dtype=np.bool_)
+    for i in range(points.shape[0]):
+        result[i] = point_segment_distance(points[i], start, end) <= radius
+    return result
+
+
+@compiled
+def assign(
+    vertices: ArrayNx3,
+    faces: NDArray[np.int64],  # (n, 3)
+    starts: ArrayNx3,
+    ends: ArrayNx3,
+    radii: NDArray[np.float64],  # (k,)
+    owner_out: NDArray[np.int64],  # (n,), written
+) -> None:
+    """Give every triangle (n, 3) to the capsule in which its outermost corner lies deepest."""
+    for i in range(faces.shape[0]):
+        least = np.inf
+        for j in range(radii.shape[0]):
+            out = -np.inf
+            for k in range(3):
+                out = max(out, point_segment_distance(vertices[faces[i, k]], starts[j], ends[j]) - radii[j])
+            if out < least:
+                least = out
+                owner_out[i] = j
+
+
+def smallest_capsule(points: ArrayNx3, start: Capsule | None) -> Capsule:
+    """A capsule of locally least volume about ``points`` (n, 3), from ``start`` or the main axes."""
+    try:
+        hull = points[ConvexHull(points).vertices]
+    except QhullError:  # all in one plane
+        hull = points
+
+    def volume(ends: NDArray[np.float64]) -> float:
+        radius = farthest(hull, ends[:3], ends[3:])
+        return float(np.pi * radius**2 * (np.linalg.norm(ends[3:] - ends[:3]) + 4.0 / 3.0 * radius)) * 1e6
+
+    answers = []
+    for guess in [np.concatenate(start[:2])] if start is not None else _axis_guesses(hull):
+        simplex = np.vstack((guess, guess + 0.01 * np.eye(6)))
+        for _ in range(1 if start is not None else 2):
+            options = {"initial_simplex": simplex, "maxiter": 600, "xatol": 1e-6, "fatol": 1e-5}
+            answer = minimize(volume, guess, method="Nelder-Mead", options=options)
+            simplex = np.vstack((answer.x, answer.x + 0.003 * np.eye(6)))
+        answers.append(answer)
+    best = min(answers, key=lambda one: one.fun)
+    return best.x[:3], best.x[3:], farthest(hull, best.x[:3], best.x[3:])
+
+
+def _axis_guesses(hull: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+    centre = hull.mean(axis=0)
+    guesses = []
+    for axis in np.linalg.eigh(np.cov((hull - centre).T))[1].T:
+        along = (hull - centre) @ axis
+        middle, quarter = (along.max() + along.min()) / 2.0, (along.max() - along.min()) / 4.0
+        guesses.append(
+            np.concatenate((centre + (middle - quarter) * axis, centre + (middle + quarter) * axis))
+        )
+    return guesses
+
+
+def fit_link(surface: Surface, rng: np.random.Generator) -> list[Capsule]:
+    """The capsules of a link: one, and another as long as it is ``WORTH`` it."""
+    best, volume = fit_capsules(surface, 1, rng)
+    for count in range(2, MOST_CAPSULES + 1):
+        more, less = fit_capsules(surface, count, rng)
+        if less > (1.0 - WORTH) * volume:
+            break
+        best, volume = more, less
+    return best
+
+
+def fit_capsules(surface: Surface, count: int, rng: np.random.Generator) -> tuple[list[Capsule], float]:
+    """The best of several fits of ``count`` capsules that together hold every triangle, and its volume [m^3].
+
+    No capsules, and infinity, where no start led to so many.
+    """
+    centres, areas = surface.centres, surface.areas
+    low, high = surface.vertices.min(axis=0) - 0.05, surface.vertices.max(axis=0) + 0.05
+    axes = [np.arange(low[i], high[i], GRID_M) for i in range(3)]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    best: list[Capsule] = []
+    least = np.inf
+    for _ in range(STARTS if count > 1 else 1):
+        if np.count_nonzero(areas) < count:
+            break
+        seeds = centres[rng.choice(len(centres), count, replace=False, p=areas / areas.sum())]
+        owner = np.argmin(((centres[:, None] - seeds) ** 2).sum(axis=2), axis=1)
+        capsules = _improve(surface, owner, count)
+        if capsules is None:
+            continue
+        cells = float(np.any([inside(grid, *capsule) for capsule in capsules], axis=0).sum())
+        if cells < least:
+            best, least = capsules, cells
+    return best, least * GRID_M**3
+
+
+def _improve(surface: Surface, owner: NDArray[np.int64], count: int) -> list[Capsule] | None:
+    """Shrink capsules and hand over triangles by turns; None if a capsule is left with nothing."""
+    capsules: list[Capsule] = []
+    for _ in range(ROUNDS):
+        groups = [surface.corners(owner == j) for j in range(count)]
+        if count > 1 and min(len(group) for group in groups) < 12:
+            return None
+        starts: Sequence[Capsule | None] = capsules or [None] * count
+        capsules = [smallest_capsule(group, start) for group, start in zip(groups, starts, strict=True)]
+        previous = owner.copy()
+        assign(surface.vertices, surface.faces, *_stacked(capsules), owner)
+        if (owner == previous).mean() > 0.999:
+            break
+    return capsules
+
+
+def _stacked(capsules: list[Capsule]) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    starts, ends, radii = zip(*capsules, strict=True)
+    return np.array(starts), np.array(ends), np.array(radii)
+
+
+def needed(surface: Surface, capsules: list[Capsule], index: int) -> NDArray[np.float64]:
+    """Corners of the triangles that no capsule but number ``index`` holds wholly."""
+    spare = np.zeros(len(surface.faces), dtype=np.bool_)
+    for j, (start, end, radius) in enumerate(capsules):
+        if j != index:
+            held = inside(surface.vertices, start, end, radius)
+            spare |= held[surface.faces].all(axis=1)
+    return surface.corners(~spare)
+
+
+def polish(surface: Surface, capsules: list[Capsule]) -> list[Capsule]:
+    """Shrink one capsule after the other about what no other holds; ends and radii to 0.1 mm.
+
+    Coverage is kept at every step, so the last step's capsules hold every triangle.  Ends are
+    rounded before the radius is computed, and the radius is rounded up.
+    """
+    capsules = list(capsules)
+    for last in [False] * (POLISH_ROUNDS if len(capsules) > 1 else 1) + [True]:
+        for j, capsule in enumerate(capsules):
+            points = needed(surface, capsules, j)
+            if not last:
+                capsules[j] = smallest_capsule(points, capsule)
+                continue
+            start, end = (np.round(point, DECIMALS) + 0.0 for point in capsule[:2])
+            tenths = np.ceil(farthest(points, start, end) * 10**DECIMALS + 1e-6)
+            capsules[j] = (start, end, float(np.round(tenths / 10**DECIMALS, DECIMALS)))
+    return capsules
+
+
+def excess(capsules: list[Capsule], surface: Surface, rng: np.random.Generator) -> tuple[float, float]:
+    """Largest and mean distance [m] from the union's surface to the link's surface, by sampling."""
+    samples = []
+    for j, (start, end, radius) in enumerate(capsules):
+        axis = end - start
+        length = float(np.linalg.norm(axis))
+        caps = rng.normal(size=(4000, 3))
+        caps /= np.linalg.norm(caps, axis=1, keepdims=True)
+        tube = rng.normal(size=(int(4000 * length / (2.0 * radius)), 3))
+        tube -= np.outer(tube @ axis, axis) / length**2 if length > 0.0 else 0.0
+        tube /= np.linalg.norm(tube, axis=1, keepdims=True)
+        points = np.vstack(
+            (
+                np.where((caps @ axis > 0.0)[:, None], end, start) + radius * caps,
+                start + rng.random((len(tube), 1)) * axis + radius * tube,
+            )
+        )
+        others = [other for i, other in enumerate(capsules) if i != j]
+        hidden = [inside(points, *other) for other in others]
+        samples.append(points[~np.any(hidden, axis=0)] if others else points)
+    distance = cKDTree(surface.centres).query(np.vstack(samples))[0]
+    return float(distance.max()), float(distance.mean())
+
+
+def fit_mesh(file: Path, scale: float, seed: int = 0) -> tuple[list[Capsule], Surface]:
+    """The capsules that enclose a mesh (a tool, a part), in its own frame, and its surface."""
+    if not file.is_file():
+        raise ArmFileError.of_file(file, "a mesh", "no file of that name")
+    shape = Shape(kind="mesh", size=np.full(3, scale), transform_shape_to_link=np.eye(4), file=file)
+    link = LinkShapes(link=file.stem, index=0, collision=(shape,), visual=())
+    capsules = fit_link(link_surface(link, PIECE_M), np.random.default_rng(seed))
+    surface = link_surface(link, FINE_M)
+    return polish(surface, capsules), surface
+
+
+def fit_arm(
+    arm: ArmModel,
+    seed: int = 0,
+    tell: Callable[[int, str], None] = lambda done, link: None,
+    over: Callable[..., Iterable[list[Capsule]]] = map,
+) -> list[tuple[LinkShapes, list[Capsule]]]:
+    """The capsules of every link that has shapes; the same for the same seed.
+
+    ``tell`` is told how many of the links are done, and which is next; ``over`` is ``map``, or that of a pool
+    of processes.
+    """
+    links = [link for link in arm.links if link.collision or link.visual]
+    if not links:
+        raise ArmFileError.of_file(arm.file, "an arm with shapes", "none at all")
+    result = []
+    tell(0, links[0].link)
+    for link, capsules in zip(links, over(partial(_fitted, seed=seed), links), strict=True):
+        if not capsules:
+            raise ArmFileError.of_file(arm.file, f"shapes with an area for {link.link!r}", "none with one")
+        result.append((link, capsules))
+        tell(len(result), links[len(result)].link if len(result) < len(links) else "")
+    return result
+
+
+def _fitted(link: LinkShapes, seed: int) -> list[Capsule]:
+    """The capsules of one link; none for one without an area."""
+    capsules = fit_link(link_surface(link, PIECE_M), np.random.default_rng((seed, link.index)))
+    if not capsules:
+        return []
+    return polish(link_surface(link, FINE_M if len(capsules) > 1 else PIECE_M), capsules)
+
+
+def write_capsules(file: Path, arm: ArmModel, fitted: list[tuple[LinkShapes, list[Capsule]]]) -> None:
+    """Write the capsules of an arm as ``read_capsules`` reads them; OutputError if that cannot be."""
+    urdf, meshes = hashes_of(arm)
+    capsules = [
+        StoredCapsule(
+            name=link.link.removesuffix("_link") + (f"_{i}" if len(of_link) > 1 else ""),
+            link=link.link,
+            start_in_link_m=tuple(start.tolist()),
+            end_in_link_m=tuple(end.tolist()),
+            radius_m=radius,
+        )
+        for link, of_link in fitted
+        for i, (start, end, radius) in enumerate(of_link, start=1)
+    ]
+    stored = StoredCapsules(
+        arm=arm.name,
+        capsules=capsules,
+        base=arm.link_names[0],
+        tcp=arm.tcp_link,
+        urdf_sha256=urdf,
+        meshes_sha256=meshes,
+    )
+    write_text(file, msgspec.json.format(msgspec.json.encode(stored), indent=1).decode() + "\n")

@@ -1,0 +1,65 @@
+"""The violated episodes of a ledger, drawn again from their seeds: to be attributed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from safety_harness.admission.admit import Admitted
+from safety_harness.base.exceptions import LedgerError, Place
+from safety_harness.extensions.assurance.campaign.episodes import EpisodeRunner
+from safety_harness.extensions.assurance.campaign.ledger import Ledger
+from safety_harness.extensions.assurance.campaign.plan import Plan
+from safety_harness.extensions.assurance.campaign.rows import Row
+from safety_harness.extensions.assurance.statistics.sample import EpisodeOutcome
+from safety_harness.scenario.model import Claim
+
+_VIOLATED = (
+    "SELECT stratum, episode, claim FROM judgement WHERE outcome = "
+    f"{int(EpisodeOutcome.VIOLATED)} ORDER BY episode, stratum, claim"
+)
+
+
+@dataclass(frozen=True)
+class ViolatedEpisodes:
+    """Of every claim the first violations, strata side by side: ``claims`` by (stratum, episode).
+
+    ``of`` is the number of violations that the ledger has.
+    """
+
+    claims: dict[tuple[int, int], tuple[int, ...]]
+    of: int
+
+    @classmethod
+    def first(cls, ledger: Ledger, most: int) -> ViolatedEpisodes:
+        """At most ``most`` of each claim."""
+        chosen: dict[tuple[int, int], tuple[int, ...]] = {}
+        counts = [0] * len(ledger.declared.claims)
+        for stratum, episode, claim in ledger.all(_VIOLATED):
+            counts[claim] += 1
+            if counts[claim] <= most:
+                chosen[stratum, episode] = (*chosen.get((stratum, episode), ()), claim)
+        return cls(chosen, sum(counts))
+
+    @property
+    def words(self) -> str:
+        """How many of how many."""
+        chosen = sum(map(len, self.claims.values()))
+        return f"{chosen} of {self.of} violations, in {len(self.claims)} episodes"
+
+
+def violated_episodes(
+    plan: Plan, violated: ViolatedEpisodes, *, programs: bool
+) -> Iterator[tuple[Admitted, list[Claim]]]:
+    """These episodes, drawn and admitted again, each with the claims that it violates.
+
+    Without ``programs`` nothing is executed: CampaignError where a draw names one.  LedgerError for an
+    episode that cannot be drawn any more.
+    """
+    runner = EpisodeRunner(plan, programs=programs)
+    for (stratum, episode), numbers in violated.claims.items():
+        drawn = runner.draw(stratum, episode)
+        if isinstance(drawn, Row):
+            place = Place(field=f"{plan.strata[stratum].name}, episode {episode}")
+            raise LedgerError(place=place, expected="an episode that can be drawn again", got=drawn.failure)
+        yield drawn.admitted, [plan.claims[number].claim for number in numbers]

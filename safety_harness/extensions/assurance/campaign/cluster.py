@@ -1,0 +1,291 @@
+"""A crew on a Dask cluster: the extra "cluster" of this package.
+
+Each chunk is a task, with which the plan's files travel.  Workers have to have the same version of this
+package and of its libraries, and refuse otherwise.  They should have one thread and a nanny: a user's
+avoider is interrupted at its deadline on a main thread only, and a worker that hangs is restarted by its
+nanny.
+
+Dask tries a task again whose worker dies, and gives up a task that was on several workers when they died:
+waiting there is enough.  So what it gives up comes once more with nothing beside it before it is blamed.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import logging
+import math
+import os
+import tempfile
+import threading
+import time
+from collections.abc import Sequence
+from concurrent.futures import CancelledError
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from queue import Empty, SimpleQueue
+from typing import Any
+
+from safety_harness.base.exceptions import CampaignError, InputError, ScenarioError, described
+from safety_harness.base.extras import CLUSTER
+from safety_harness.extensions.assurance.campaign.episodes import EpisodeRunner
+from safety_harness.extensions.assurance.campaign.identity import Identity, PlanFile, unpacked
+from safety_harness.extensions.assurance.campaign.plan import Plan
+from safety_harness.extensions.assurance.campaign.processes import (
+    LIMITS,
+    Arrived,
+    Chunk,
+    Event,
+    Limits,
+    Lost,
+    bench_of_file,
+)
+from safety_harness.extensions.assurance.campaign.rows import Row
+
+_AHEAD = 2  # chunks for each thread, so that none waits for the network
+_ANSWER_S = 30.0
+_LOOK_S = 2.0  # between looks at the cluster as a whole
+_MOST_REFUSED = 10  # chunks in a row that no worker could begin
+_OF_THREAD = threading.local()  # avoiders are not made to be asked by two at once
+
+
+def run_chunk(
+    files: Sequence[PlanFile], identity: Identity, chunk: Chunk
+) -> Sequence[Row] | InputError | Lost:
+    """What a Dask worker does with a chunk; the machine that it is on has none of the plan's files.
+
+    Nothing is raised: of an exception whose traceback cannot be pickled Dask's client never hears.
+    """
+    try:
+        bench = _bench(files, identity)
+        return list(bench.run(chunk.stratum, chunk.episodes, keep_violations=chunk.keep_violations))
+    except InputError as error:
+        got = f"{error.got} (the worker {os.uname().nodename}:{os.getpid()})"
+        return type(error)(place=error.place, expected=error.expected, got=got, hint=error.hint)
+    except MemoryError:
+        return Lost(chunk, "its worker had no memory left")
+    except Exception as error:
+        return Lost(chunk, described(error), times=0)
+
+
+def _bench(files: Sequence[PlanFile], identity: Identity) -> EpisodeRunner:
+    """Made once for a plan; its files stay until the thread ends or takes up another plan."""
+    if getattr(_OF_THREAD, "plan", "") != identity.sha256:
+        _OF_THREAD.folder = tempfile.TemporaryDirectory(prefix="safety-harness-", ignore_cleanup_errors=True)
+        file = unpacked(files, Path(_OF_THREAD.folder.name))
+        _OF_THREAD.bench = bench_of_file(file, identity)
+        _OF_THREAD.plan = identity.sha256
+    bench: EpisodeRunner = _OF_THREAD.bench
+    return bench
+
+
+@dataclass(eq=False)
+class _Task:
+    """A chunk under way, given or (``begun``) first seen to be what a worker is at ``since_s``."""
+
+    chunk: Chunk
+    alone: bool  # with nothing beside it
+    since_s: float
+    begun: bool = False
+
+
+@dataclass(eq=False)
+class DaskCrew:
+    """A WorkerPool of a Dask scheduler's workers; ``address`` is tcp://... or a scheduler file's path.
+
+    A chunk that takes too long is lost, and the worker that has it is restarted.  InputError if there is no
+    such scheduler.
+    """
+
+    plan: Plan
+    address: str
+    limits: Limits = LIMITS
+    replaced: int = 0
+    size: int = 0  # threads of all workers when they were counted last; workers may come later
+    _under_way: dict[Any, _Task] = field(default_factory=dict)  # by future, in the order of giving
+    _suspects: set[Chunk] = field(default_factory=set)
+    _waiting: Chunk | None = None  # a suspect, until nothing else is under way
+    _finished: SimpleQueue[Any] = field(default_factory=SimpleQueue)
+    _refused: int = 0
+    _mistake: InputError | None = None
+
+    def __post_init__(self) -> None:
+        self._client = connected(self.address, _ANSWER_S)
+        logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what matters of it is said here
+        self._looked_s = -math.inf
+        self._look_around([])
+
+    @property
+    def free(self) -> int:
+        """Chunks that are welcome: none while a suspect waits to be alone, or is."""
+        if self._waiting is not None or any(task.alone for task in self._under_way.values()):
+            return 0
+        return max(max(self.size, 1) * _AHEAD - len(self._under_way), 0)
+
+    def give(self, chunk: Chunk) -> None:
+        """As a task of its own."""
+        if chunk in self._suspects:
+            self._waiting = chunk
+        else:
+            self._submit(chunk, alone=False)
+
+    def _submit(self, chunk: Chunk, alone: bool) -> None:
+        future = self._client.submit(run_chunk, self.plan.files, self.plan.identity, chunk, pure=False)
+        self._under_way[future] = _Task(chunk, alone, time.monotonic())
+        future.add_done_callback(self._finished.put)
+
+    def take(self, timeout_s: float) -> Sequence[Event]:
+        """Chunks as they come, whole; a mistake in the plan once all before it was told."""
+        if self._mistake is not None:
+            raise self._mistake
+        if self._waiting is not None and not self._under_way:
+            self._submit(self._waiting, alone=True)
+            self._waiting = None
+        events: list[Event] = []
+        try:
+            future = self._finished.get(timeout=timeout_s)
+            while True:
+                events += self._event_of(future)
+                future = self._finished.get_nowait()
+        except Empty:
+            pass
+        if not events and self._client.status != "running":
+            raise self._gone()
+        self._look_around(events)
+        return events
+
+    def close(self) -> None:
+        """Drop what is under way, which the scheduler does with its client; the cluster stays."""
+        with suppress(OSError, TimeoutError):
+            self._client.close(timeout=_ANSWER_S)
+
+    def _event_of(self, future: Any) -> list[Event]:
+        if future not in self._under_way:
+            return []
+        if future.status == "cancelled":  # by nobody here: the scheduler has forgotten it
+            raise self._gone()
+        task = self._under_way.pop(future)
+        try:
+            if future.status == "error":
+                return [self._lost(task, future.exception(_ANSWER_S))]
+            found = future.result(_ANSWER_S)
+        except (OSError, TimeoutError, CancelledError, asyncio.CancelledError) as error:
+            return [Lost(task.chunk, f"its result could not be fetched: {type(error).__name__}", times=0)]
+        if isinstance(found, InputError):
+            self._mistake = found
+            return []
+        if isinstance(found, Lost):
+            return [found if found.times else self._refusal(task, found.why)]
+        self._refused = 0
+        return [Arrived(task.chunk, tuple(found), last=True)]
+
+    def _lost(self, task: _Task, error: BaseException) -> Lost:
+        """A task that Dask gave up."""
+        from distributed import KilledWorker
+
+        if not isinstance(error, KilledWorker):
+            return self._refusal(
+                task, " because of ".join(described(e) for e in (error, error.__cause__) if e)
+            )
+        if len(task.chunk.episodes) == 1:
+            self._suspects.add(task.chunk)
+        return Lost(task.chunk, "its worker died", times=error.allowed_failures + 1 if task.alone else 0)
+
+    def _refusal(self, task: _Task, why: str) -> Lost:
+        """What no episode is to blame for; CampaignError if it goes on."""
+        self._refused += 1
+        if self._refused >= _MOST_REFUSED:
+            raise CampaignError(
+                f"the cluster could not run {_MOST_REFUSED} tasks in a row: {why}; "
+                "is this package on its scheduler and on all of its workers?"
+            )
+        return Lost(task.chunk, why, times=0)
+
+    def _gone(self) -> CampaignError:
+        return CampaignError(
+            f"the scheduler {self.address} is gone; what came from it before is in the ledger"
+        )
+
+    def _look_around(self, events: list[Event]) -> None:
+        """Count the workers and look for hung ones, now and then."""
+        if time.monotonic() - self._looked_s < _LOOK_S:
+            return
+        self._looked_s = time.monotonic()
+        try:
+            threads: dict[str, int] = self._client.nthreads()
+            self.size = sum(threads.values())
+            self._look_for_hung(threads, events)
+        except (OSError, TimeoutError) as error:
+            if not events:  # they come first
+                raise self._gone() from error
+
+    def _look_for_hung(self, threads: dict[str, int], events: list[Event]) -> None:
+        """What was begun too long ago, and what no worker has come to although there are some.
+
+        Of the tasks on a worker the first that were given are the ones that it is at, one a thread.
+        """
+        allowed_s, now_s = self.limits.first_s + self.limits.silence_s, time.monotonic()
+        place = {future.key: k for k, future in enumerate(self._under_way)}
+        at: dict[str, str] = {}
+        for worker, keys in self._client.processing().items():
+            ours = sorted((key for key in keys if key in place), key=place.__getitem__)
+            at |= dict.fromkeys(ours[: threads.get(worker, 1)], worker)
+        hung: dict[Any, str | None] = {}
+        for future, task in self._under_way.items():
+            begun = task.begun or future.key in at
+            if begun > task.begun or not threads:
+                task.begun, task.since_s = begun, now_s
+            elif now_s - task.since_s > allowed_s:
+                hung[future] = at.get(future.key)
+        if not hung:
+            return
+        for future in hung:
+            task = self._under_way.pop(future)
+            events.append(Lost(task.chunk, f"no result within {allowed_s:g} s", times=int(task.begun)))
+        workers = sorted({worker for worker in hung.values() if worker})
+        self.replaced += len(workers)
+        self._client.cancel(list(hung), force=True)
+        if workers:
+            self._client.restart_workers(workers, timeout=_ANSWER_S, raise_for_error=False)
+
+
+def connected(where: str, timeout_s: float) -> Any:
+    """A ``distributed.Client`` of the scheduler at an address (tcp://...) or in a file.
+
+    InputError if none answers within ``timeout_s``, MissingPackageError without the library.
+    """
+    with CLUSTER.needed("--cluster"):
+        from distributed import Client
+    make: Any = Client  # of whose methods some have no types
+    try:
+        address = where if "://" in where else _address_in(Path(where))
+        asyncio.run(_refuse_no_scheduler(address, timeout_s))
+        return make(address=address, timeout=timeout_s, set_as_default=False)
+    except Exception as error:  # whatever listens there may answer anything
+        expected = "the address (tcp://...) or the file of a Dask scheduler that answers"
+        got = f"{where}: {str(error) or type(error).__name__}"
+        raise ScenarioError.of_option("--cluster", expected, got) from error
+
+
+def _address_in(file: Path) -> str:
+    """What a scheduler has written, at once: Dask would wait for a file that is not there."""
+    try:
+        address = json.loads(file.read_text(encoding="utf-8"))["address"]
+    except FileNotFoundError:
+        raise FileNotFoundError("no such file") from None
+    except (KeyError, TypeError, UnicodeDecodeError, json.JSONDecodeError):
+        raise ValueError("a file that no scheduler has written") from None
+    return str(address)
+
+
+async def _refuse_no_scheduler(address: str, timeout_s: float) -> None:
+    """Shake hands: a Client waits for ever where something takes a connection and is no scheduler."""
+    from distributed.comm.core import connect
+
+    shake_hands: Any = connect  # which has no types
+    try:
+        comm = await asyncio.wait_for(shake_hands(address, timeout=timeout_s / 2.0), timeout_s)
+    except TimeoutError:
+        raise TimeoutError(f"no answer within {timeout_s:g} s") from None
+    comm.abort()

@@ -1,0 +1,318 @@
+"""Episode k of a stratum: drawn, admitted, run and judged, the same wherever and in whatever order."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+import time
+import traceback
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from functools import lru_cache, partial
+from hashlib import blake2b
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.admission.admit import Admitted, Admitter
+from safety_harness.admission.avoiders import is_executed
+from safety_harness.admission.claims import property_of
+from safety_harness.admission.repeatability import driven_in
+from safety_harness.admission.spaces import MAX_REJECTION_RATIO, why_refused
+from safety_harness.admission.trial import run_all
+from safety_harness.base.exceptions import CampaignError, InputError, described
+from safety_harness.base.seeds import Branch, generator
+from safety_harness.base.seeds import seed as leaf
+from safety_harness.cell.avoidance.flaky import asked_in
+from safety_harness.claims.properties.answered import fault_of, unanswered
+from safety_harness.claims.properties.base import Evaluation
+from safety_harness.claims.properties.finite import bad_decisions, bad_ticks
+from safety_harness.claims.properties.touching import theorem_bits
+from safety_harness.extensions.assurance.campaign.plan import Plan
+from safety_harness.extensions.assurance.campaign.rows import ClaimJudgement, Row
+from safety_harness.extensions.assurance.statistics.sample import EpisodeOutcome
+from safety_harness.scenario.model import Scenario, Verdict
+from safety_harness.seams.isolation.opened import noted
+from safety_harness.search.coverage import cell_of
+from safety_harness.trace.answer_times import AnswersTook
+from safety_harness.trace.consistency import first_inconsistency
+from safety_harness.trace.overruling import Overruling
+from safety_harness.trace.records import Check
+from safety_harness.trace.records import DecisionOutcome as Decided
+from safety_harness.trace.store import load_trace, save_trace
+from safety_harness.trace.trace import Trace, history
+from safety_harness.trace.unmeasured import refuse_not_simulated
+
+_Done = TypeVar("_Done")
+
+
+def root_seed(plan: Plan, stratum: int, episode: int) -> int:
+    """What every random number of the episode comes from."""
+    return _root_seed(plan.seed, plan.strata[stratum].number, episode)
+
+
+@lru_cache(maxsize=256)
+def _root_seed(seed: int, number: int, episode: int) -> int:
+    return leaf(seed, Branch.CAMPAIGN, number, episode)
+
+
+def random_episodes(plan: Plan, stratum: int) -> frozenset[int]:
+    """The episodes of a stratum whose traces are kept whatever comes of them: drawn before any is run."""
+    one = plan.strata[stratum]
+    count = min(plan.random_traces, one.runs)
+    rng = generator(plan.seed, Branch.CAMPAIGN, one.number)
+    return frozenset(rng.choice(one.runs, count, replace=False).tolist()) if count else frozenset()
+
+
+def failed_row(plan: Plan, stratum: int, episode: int, failure: str, *, draws: int = 0) -> Row:
+    """An episode that could not be run, which counts for none of the claims."""
+    return Row(
+        stratum=stratum,
+        episode=episode,
+        seed=root_seed(plan, stratum, episode),
+        judgements=(ClaimJudgement(EpisodeOutcome.FAILED),) * len(plan.claims),
+        draws=draws,
+        failure=failure,
+    )
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """An episode ready to be run, and how many draws it took."""
+
+    episode: int
+    draws: int
+    admitted: Admitted
+
+
+@dataclass(eq=False)
+class EpisodeRunner:
+    """Runs a plan's episodes in this process.
+
+    Avoiders of files are made once: one that remembers earlier runs gives episodes that are not independent,
+    and depend on which process ran which.  Without ``programs`` no Python file is executed, whatever a draw
+    names: CampaignError then.
+    """
+
+    plan: Plan
+    worker: str = ""
+    programs: bool = True
+    _admitter: Admitter = field(default_factory=Admitter, init=False)
+    _random: dict[int, frozenset[int]] = field(default_factory=dict)
+    _noted: int = 0  # of the journal of files that users' modules opened
+
+    def run(self, stratum: int, episodes: Sequence[int], *, keep_violations: bool = True) -> Iterator[Row]:
+        """A row for each episode, in their order; InputError where the text of the plan is to blame.
+
+        ``keep_violations`` says whether traces of violations are still wanted.
+        """
+        for group in [episodes] if self.plan.world.batch else [[episode] for episode in episodes]:
+            begun_s = time.perf_counter()
+            space, seeds = self.plan.strata[stratum].space, [root_seed(self.plan, stratum, k) for k in group]
+            first = zip(group, space.values_of_draws(seeds, 0), strict=True)
+            drawn = [self._guarded(stratum, k, partial(self.draw, stratum, k, values)) for k, values in first]
+            runs = run_all([one.admitted for one in drawn if isinstance(one, Drawn)], self.plan.world)
+            rows = [
+                one if isinstance(one, Row) else self._judged(stratum, one, next(runs), keep_violations)
+                for one in drawn
+            ]
+            each_s = (time.perf_counter() - begun_s) / max(len(rows), 1)
+            found, self._noted = noted(self._noted)
+            here, own = self.plan.file.resolve().parent, {file.sha256 for file in self.plan.files}
+            opened = tuple((os.path.relpath(path, here), sha) for module, path, sha in found if module in own)
+            yield from (replace(row, seconds=each_s, opened=opened if row is rows[0] else ()) for row in rows)
+
+    def scenario(
+        self, stratum: int, episode: int, draw: int, values: NDArray[np.float64] | None = None
+    ) -> Scenario:
+        """A draw for an episode, with the plan's claims and avoider; ``values`` (d,) as ``space.draw``."""
+        space = self.plan.strata[stratum].space
+        scenario = space.draw(root_seed(self.plan, stratum, episode), draw, values)
+        claims = tuple(planned.claim for planned in self.plan.claims)
+        scenario = replace(scenario, name=f"{space.name}#{episode}", claims=claims)
+        return self.plan.with_avoider(scenario)
+
+    def draw(self, stratum: int, episode: int, first: NDArray[np.float64] | None = None) -> Drawn | Row:
+        """The first draw that admission lets through; after too many refusals a row that says so.
+
+        ``first`` (d,): the values of draw 0, if they are there.
+        """
+        refused: Counter[str] = Counter()
+        for k in range(MAX_REJECTION_RATIO):
+            try:
+                scenario = self.scenario(stratum, episode, k, first if k == 0 else None)
+                if not self.programs and is_executed(scenario.under_test):
+                    raise CampaignError(f"{scenario.name} names a program, which is not to be executed")
+                return Drawn(episode, k + 1, self._admitter.admit(scenario))
+            except InputError as error:
+                refused[why_refused(error)] += 1
+        reason, count = refused.most_common(1)[0]
+        failure = f"none of {MAX_REJECTION_RATIO} draws can be tried; {count} times: {reason}"
+        return failed_row(self.plan, stratum, episode, failure, draws=MAX_REJECTION_RATIO)
+
+    def _judged(self, stratum: int, drawn: Drawn, run: Trace | Exception, keep_violations: bool) -> Row:
+        work = partial(self._row, stratum, drawn, run, keep_violations)
+        return self._guarded(stratum, drawn.episode, work)
+
+    def _guarded(self, stratum: int, episode: int, work: Callable[[], _Done]) -> _Done | Row:
+        """An error of ours would come in every worker: once it has come twice, the episode has failed to run.
+
+        InputError, where the plan is to blame, MemoryError, where this process is, and CampaignError for a
+        program that is not to be executed, are raised.
+        """
+        for _ in range(2):
+            try:
+                return work()
+            except (InputError, MemoryError, CampaignError):
+                raise
+            except Exception as error:
+                failure = f"an error of the harness itself: {described(error)}{_where(error)}"
+        return failed_row(self.plan, stratum, episode, failure)
+
+    def _row(self, stratum: int, drawn: Drawn, run: Trace | Exception, keep_violations: bool) -> Row:
+        if isinstance(run, Exception):
+            failure = f"the run failed: {described(run)}"
+            return failed_row(self.plan, stratum, drawn.episode, failure, draws=drawn.draws)
+        row = self.row_of(stratum, drawn.episode, drawn.draws, run)
+        wanted = drawn.episode in self._kept_whatever(stratum) or (keep_violations and row.violates)
+        return replace(row, trace=trace_bytes(run)) if wanted else row
+
+    def row_of(self, stratum: int, episode: int, draws: int, run: Trace) -> Row:
+        """What is noted down of a run, judged by the plan's claims."""
+        broken = why_broken(run)
+        judgements = tuple(
+            judgement_of(property_of(one.claim, run.scenario).evaluate(run), run, broken)
+            for one in self.plan.claims
+        )
+        cell = cell_of(run, self._admitter.seen_of(run.scenario))
+        return Row(
+            stratum=stratum,
+            episode=episode,
+            seed=root_seed(self.plan, stratum, episode),
+            judgements=judgements,
+            draws=draws,
+            **_decided(run),
+            overruling=Overruling.of([run]),
+            run=number_of(run),
+            theorem=theorem_bits(run),
+            cell="" if cell is None else str(cell),
+            mishap=fault_of(run),
+            failure=broken,
+            worker=self.worker,
+            asked=() if run.scenario.driven else tuple(asked_in(run)),
+            driven=driven_in(run),
+            times=AnswersTook.of(run),
+        )
+
+    def _kept_whatever(self, stratum: int) -> frozenset[int]:
+        if stratum not in self._random:
+            self._random[stratum] = random_episodes(self.plan, stratum)
+        return self._random[stratum]
+
+
+def _decided(run: Trace) -> dict[str, Any]:
+    """How many decisions there were of each kind; all 0 without any, as in most runs."""
+    if len(run.decisions) == 0:
+        return {}
+    outcome, failed = run.decisions["outcome"], run.decisions["proposed_failed"]
+    return {
+        "decisions": len(outcome),
+        "proposed": int(np.count_nonzero(outcome == Decided.PROPOSED)),
+        "opposite": int(np.count_nonzero(outcome == Decided.OPPOSITE)),
+        "stopped": int(np.count_nonzero(outcome == Decided.STOP)),
+        "faults": int(np.count_nonzero(unanswered(run))),
+        "late": int(np.count_nonzero(failed & Check.LATE)),
+    }
+
+
+def number_of(run: Trace) -> int:
+    """A number of 63 bits by which the run is told from others; 0 of one without ticks.
+
+    It stands for what arm, hands and avoider did, whichever seed it came from: two draws that differ in
+    nothing that acts are one run.  What sensors said is looked at every so many ticks alone: it costs time.
+    """
+    if len(run.ticks) == 0:
+        return 0
+    digest = blake2b(digest_size=8)
+    for name in _AT_EVERY_TICK:
+        digest.update(history(run, name).tobytes("F"))
+    for records, names in ((run.ticks[::_SOMETIMES], _SOMETIMES_SEEN), (run.decisions, _DECIDED)):
+        for name in names:
+            digest.update(records[name].tobytes())
+    return max(int.from_bytes(digest.digest(), "big") >> 1, 1)
+
+
+_AT_EVERY_TICK, _SOMETIMES = ("joint_position_rad", "hand_distance_m"), 16
+_SOMETIMES_SEEN = ("hand_position_in_base_m", "predicted_hand_in_base_m", "features")
+_DECIDED = ("tick", "outcome", "proposed_position_in_base_m", "proposed_spread_m")
+
+
+def why_broken(trace: Trace) -> str:
+    """Why a trace is no record of a whole run; empty if it is one."""
+    if not trace.complete:
+        return f"the run was cut short: {trace.ended}"
+    odd = first_inconsistency(trace)
+    if odd is not None:
+        return f"the trace contradicts itself: {odd}"
+    if bad_ticks(trace).any() or bad_decisions(trace).any():
+        return "the trace has numbers that are none"
+    return ""
+
+
+def judgement_of(evaluation: Evaluation, trace: Trace, broken: str) -> ClaimJudgement:
+    """The outcome for estimates.
+
+    Only a whole run in which the claim was not put to the test, or could not be judged as not all was
+    measured, says nothing of it; one that is broken counts as a violation in upper bounds, whatever it would
+    have shown.
+    """
+    if evaluation.verdict is Verdict.VIOLATED:
+        outcome = EpisodeOutcome.VIOLATED
+    elif broken and not trace.complete:
+        outcome = EpisodeOutcome.FAILED
+    elif broken:
+        outcome = EpisodeOutcome.INCONCLUSIVE
+    elif evaluation.verdict is Verdict.HOLDS:
+        outcome = EpisodeOutcome.HOLDS
+    elif evaluation.exercised and not evaluation.unmeasured:
+        outcome = EpisodeOutcome.INCONCLUSIVE
+    else:
+        outcome = EpisodeOutcome.UNTESTED
+    margin, worst_s = evaluation.margin, evaluation.worst_time_s
+    return ClaimJudgement(
+        outcome,
+        np.nan if margin is None else float(margin),
+        np.nan if worst_s is None else float(worst_s),
+        0 if evaluation.unmeasured else int(evaluation.exercised),
+    )
+
+
+def trace_bytes(trace: Trace) -> bytes:
+    """The trace as ``save_trace`` writes it."""
+    with tempfile.TemporaryDirectory(prefix="safety-harness-") as folder:
+        file = Path(folder) / "one.trace"
+        save_trace(trace, file)
+        return file.read_bytes()
+
+
+def trace_of(plan: Plan, stratum: int, data: bytes) -> Trace:
+    """A stored trace, simulated; TraceError.  Its scenario names files where the plan's space is now.
+
+    A stored reference may have lost its folder (``portable``): what the plan tests is named as the plan does.
+    """
+    with tempfile.TemporaryDirectory(prefix="safety-harness-") as folder:
+        file = Path(folder) / "stored.trace"
+        file.write_bytes(data)
+        trace = load_trace(file)
+    refuse_not_simulated(trace)
+    space = plan.strata[stratum].space
+    return replace(trace, scenario=plan.with_avoider(replace(trace.scenario, file=space.file)))
+
+
+def _where(error: Exception) -> str:
+    """The deepest line, of whichever file: there is no traceback in a ledger."""
+    frames = traceback.extract_tb(error.__traceback__)
+    return f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})" if frames else ""

@@ -1,0 +1,145 @@
+"""A ledger as a table for other programs, and questions to it: filters as SQL, and SQL that can only read."""
+
+from __future__ import annotations
+
+import csv
+import sqlite3
+from collections.abc import Sequence
+from itertools import islice
+from pathlib import Path
+
+from safety_harness.base.exceptions import Place, ScenarioError, near_miss
+from safety_harness.base.extras import EXPORT
+from safety_harness.base.whole_file import replacing, writing
+from safety_harness.extensions.assurance.campaign.ledger import Ledger
+from safety_harness.extensions.assurance.campaign.opening import COUNTS, OUTCOME, OVERRULED
+from safety_harness.extensions.assurance.statistics.sample import EpisodeOutcome
+from safety_harness.scenario.units import DIMENSIONS, NUMBER, parse_quantity
+
+_NUMBERS = ("seed", "draws", "decisions", "proposed", "opposite", "stopped", "faults", "late", *COUNTS)
+# Name, where it is, and its type in Parquet.
+_COLUMNS = (
+    ("stratum", "s.name", "string"),
+    ("episode", "j.episode", "int64"),
+    ("claim", "c.sentence", "string"),
+    ("outcome", f"COALESCE({OUTCOME}, j.outcome)", "string"),  # a code that stands for none as it is
+    ("margin_si", "j.margin", "float64"),
+    ("worst_time_s", "j.worst_time_s", "float64"),
+    ("exercised", "j.exercised", "int64"),
+    *((name, f"e.{name}", "int64") for name in _NUMBERS),
+    ("overruled", OVERRULED, "int64"),
+    ("cell", "l.words", "string"),
+    ("mishap", "e.mishap", "string"),
+    ("failure", "e.failure", "string"),
+    ("seconds", "e.seconds", "float64"),
+    ("worker", "e.worker", "string"),
+)
+_QUESTION = (
+    f"SELECT {', '.join(place for _, place, _ in _COLUMNS)} FROM judgement j "
+    "JOIN stratum s ON s.id = j.stratum JOIN claim c ON c.id = j.claim "
+    "JOIN episode e ON e.stratum = j.stratum AND e.episode = j.episode LEFT JOIN cell l ON l.id = e.cell "
+    "ORDER BY j.stratum, j.claim, j.episode"
+)
+_AT_ONCE = 50_000  # lines
+SUFFIXES = (".csv", ".parquet")
+
+
+def export(ledger: Ledger, out: Path) -> int:
+    """Write the table as CSV or Parquet, by the suffix of ``out``; how many lines it has.
+
+    Parquet needs pyarrow, the extra "export".  OutputError, or InputError for another suffix.
+    """
+    if out.suffix not in SUFFIXES:
+        raise ScenarioError.of_file(out, f"a file that ends in {' or '.join(SUFFIXES)}", out.name)
+    with writing(out), replacing(out) as unfinished:
+        return _csv(ledger, unfinished) if out.suffix == ".csv" else _parquet(ledger, unfinished)
+
+
+def export_traces(ledger: Ledger, folder: Path) -> list[Path]:
+    """Write every stored trace as a file that ``replay`` and ``judge`` take."""
+    paths = []
+    with writing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        for stratum, episode, violation in ledger.traces():
+            word = "violation" if violation else "random"
+            path = folder / f"stratum-{stratum + 1}-episode-{episode}-{word}.trace"
+            with replacing(path) as unfinished:
+                unfinished.write_bytes(ledger.trace(stratum, episode) or b"")
+            paths.append(path)
+    return paths
+
+
+def _csv(ledger: Ledger, path: Path) -> int:
+    count = 0
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(name for name, *_ in _COLUMNS)
+        for line in ledger.all(_QUESTION):
+            writer.writerow(line)
+            count += 1
+    return count
+
+
+def _parquet(ledger: Ledger, path: Path) -> int:
+    with EXPORT.needed("a table in Parquet"):
+        import pyarrow
+        from pyarrow.parquet import ParquetWriter
+    schema = pyarrow.schema([(name, pyarrow.type_for_alias(kind)) for name, _, kind in _COLUMNS])
+    count, lines = 0, ledger.all(_QUESTION)
+    with ParquetWriter(path, schema, compression="zstd") as writer:
+        while batch := list(islice(lines, _AT_ONCE)):
+            columns = [pyarrow.array([line[k] for line in batch], kind.type) for k, kind in enumerate(schema)]
+            writer.write_table(pyarrow.table(columns, schema=schema))
+            count += len(batch)
+    return count
+
+
+_DIMENSIONS = {one.name: one for one in DIMENSIONS}  # named as units are, but for a count
+_READING = {sqlite3.SQLITE_SELECT, sqlite3.SQLITE_READ, sqlite3.SQLITE_FUNCTION, sqlite3.SQLITE_RECURSIVE}
+
+
+def question_of(
+    ledger: Ledger, claim: str | None, stratum: str | None, outcome: str | None, below: str | None
+) -> tuple[str, tuple[object, ...]]:
+    """SQL over the view ``results``, worst margins first, and its values.
+
+    A claim or stratum is named whole, or by words that only one has; ``below`` is a margin with its unit.
+    """
+    declared = ledger.declared
+    outcomes = tuple(one.name.lower() for one in EpisodeOutcome)
+    filters: list[tuple[str, object]] = []
+    for option, word, names in (
+        ("stratum", stratum, declared.strata),
+        ("claim", claim, declared.claims),
+        ("outcome", outcome, outcomes),
+    ):
+        if word is not None:
+            filters.append((f"{option} = ?", _meant(names, word, f"--{option}")))
+    if below is not None:
+        named = zip(declared.claims, declared.units, strict=True)
+        units = {unit for name, unit in named if claim is None or claim in name}
+        if len(units) != 1:
+            expected = "--claim beside it, whose unit it has"
+            raise ScenarioError.of_option("--below", expected, "several claims")
+        dimension = _DIMENSIONS.get(units.pop().name.lower().replace("_", " "), NUMBER)
+        filters.append(("margin < ?", parse_quantity(below, dimension, Place(field="--below"))))
+    where = " AND ".join(text for text, _ in filters) or "1"
+    values = tuple(value for _, value in filters)
+    return f"SELECT * FROM results WHERE {where} ORDER BY margin IS NULL, margin, stratum, episode", values
+
+
+def refuse_writing(connection: sqlite3.Connection) -> None:
+    """From now on the connection only reads: nothing is changed, attached or set."""
+    connection.set_authorizer(
+        lambda action, *_: sqlite3.SQLITE_OK if action in _READING else sqlite3.SQLITE_DENY
+    )
+
+
+def _meant(names: Sequence[str], word: str, option: str) -> str:
+    if word in names:
+        return word
+    found = [name for name in names if word in name]
+    if len(found) != 1:
+        got = f"{word!r}, which {len(found)} of them have" if found else repr(word)
+        raise ScenarioError.of_option(option, f"one of {', '.join(names)}", got, near_miss(word, names))
+    return found[0]

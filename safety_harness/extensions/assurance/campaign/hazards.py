@@ -1,0 +1,290 @@
+"""The hazards that a plan names: who meets what where, how grave and how often, who decided, and why.
+
+docs/certification.md is the reference of these keys.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from safety_harness.base.exceptions import near_miss
+from safety_harness.extensions.assurance.campaign.risk_graph import (
+    AVOIDANCES,
+    EXPOSURES,
+    SEVERITIES,
+    UNKNOWN,
+    DerivedRate,
+    RiskGraph,
+    derived,
+    read_graph,
+)
+from safety_harness.extensions.assurance.statistics.rates import SharedError, most_an_hour
+from safety_harness.scenario.codec import Below, QuantityValue, Text, declared, key, table_of
+from safety_harness.scenario.fields import Field, Fields
+from safety_harness.scenario.files import resolved
+from safety_harness.scenario.typed_json import read_json
+from safety_harness.scenario.units import FRACTION, NUMBER
+
+MOST_HAZARDS = 64
+LOW, NOT_LOW = "low", "not low"
+
+
+def _line(expected: str) -> Text:
+    return Text(words="text, one line", expected=expected, reads=lambda field: _said(field, expected))
+
+
+def _prose(expected: str) -> Text:
+    return Text(words="text", reads=lambda field: _said(field, expected, lines=True))
+
+
+def _said(field: Field, expected: str, *, lines: bool = False) -> str:
+    text = field.prose(expected, lines=lines)
+    if not text.strip():
+        raise field.error(expected)
+    return text
+
+
+def _one_of(*words: str) -> Text:
+    listed = f"{', '.join(words[:-1])} or {words[-1]}"
+    return Text(words=listed, reads=lambda field: field.one_of({word: word for word in words}))
+
+
+_SOURCE = _line("where the number is from")
+
+
+@declared
+class CountedApproaches:
+    """So many approaches were counted in so many hours; they count as a Poisson process."""
+
+    count: int = key(
+        "counted",
+        QuantityValue(NUMBER, least=0, most=10**9, whole=True),
+        "approaches that were counted",
+        "37",
+    )
+    hours: float = key("hours", QuantityValue(NUMBER, least=1e-3, most=1e6), "in so many hours", "12")
+    source: str = key("source", _SOURCE, "who counted, where and when", "two shifts at the packing table")
+    file: Path | None = None
+
+    def most_an_hour(self, chance: float) -> float:
+        """Above which the rate lies with this chance at most."""
+        return most_an_hour(self.count, self.hours, chance)
+
+    @property
+    def words(self) -> str:
+        """What is known, and from where."""
+        return f"{self.count} approaches in {self.hours:.4g} h ({self.source})"
+
+
+@declared
+class StatedApproaches:
+    """Somebody states a bound, and how sure it is."""
+
+    at_most: float = key("at most", QuantityValue(NUMBER, least=1e-9, most=1e6), "approaches an hour", "40")
+    confidence: float = key(
+        "confidence",
+        QuantityValue(FRACTION, least=0.5, most=0.999999999),
+        "how sure that is; half of what the plan's confidence leaves may be missing, shared by all rates",
+        "99 %",
+    )
+    source: str = key("source", _SOURCE, "who states it, and on what grounds", "the line's cycle time")
+
+    def most_an_hour(self, chance: float) -> float:
+        """The stated bound, whose confidence ``read_hazards`` has held to this chance."""
+        return self.at_most
+
+    @property
+    def words(self) -> str:
+        """What is known, and from where."""
+        return f"at most {self.at_most:g} an hour with {100.0 * self.confidence:.10g} % ({self.source})"
+
+
+Approaches = CountedApproaches | StatedApproaches
+
+
+def _fitted(field: Field) -> CountedApproaches:
+    """The approaches of recorded hands: count and hours from what ``hands fit --json`` printed."""
+    name = field.sentence("the JSON that hands fit --json printed")
+    file = resolved((field.file.parent if field.file else Path()) / name)
+    if not file.is_file():
+        raise field.error(
+            "the JSON that hands fit --json printed, relative to the plan", got=f"no such file: {file}"
+        )
+    found: Any = read_json(file, "the JSON of hands fit --json")
+    try:
+        fit = found["result"]["fit"]
+        count, hours = fit["approaches"], fit["hours"]
+        files = len(fit["recordings"])
+    except (KeyError, TypeError):
+        raise field.error("the JSON that hands fit --json printed", got=f"{name}, which has no fit") from None
+    whole = isinstance(count, int) and not isinstance(count, bool) and count >= 0
+    if not whole or not isinstance(hours, int | float) or isinstance(hours, bool) or not hours > 0.0:
+        got = f"{name}: {str(count)[:40]} in {str(hours)[:40]} h"
+        raise field.error("a number of approaches, in more than no hours", got=got)
+    source = f"hands fit of {files} file{'s' if files != 1 else ''}, {name}"
+    return CountedApproaches(count=count, hours=float(hours), source=source, file=file)
+
+
+@declared
+class _FittedApproaches:
+    found: CountedApproaches = key(
+        "fitted",
+        Text(words="file, relative to the plan", reads=_fitted),
+        "what `safety-harness hands fit --json` printed: its approaches and hours",
+        "hands.json",
+    )
+
+
+class _ApproachesValue(Below):
+    """A mapping of one of three kinds."""
+
+    def read(self, field: Field) -> Approaches:
+        """Counted or stated: what was fitted is counted."""
+        found: Approaches | _FittedApproaches = super().read(field)
+        return found.found if isinstance(found, _FittedApproaches) else found
+
+
+APPROACHES = _ApproachesValue(
+    noun="rate of approaches",
+    tables=(
+        table_of(_FittedApproaches, "approaches of recorded hands"),
+        table_of(CountedApproaches, "approaches that were counted"),
+        table_of(StatedApproaches, "approaches that somebody states"),
+    ),
+)
+
+
+@declared
+class Hazard:
+    """One hazard of a plan, as its author words it; ``severity`` and the two after it may be UNKNOWN."""
+
+    name: str = key("hazard", _line("a name"), "its name, by which claims call it", "crushed hand")
+    task: str = key("task", _line("what people do there"), "what people do", "parts are taken from the table")
+    zone: str = key("zone", _line("where"), "where", "above the table, within reach of the arm")
+    body_region: str = key("body region", _line("what of the body"), "what may be hurt", "hand and forearm")
+    event: str = key(
+        "initiating event",
+        _line("what begins it"),
+        "what begins it",
+        "a hand reaches past the object while the arm moves",
+    )
+    severity: str = key(
+        "severity", _one_of(*SEVERITIES, UNKNOWN), "S1: slight injury; S2: serious, or death", "S2"
+    )
+    exposure: str = key(
+        "exposure", _one_of(*EXPOSURES, UNKNOWN), "F1: seldom or briefly; F2: frequently or long", "F2"
+    )
+    avoidance: str = key(
+        "avoidance", _one_of(*AVOIDANCES, UNKNOWN), "P1: avoidable; P2: scarcely avoidable", "P2"
+    )
+    probability: str = key(
+        "event probability",
+        _one_of(NOT_LOW, LOW),
+        "of the hazardous event; where it is low, one level less is required",
+        "low",
+        default=NOT_LOW,
+    )
+    decided_by: str = key(
+        "decided by", _line("who decided"), "who decided severity, exposure and avoidance", "the integrator"
+    )
+    because: str = key("because", _prose("why"), "why so", "the arm moves 10 kg at 250 mm/s")
+    approaches: Approaches | None = key(
+        "approaches",
+        APPROACHES,
+        "how many approaches an hour there are; without it there is no bound an hour",
+        "{counted: 37, hours: 12, source: two shifts at the packing table}",
+        "unknown",
+        default=None,
+    )
+
+    def derived(self, graph: RiskGraph) -> DerivedRate:
+        """The level and rate that the graph leads to, step by step."""
+        low = self.probability == LOW
+        return derived(graph, self.severity, self.exposure, self.avoidance, unlikely=low)
+
+
+HAZARD = table_of(Hazard, "a hazard", where="a hazard of a plan")
+
+
+@dataclass(frozen=True)
+class PlannedHazards:
+    """All hazards of a plan, the graph that derives their rates, and how the plan's error is shared."""
+
+    hazards: tuple[Hazard, ...]
+    graph: RiskGraph
+    error: SharedError
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """What the hazards' rates of approaches were read from."""
+        rates = (one.approaches for one in self.hazards)
+        return tuple(one.file for one in rates if isinstance(one, CountedApproaches) and one.file)
+
+    def named(self, field: Field) -> tuple[str, ...]:
+        """The hazards that a claim lists."""
+        names = [one.name for one in self.hazards]
+        found: list[str] = []
+        for item in field.items("a list of the plan's hazards", least=1):
+            name = item.sentence("the name of a hazard")
+            if name not in names:
+                known = ", ".join(names) or "none"
+                raise item.error(f"a hazard of this plan ({known})", hint=near_miss(name, names))
+            if name in found:
+                raise item.error("each hazard once")
+            found.append(name)
+        return tuple(found)
+
+    def target(self, names: tuple[str, ...], field: Field) -> float:
+        """What a run may violate at most, so that no hazard's rate is above what its level asks.
+
+        The rate is divided by the most approaches an hour; the least of the hazards' counts.
+        """
+        shares = []
+        for one in self.hazards:
+            if one.name in names:
+                rate = one.derived(self.graph).an_hour
+                if rate is None or one.approaches is None:
+                    lacking = (
+                        "its approaches an hour"
+                        if rate is not None
+                        else "its severity, exposure and avoidance"
+                    )
+                    raise field.error(
+                        "a fraction, or derived from hazards that say all it takes",
+                        got=f"{one.name!r} without {lacking}",
+                    )
+                shares.append(rate / one.approaches.most_an_hour(self.error.of_each_rate))
+        if not shares:
+            raise field.error('a fraction; derived only under the key "hazards"')
+        return min(0.5, *shares)
+
+
+def read_hazards(given: Fields, confidence: float) -> PlannedHazards:
+    """What a plan says below ``hazards`` and ``risk graph``; ScenarioError with its place."""
+    at, graph = given.optional("hazards"), given.optional("risk graph")
+    items = at.items("a list of hazards", least=1, most=MOST_HAZARDS) if at else ()
+    hazards: list[Hazard] = []
+    for item in items:
+        one: Hazard = HAZARD.read(item)
+        if any(one.name == other.name for other in hazards):
+            raise item.fields(HAZARD.names).required("hazard").error("a name that no other hazard has")
+        hazards.append(one)
+    rates = sum(one.approaches is not None for one in hazards)
+    error = SharedError(confidence, max(rates, 1))
+    for item, one in zip(items, hazards, strict=True):
+        stated = one.approaches
+        if isinstance(stated, StatedApproaches) and 1.0 - stated.confidence > error.of_each_rate * (
+            1.0 + 1e-9
+        ):
+            least = 100.0 * (1.0 - error.of_each_rate)
+            place = (
+                item.fields(HAZARD.names).required("approaches").fields(("at most", "confidence", "source"))
+            )
+            raise place.required("confidence").error(
+                f"{least:.10g} % at least: half of what the plan's confidence leaves, shared by all rates"
+            )
+    if graph and not hazards:
+        raise graph.error("hazards, for which it is walked", got="a risk graph alone")
+    return PlannedHazards(tuple(hazards), read_graph(graph), error)

@@ -1,0 +1,267 @@
+"""What the results of a plan depend on, by name and hash, so that a change can be named; and its files.
+
+The files are enough to read the plan again elsewhere, or after its own have changed.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from itertools import chain
+from pathlib import Path
+
+from safety_harness.base.exceptions import LedgerError, Place, ScenarioError
+from safety_harness.base.shipped.contents import PREFIX, contents, is_installed, located
+from safety_harness.base.whole_file import writing
+from safety_harness.cell.avoidance.shipped import SHIPPED, shipped_model
+from safety_harness.cell.robot.robots import arm_model
+from safety_harness.cell.simulation.worlds import libraries_of, worlds_by_label
+from safety_harness.scenario.compose import Library
+from safety_harness.scenario.files import read_bytes, resolved
+from safety_harness.scenario.model import EDITION
+from safety_harness.scenario.nodes import Mapping, Node, Scalar
+from safety_harness.scenario.references import file_and_name
+from safety_harness.scenario.robots import AnyRobot, OwnRobot
+from safety_harness.space.space import ScenarioSpace
+from safety_harness.trace.provenance import provenance
+from safety_harness.trace.system import SystemUnderTest
+
+SYSTEM = "the system under test"
+CLAIMS = "the meaning of the claims"
+
+
+@dataclass(frozen=True)
+class Identity:
+    """What (a file, a network, a library) and its hash or version."""
+
+    parts: tuple[tuple[str, str], ...]
+
+    @property
+    def sha256(self) -> str:
+        """Stands for all parts."""
+        return hashlib.sha256(self.as_json().encode()).hexdigest()
+
+    def as_json(self) -> str:
+        """As the ledger keeps it."""
+        return json.dumps(self.parts)
+
+    @classmethod
+    def from_json(cls, text: str) -> Identity:
+        """As it was kept; ValueError or TypeError for any other text, and for a part that is named twice."""
+        parts = tuple((str(name), str(value)) for name, value in json.loads(text))
+        if len(dict(parts)) < len(parts):
+            raise ValueError("a part is named twice")
+        return cls(parts)
+
+    @property
+    def systems(self) -> list[str]:
+        """The systems under test, each once, as text."""
+        return sorted({text for name, text in self.parts if name.startswith(SYSTEM)})
+
+    def changes(self, now: Identity) -> list[str]:
+        """What is another now, in words; empty if nothing is.
+
+        Of a system under test only where no file, network or version of it has been named.
+        """
+        before, after = dict(self.parts), dict(now.parts)
+        words = [f"{name} changed" for name in before if name in after and before[name] != after[name]]
+        words += [f"{name} is gone" for name in before if name not in after]
+        words += [f"{name} is new" for name in after if name not in before]
+        return [one for one in words if not one.startswith(SYSTEM)] or words
+
+    def refuse_other(self, now: Identity, file: Path, *, where: str = "", hint: str = "") -> None:
+        """LedgerError that names what of ``file`` is another now than when its plan was declared."""
+        if changes := self.changes(now):
+            expected = f"the plan, files and versions that it was begun with{where}"
+            raise LedgerError(place=Place(file=file), expected=expected, got="; ".join(changes), hint=hint)
+
+
+def identity_of(
+    files: Sequence[PlanFile],
+    spaces: Sequence[ScenarioSpace],
+    avoider: str | None,
+    world: str,
+    systems: Iterable[tuple[str, SystemUnderTest]] = (),
+    edition: int = EDITION,
+) -> Identity:
+    """Of a plan's files, the shipped networks that they name, this package, its libraries.
+
+    And the ``systems`` under test, by their strata.
+    """
+    parts = {f"the file {file.name}": file.sha256 for file in files}
+    named = {avoider or ""} | {text for space in spaces for text in references_in(space.tree)}
+    named |= {space.simplest.avoider for space in spaces}  # the default, of a space that names none
+    for name in sorted(named & set(SHIPPED)):
+        parts[f"the network {name}"] = hashlib.sha256(shipped_model(name).read_bytes()).hexdigest()
+    made_by = provenance(world, _libraries(spaces, world))
+    parts["the source of this package"] = made_by.source_hash
+    if edition > 1:  # before, it was not told
+        parts[CLAIMS] = f"edition {edition}"
+    parts["Python"] = made_by.python
+    parts["the platform"] = made_by.platform
+    parts |= {f"the library {name}": version for name, version in made_by.libraries}
+    parts |= {f"{SYSTEM} in {name}": one.as_json for name, one in systems}
+    return Identity(tuple(parts.items()))
+
+
+def edition_of(identity: Identity) -> int:
+    """Return the edition of the catalogue in which a ledger's claims are read; 1 where none is told."""
+    told = dict(identity.parts).get(CLAIMS, "edition 1").removeprefix("edition ")
+    return int(told) if told in map(str, range(1, EDITION)) else EDITION
+
+
+def _libraries(spaces: Sequence[ScenarioSpace], world: str) -> tuple[str, ...]:
+    """What the runs use, each once; an engine that is missing is named as not loaded."""
+    entry = worlds_by_label()[world]
+    used = (libraries_of(entry.name, space.simplest) for space in spaces)
+    return tuple(dict.fromkeys(chain(entry.libraries * entry.is_installed, *used)))
+
+
+MOST_BYTES = 200_000_000  # of all files together
+REFERRING = ("avoider", "controller", "recording")
+
+
+@dataclass(frozen=True)
+class PlanFile:
+    """One file: its name relative to the folder that all of them are in, and its bytes."""
+
+    name: str
+    data: bytes = field(repr=False)
+
+    @property
+    def sha256(self) -> str:
+        """Of the bytes."""
+        return hashlib.sha256(self.data).hexdigest()
+
+
+def files_of_plan(
+    plan: Path,
+    library: Library,
+    spaces: Sequence[ScenarioSpace],
+    avoider: str | None,
+    others: Sequence[Path] = (),
+) -> tuple[PlanFile, ...]:
+    """The plan's own file first, then its spaces, what they extend, recordings, avoiders and models.
+
+    And ``others``, which the plan was read from.
+
+    What an avoider of the user's own imports or opens besides is not known here.
+    """
+    named = [plan.resolve(), *library.files, *others]
+    for space in spaces:
+        avoiders = (file_and_name(text)[0] for text in references_in(space.tree, ("avoider", "controller")))
+        folder = space.file.parent if space.file else Path()
+        named += _existing((*avoiders, *references_in(space.tree, ("recording",))), folder)
+        named += _existing(map(str, _files_of(space.simplest.robot)), Path())
+    if avoider is not None:
+        named += _existing([file_and_name(avoider)[0]], plan.parent)
+    files, size = [], 0
+    names = _names(named)
+    for path, name in names.items():
+        data = read_bytes(path, most=MOST_BYTES, place=Place(file=path), error=ScenarioError)
+        size += len(data)
+        if size > MOST_BYTES:
+            raise ScenarioError.of_file(plan, f"at most {MOST_BYTES:,} bytes of files", "more")
+        files.append(PlanFile(name, _packed(data, path, names)))
+    return tuple(files)
+
+
+_ABSOLUTE = re.compile(rb"""(?<=["'])[~/][^"'\n]*(?=["'])|(?<=[\s\[{,])[~/][^\s"'\[\]{},#:]+""")
+
+
+def _packed(data: bytes, path: Path, names: dict[Path, str]) -> bytes:
+    """Return a file's bytes with each absolute reference to another packed file made relative to it.
+
+    So a report's own copy of the plan names the report's own copies, wherever it lies.
+    """
+    if path.suffix not in (".yaml", ".yml", ".urdf"):
+        return data
+    folder = Path(names[path]).parent
+
+    def relative(found: re.Match[bytes]) -> bytes:
+        text = found[0].decode("utf-8", "replace")
+        file, name = file_and_name(text)
+        target = next(_existing([file or text], Path()), None)
+        if target not in names:
+            return found[0]
+        return (os.path.relpath(names[target], folder) + f":{name}" * bool(name)).encode()
+
+    return _ABSOLUTE.sub(relative, data)
+
+
+def _files_of(robot: AnyRobot) -> Iterator[Path]:
+    """An own arm's files and meshes; those of an installed package are sought there."""
+    if isinstance(robot, OwnRobot):
+        yield from robot.files if robot.package is None else robot.files[1:]
+        shapes = (one for link in arm_model(robot).links for one in (*link.collision, *link.visual))
+        yield from {one.file: None for one in shapes if one.file is not None and robot.package is None}
+
+
+def _names(paths: Sequence[Path]) -> dict[Path, str]:
+    """Each file relative to the folder that all are in; what ships and is named so, to a folder ``shipped``.
+
+    For "shipped:" in a plan says where those lie on whichever machine, unless the plan is shipped itself.  In
+    an installation nobody names them otherwise; in a checkout it is so where a file of the user's says it.
+    """
+    ours = {path for path in paths if contents() in path.parents}
+    own = [path for path in paths if path not in ours]
+    if paths[0] in ours or not (is_installed() or any(map(_says_shipped, own))):
+        ours, own = set(), list(paths)
+    root = Path(os.path.commonpath([path.parent for path in own]))
+    return {
+        path: f"shipped/{path.relative_to(contents()).as_posix()}"
+        if path in ours
+        else path.relative_to(root).as_posix()
+        for path in paths
+    }
+
+
+def _says_shipped(path: Path) -> bool:
+    return path.suffix in (".yaml", ".yml") and PREFIX.encode() in path.read_bytes()
+
+
+def unpacked(files: Sequence[PlanFile], folder: Path) -> Path:
+    """Write the files below ``folder``; the path of the first of them, the plan's own.
+
+    LedgerError-like refusal of names that lead elsewhere is the reader's matter: names are checked here too.
+    """
+    for file in files:
+        path = (folder / file.name).resolve()
+        if folder.resolve() not in path.parents:
+            raise ScenarioError.of_file(Path(file.name), "a file below the plan's folder", "another")
+        with writing(path):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(file.data)
+    return (folder / files[0].name).resolve()
+
+
+def references_in(node: Node, keys: tuple[str, ...] = REFERRING, *, within: bool = False) -> Iterator[str]:
+    """What a space says below ``keys``: plain values, and their alternatives.
+
+    No other text names a file: a hand that is called ``/etc/passwd`` brings that file into no ledger.
+    """
+    if isinstance(node, Scalar):
+        text = node.text
+        if within:
+            yield from text[7:].split(", ") if text.startswith("one of ") else [text]
+    elif isinstance(node, Mapping):
+        for key, value in node.entries:
+            if key.text != "chances":
+                yield from references_in(value, keys, within=within or key.text in keys)
+    else:
+        for item in node.items:
+            yield from references_in(item, keys, within=within)
+
+
+def _existing(references: Iterable[str], folder: Path) -> Iterator[Path]:
+    for file in references:
+        try:
+            path = resolved(located(folder / os.path.expanduser(file)))
+            if file and path.is_file():
+                yield path
+        except (OSError, ValueError):  # too long for a name, or no name at all
+            continue

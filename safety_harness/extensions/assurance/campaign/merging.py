@@ -1,0 +1,192 @@
+"""Several ledgers: parts of one plan that become one, and what got worse from one avoider to another."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from safety_harness.base.exceptions import LedgerError, Place
+from safety_harness.base.whole_file import replacing, writing
+from safety_harness.claims.properties.base import Unit
+from safety_harness.extensions.assurance.campaign.ledger import Ledger
+from safety_harness.extensions.assurance.campaign.opening import (
+    COUNTS,
+    explained,
+    only_runner,
+    refuse_any_file,
+    unusable,
+)
+from safety_harness.extensions.assurance.campaign.session import plan_of
+from safety_harness.extensions.assurance.campaign.summary import root_of, tally_of
+from safety_harness.extensions.assurance.statistics.paired import PairedComparison, compare
+from safety_harness.extensions.assurance.statistics.sample import PERHAPS
+
+_NUMBERS = ("seed", "draws", "decisions", "proposed", "opposite", "stopped", "faults", "late", *COUNTS)
+_EPISODE = ", ".join((*_NUMBERS, "mishap", "failure"))
+_JUDGEMENT = "outcome, margin, worst_time_s, exercised"
+# The same claim of the same episode in two ledgers: a is this one's, b that of the one attached as "first".
+PAIRS = (
+    "FROM judgement a JOIN stratum s ON s.id = a.stratum JOIN claim c ON c.id = a.claim "
+    "JOIN first.stratum t ON t.name = s.name JOIN first.claim d ON d.sentence = c.sentence "
+    "JOIN first.judgement b ON b.stratum = t.id AND b.claim = d.id AND b.episode = a.episode"
+)
+
+
+def merge(into: Path, ledgers: Sequence[Path]) -> int:
+    """A ledger at ``into``, where there must be none, of all episodes of ``ledgers``; how many there are.
+
+    What several of them have must agree to the last bit; one that is named twice is taken once.  LedgerError
+    for ledgers of different plans, of one that stops early (which needs its episodes in their order), and for
+    one that disagrees, which names the episode; nothing is written then.
+    """
+    with Ledger.open(ledgers[0]) as first, only_runner(into):
+        refuse_any_file(into)
+        if first.declared.stop_early:
+            raise unusable(ledgers[0], "a plan of fixed length", "one that may stop early")
+        with writing(into), replacing(into) as unfinished:
+            return _merged(unfinished, first, ledgers)
+
+
+def _merged(unfinished: Path, first: Ledger, ledgers: Sequence[Path]) -> int:
+    """How many episodes there are in all; nothing is left beside the file."""
+    try:
+        with plan_of(first) as plan, Ledger.create(unfinished, plan) as whole:
+            for path in {path.resolve(): path for path in ledgers}.values():
+                with Ledger.open(path) as part:
+                    part.refuse_other(whole.declared.identity, hint=f"{first.path} is of another plan")
+                _take_over(whole, path)
+            return int(next(whole.all("SELECT count(*) FROM episode"))[0])
+    finally:
+        for suffix in ("-wal", "-shm"):
+            unfinished.with_name(unfinished.name + suffix).unlink(missing_ok=True)
+
+
+def _take_over(whole: Ledger, path: Path) -> None:
+    """All of one ledger, in one transaction."""
+    with explained(path), whole.attached(path, "part"), whole.transaction():
+        for table, columns, key in (
+            ("episode", _EPISODE, ("stratum", "episode")),
+            ("judgement", _JUDGEMENT, ("stratum", "claim", "episode")),
+        ):
+            same = " AND ".join(f"a.{name} = b.{name}" for name in key)
+            differs = " OR ".join(f"a.{name} IS NOT b.{name}" for name in columns.split(", "))
+            question = (
+                f"SELECT a.stratum, a.episode FROM {table} a JOIN part.{table} b ON {same} WHERE {differs}"
+            )
+            for stratum, episode in whole.all(f"{question} LIMIT 1"):
+                raise LedgerError(
+                    place=Place(file=path, field=whole.declared.strata[stratum]),
+                    expected=f"the result that another ledger has for episode {episode}",
+                    got="another one",
+                    hint="machines of different kinds, or an avoider that does not repeat itself",
+                )
+        whole.take_opened([*whole.all("SELECT name, sha256 FROM part.opened")])
+        whole.connection.execute("INSERT OR IGNORE INTO cell (words) SELECT words FROM part.cell")
+        whole.connection.execute(
+            "INSERT OR IGNORE INTO episode "
+            f"SELECT e.stratum, e.episode, e.{', e.'.join(_NUMBERS)}, c.id, e.mishap, e.failure, "
+            "e.seconds, e.worker "
+            "FROM part.episode e LEFT JOIN part.cell p ON p.id = e.cell LEFT JOIN cell c ON c.words = p.words"
+        )
+        whole.connection.execute("INSERT OR IGNORE INTO judgement SELECT * FROM part.judgement")
+        whole.connection.execute("INSERT OR IGNORE INTO trace SELECT * FROM part.trace")
+        whole.connection.execute("INSERT INTO answering SELECT * FROM part.answering")
+        columns = "questions, asked, differing, words, apart"
+        whole.connection.execute(
+            f"INSERT INTO repeated ({columns}) SELECT {columns} FROM part.repeated ORDER BY id"
+        )
+        whole.connection.execute(
+            "INSERT INTO session (began, workers, machine) SELECT began, workers, machine FROM part.session"
+        )
+
+
+@dataclass(frozen=True)
+class Worse:
+    """An episode that violates a claim with the second avoider, and does not with the first; margins SI."""
+
+    stratum: str
+    episode: int
+    claim: str
+    unit: Unit
+    before: float | None
+    after: float | None
+
+
+def compare_ledgers(first: Ledger, second: Ledger) -> tuple[PairedComparison, ...]:
+    """For each claim and stratum that both have: second minus first, exactly, at the first's confidence.
+
+    The bounds hold together (Bonferroni).  LedgerError for campaigns that share no claim, stratum or space,
+    or while episodes are missing, StatisticsError for others than the same.
+    """
+    refuse_incomparable(first, second)
+    refuse_other_scenarios(first, second)
+    strata = [name for name in first.declared.strata if name in second.declared.strata]
+    claims = [claim for claim in first.declared.claims if claim in second.declared.claims]
+    if not strata or not claims:
+        raise unusable(second.path, "a stratum and a claim of the other ledger", "none")
+    pairs = [(stratum, claim) for stratum in strata for claim in claims]
+    confidence = 1.0 - (1.0 - first.declared.confidence) / len(pairs)
+    return tuple(compare(second.sample(*pair), first.sample(*pair), confidence) for pair in pairs)
+
+
+def began_at(ledger: Ledger) -> list[str]:
+    """When its sessions began, as ISO 8601 in UTC, in their order."""
+    return [began for (began,) in ledger.all("SELECT began FROM session ORDER BY began")]
+
+
+def refuse_itself(first: Ledger, second: Ledger) -> None:
+    """LedgerError for two ledgers of the same runs: the same sessions, and the same rows."""
+    if began_at(first) == began_at(second) and root_of(first) == root_of(second):
+        got = f"{first.path}, which has the same runs: a comparison with itself"
+        raise unusable(second.path, "a ledger of other runs", got)
+
+
+def refuse_incomparable(first: Ledger, second: Ledger) -> None:
+    """Raise LedgerError for campaigns over other spaces, and while episodes are missing."""
+    if first.draws_sha256 != second.draws_sha256:  # common random numbers are common only in the same spaces
+        expected = f"a campaign over the same spaces as {first.path}"
+        raise unusable(second.path, expected, "spaces with another text")
+    for ledger in (first, second):
+        if not (tally := tally_of(ledger)).complete:
+            got = f"{tally.done} of {tally.planned} episodes: resume it, or merge its parts"
+            raise unusable(ledger.path, "a complete campaign", got)
+
+
+def without_a_decided_run(ledger: Ledger) -> list[tuple[str, str]]:
+    """Stratum and claim of which every run that was made failed, or could not be judged."""
+    pairs = [(stratum, claim) for stratum in ledger.declared.strata for claim in ledger.declared.claims]
+    samples = {pair: ledger.sample(*pair) for pair in pairs}
+    return [pair for pair, one in samples.items() if np.isin(one.outcomes, PERHAPS).all()]
+
+
+_DRAWN = (
+    "FROM episode a JOIN stratum s ON s.id = a.stratum JOIN first.stratum t ON t.name = s.name "
+    "JOIN first.episode b ON b.stratum = t.id AND b.episode = a.episode"
+)
+
+
+def refuse_other_scenarios(first: Ledger, second: Ledger) -> None:
+    """Raise LedgerError where an episode is another scenario in each: admission drew one of them anew."""
+    with second.attached(first.path, "first"):
+        (pairs, apart), *_ = second.all(f"SELECT count(*), total(a.draws <> b.draws) {_DRAWN}")
+    if apart:
+        got = f"{int(apart)} of {pairs} pairs whose scenarios differ: admission refused other draws"
+        raise unusable(second.path, f"the same scenario in each episode as {first.path}", got)
+
+
+def worse_episodes(first: Ledger, second: Ledger, most: int = 20) -> list[Worse]:
+    """Episodes with a violation that the first did not have, the largest loss of margin first."""
+    with second.attached(first.path, "first"):
+        rows = second.all(
+            f"SELECT s.name, a.episode, c.sentence, c.unit, b.margin, a.margin {PAIRS} "
+            "WHERE a.outcome = 1 AND b.outcome <> 1 "
+            "ORDER BY ifnull(b.margin, 0) - a.margin DESC, s.name, c.sentence, a.episode LIMIT ?",
+            most,
+        )
+        return [
+            Worse(stratum, episode, claim, Unit[unit], *margins)
+            for stratum, episode, claim, unit, *margins in rows
+        ]

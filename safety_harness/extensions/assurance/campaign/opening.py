@@ -1,0 +1,264 @@
+"""Connections to a ledger: who may write, what is checked first, what SQLite's errors mean to people.
+
+And its tables.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import sqlite3
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
+from urllib.parse import quote
+
+from safety_harness.base.exceptions import LedgerError, OutputError, Place
+from safety_harness.base.whole_file import writing
+from safety_harness.extensions.assurance.statistics.sample import EpisodeOutcome
+from safety_harness.scenario.files import refuse_no_file
+from safety_harness.scenario.kinds import FileKind, refuse_other_kind
+from safety_harness.trace.overruling import COUNTS as OVERRULED_BY
+
+BUSY_MS = 30_000  # that others may keep the ledger from being written
+LARGEST_CHECKED_BYTES = 2 * 2**30  # every page of larger ledgers is not looked at on opening
+_MAGIC = b"SQLite format 3\0"
+_WHOLE = "a ledger, whole"
+unusable = LedgerError.of_file
+
+
+def refuse_no_ledger(path: Path) -> None:
+    """LedgerError for what is no file, no SQLite, no ledger, or shorter than it says that it is."""
+    refuse_other_kind(path, FileKind.LEDGER, error=LedgerError)
+    refuse_no_file(path, "a ledger", LedgerError)
+    try:
+        with path.open("rb") as stream:
+            header = stream.read(100)
+        size = path.stat().st_size
+    except OSError as error:
+        raise unusable(path, "a ledger that can be read", error.strerror or str(error)) from error
+    if len(header) < 100 or not header.startswith(_MAGIC):
+        raise unusable(path, "a ledger (an SQLite database)", "another file, or a part of one")
+    if int.from_bytes(header[68:72], "big") != APPLICATION_ID and not _unfinished(path):
+        raise unusable(path, "a ledger", "an SQLite database of something else")
+    page = int.from_bytes(header[16:18], "big")
+    page = 65536 if page == 1 else page
+    pages = int.from_bytes(header[28:32], "big")
+    if size < page * pages and not _unfinished(path):
+        raise unusable(path, f"{_WHOLE}: {page * pages:,} bytes", f"{size:,}: it has been truncated")
+
+
+def _unfinished(path: Path) -> bool:
+    """Is there a write-ahead log, which holds pages that the file has not got yet?"""
+    log = path.with_name(path.name + "-wal")
+    return log.exists() and log.stat().st_size > 0
+
+
+def connect(path: Path, *, write: bool, check: bool = True, alone: bool = False) -> sqlite3.Connection:
+    """A connection to the ledger at ``path``; LedgerError for one that is damaged or of another version.
+
+    One that only reads may do so while another writes, and sees what was there when it began to look; one
+    that reads the file ``alone`` sees nothing of what lies beside it, leaves nothing there, and takes it
+    for a stranger's: no table, view or trigger but a ledger's.
+    """
+    refuse_no_ledger(path)
+    with explained(path):
+        try:
+            connection = _open(path, "rw" if write else "ro&immutable=1" if alone else "ro")
+            connection.execute("SELECT count(*) FROM sqlite_master").fetchone()
+        except sqlite3.OperationalError:
+            if write or _unfinished(path):
+                raise
+            connection = _open(path, "ro&immutable=1")  # a folder that cannot be written: no shared memory
+        try:
+            _refuse_other_version(connection, path)
+            if alone:
+                _refuse_other_tables(connection, path)
+            if check and path.stat().st_size <= LARGEST_CHECKED_BYTES:
+                kind = "integrity" if alone else "quick"
+                (found,) = connection.execute(f"PRAGMA {kind}_check(1)").fetchone()
+                if found != "ok":
+                    raise unusable(path, _WHOLE, f"damage: {' '.join(found.split())}")
+            _count_nothing_else(connection)
+            if not write:
+                connection.execute("PRAGMA query_only = ON")
+        except BaseException:
+            connection.close()
+            raise
+    return connection
+
+
+def _open(path: Path, mode: str) -> sqlite3.Connection:
+    uri = f"file:{quote(str(path.absolute()))}?mode={mode}"
+    connection = sqlite3.connect(uri, uri=True, isolation_level=None, timeout=BUSY_MS / 1e3)
+    if mode == "rw":  # a commit is on the disk when it returns, and readers read meanwhile
+        connection.execute("PRAGMA journal_mode = WAL")
+        connection.execute("PRAGMA synchronous = FULL")
+        connection.execute("PRAGMA foreign_keys = OFF")
+    return connection
+
+
+def _refuse_other_version(connection: sqlite3.Connection, path: Path) -> None:
+    if connection.execute("PRAGMA application_id").fetchone()[0] != APPLICATION_ID:
+        raise unusable(path, "a ledger", "an SQLite database of something else")
+    version = connection.execute("PRAGMA user_version").fetchone()[0]
+    if version != VERSION:
+        whose = "a newer" if version > VERSION else "an older"
+        raise LedgerError(
+            place=Place(file=path),
+            expected=f"a ledger of version {VERSION}",
+            got=f"version {version}, of {whose} program",
+            hint="use the program that made it, or run its plan anew into another ledger (--ledger FILE)",
+        )
+
+
+def _refuse_other_tables(connection: sqlite3.Connection, path: Path) -> None:
+    """LedgerError unless every table is one: a view in its place would say what is not there, for ever."""
+    connection.execute("PRAGMA trusted_schema = OFF")
+    with closing(sqlite3.connect(":memory:")) as whole:
+        create(whole, counts_in(connection))
+        known = {name: one for name, *one in whole.execute(_TEXTS)}
+    found = {name: one for name, *one in connection.execute(_TEXTS)}
+    for name in {"repeated", "opened", "answering"} - {*found}:  # of an older program
+        del known[name]
+    other = [name for name in {*known, *found} if known.get(name) != found.get(name)]
+    if other:
+        raise unusable(path, "a ledger's own tables", f"something else: {sorted(map(str, other))[0]}")
+
+
+# What any of them says hangs on its text: a collation, a check or a computed column too.  Every program that
+# made ledgers of this version wrote each table that it had in the same words.
+_TEXTS = "SELECT name, type, tbl_name, sql FROM sqlite_master"
+
+
+@contextmanager
+def explained(path: Path) -> Iterator[None]:
+    """SQLite's errors as ours: a full disk is an OutputError, anything else a LedgerError."""
+    try:
+        yield
+    except sqlite3.Error as error:
+        text, code = str(error), getattr(error, "sqlite_errorcode", 0) & 0xFF
+        if code in (sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR):
+            raise OutputError.of(path, OSError(f"{text}; what was committed before is kept")) from error
+        if code in (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED):
+            raise unusable(path, "a ledger that nobody else keeps locked", text) from error
+        raise unusable(path, "a ledger, whole and readable", text) from error
+    except UnicodeDecodeError as error:  # of a damaged schema, which SQLite's message quotes
+        raise unusable(path, "a ledger, whole and readable", "text that is not UTF-8") from error
+
+
+@contextmanager
+def only_runner(path: Path) -> Iterator[None]:
+    """Nobody else runs episodes for this ledger meanwhile; LedgerError if somebody does.
+
+    The operating system lets go of the lock when the process ends, however it ends.
+    """
+    file = path.with_name(path.name + ".lock")
+    with writing(file):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        stream = file.open("a+")
+    with stream:
+        try:
+            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            stream.seek(0)
+            got = f"the process {stream.read().strip()}"
+            raise unusable(path, "a ledger that no other runner is at work on", got) from error
+        stream.truncate(0)
+        stream.write(f"{os.getpid()}\n")
+        stream.flush()
+        yield
+
+
+def refuse_any_file(path: Path) -> None:
+    """LedgerError where a ledger is to be made and something is already."""
+    if path.exists():
+        raise unusable(path, "no file there yet", "one")
+
+
+COUNTS = (*OVERRULED_BY, "run", "theorem")  # of an episode, 0 where an older program did not note it
+APPLICATION_ID = 0x53_48_4C_47  # "SHLG", in the header of the file
+VERSION = 2  # of its tables: 2 has what the gate overruled
+
+_WHEN = " ".join(f"WHEN {int(outcome)} THEN '{outcome.name.lower()}'" for outcome in EpisodeOutcome)
+OUTCOME = f"CASE j.outcome {_WHEN} END"  # of a judgement j, in words
+OVERRULED = "e.overruled_replaced + e.overruled_stopped"  # of an episode e
+
+
+def _tables(counts: tuple[str, ...]) -> str:
+    return f"""
+CREATE TABLE about (key TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;
+CREATE TABLE file (place INTEGER PRIMARY KEY, name TEXT NOT NULL UNIQUE, data BLOB NOT NULL);
+CREATE TABLE stratum (
+    id INTEGER PRIMARY KEY, name TEXT NOT NULL UNIQUE, space TEXT NOT NULL, planned INTEGER NOT NULL,
+    stopped_after INTEGER  -- episodes; NULL: not stopped early
+);
+CREATE TABLE claim (
+    id INTEGER PRIMARY KEY, sentence TEXT NOT NULL UNIQUE, unit TEXT NOT NULL,
+    target REAL, hazard TEXT NOT NULL
+);
+CREATE TABLE cell (id INTEGER PRIMARY KEY, words TEXT NOT NULL UNIQUE);
+CREATE TABLE episode (
+    stratum INTEGER NOT NULL REFERENCES stratum, episode INTEGER NOT NULL,
+    seed INTEGER NOT NULL, draws INTEGER NOT NULL,
+    decisions INTEGER NOT NULL, proposed INTEGER NOT NULL, opposite INTEGER NOT NULL,
+    stopped INTEGER NOT NULL,
+    faults INTEGER NOT NULL, late INTEGER NOT NULL,
+    {" INTEGER NOT NULL, ".join(counts)} INTEGER NOT NULL,
+    cell INTEGER REFERENCES cell, mishap TEXT, failure TEXT,
+    seconds REAL NOT NULL, worker TEXT NOT NULL,
+    PRIMARY KEY (stratum, episode)
+) WITHOUT ROWID;
+CREATE TABLE judgement (
+    stratum INTEGER NOT NULL, claim INTEGER NOT NULL REFERENCES claim, episode INTEGER NOT NULL,
+    outcome INTEGER NOT NULL, margin REAL, worst_time_s REAL, exercised INTEGER NOT NULL,
+    PRIMARY KEY (stratum, claim, episode)
+) WITHOUT ROWID;
+CREATE INDEX violation ON judgement (stratum, claim, episode) WHERE outcome = {int(EpisodeOutcome.VIOLATED)};
+CREATE TABLE trace (
+    stratum INTEGER NOT NULL, episode INTEGER NOT NULL, violation INTEGER NOT NULL, data BLOB NOT NULL,
+    PRIMARY KEY (stratum, episode)
+);
+CREATE TABLE session (
+    id INTEGER PRIMARY KEY, began TEXT NOT NULL, workers TEXT NOT NULL, machine TEXT NOT NULL
+);
+CREATE TABLE repeated (
+    id INTEGER PRIMARY KEY, questions INTEGER NOT NULL, asked INTEGER NOT NULL,
+    differing INTEGER NOT NULL, words TEXT NOT NULL, apart INTEGER NOT NULL
+);
+CREATE TABLE opened (name TEXT PRIMARY KEY, sha256 TEXT NOT NULL) WITHOUT ROWID;
+CREATE TABLE answering (  -- how long answers took on the machines of the runs: part of no result
+    stratum INTEGER NOT NULL, answers INTEGER NOT NULL, slow INTEGER NOT NULL,
+    slowest_s REAL NOT NULL, limit_s REAL NOT NULL
+);
+CREATE VIEW episodes AS
+    SELECT s.name AS stratum, e.episode, e.seed, e.draws, e.decisions, e.proposed, e.opposite, e.stopped,
+        e.faults, e.late, {OVERRULED} AS overruled, e.{", e.".join(counts)},
+        c.words AS cell, e.mishap, e.failure, e.seconds, e.worker
+    FROM episode e JOIN stratum s ON s.id = e.stratum LEFT JOIN cell c ON c.id = e.cell;
+CREATE VIEW results AS
+    SELECT s.name AS stratum, j.episode, c.sentence AS claim, {OUTCOME} AS outcome,
+        j.margin, j.worst_time_s, j.exercised
+    FROM judgement j JOIN stratum s ON s.id = j.stratum JOIN claim c ON c.id = j.claim;
+"""
+
+
+def create(connection: sqlite3.Connection, counts: tuple[str, ...] = COUNTS) -> None:
+    """Make the tables, within the transaction that is open; an older program's had fewer ``counts``."""
+    for statement in _tables(counts).split(";\n")[:-1]:
+        connection.execute(statement)
+    connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
+    connection.execute(f"PRAGMA user_version = {VERSION}")
+
+
+def counts_in(connection: sqlite3.Connection) -> tuple[str, ...]:
+    """Those of ``COUNTS`` that the ledger was made with: later programs note more."""
+    columns = {row[1] for row in connection.execute("PRAGMA main.table_info(episode)")}
+    return tuple(name for name in COUNTS if name in columns)
+
+
+def _count_nothing_else(connection: sqlite3.Connection) -> None:
+    """What an older program did not note is read as 0: a view of that name stands before the table."""
+    there = counts_in(connection)
+    if absent := [f"0 AS {name}" for name in COUNTS if name not in there]:
+        connection.execute(f"CREATE TEMP VIEW episode AS SELECT *, {', '.join(absent)} FROM main.episode")

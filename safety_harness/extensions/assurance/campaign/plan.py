@@ -1,0 +1,354 @@
+"""A plan: what is claimed, in which spaces, how often each is run, and what is kept of it.
+
+Its text is part of what its results are known by; that it came first only a hash lodged elsewhere shows.
+docs/campaigns.md is the reference of the file.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import tempfile
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import TypeVar
+
+from safety_harness.admission.avoiders import command_line_reference, with_avoider
+from safety_harness.admission.claims import property_of
+from safety_harness.admission.driving import named_system
+from safety_harness.base.exceptions import InadmissibleError, InputError, Place, ScenarioError
+from safety_harness.base.shipped.contents import located
+from safety_harness.cell.simulation.worlds import REFERENCE, WorldEntry, worlds_by_label
+from safety_harness.claims.properties.base import Unit
+from safety_harness.extensions.assurance.campaign.hazards import PlannedHazards, read_hazards
+from safety_harness.extensions.assurance.campaign.identity import (
+    Identity,
+    PlanFile,
+    files_of_plan,
+    identity_of,
+    references_in,
+    unpacked,
+)
+from safety_harness.extensions.assurance.campaign.plan_keys import (
+    CLAIM,
+    KEPT,
+    LEAST_TARGET,
+    PLAN,
+    SEARCH,
+    STRATUM,
+)
+from safety_harness.scenario.compose import Library, only_variant, with_relative_paths
+from safety_harness.scenario.fields import Field, Fields
+from safety_harness.scenario.files import as_path
+from safety_harness.scenario.kinds import FileKind, kind_of, refuse_other_kind
+from safety_harness.scenario.model import (
+    EDITION,
+    LARGEST_SEED,
+    NO_AVOIDER,
+    VISUAL_SERVO,
+    Claim,
+    Driver,
+    Scenario,
+    Verdict,
+)
+from safety_harness.scenario.nodes import Scalar
+from safety_harness.scenario.references import file_and_name, portable
+from safety_harness.scenario.units import FRACTION
+from safety_harness.space.read import space_of
+from safety_harness.space.space import ScenarioSpace
+from safety_harness.trace.system import SystemUnderTest
+
+V = TypeVar("V")
+
+MOST_RUNS = 10**9  # of a stratum
+MOST_STRATA, MOST_CLAIMS = 64, 64
+MOST_TRACES = 100_000  # of a stratum, some 0.4 MB each
+
+
+@dataclass(frozen=True)
+class PlannedClaim:
+    """A claim as its author wrote it, which should hold; ``target`` bounds its chance of violation.
+
+    ``hazards`` are those of the plan that it stands under; ``hazard`` is their names, or words of its own.
+    """
+
+    claim: Claim
+    unit: Unit
+    target: float | None = None
+    hazard: str = ""
+    hazards: tuple[str, ...] = ()
+
+    @property
+    def sentence(self) -> str:
+        """As written in the plan."""
+        return self.claim.sentence
+
+
+@dataclass(frozen=True, eq=False)
+class Stratum:
+    """``runs`` independent draws of a space; ``number`` stands for its name in the tree of seeds."""
+
+    name: str
+    space: ScenarioSpace
+    runs: int
+
+    @property
+    def number(self) -> int:
+        """Of the name, not of its position: a stratum more or less moves no other's episodes."""
+        return stratum_number(self.name)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Plan:
+    """Made by ``read_plan``.  ``confidence`` is that of all bounds of the plan together.
+
+    ``random_traces`` and ``violations_kept`` are whole traces kept of each stratum; ``search_runs`` is for
+    who looks for counterexamples besides, which no bound is ever made of.  ``avoider`` takes the place of
+    what the spaces name.  ``files`` are all the files that the plan is made of.
+    """
+
+    title: str
+    about: str
+    avoider: str | None
+    world: WorldEntry
+    confidence: float
+    seed: int
+    strata: tuple[Stratum, ...]
+    risks: PlannedHazards
+    claims: tuple[PlannedClaim, ...]
+    search_runs: int
+    random_traces: int
+    violations_kept: int
+    stop_early: bool
+    file: Path
+    files: tuple[PlanFile, ...]
+    identity: Identity
+    avoider_place: Place
+    proof: Path | None = None  # a certificate for certify, which reads it; a run never does
+
+    @property
+    def name(self) -> str:
+        """The file's, without its suffix."""
+        return self.file.stem
+
+    @property
+    def runs(self) -> int:
+        """Of all strata together."""
+        return sum(stratum.runs for stratum in self.strata)
+
+    @property
+    def avoider_here(self) -> str | None:
+        """Its avoider as the working directory sees it; None if it names none."""
+        return None if self.avoider is None else _from(self.file.parent, self.avoider)
+
+    def with_avoider(self, scenario: Scenario) -> Scenario:
+        """The scenario with the plan's avoider, if it names one."""
+        reference = self.avoider_here
+        return scenario if reference is None else with_avoider(scenario, reference, self.avoider_place)
+
+
+def read_packable(path: Path) -> Plan:
+    """As ``read_plan``; ScenarioError if a copy of its files reads another plan, as a report's would."""
+    plan = read_plan(path)
+    with tempfile.TemporaryDirectory(prefix="safety-harness-") as folder:
+        try:
+            copy = read_plan(unpacked(plan.files, Path(folder)))
+        except InputError as error:
+            got = f"a copy in which {error.place} is missing"
+            raise ScenarioError.of_file(plan.file, _PACKABLE, got) from error
+    copied, told = dict(copy.identity.parts), [*map(_told_references, (plan, copy))]
+    if name := min(told[0] ^ told[1], default=""):  # traces would name it otherwise than those of the copy
+        raise ScenarioError.of_file(plan.file, _PACKABLE, f"{name}, which shares no folder with a space")
+    other = [file.name for file in plan.files if copied.get(f"the file {file.name}") != file.sha256]
+    if other:
+        got = f"a copy that reads {', '.join(other)} from elsewhere"
+        raise ScenarioError.of_file(plan.file, _PACKABLE, got)
+    return plan
+
+
+def _told_references(plan: Plan) -> set[str]:
+    """What spaces refer to, as traces name it."""
+    spaces = ((one.space.tree, (one.space.file or plan.file).parent) for one in plan.strata)
+    told = ((file_and_name(text)[0] or text, at) for tree, at in spaces for text in references_in(tree))
+    return {portable(text, at) for text, at in told if Path(text).suffix}
+
+
+_PACKABLE = "references that a report can carry with it: relative paths"
+
+
+def read_plan(path: str | Path, edition: int = EDITION) -> Plan:
+    """The plan in a file, with its spaces; InputError with its place when it cannot be used as it stands.
+
+    ``shipped:NAME`` is one of ours, also where a plan names a space.  ``edition`` is that of the claims'
+    meaning.  No avoider is made: a user's own would be executed.
+    """
+    path = as_path(path, "read_plan(path)")
+    refuse_other_kind(path, FileKind.PLAN)
+    library = Library()
+    root = Field(library.tree(path), path, path="", line=1)
+    given = root.fields(PLAN.names)
+    title = given.required("plan").prose("a title on one line")
+    avoider, controller = given.optional("avoider"), given.optional("controller")
+    reference = avoider.sentence("the name of an avoider") if avoider else None
+    if controller:
+        if avoider:
+            raise avoider.error("one of avoider and controller: only the visual servo asks one", got="both")
+        reference = Driver(controller.sentence("the name of a controller"))
+    named = avoider or controller
+    place = named.place if named else Place(field="avoider")
+    strata = _strata(given.required("strata"), path.parent, library)
+    if reference:
+        for stratum in strata:
+            with_avoider(stratum.space.simplest, _from(path.parent, reference), place)
+    confidence = _read(given, "confidence", lambda f: f.quantity(FRACTION, least=0.5, most=0.999999), 0.95)
+    risks = read_hazards(given, confidence)
+    claims = _claims(given.required("claims"), strata, risks, edition)
+    keep = _read(given, "keep", lambda field: field.fields(KEPT.names), None)
+    search = _read(given, "search", lambda field: field.fields(SEARCH.names), None)
+    stop = given.optional("stop early")
+    stop_early = stop is not None and stop.one_of({"yes": True, "no": False})
+    if stop and stop_early and any(claim.target is None for claim in claims):
+        raise stop.error(
+            "no, or a target (violated in at most: ...) for every claim, which tells when to stop"
+        )
+    world = _read(given, "world", lambda field: field.one_of(worlds_by_label()), REFERENCE)
+    files = files_of_plan(path, library, [stratum.space for stratum in strata], reference, risks.files)
+    return Plan(
+        title=title,
+        about=_read(given, "about", lambda f: f.prose("why, intended use, assumptions", lines=True), ""),
+        avoider=reference,
+        world=world,
+        confidence=confidence,
+        seed=_read(given, "seed", lambda f: f.integer(least=0, most=LARGEST_SEED), 0),
+        strata=strata,
+        risks=risks,
+        claims=claims,
+        search_runs=_read(search, "runs", lambda f: f.integer(least=0, most=MOST_RUNS), 0),
+        random_traces=_read(keep, "random traces", lambda f: f.integer(least=0, most=MOST_TRACES), 20),
+        violations_kept=_read(keep, "violations", lambda f: f.integer(least=0, most=MOST_TRACES), 200),
+        stop_early=stop_early,
+        file=path,
+        files=files,
+        identity=identity_of(
+            files,
+            [s.space for s in strata],
+            reference,
+            world.label,
+            _systems(strata, path, reference),
+            edition,
+        ),
+        avoider_place=place,
+        proof=_read(given, "proof", lambda f: path.parent / f.sentence("certificate.json of prove"), None),
+    )
+
+
+def _systems(
+    strata: Iterable[Stratum], path: Path, reference: str | None
+) -> Iterator[tuple[str, SystemUnderTest]]:
+    """What each stratum tests; without one whose program is not there, which admission refuses in words."""
+    for stratum in strata:
+        scenario = stratum.space.simplest
+        if reference:
+            scenario = with_avoider(scenario, _from(path.parent, reference))
+        with suppress(OSError, InadmissibleError):
+            yield stratum.name, named_system(scenario)
+
+
+@lru_cache(maxsize=256)  # asked for with every episode
+def stratum_number(name: str) -> int:
+    """The number of a stratum in the tree of seeds: 63 bits of its name's SHA-256."""
+    return int.from_bytes(hashlib.sha256(name.encode()).digest()[:8], "big") >> 1
+
+
+def scenarios_by_avoider(plan: Plan) -> Iterable[Scenario]:
+    """One scenario of the plan for each avoider that its runs may have."""
+    found: dict[str, Scenario] = {}
+    for stratum in plan.strata:
+        simplest = plan.with_avoider(stratum.space.simplest)
+        others: list[Scenario] = []
+        if not plan.avoider:
+            tree = stratum.space.tree
+            others = [replace(simplest, avoider=one) for one in references_in(tree, ("avoider",))]
+            others += [
+                replace(simplest, controller=one, avoider=NO_AVOIDER)
+                for one in references_in(tree, ("controller",))
+                if one != VISUAL_SERVO
+            ]
+        for one in (simplest, *others):
+            found.setdefault(command_line_reference(one), one)
+    return found.values()
+
+
+def _from(folder: Path, reference: str) -> str:
+    """The reference to what is tested, its file as seen from the working directory."""
+    file, name = file_and_name(reference)
+    if not file:
+        return reference
+    return type(reference)(str(located(folder / Path(file).expanduser())) + (f":{name}" if name else ""))
+
+
+def _read(given: Fields | None, key: str, read: Callable[[Field], V], default: V) -> V:
+    """What a key says, if it is there."""
+    field = given.optional(key) if given else None
+    return read(field) if field else default
+
+
+def _strata(at: Field, folder: Path, library: Library) -> tuple[Stratum, ...]:
+    strata: list[Stratum] = []
+    for item in at.items("a list of strata", least=1, most=MOST_STRATA):
+        given = item.fields(STRATUM.names)
+        name = given.required("stratum").sentence("a name")
+        if any(stratum_number(name) == other.number for other in strata):
+            raise given.required("stratum").error("a name that no other stratum has")
+        runs = given.required("runs").integer(least=1, most=MOST_RUNS)
+        space = given.required("space")
+        expected = "the file of a scenario space, relative to the plan"
+        file = located(folder / space.sentence(expected), space.place)
+        if not file.is_file():
+            raise space.error(expected, got=f"no such file: {file}")
+        if (kind := kind_of(file)) not in (None, FileKind.SPACE):
+            raise space.error(expected, got=f"{kind.words}: {file}")
+        found = only_variant(file, library, "one scenario space")
+        tree = with_relative_paths(found.tree, file.parent)  # as a report names them, wherever it lies
+        strata.append(Stratum(name, space_of(tree, file, name=found.name), runs))
+    return tuple(strata)
+
+
+def _claims(
+    at: Field, strata: tuple[Stratum, ...], risks: PlannedHazards, edition: int
+) -> tuple[PlannedClaim, ...]:
+    claims: list[PlannedClaim] = []
+    meant: set[str] = set()
+    for item in at.items("a list of claims", least=1, most=MOST_CLAIMS):
+        given = item.fields(CLAIM.names)
+        sentence = given.required("claim")
+        text = sentence.sentence("a claim of the catalogue, or a formula")
+        claim = Claim(sentence=text, expected=Verdict.HOLDS, edition=edition, place=sentence.place)
+        properties = [property_of(claim, stratum.space.simplest) for stratum in strata]
+        if properties[0].sentence in meant:
+            raise sentence.error("each claim once", got=f"{properties[0].sentence!r} a second time")
+        meant.add(properties[0].sentence)
+        listed = given.optional("hazards")
+        hazards = risks.named(listed) if listed else ()
+        if hazards and "hazard" in given:
+            raise given.required("hazard").error("one of hazard and hazards", got="both")
+        target = given.optional("violated in at most")
+        own = _read(given, "hazard", lambda f: f.prose("what may happen to whom", lines=True), "")
+        claims.append(
+            PlannedClaim(
+                claim,
+                properties[0].unit,
+                _target(target, hazards, risks) if target else None,
+                "; ".join(hazards) or own,
+                hazards,
+            )
+        )
+    return tuple(claims)
+
+
+def _target(field: Field, hazards: tuple[str, ...], risks: PlannedHazards) -> float:
+    if isinstance(field.node, Scalar) and field.node.text == "derived":
+        return risks.target(hazards, field)
+    return field.quantity(FRACTION, least=LEAST_TARGET, most=0.5)

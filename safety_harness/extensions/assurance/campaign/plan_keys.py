@@ -1,0 +1,110 @@
+"""The keys of a plan: what ``read_plan`` takes, for ``explain`` and for the schema that editors read."""
+
+from __future__ import annotations
+
+from safety_harness.cell.simulation.worlds import WORLDS
+from safety_harness.extensions.assurance.campaign.hazards import HAZARD
+from safety_harness.extensions.assurance.campaign.risk_graph import OWN_GRAPH
+from safety_harness.scenario.codec import REQUIRED, Below, Key, KeyTable, QuantityValue, Several, Text, Word
+from safety_harness.scenario.units import FRACTION, NUMBER
+
+LEAST_TARGET = 1e-9  # what is less takes more runs than anybody makes
+
+_LINE = Text(words="text, one line", expected="a text on one line")
+_TEXT = Text(words="text", expected="a text")
+
+
+def _count(least: int) -> QuantityValue:
+    return QuantityValue(NUMBER, least=least, whole=True)
+
+
+def _table(name: str, *keys: Key) -> KeyTable:
+    return KeyTable(name=name, where=f"{name} of a plan", path=name, keys=keys)
+
+
+STRATUM = _table(
+    "a stratum",
+    Key("stratum", _LINE, "a name of its own", "seen", or_else=REQUIRED),
+    Key(
+        "space", _LINE, "a scenario space, relative to the plan", "shipped:unseen-both.yaml", or_else=REQUIRED
+    ),
+    Key("runs", _count(1), "independent draws of it that are run", "3000", or_else=REQUIRED),
+)
+CLAIM = _table(
+    "a claim",
+    Key("claim", _LINE, "of the catalogue, or a formula", "repulsive poses reachable", or_else=REQUIRED),
+    Key(
+        "violated in at most",
+        QuantityValue(FRACTION, least=LEAST_TARGET, or_word="derived"),
+        "the share of runs that test it and may violate it; derived: by the plan's hazards",
+        "1 %",
+        or_else="only estimated",
+    ),
+    Key("hazard", _TEXT, "what may happen to whom, in words", "a hand is crushed", or_else="ours"),
+    Key("hazards", Several(of=_LINE, words="list of names"), "hazards of the plan", "[crushed hand]", "none"),
+)
+SEARCH = _table("the search", Key("runs", _count(0), "of the search for counterexamples", "2000", "0"))
+KEPT = _table(
+    "what is kept",
+    Key("random traces", _count(0), "of each stratum, drawn beforehand", "20", "20"),
+    Key("violations", _count(0), "of each stratum, the first by their numbers", "200", "200"),
+)
+
+
+def _below(table: KeyTable) -> Below:
+    return Below(tables=(table,), noun=table.name)
+
+
+def _several(table: KeyTable) -> Several:
+    return Several(of=_below(table), words="list of mappings", least=1)
+
+
+PLAN = KeyTable(
+    name="a plan",
+    where="a plan",
+    keys=(
+        Key("plan", _LINE, "its title", "mc-dropout beside a reaching hand", or_else=REQUIRED),
+        Key("about", _TEXT, "why, intended use, assumptions", "an example", "nothing"),
+        Key("avoider", _LINE, "in place of what the spaces name", "mc-dropout", "what the spaces name"),
+        Key("controller", _LINE, "in place of an avoider", "stop when near", "the visual servo"),
+        Key(
+            "world",
+            Word(members=tuple(one.label for one in WORLDS)),
+            "where it runs",
+            "kinematic",
+            "PyBullet",
+        ),
+        Key(
+            "confidence",
+            QuantityValue(FRACTION, least=0.5, most=0.999999),
+            "of all bounds of the plan together",
+            "95 %",
+            "95 %",
+        ),
+        Key("seed", _count(0), "root of every random number", "1", "0"),
+        Key("strata", _several(STRATUM), "the parts of the operational domain", "strata: []", REQUIRED),
+        Key("hazards", _several(HAZARD), "what may happen", "hazards: []", "none"),
+        Key(
+            "risk graph",
+            _below(OWN_GRAPH),
+            "leads from hazards to rates",
+            "risk graph: {}",
+            "ISO 13849-1:2023, Annex A",
+        ),
+        Key("claims", _several(CLAIM), "what should hold", "claims: []", REQUIRED),
+        Key(
+            "search", _below(SEARCH), "for counterexamples, never for a bound", "search: {runs: 2000}", "none"
+        ),
+        Key("keep", _below(KEPT), "whole traces", "keep: {violations: 50}", "20 random ones, 200 violations"),
+        Key(
+            "stop early",
+            Word(members=("yes", "no")),
+            "strata end once all of their claims are decided",
+            "yes",
+            "no",
+        ),
+        Key("proof", _LINE, "certificate of prove, relative to the plan", "certificate.json", "none"),
+    ),
+)
+TABLES = (PLAN, STRATUM, CLAIM, HAZARD, *HAZARD.below(), OWN_GRAPH, SEARCH, KEPT)
+TITLE = "A plan of safety-harness"

@@ -1,0 +1,326 @@
+"""Who runs episodes, chunks in and rows out; and a crew of processes on this machine.
+
+Processes that crash, hang or leak are replaced, one by one.  Each worker has a pipe of its own, so that one
+that is killed in the middle of a message harms no other.  They are forked from one process that has imported
+everything already (forkserver), so that a new one is there at once.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import resource
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from multiprocessing.connection import Connection, wait
+from multiprocessing.context import ForkServerProcess
+from pathlib import Path
+from typing import Protocol
+
+from safety_harness.base.exceptions import CampaignError, InputError
+from safety_harness.base.interrupts import deaf_children
+from safety_harness.base.pool import one_thread_each
+from safety_harness.extensions.assurance.campaign.episodes import EpisodeRunner
+from safety_harness.extensions.assurance.campaign.identity import Identity
+from safety_harness.extensions.assurance.campaign.plan import read_plan
+from safety_harness.extensions.assurance.campaign.rows import Row
+
+_MOST_FALSE_STARTS = 10
+_LOOK_S = 1.0  # between looks at clocks and memory
+
+
+@dataclass(frozen=True)
+class Chunk:
+    """Episodes of one stratum that one worker runs; ``keep_violations``: are traces of these still wanted?"""
+
+    stratum: int
+    episodes: tuple[int, ...]
+    keep_violations: bool
+
+
+@dataclass(frozen=True)
+class Arrived:
+    """Rows of a chunk, which may come in parts; ``last`` with the last of them."""
+
+    chunk: Chunk
+    rows: tuple[Row, ...]
+    last: bool
+
+
+@dataclass(frozen=True)
+class Lost:
+    """A chunk of which nothing more will come, and why: its worker crashed, hung or grew too large.
+
+    ``times`` is how often it was certainly begun and lost: with 0 none of its episodes can be blamed.
+    """
+
+    chunk: Chunk
+    why: str
+    times: int = 1
+
+
+Event = Arrived | Lost
+
+
+class WorkerPool(Protocol):
+    """Workers.  ``give`` while ``free``, then ``take``."""
+
+    size: int  # how many can work at the same time now
+    replaced: int  # how many workers were replaced so far
+
+    @property
+    def free(self) -> int:
+        """How many chunks may be given now."""
+
+    def give(self, chunk: Chunk) -> None:
+        """Have it run."""
+
+    def take(self, timeout_s: float) -> Sequence[Event]:
+        """What has come since; waits for something until the timeout is over.
+
+        InputError where the plan is to blame, CampaignError where nothing can be run any more.
+        """
+
+    def close(self) -> None:
+        """Stop at once; what is under way is dropped."""
+
+
+class RunsEpisodes(Protocol):
+    """What a worker has: ``EpisodeRunner``, or another in its place."""
+
+    def run(self, stratum: int, episodes: Sequence[int], *, keep_violations: bool = True) -> Iterator[Row]:
+        """A row for each, in their order."""
+
+
+def bench_of_file(file: Path, identity: Identity) -> EpisodeRunner:
+    """Runs the plan in a file; LedgerError if it is no longer the declared one."""
+    plan = read_plan(file)
+    identity.refuse_other(plan.identity, file, where=", on every machine")
+    return EpisodeRunner(plan, worker=f"{os.uname().nodename}:{os.getpid()}")
+
+
+@dataclass(frozen=True)
+class _Free:
+    """The worker waits for a chunk, the first one or the next; ``resident_bytes`` of it now."""
+
+    resident_bytes: int
+
+
+def work(connection: Connection, lifeline: Connection, make: Callable[[], RunsEpisodes]) -> None:
+    """Answer chunks with their rows one by one, then that it is free; ends when nobody is there any more."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the first process answers Ctrl-C
+    threading.Thread(target=_end_with, args=(lifeline,), daemon=True).start()
+    try:
+        bench = make()
+        while True:
+            connection.send(_Free(resident_bytes(os.getpid())))
+            chunk: Chunk | None = connection.recv()
+            if chunk is None:
+                return
+            for row in bench.run(chunk.stratum, chunk.episodes, keep_violations=chunk.keep_violations):
+                connection.send(row)
+    except InputError as error:
+        connection.send(error)
+    except (EOFError, BrokenPipeError):
+        return
+
+
+def _end_with(lifeline: Connection) -> None:
+    """End this process when the one that started it has ended, whatever this one is at."""
+    try:
+        lifeline.recv()
+    except (EOFError, OSError):
+        os._exit(0)
+
+
+def resident_bytes(process: int) -> int:
+    """Memory that a process has now; 0 for one that is gone."""
+    try:
+        pages = int(Path(f"/proc/{process}/statm").read_text().split()[1])
+    except (OSError, IndexError, ValueError):
+        if process == os.getpid() and sys.platform == "darwin":
+            return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        return 0
+    return pages * os.sysconf("SC_PAGE_SIZE")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Limits:
+    """When a worker is replaced.
+
+    ``silence_s`` between two of its messages (a row at least) on a monotonic clock, ``first_s`` more for its
+    first chunk, in which machine code may be compiled; ``resident_bytes`` and ``episodes`` after which it
+    is replaced between chunks, and at once beyond twice the memory.
+    """
+
+    silence_s: float = 300.0
+    first_s: float = 900.0
+    resident_bytes: int = 2 * 2**30
+    episodes: int = 20_000
+
+
+LIMITS = Limits()
+
+
+@dataclass(eq=False)
+class _Worker:
+    process: ForkServerProcess
+    connection: Connection
+    lifeline: Connection
+    heard_s: float
+    ready: bool = False
+    chunk: Chunk | None = None
+    rows: int = 0
+    chunks: int = 0
+
+    def end(self) -> None:
+        """At once."""
+        self.process.kill()
+        self.process.join()
+        self.connection.close()
+        self.lifeline.close()
+
+
+@dataclass(eq=False)
+class Processes:
+    """A WorkerPool of ``size`` processes, each with a bench that ``make`` makes."""
+
+    make: Callable[[], RunsEpisodes]
+    size: int
+    limits: Limits = LIMITS
+    replaced: int = 0
+    workers: list[_Worker] = field(default_factory=list)
+    _false_starts: int = 0
+    _looked_s: float = 0.0
+    _mistake: InputError | None = None
+
+    def __post_init__(self) -> None:
+        one_thread_each()
+        self._context = multiprocessing.get_context("forkserver")
+        self._context.set_forkserver_preload(["safety_harness.extensions.assurance.campaign.processes"])
+        self.workers += [self._started() for _ in range(self.size)]
+
+    @property
+    def free(self) -> int:
+        """Workers without a chunk."""
+        return sum(worker.chunk is None for worker in self.workers)
+
+    def give(self, chunk: Chunk) -> None:
+        """To a worker without one, rather one that is ready."""
+        worker = max((w for w in self.workers if w.chunk is None), key=lambda w: w.ready)
+        worker.chunk = chunk
+        worker.heard_s = time.monotonic()
+        if worker.ready:
+            self._send(worker, chunk)
+
+    def take(self, timeout_s: float) -> Sequence[Event]:
+        """Rows as they come, and chunks that are lost; a mistake in the plan once all before it was told."""
+        if self._mistake is not None:
+            raise self._mistake
+        by_connection = {worker.connection: worker for worker in self.workers}
+        events: list[Event] = []
+        for connection in wait(list(by_connection), timeout=min(timeout_s, _LOOK_S)):
+            assert isinstance(connection, Connection)
+            self._hear(by_connection[connection], events)
+        if time.monotonic() - self._looked_s > _LOOK_S:
+            self._looked_s = time.monotonic()
+            for worker in list(self.workers):
+                self._look_at(worker, events)
+        return events
+
+    def close(self) -> None:
+        """Kill all of them."""
+        for worker in self.workers:
+            worker.end()
+        self.workers.clear()
+
+    def _started(self) -> _Worker:
+        ours, theirs = self._context.Pipe()
+        lifeline, other_end = self._context.Pipe()
+        process = self._context.Process(target=work, args=(theirs, other_end, self.make), daemon=True)
+        with deaf_children():  # nor does the process that forks them, which is there from the first on
+            process.start()
+        theirs.close()
+        other_end.close()
+        return _Worker(process, ours, lifeline, time.monotonic())
+
+    def _send(self, worker: _Worker, message: Chunk | None) -> None:
+        with suppress(OSError):  # it is gone, which is heard next
+            worker.connection.send(message)
+
+    def _hear(self, worker: _Worker, events: list[Event]) -> None:
+        """All that a worker has said; its end, when there is nothing more to hear."""
+        rows: list[Row] = []
+        done: _Free | None = None  # with its chunk; then it has nothing more to say, and may be another soon
+        ended = False
+        try:
+            while done is None and worker.connection.poll():
+                message = worker.connection.recv()
+                worker.heard_s = time.monotonic()
+                if isinstance(message, InputError):
+                    self._mistake = message
+                elif isinstance(message, Row):
+                    rows.append(message)
+                elif worker.ready:
+                    done = message
+                else:
+                    worker.ready, self._false_starts = True, 0
+                    if worker.chunk is not None:
+                        self._send(worker, worker.chunk)
+        except (EOFError, OSError):
+            ended = True
+        if worker.chunk is not None and (rows or done):
+            events.append(Arrived(worker.chunk, tuple(rows), last=done is not None))
+        if ended:
+            self._replace(worker, _how_it_ended(worker.process), events)
+        elif done is not None:
+            self._finish_chunk(worker, done)
+
+    def _finish_chunk(self, worker: _Worker, done: _Free) -> None:
+        assert worker.chunk is not None
+        worker.rows += len(worker.chunk.episodes)
+        worker.chunks += 1
+        worker.chunk = None
+        if worker.rows >= self.limits.episodes or done.resident_bytes > self.limits.resident_bytes:
+            self._send(worker, None)
+            worker.process.join(timeout=1.0)
+            self._renew(worker)
+
+    def _look_at(self, worker: _Worker, events: list[Event]) -> None:
+        """Has it been silent for too long, or grown too large?"""
+        limits = self.limits
+        allowed_s = limits.silence_s + (0.0 if worker.chunks else limits.first_s)
+        if (worker.chunk is not None or not worker.ready) and time.monotonic() - worker.heard_s > allowed_s:
+            self._replace(worker, f"no result within {limits.silence_s:g} s", events)
+        elif resident_bytes(worker.process.pid or 0) > 2 * limits.resident_bytes:
+            self._replace(worker, f"more than {2 * limits.resident_bytes / 2**30:.3g} GiB of memory", events)
+
+    def _replace(self, worker: _Worker, why: str, events: list[Event]) -> None:
+        if not worker.ready:
+            self._false_starts += 1
+            if self._false_starts >= _MOST_FALSE_STARTS:
+                often = f"{_MOST_FALSE_STARTS} workers in a row"
+                raise CampaignError(f"{often} ended before they were ready: {why}")
+        if worker.chunk is not None:
+            events.append(Lost(worker.chunk, why, times=int(worker.ready)))
+        self.replaced += 1
+        self._renew(worker)
+
+    def _renew(self, worker: _Worker) -> None:
+        worker.end()
+        self.workers[self.workers.index(worker)] = self._started()
+
+
+def _how_it_ended(process: ForkServerProcess) -> str:
+    process.join(timeout=5.0)
+    code = process.exitcode
+    if code is None:
+        return "its process said no more"
+    if code < 0:
+        return f"its process was ended by {signal.Signals(-code).name}"
+    return f"its process ended with exit code {code}"

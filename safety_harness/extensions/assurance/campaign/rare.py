@@ -1,0 +1,167 @@
+"""How often a plan's rare violations come: far fewer runs than as many plain draws would take.
+
+What is estimated is the share of *all admitted* draws of a stratum that violate a claim, whether or not the
+others test it.  A draw that is refused, or a run that does not test the claim, is farther from a violation
+than any that tests it, and the nearer a hand came to the arm, the nearer it is.  The share of draws that are
+admitted comes from independent draws of its own, with an exact interval; the quotient of both holds with the
+plan's confidence together with those of all other claims and strata (Bonferroni).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from safety_harness.admission.admit import Admitted, Admitter, refuse_no_answer
+from safety_harness.admission.claims import property_of
+from safety_harness.admission.trial import run_all
+from safety_harness.base.exceptions import InputError, described
+from safety_harness.base.proportions import lower_bound, upper_bound
+from safety_harness.base.seeds import Branch
+from safety_harness.base.seeds import seed as leaf
+from safety_harness.extensions.assurance.campaign.episodes import judgement_of, why_broken
+from safety_harness.extensions.assurance.campaign.plan import (
+    Plan,
+    PlannedClaim,
+    Stratum,
+    scenarios_by_avoider,
+)
+from safety_harness.extensions.assurance.campaign.watch import AvoiderWatch
+from safety_harness.extensions.assurance.statistics.importance import Importance, weigh
+from safety_harness.extensions.assurance.statistics.rare import RareEstimate, Splitting, split
+from safety_harness.extensions.assurance.statistics.sample import EpisodeOutcome, Floats, refusal
+from safety_harness.search.trials import least_hand_distance_m
+from safety_harness.space.space import ScenarioSpace
+from safety_harness.trace.trace import Trace
+
+ADMITTED_OF = 2_000  # independent draws
+_RARE = 3  # of the branch of the tree of seeds that is a campaign's
+_BATCH = 64
+_UNTESTED, _REFUSED = 1e6, 1e9  # beyond every margin; farthest is what cannot be run
+_BARELY = 1e-12  # a violation is below 0, whatever its margin
+
+
+@dataclass(frozen=True, kw_only=True)
+class RareViolation:
+    """One claim in one stratum: about ``share`` of admitted draws violate it, at least ``low``.
+
+    ``high`` is what the plain draws alone bound, exactly.
+
+    ``admitted`` of ``ADMITTED_OF`` draws were; ``estimate`` is of all draws, in the unit cube.
+    """
+
+    stratum: str
+    claim: PlannedClaim
+    share: float
+    low: float
+    high: float
+    admitted: int
+    estimate: RareEstimate
+
+
+def rare_violations(
+    plan: Plan,
+    how: Importance | Splitting,
+    on_run: Callable[[int], None] = lambda done: None,
+    watch: AvoiderWatch | None = None,
+) -> Iterator[RareViolation]:
+    """Of each claim in each stratum, one after another; ``on_run`` is told how many runs were made.
+
+    All runs are shown to ``watch``, which says whether they are of the avoider at all.
+    InputError where the plan's text is to blame; StatisticsError for a run that says nothing: one that could
+    not be carried on, or that tests the claim and has no verdict.
+    """
+    plan.world.opener()
+    for scenario in scenarios_by_avoider(plan):
+        refuse_no_answer(scenario)
+    each = (1.0 - plan.confidence) / (len(plan.strata) * len(plan.claims))
+    for stratum in plan.strata:
+        seed = leaf(plan.seed, Branch.CAMPAIGN, _RARE, stratum.number)
+        admitted = _Draws(plan, stratum, plan.claims[0], seed).admitted(ADMITTED_OF)
+        if not admitted:
+            raise refusal("strata", f"a draw of {stratum.name!r} that can be run", f"none of {ADMITTED_OF}")
+        least, most = (bound(admitted, ADMITTED_OF, each / 4) for bound in (lower_bound, upper_bound))
+        for number, claim in enumerate(plan.claims):
+            draws = _Draws(plan, stratum, claim, leaf(seed, Branch.CAMPAIGN, number), on_run, watch)
+            estimated = partial(weigh, how=how) if isinstance(how, Importance) else partial(split, how=how)
+            found = estimated(
+                draws,
+                stratum.space.dimension,
+                seed=leaf(seed, Branch.STATISTICS, number),
+                confidence=1.0 - each / 2,
+                model_only=plan.world.model_only,
+            )
+            yield RareViolation(
+                stratum=stratum.name,
+                claim=claim,
+                share=min(1.0, found.value * ADMITTED_OF / admitted),
+                low=found.low / most,
+                high=min(1.0, found.high / least),
+                admitted=admitted,
+                estimate=found,
+            )
+
+
+class _Draws:
+    """Points (n, d) of the cube -> margins (n,) of a claim, each run with a seed of its own."""
+
+    def __init__(
+        self,
+        plan: Plan,
+        stratum: Stratum,
+        claim: PlannedClaim,
+        seed: int,
+        on_run: Callable[[int], None] = lambda done: None,
+        watch: AvoiderWatch | None = None,
+    ) -> None:
+        self._plan, self._claim, self._seed, self._on_run = plan, claim, seed, on_run
+        self._watch = watch or AvoiderWatch()
+        self._space: ScenarioSpace = stratum.space
+        self._admitter, self._made = Admitter(), 0
+
+    def admitted(self, draws: int) -> int:
+        """How many of so many independent ones can be run."""
+        points = np.random.Generator(np.random.PCG64(self._seed)).random((draws, self._space.dimension))
+        return sum(self._admit(point) is not None for point in points)
+
+    def __call__(self, points: Floats) -> Floats:
+        """As ``extensions.assurance.statistics.rare`` asks for them."""
+        return np.concatenate(
+            [self._margins(points[first : first + _BATCH]) for first in range(0, len(points), _BATCH)]
+        )
+
+    def _margins(self, points: Floats) -> Floats:
+        tried = [self._admit(point) for point in points]
+        runs = run_all([one for one in tried if one is not None], self._plan.world)
+        found = np.array([_REFUSED if one is None else self._margin(next(runs)) for one in tried])
+        self._on_run(self._made)
+        return found
+
+    def _admit(self, point: Floats) -> Admitted | None:
+        self._made += 1
+        own = leaf(self._seed, Branch.CAMPAIGN, self._made)
+        try:
+            scenario = self._space.at(point, seed=own, name=f"{self._space.name}#{self._made}")
+            scenario = self._plan.with_avoider(replace(scenario, claims=(self._claim.claim,)))
+            return self._admitter.admit(scenario)
+        except InputError:
+            return None
+
+    def _margin(self, run: Trace | Exception) -> float:
+        if isinstance(run, Exception):
+            raise refusal("runs", "runs that are carried on to their end", described(run))
+        if broken := why_broken(run):
+            raise refusal("runs", "whole runs", broken)
+        self._watch.add(run)
+        evaluation = property_of(self._claim.claim, run.scenario).evaluate(run)
+        outcome, margin = judgement_of(evaluation, run, "").outcome, evaluation.margin
+        if outcome is EpisodeOutcome.VIOLATED:
+            return -_BARELY if margin is None else min(float(margin), -_BARELY)
+        if outcome is EpisodeOutcome.HOLDS and margin is not None:
+            return max(float(margin), 0.0)
+        if outcome is not EpisodeOutcome.UNTESTED:
+            raise refusal("runs", "a verdict on every run that tests the claim", evaluation.reason)
+        return _UNTESTED + min(least_hand_distance_m(run), _UNTESTED)

@@ -1,0 +1,146 @@
+"""From severity, exposure and avoidance to a required level and a rate: a stated graph, walked step by step.
+
+The default is that of ISO 13849-1:2023, Annex A (informative), as public summaries give it; the rates are the
+upper ends of its bands of PFH_D.  A level is what a risk assessment asks of a safety function: nothing here
+shows that anything has it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import product
+
+from safety_harness.base.exceptions import near_miss
+from safety_harness.scenario.codec import FreeKeys, Key, KeyTable, QuantityValue, Text
+from safety_harness.scenario.fields import Field
+from safety_harness.scenario.units import NUMBER
+
+UNKNOWN = "not assessed"
+SEVERITIES, EXPOSURES, AVOIDANCES = ("S1", "S2"), ("F1", "F2"), ("P1", "P2")
+MEANINGS = {
+    "S1": "slight injury",
+    "S2": "serious injury",
+    "F1": "seldom or briefly exposed",
+    "F2": "frequently or long exposed",
+    "P1": "avoidable",
+    "P2": "scarcely avoidable",
+}
+WAYS = tuple(" ".join(way) for way in product(SEVERITIES, EXPOSURES, AVOIDANCES))
+PFH_D = {"a": (1e-5, 1e-4), "b": (3e-6, 1e-5), "c": (1e-6, 3e-6), "d": (1e-7, 1e-6), "e": (1e-8, 1e-7)}
+
+
+@dataclass(frozen=True, kw_only=True)
+class RiskGraph:
+    """``levels`` by their ways, such as ``S2 F1 P2``; ``an_hour``: the violations each allows."""
+
+    name: str
+    levels: Mapping[str, str]
+    an_hour: Mapping[str, float]
+
+    @property
+    def order(self) -> tuple[str, ...]:
+        """The levels, those first that allow most."""
+        return tuple(sorted(self.an_hour, key=lambda level: -self.an_hour[level]))
+
+    def below(self, level: str) -> str:
+        """One level less; the lightest stays what it is."""
+        return self.order[max(self.order.index(level) - 1, 0)]
+
+
+ISO_13849 = RiskGraph(
+    name="ISO 13849-1:2023, Annex A (informative)",
+    levels=dict(zip(WAYS, "abbccdde", strict=True)),
+    an_hour={level: high for level, (_, high) in PFH_D.items()},
+)
+
+
+@dataclass(frozen=True)
+class DerivedRate:
+    """Where the graph leads: a level and its rate, or neither, and every step in words."""
+
+    level: str | None
+    an_hour: float | None
+    steps: tuple[str, ...]
+
+
+def derived(graph: RiskGraph, severity: str, exposure: str, avoidance: str, *, unlikely: bool) -> DerivedRate:
+    """Walk the graph; what is not assessed leads nowhere."""
+    found = {"severity": severity, "exposure": exposure, "avoidance": avoidance}
+    if missing := [what for what, value in found.items() if value == UNKNOWN]:
+        return DerivedRate(None, None, (f"{', '.join(missing)} not assessed: no level follows",))
+    steps = [f"{what} {value}, {MEANINGS[value]}" for what, value in found.items()]
+    level = graph.levels[" ".join(found.values())]
+    if unlikely:
+        steps += [f"by {graph.name}: level {level}", "the hazardous event has a low probability"]
+        level = graph.below(level)
+    rate = graph.an_hour[level]
+    steps.append(
+        f"{'one level less' if unlikely else f'by {graph.name}'}: level {level}, at most {rate:g} an hour"
+    )
+    return DerivedRate(level, rate, tuple(steps))
+
+
+def band_of(an_hour: float) -> str:
+    """In which band of PFH_D a number of this size would lie."""
+    for level, (low, high) in PFH_D.items():
+        if low <= an_hour < high:
+            return f"of the size of band {level}"
+    return "above all bands" if an_hour >= PFH_D["a"][1] else "below all bands"
+
+
+_RATE = QuantityValue(NUMBER, least=0.0, most=1e6)
+OWN_GRAPH = KeyTable(
+    name="a risk graph",
+    keys=(
+        Key(
+            "graph",
+            Text(words="text", expected="the graph's name and edition"),
+            "whose graph it is",
+            "the company's own, edition 3",
+        ),
+        Key(
+            "levels",
+            FreeKeys(
+                of=Text(words="text", expected="a level"),
+                words=f"mapping of {', '.join(WAYS)}",
+                expected="the level of each of " + ", ".join(WAYS),
+            ),
+            "which level each way leads to",
+            "levels: {S1 F1 P1: low, S1 F1 P2: low, S1 F2 P1: low, S1 F2 P2: high, S2 F1 P1: high, "
+            "S2 F1 P2: high, S2 F2 P1: high, S2 F2 P2: high}",
+        ),
+        Key(
+            "an hour",
+            FreeKeys(
+                of=_RATE,
+                words="mapping of levels to numbers",
+                expected="the violations an hour of each level",
+            ),
+            "what each level asks: violations an hour, at most",
+            "an hour: {low: 0.1, high: 0.001}",
+        ),
+    ),
+)
+
+
+def read_graph(field: Field | None) -> RiskGraph:
+    """The plan's own graph, or the default."""
+    if field is None:
+        return ISO_13849
+    given = field.fields(OWN_GRAPH.names)
+    rates: dict[str, float] = {}
+    for level, one in given.required("an hour").entries("a mapping of levels to violations an hour"):
+        rates[level] = one.quantity(NUMBER, above=0.0, most=1e6)
+    levels: dict[str, str] = {}
+    at = given.required("levels")
+    for way, one in at.entries("a mapping of the eight ways to levels"):
+        if way not in WAYS:
+            raise one.error(f"one of {', '.join(WAYS)}", got=way, hint=near_miss(way, WAYS))
+        levels[way] = one.sentence("a level")
+        if levels[way] not in rates:
+            raise one.error(f'a level of which "an hour" says the rate: {", ".join(rates) or "none"}')
+    if missing := [way for way in WAYS if way not in levels]:
+        raise at.error(f"a level for each of {', '.join(WAYS)}", got=f"none for {', '.join(missing)}")
+    name = given.required("graph").sentence("the graph's name and edition")
+    return RiskGraph(name=name, levels=levels, an_hour=rates)

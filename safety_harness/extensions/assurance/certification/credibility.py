@@ -1,0 +1,146 @@
+"""Why numbers from the simulator may be believed: runs made again, agreement of the worlds, oracles."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+from safety_harness.admission.admit import admit
+from safety_harness.admission.agreement import measured_agreement
+from safety_harness.admission.avoiders import is_a_program
+from safety_harness.admission.trial import judge, run_trial
+from safety_harness.cell.simulation.worlds import WORLDS, WorldEntry, world_of_trace
+from safety_harness.claims.properties.base import Evaluation
+from safety_harness.extensions.assurance.certification.stored import Stored
+from safety_harness.extensions.assurance.certification.tools import (
+    Credibility,
+    HarnessTrials,
+    Rerun,
+    WorldAgreement,
+)
+from safety_harness.report.words import with_minus
+from safety_harness.scenario.model import Scenario, Verdict
+from safety_harness.trace.trace import Trace
+
+MOST_RERUNS = 12  # some seconds
+NO_CELL = "Nothing here was measured on a real cell."
+
+
+def credibility_of(
+    stored: Sequence[Stored], trials: HarnessTrials, *, reruns: tuple[Rerun, ...] | None = None
+) -> Credibility:
+    """What is known, and what is not and why; ``reruns`` in place of runs that are made again."""
+    complete = [one.trace for one in stored if one.trace.complete]
+    chosen = complete[:: max(1, -(-len(complete) // MOST_RERUNS))]  # evenly
+    absent = _no_reruns(chosen)
+    if reruns is None or absent:
+        reruns = () if absent else _reruns_of(chosen)
+    try:
+        agreement = agreement_of()
+    except OSError:
+        agreement = None
+        absent.append("No measured agreement of the two worlds comes with this version.")
+    missing = (one for one in WORLDS if not one.is_installed)
+    absent += [f"{one} is not installed: no run was made again in it." for one in missing]
+    if not trials.oracles:
+        absent.append(
+            "Disagreements with other software (kinematics, distances, filter, networks, formulas): no part "
+            "of this report: the package's own tests measure them."
+        )
+    return Credibility(
+        agreement=agreement,
+        reruns=reruns,
+        oracles=trials.oracles,
+        oracles_measured_with=trials.oracles_with,
+        absent=(*absent, *[NO_CELL] * (not trials.cells)),
+        cells=trials.cells,
+    )
+
+
+def agreement_of() -> WorldAgreement:
+    """What came with the package; OSError if nothing did."""
+    measured = measured_agreement()
+    verdicts = measured.compared + measured.compared_near
+    return WorldAgreement(
+        scenarios=measured.scenarios,
+        verdicts=verdicts,
+        disagreements=verdicts - measured.agreed - measured.agreed_near,
+        optimistic=len(measured.optimistic),
+        differences=tuple((one.what, f"{one.largest:.3g} in {one.scenario}") for one in measured.differences),
+        source_hash=measured.source,
+        present=measured.is_of_present_source,
+    )
+
+
+def _no_reruns(chosen: Sequence[Trace]) -> list[str]:
+    """Why no run is made again; empty if some are."""
+    if not chosen:
+        return ["No declared random run was stored, so none was made again with other step sizes."]
+    if any(is_a_program(trace.scenario.under_test) for trace in chosen):
+        return ["Runs of a program of the user's are not made again here: verify does, when told to."]
+    return []
+
+
+def _reruns_of(chosen: Sequence[Trace]) -> tuple[Rerun, ...]:
+    """Declared random runs with smaller physics steps, and in the other worlds."""
+    found, own = [], world_of_trace(chosen[0].provenance.world)
+    if own.substeps:
+        substeps = chosen[0].scenario.settings.clock.physics_substeps
+        how = f"with {2 * substeps} physics steps a control tick in place of {substeps}"
+        found.append(_rerun(chosen, own, "step-size", "Finer physics steps", how, change=_finer))
+    for other in WORLDS:
+        if other is not own and other.is_installed:
+            title, how = f"These runs in {other}", f"in {other} in place of {own}"
+            found.append(_rerun(chosen, other, "other-world", title, how))
+    return tuple(found)
+
+
+def _finer(scenario: Scenario) -> Scenario:
+    clock = scenario.settings.clock
+    finer = replace(clock, physics_substeps=2 * clock.physics_substeps)
+    return replace(scenario, settings=replace(scenario.settings, clock=finer))
+
+
+def _rerun(
+    traces: Sequence[Trace],
+    world: WorldEntry,
+    place: str,
+    title: str,
+    how: str,
+    *,
+    change: Callable[[Scenario], Scenario] = lambda scenario: scenario,
+) -> Rerun:
+    """A run that cannot be made again counts all of its verdicts as changed."""
+    verdicts = changed = optimistic = 0
+    largest: dict[str, tuple[float, str]] = {}
+    for trace in traces:
+        before = judge(trace)
+        verdicts += len(before)
+        try:
+            after = judge(run_trial(admit(change(trace.scenario)), world=world))
+        except Exception:  # also of a user's program, whatever it raises
+            changed += len(before)
+            continue
+        for old, new in zip(before, after, strict=True):
+            changed += old.verdict is not new.verdict
+            optimistic += old.verdict is Verdict.HOLDS and new.verdict is Verdict.VIOLATED
+            _note(largest, old, new)
+    return Rerun(
+        place=place,
+        title=title,
+        how=how,
+        runs=len(traces),
+        verdicts=verdicts,
+        changed=changed,
+        optimistic=optimistic,
+        largest=tuple((sentence, text) for sentence, (_, text) in largest.items()),
+    )
+
+
+def _note(largest: dict[str, tuple[float, str]], old: Evaluation, new: Evaluation) -> None:
+    if old.margin is None or new.margin is None:
+        return
+    difference = new.margin - old.margin
+    if abs(difference) >= largest.get(old.sentence, (0.0, ""))[0]:
+        shown = with_minus(f"{difference * old.unit.per_si:+.3g} {old.unit.symbol}".rstrip())
+        largest[old.sentence] = (abs(difference), shown)

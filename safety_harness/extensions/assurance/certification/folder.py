@@ -1,0 +1,263 @@
+"""The folder of a report: the page, JSON, JUnit XML, the plan's files, the ledger, and hashes of them all."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from xml.etree import ElementTree
+
+from safety_harness.base.exceptions import InputError, OutputError, Place
+from safety_harness.base.whole_file import sha256_of, write_whole
+from safety_harness.extensions.assurance.campaign.identity import unpacked
+from safety_harness.extensions.assurance.campaign.ledger import Ledger
+from safety_harness.extensions.assurance.campaign.session import LEDGER
+from safety_harness.extensions.assurance.certification.argument_files import GSN, NOTES, gsn_text, notes_text
+from safety_harness.extensions.assurance.certification.counterexamples import write_traces
+from safety_harness.extensions.assurance.certification.evidence import (
+    ClaimEvidence,
+    ClaimResult,
+    ClaimStatus,
+    Evidence,
+    StoredFile,
+    as_text,
+)
+from safety_harness.extensions.assurance.certification.gather import GatheredEvidence
+from safety_harness.extensions.assurance.certification.guard import ReportGuard
+from safety_harness.extensions.assurance.certification.page import drawn
+from safety_harness.scenario.files import refuse_no_file, resolved
+from safety_harness.scenario.kinds import FileKind, refuse_other_kind
+from safety_harness.scenario.typed_json import of_format, read_json, typed
+
+PAGE, JSON, JUNIT, PDF = "evidence.html", "evidence.json", "junit.xml", "evidence.pdf"
+MANIFEST, PLAN, OPENED = "manifest.json", "plan", "opened"
+FORMAT = "safety-harness manifest 1"
+MADE = (PAGE, JSON, JUNIT, PDF, GSN, NOTES)
+LOG = f"{LEDGER}-wal"
+PASSING = (LOG, f"{LEDGER}-shm", f"{LEDGER}.lock")
+LARGEST_MANIFEST_BYTES = 2**21  # some 20,000 files
+LARGEST_TRACE_BYTES = 2**26
+MOST_OPENED_BYTES = 2**26  # of all that programs opened; of more, reports carry the hashes alone
+
+
+def write_folder(folder: Path, gathered: GatheredEvidence, ledger: Ledger) -> Evidence:
+    """Write all but the PDF and the manifest; the evidence with the hashes of the files beside it.
+
+    What an earlier report left there is taken away.  OutputError for what cannot be written.
+    """
+    try:
+        _clear(folder)
+        guard = ReportGuard()
+        guard.of("the copy of the plan", lambda: unpacked(ledger.files, folder / PLAN), Path())
+        guard.of("the copies of opened files", lambda: _pack_opened(folder / OPENED, ledger), None)
+        guard.of("the copies of traces", lambda: write_traces(gathered.examples, folder), None)
+        evidence = replace(gathered.evidence, files=tuple(stored_files(folder)))
+        texts = guard.of("the files of the argument", lambda: argument_texts(evidence), {})
+        texts[JUNIT] = guard.of(JUNIT, lambda: junit_xml(evidence), "")
+        evidence = replace(evidence, findings=(*evidence.findings, *guard.findings))
+        texts[PAGE], evidence = drawn(evidence, gathered.runs)
+        for name, text in {JSON: as_text(evidence), **texts}.items():
+            write_whole(folder / name, text)
+    except OSError as error:
+        raise OutputError.of(folder, error) from error
+    return evidence
+
+
+def _pack_opened(folder: Path, ledger: Ledger) -> None:
+    """Copy what the plan's programs opened, each file under its hash, if all of it is small enough."""
+    own = ledger.declared.plan_file.parent
+    there = {sha256: own / name for name, sha256 in ledger.opened.items() if is_file_of(own / name, sha256)}
+    if there and sum(file.stat().st_size for file in there.values()) <= MOST_OPENED_BYTES:
+        folder.mkdir(exist_ok=True)
+        for sha256, file in there.items():
+            shutil.copyfile(file, folder / sha256)
+
+
+def is_file_of(path: Path, sha256: str) -> bool:
+    """Is there a file with these bytes?"""
+    return path.is_file() and sha256_of(path) == sha256
+
+
+def put_back_opened(report: Path, plan: Path, root: Path, ledger: Ledger) -> None:
+    """Put what programs opened beside the ``plan`` that is unpacked below ``root``.
+
+    Files are taken from the report, or from a folder beside it into which the user puts them.
+    InputError that says which one is missing, and where to put it.
+    """
+    for name, sha256 in ledger.opened.items():
+        target = (plan.parent / name).resolve()
+        if not sha256 or resolved(root) not in target.parents or is_file_of(target, sha256):
+            continue
+        places = [one / sha256 for one in (report / OPENED, report.with_name(f"{report.name}.{OPENED}"))]
+        packed = next((one for one in places if is_file_of(one, sha256)), None)
+        if packed is None or target.exists():
+            expected = f"{name} with the SHA-256 {sha256}, which its program opened"
+            hint = f"put it at {places[1]}"
+            raise InputError(
+                place=Place(file=report), expected=expected, got="another file or none", hint=hint
+            )
+        target.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(packed, target)
+
+
+def argument_texts(evidence: Evidence) -> dict[str, str]:
+    """The files of the argument, by their names."""
+    return {GSN: gsn_text(evidence, PAGE), NOTES: notes_text(evidence)}
+
+
+def _clear(folder: Path) -> None:
+    """The PDF of an earlier page, and the copies of its plan that are not this one's any more."""
+    try:
+        earlier = read_manifest(folder)
+    except InputError:
+        earlier = {}
+    (folder / PDF).unlink(missing_ok=True)
+    (folder / MANIFEST).unlink(missing_ok=True)
+    for name in earlier:
+        if name.startswith((f"{PLAN}/", f"{OPENED}/")):
+            (folder / name).unlink(missing_ok=True)
+
+
+def write_manifest(folder: Path, files: Iterable[StoredFile]) -> None:
+    """Hashes of everything, last of all: the ledger has to be closed.  ``files`` are hashed already."""
+    made = (folder / name for name in MADE)
+    hashes = {file.name: sha256_of(file) for file in made if file.is_file()}
+    hashes |= {stored.path: stored.sha256 for stored in files}
+    text = json.dumps({"format": FORMAT, "sha256": dict(sorted(hashes.items()))}, indent=1)
+    try:
+        write_whole(folder / MANIFEST, text + "\n")
+    except OSError as error:
+        raise OutputError.of(folder / MANIFEST, error) from error
+
+
+def read_manifest(folder: Path) -> dict[str, str]:
+    """Path and hash of every file of a report; InputError for what is no report's folder."""
+    file = folder / MANIFEST
+    place = Place(file=file)
+    refuse_other_kind(folder, FileKind.REPORT, error=InputError)
+    refuse_no_file(file, "the folder of a report that certify wrote", InputError)
+    found = of_format(read_json(file, FORMAT, most=LARGEST_MANIFEST_BYTES), FORMAT, file)
+    if other := sorted(found.keys() - {"format", "sha256"}):
+        raise InputError(place=place, expected="the fields format and sha256", got=repr(other[0])[:120])
+    hashes = typed(found.get("sha256"), dict[str, str], file, where="sha256")
+    root = resolved(folder)
+    for name in hashes:
+        plain = "\0" not in name and ".." not in Path(name).parts and Path(name).as_posix() == name
+        if not plain or root not in resolved(folder / name).parents:
+            raise InputError(place=place, expected="files below the report's folder", got=repr(name)[:120])
+    return hashes
+
+
+def stored_files(folder: Path) -> Iterator[StoredFile]:
+    """What of a report is listed with its hash: all but the page and its like."""
+    for name in names_in(folder):
+        path = folder / name
+        if name not in MADE:
+            yield StoredFile(path=name, sha256=sha256_of(path), bytes=path.stat().st_size)
+
+
+def names_in(folder: Path) -> Iterator[str]:
+    """Every file but the manifest, what comes and goes with the ledger, and hidden ones."""
+    for path in sorted(folder.rglob("*")):
+        name = path.relative_to(folder).as_posix()
+        if name not in (MANIFEST, *PASSING) and not path.name.startswith(".") and path.is_file():
+            yield name
+
+
+_NOT_XML = re.compile(r"[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+
+
+def junit_xml(evidence: Evidence) -> str:
+    """The claims for machines that gate on tests: one suite a stratum, one case a claim.
+
+    Only a claim that is *shown* passes.  Refuted is a failure, and so is any violation where the plan set no
+    target; without one such a claim is skipped, and everything else is an error: nothing open is ever green.
+    """
+    name = evidence.plan.name + (f"; {evidence.fallback}" if evidence.fallback else "")
+    root = ElementTree.Element("testsuites", name=_xml_text(name))
+    for stratum in evidence.strata:
+        suite = ElementTree.SubElement(root, "testsuite", name=_xml_text(stratum.name))
+        for claim in evidence.claims:
+            for outcome in claim.outcomes:
+                if outcome.stratum == stratum.name:
+                    _case(suite, claim, outcome, evidence)
+        tags = [child.tag for case in suite for child in case]
+        for name, tag in (("failures", "failure"), ("errors", "error"), ("skipped", "skipped")):
+            suite.set(name, str(tags.count(tag)))
+        suite.set("tests", str(len(suite)))
+    ElementTree.indent(root)
+    return '<?xml version="1.0" encoding="UTF-8"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"
+
+
+def _case(suite: ElementTree.Element, claim: ClaimEvidence, outcome: ClaimResult, evidence: Evidence) -> None:
+    case = ElementTree.SubElement(
+        suite, "testcase", classname=_xml_text(outcome.stratum), name=_xml_text(claim.sentence)
+    )
+    if outcome.standing is not ClaimStatus.SHOWN:
+        _not_passed(case, outcome)
+    only = replace(evidence, claims=(replace(claim, outcomes=(outcome,)),))
+    ElementTree.SubElement(case, "system-out").text = _xml_text(only.basis)
+
+
+def _not_passed(case: ElementTree.Element, outcome: ClaimResult) -> None:
+    untargeted = "failure" if outcome.violated else "skipped"
+    tag = {ClaimStatus.REFUTED: "failure", ClaimStatus.ESTIMATED: untargeted}.get(outcome.standing, "error")
+    said = ElementTree.SubElement(case, tag, message=_xml_text(f"{outcome.standing.value}: {outcome.why}"))
+    if tag != "skipped":
+        said.set("type", outcome.standing.value)
+
+
+def _xml_text(text: str) -> str:
+    return _NOT_XML.sub("\ufffd", text)
+
+
+BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
+LIMIT_S = 180.0
+
+
+def browser() -> str:
+    """The installed Chromium or Chrome that prints, found on the path; InputError if there is none."""
+    found = next(filter(None, map(shutil.which, BROWSERS)), None)
+    if found is not None:
+        return found
+    raise InputError(
+        place=Place(field="--pdf"),
+        expected="an installed Chromium or Chrome, which prints the page",
+        got="none of " + ", ".join(BROWSERS) + " on the path",
+        hint="the page itself prints well from any browser",
+    )
+
+
+def write_pdf(page: Path, path: Path) -> None:
+    """Print ``page`` to ``path``; OutputError with what the browser said if it does not."""
+    with tempfile.TemporaryDirectory() as profile:
+        command = [
+            browser(),
+            "--headless",
+            "--no-sandbox",
+            "--disable-gpu",
+            "--no-first-run",
+            "--disable-background-networking",
+            "--no-pdf-header-footer",
+            f"--user-data-dir={profile}",
+            f"--print-to-pdf={path.resolve()}",
+            page.resolve().as_uri(),
+        ]
+        try:
+            done = subprocess.run(command, capture_output=True, text=True, timeout=LIMIT_S, check=False)
+        except subprocess.TimeoutExpired as error:
+            raise _failed(path, f"the browser did not finish in {LIMIT_S:.0f} s") from error
+    if done.returncode != 0 or not path.is_file():
+        raise _failed(path, done.stderr.strip().splitlines()[-1] if done.stderr.strip() else "nothing")
+    with path.open("rb") as file:
+        if file.read(5) != b"%PDF-":
+            raise _failed(path, "no PDF")
+
+
+def _failed(path: Path, said: str) -> OutputError:
+    return OutputError(place=Place(file=path), expected="a PDF that the browser prints", got=said[:200])

@@ -1,0 +1,265 @@
+"""A plan's ledger, searches and measurements put together into the evidence."""
+
+from __future__ import annotations
+
+import os
+import platform
+import shlex
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+from safety_harness.claims.properties.tally import ASSUMPTIONS, EXCLUSIONS
+from safety_harness.extensions.assurance.campaign.ledger import Ledger
+from safety_harness.extensions.assurance.campaign.plan import Plan
+from safety_harness.extensions.assurance.campaign.summary import root_of, shields_in
+from safety_harness.extensions.assurance.certification.argument_files import read_notes
+from safety_harness.extensions.assurance.certification.counterexamples import (
+    MOST,
+    Example,
+    declared_counterexamples,
+    numbered,
+    search_evidence,
+    searched_counterexamples,
+    searches_of,
+    told_whose_fault,
+)
+from safety_harness.extensions.assurance.certification.credibility import credibility_of
+from safety_harness.extensions.assurance.certification.evidence import (
+    FORMAT,
+    ArgumentNote,
+    CertifiedProofs,
+    ClaimStatus,
+    Evidence,
+    Record,
+    SystemDescription,
+    WhoseFault,
+)
+from safety_harness.extensions.assurance.certification.evidence import DeclaredPlan as PlanEvidence
+from safety_harness.extensions.assurance.certification.evidence import EvidenceProvenance as Origin
+from safety_harness.extensions.assurance.certification.findings import findings_of
+from safety_harness.extensions.assurance.certification.guard import ReportGuard
+from safety_harness.extensions.assurance.certification.hazards import hazards_of
+from safety_harness.extensions.assurance.certification.learned import learned_of
+from safety_harness.extensions.assurance.certification.proofs import stored_proof
+from safety_harness.extensions.assurance.certification.results import (
+    bounds,
+    claims_of,
+    overruling_of,
+    strata_of,
+)
+from safety_harness.extensions.assurance.certification.stored import (
+    Stored,
+    calibration_of,
+    coverage_of,
+    random_traces,
+    separation_of,
+    untried_in,
+)
+from safety_harness.extensions.assurance.certification.system import system_of
+from safety_harness.extensions.assurance.certification.tools import (
+    NO_TRIALS,
+    CoverageOfRuns,
+    Credibility,
+    HarnessTrials,
+)
+from safety_harness.extensions.assurance.certification.verdicts import gravest
+from safety_harness.extensions.assurance.certification.whose_fault import whose_fault
+from safety_harness.report.evidence import JudgedRun
+from safety_harness.report.page_parts import in_words
+from safety_harness.trace.provenance import provenance
+
+NO_SYSTEM = SystemDescription(under_test=(), card=(), limits=(), gate=(), settings=(), changed=())
+NO_COVERAGE = CoverageOfRuns(runs=0, without_hand=0, cells=(), about="")
+NOT_BLAMED = WhoseFault(about="whose fault the violations are cannot be told", groups=(), would_help=())
+NOT_BELIEVED = Credibility(
+    agreement=None, reruns=(), oracles=(), oracles_measured_with="", absent=("it could not be told",)
+)
+Explains = Callable[[Plan, Sequence[Example | str]], Iterable[Example | str]]
+NO_SELFTEST = (
+    "The harness was not put on trial for this report: no table of seeded faults was given (safety-harness "
+    "selftest writes one, certify --selftest FILE takes it in)."
+)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class GatheredEvidence:
+    """The evidence, and the counterexamples in it with their runs."""
+
+    evidence: Evidence
+    examples: tuple[Example, ...]
+
+    @property
+    def runs(self) -> dict[int, JudgedRun]:
+        """Of the counterexamples that have pictures, by their numbers."""
+        return {one.shown.number: one.run for one in self.examples if one.shown.number <= MOST}
+
+
+def gather(
+    plan: Plan,
+    ledger: Ledger,
+    folder: Path,
+    *,
+    command: str,
+    trials: HarnessTrials = NO_TRIALS,
+    declaration: str = "",
+    guard: ReportGuard | None = None,
+) -> GatheredEvidence:
+    """From the ledger, the searches below ``folder``, and some runs that are made again here.
+
+    ``declaration`` is the hash of what was declared of this very plan, ``guard`` has what failed before.
+    """
+    guard = guard or ReportGuard()
+    origin = _origin(plan, ledger, folder, command)
+    return put_together(
+        plan,
+        ledger,
+        folder,
+        trials,
+        declaration=declaration,
+        origin=origin,
+        proven=guard.of("the account of what is proven", lambda: stored_proof(folder, plan), None),
+        notes=guard.of("the list of the author's notes", lambda: read_notes(folder), ()),
+        guard=guard,
+    )
+
+
+def put_together(
+    plan: Plan,
+    ledger: Ledger,
+    folder: Path,
+    trials: HarnessTrials,
+    *,
+    declaration: str,
+    origin: Origin,
+    believe: Callable[[Sequence[Stored], HarnessTrials], Credibility] = credibility_of,
+    blame: Callable[[Plan, Ledger], WhoseFault] = whose_fault,
+    proven: CertifiedProofs | None = None,
+    notes: tuple[ArgumentNote, ...] = (),
+    explain: Explains = told_whose_fault,
+    guard: ReportGuard | None = None,
+) -> GatheredEvidence:
+    """All that follows from the ledger and the searches, around what does not: the last eight.
+
+    What ``guard`` notes down is among the findings.
+    """
+    guard = guard or ReportGuard()
+    stored, damaged = guard.of("the stored random runs", lambda: random_traces(plan, ledger), ([], []))
+    claims, strata = claims_of(plan, ledger, stored), strata_of(plan, ledger)
+    searches = guard.of("the account of searches", lambda: searches_of(plan, folder), ())
+    declared = guard.of(
+        "the table of counterexamples", lambda: tuple(declared_counterexamples(plan, ledger)), ()
+    )
+    searched = guard.of(
+        "the table of the search's counterexamples",
+        lambda: tuple(searched_counterexamples(plan, searches, folder)),
+        (),
+    )
+    told = guard.of("the attribution of counterexamples", lambda: tuple(explain(plan, declared)), declared)
+    met = [*told, *searched]
+    examples = numbered(met)
+    evidence = Evidence(
+        format=FORMAT,
+        interrupted=any(next(ledger.missing(k), None) is not None for k in range(len(strata)))
+        or any(claim.standing is ClaimStatus.INCOMPLETE for claim in claims),
+        plan=_plan(plan, ledger),
+        standing=gravest(claim.standing for claim in claims),
+        strata=strata,
+        overruling=guard.of("the account of overruled proposals", lambda: overruling_of(ledger), ()),
+        shields=guard.of("the runs behind a shield", lambda: shields_in(ledger), ()),
+        claims=claims,
+        system=guard.of("the description of the system", lambda: system_of(plan, ledger.opened), NO_SYSTEM),
+        assumptions=ASSUMPTIONS,
+        exclusions=(*EXCLUSIONS, *ledger.wrists),
+        separation=guard.of("the separation of the runs", lambda: tuple(separation_of(plan, stored)), ()),
+        calibration=guard.of("the calibration of the runs", lambda: tuple(calibration_of(plan, stored)), ()),
+        coverage=guard.of("the coverage of the runs", lambda: coverage_of(ledger), NO_COVERAGE),
+        counterexamples=tuple(one.shown for one in examples),
+        whose_fault=guard.of("the attribution", lambda: blame(plan, ledger), NOT_BLAMED),
+        search=guard.of("the summary of searches", lambda: search_evidence(searches), None),
+        credibility=guard.of("the account of credibility", lambda: believe(stored, trials), NOT_BELIEVED),
+        selftest=trials.selftest,
+        selftest_absent="" if trials.selftest else NO_SELFTEST,
+        record=Record(rows_sha256=root_of(ledger), declaration_sha256=declaration),
+        findings=(),
+        provenance=replace(origin, libraries=origin.libraries + _files(stored)),
+        files=(),
+        proven=proven,
+        hazards=guard.of("the account of hazards", lambda: hazards_of(plan, ledger), ()),
+        notes=notes,
+        learned=guard.of("the account of the learned part", lambda: learned_of(plan, ledger, stored), None),
+    )
+    untried = guard.of("the list of what no run tried", lambda: untried_in(plan, stored), [])
+    findings = guard.of(
+        "the list of findings",
+        lambda: tuple(findings_of(evidence, ledger, met, searches, [*damaged, *untried])),
+        (),
+    )
+    return GatheredEvidence(
+        evidence=replace(evidence, findings=(*findings, *guard.findings)), examples=examples
+    )
+
+
+def _files(stored: Sequence[Stored]) -> tuple[tuple[str, str], ...]:
+    """The compiled files that the stored runs were made with, and their hashes."""
+    files = dict.fromkeys(file for one in stored for file in one.trace.provenance.files)
+    return tuple((name, f"sha256 {sha256}") for name, sha256 in files)
+
+
+def _plan(plan: Plan, ledger: Ledger) -> PlanEvidence:
+    m = bounds(plan)
+    own = ledger.files[0]
+    return PlanEvidence(
+        name=plan.title,
+        about=plan.about,
+        file=own.name,
+        sha256=ledger.declared.identity.sha256,
+        text=own.data.decode("utf-8", "replace"),
+        world=plan.world.label,
+        model_only=plan.world.model_only,
+        confidence=plan.confidence,
+        per_bound_confidence=1.0 - (1.0 - plan.confidence) / m,
+        bounds=m,
+        seed=plan.seed,
+        stop_early=plan.stop_early,
+        search_runs=plan.search_runs,
+    )
+
+
+def _origin(plan: Plan, ledger: Ledger, folder: Path, command: str) -> Origin:
+    made = provenance(plan.world.label)
+    began_at, machine, spent_s = sessions_of(ledger)
+    return Origin(
+        package_version=made.package_version,
+        source_hash=made.source_hash,
+        python=made.python,
+        platform=made.platform,
+        machine=machine or f"{platform.machine()}, {os.cpu_count()} cores",
+        libraries=libraries_of(ledger),
+        command=command,
+        commands=(
+            command,
+            shlex.join(["safety-harness", "verify", folder.name]),
+            shlex.join(["safety-harness", "campaign", "status", f"{folder.name}/{ledger.path.name}"]),
+        ),
+        began_at=began_at,
+        ended_at=in_words(datetime.now(UTC)),
+        run_seconds_s=spent_s,
+    )
+
+
+def libraries_of(ledger: Ledger) -> tuple[tuple[str, str], ...]:
+    """The libraries of the declared runs and their versions."""
+    prefix = "the library "
+    parts = ledger.declared.identity.parts
+    return tuple((name.removeprefix(prefix), text) for name, text in parts if name.startswith(prefix))
+
+
+def sessions_of(ledger: Ledger) -> tuple[str, str, float]:
+    """When the first began, on which machines they were, and the seconds spent in runs."""
+    sessions = list(ledger.all("SELECT began, machine, workers FROM session ORDER BY id"))
+    ((spent_s,),) = ledger.all("SELECT coalesce(sum(seconds), 0.0) FROM episode")
+    machines = dict.fromkeys(f"{machine}; {workers} workers" for _, machine, workers in sessions)
+    began_at = in_words(datetime.fromisoformat(sessions[0][0])) if sessions else ""
+    return began_at, "; ".join(machines), float(spent_s)

@@ -1,0 +1,246 @@
+"""From a ledger to the results of a report: claims with their bounds, strata with their counts.
+
+Both ends are shown for each claim in each stratum, and all of them hold together with the plan's confidence:
+``ends_of`` of them share the error.  *Shown* rests on upper ends, *refuted* on lower ones.  Margins by order
+statistics are no part of it: each holds with the confidence of one interval alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from safety_harness.admission.claims import property_of
+from safety_harness.base.exceptions import StatisticsError, described
+from safety_harness.base.proportions import LEVEL
+from safety_harness.claims.properties.answered import is_claimed
+from safety_harness.extensions.assurance.campaign.episodes import random_episodes
+from safety_harness.extensions.assurance.campaign.ledger import Ledger
+from safety_harness.extensions.assurance.campaign.overruled import overruled_episodes, overruling_in
+from safety_harness.extensions.assurance.campaign.pilot import aim_of
+from safety_harness.extensions.assurance.campaign.plan import Plan, PlannedClaim
+from safety_harness.extensions.assurance.campaign.summary import fallback_of
+from safety_harness.extensions.assurance.certification.evidence import (
+    UNANSWERED,
+    UNMADE,
+    Bound,
+    ClaimEvidence,
+    ClaimResult,
+    ClaimStatus,
+    OverrulingResult,
+    Quantile,
+    StratumResult,
+)
+from safety_harness.extensions.assurance.certification.standards import entry_of, traced
+from safety_harness.extensions.assurance.certification.stored import Stored, came_nearest
+from safety_harness.extensions.assurance.certification.verdicts import overall, standing_of
+from safety_harness.extensions.assurance.statistics.binomial import (
+    Sides,
+    bounds_of,
+    ends_of,
+    violation_bounds,
+)
+from safety_harness.extensions.assurance.statistics.distances import tolerance_bound
+from safety_harness.extensions.assurance.statistics.planning import refuse_if_impossible
+from safety_harness.extensions.assurance.statistics.sample import EpisodeOutcome as Code
+from safety_harness.extensions.assurance.statistics.sample import Floats, IndependentSample
+
+CONTENTS = (0.9, 0.99, 0.999)
+MOST_POINTS = 240  # of a curve
+
+
+def refuse_hopeless(plan: Plan) -> None:
+    """InputError, with the number of runs that would do, for a target that the plan's runs cannot show."""
+    for claim in plan.claims:
+        if claim.target is not None:
+            for stratum in plan.strata:
+                refuse_if_impossible(aim_of(plan, claim.target), stratum.runs, place=claim.claim.place)
+
+
+def bounds(plan: Plan) -> int:
+    """How many bounds the report of a plan shows."""
+    return ends_of(len(plan.claims), len(plan.strata))
+
+
+def claims_of(plan: Plan, ledger: Ledger, stored: Sequence[Stored] = ()) -> tuple[ClaimEvidence, ...]:
+    """Every claim of the plan, with what the ledger says of it now, and its ``stored`` random runs."""
+    return tuple(_claim(plan, ledger, stored, place, claim) for place, claim in enumerate(plan.claims))
+
+
+def _claim(
+    plan: Plan, ledger: Ledger, stored: Sequence[Stored], place: int, claim: PlannedClaim
+) -> ClaimEvidence:
+    entry, tracing = entry_of(claim.sentence), traced(claim.sentence)
+    prop = property_of(claim.claim, plan.strata[0].space.simplest)
+    outcomes = tuple(_outcome(plan, ledger, stored, stratum, place) for stratum in range(len(plan.strata)))
+    standing, why = overall(outcomes)
+    return ClaimEvidence(
+        number=place + 1,
+        sentence=claim.sentence,
+        target=claim.target,
+        hazard=claim.hazard or tracing.hazard,
+        hazard_is_authors=bool(claim.hazard),
+        terms=tracing.terms,
+        rationale=_sentence(entry.rationale if entry else f"A formula of its author's: {prop.sentence}"),
+        exercised_when="" if entry is None else entry.exercised,
+        unit=prop.unit.symbol,
+        per_si=prop.unit.per_si,
+        standing=standing,
+        why=why,
+        outcomes=outcomes,
+    )
+
+
+def _sentence(text: str) -> str:
+    return text[0].upper() + text[1:].rstrip(".") + "."
+
+
+def _outcome(plan: Plan, ledger: Ledger, stored: Sequence[Stored], place: int, claim: int) -> ClaimResult:
+    stratum, planned = plan.strata[place], plan.claims[claim]
+    bound: Bound | None = None
+    quantiles: tuple[Quantile, ...] = ()
+    problem = ""
+    try:
+        sample = ledger.sample(stratum.name, planned.sentence)
+    except StatisticsError as error:  # episodes are missing yet, or rows contradict themselves
+        problem = str(error)
+        _, codes, margins = ledger.outcomes(place, claim)
+    else:
+        codes, margins, bound = sample.outcomes, sample.margins, _bound(sample, plan)
+        quantiles = _quantiles(sample, bound.confidence) if bound else ()
+    counts = {code: int(np.count_nonzero(codes == code)) for code in Code}
+    without = counts[Code.INCONCLUSIVE] + counts[Code.FAILED]
+    fallback, claimed = fallback_of(ledger, place), is_claimed(one.claim for one in plan.claims)
+    standing, why = standing_of(
+        target=planned.target,
+        bound=bound,
+        runs=len(codes),
+        planned=stratum.runs,
+        tested=len(codes) - counts[Code.UNTESTED],
+        violated=counts[Code.VIOLATED],
+        without_verdict=without,
+        may_stop_early=plan.stop_early and not problem,
+        problem=problem,
+        world=plan.world,
+        dependent=ledger.dependent,
+        fallback=fallback.words,
+        stood_in=bool(fallback.unanswered) and (fallback.unanswered == fallback.decisions or not claimed),
+    )
+    if standing is ClaimStatus.UNTESTED:
+        try:
+            why += f"; {came_nearest(plan, stored, place, claim)}"
+        except Exception as error:  # of a run judged again
+            why += f"; how near a hand came {UNMADE}: {described(error)}"
+    sure = np.isin(codes, (Code.HOLDS, Code.VIOLATED)) & np.isfinite(margins)
+    shown, shares = _curve(np.sort(margins[sure]), without)
+    return ClaimResult(
+        stratum=stratum.name,
+        planned=stratum.runs,
+        runs=len(codes),
+        holds=counts[Code.HOLDS],
+        violated=counts[Code.VIOLATED],
+        inconclusive=counts[Code.INCONCLUSIVE],
+        failed=counts[Code.FAILED],
+        untested=counts[Code.UNTESTED],
+        bound=bound,
+        standing=standing,
+        why=why,
+        least_margin_si=float(margins[sure].min()) if sure.any() else None,
+        margins_si=shown,
+        shares=shares,
+        quantiles=quantiles,
+    )
+
+
+def _bound(sample: IndependentSample, plan: Plan) -> Bound | None:
+    """With the error shared among all bounds of the plan; None without a trial."""
+    (one,) = bounds_of([sample], plan.confidence, Sides.BOTH, family=bounds(plan))
+    if not one.trials:
+        return None
+    return Bound(lower=one.low, upper=one.high, confidence=one.confidence, method=one.method.value)
+
+
+def _curve(margins: Floats, without: int) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Margins that ascend, and the share of runs with none larger; without a verdict is the least of all."""
+    n = len(margins)
+    if n == 0:
+        return (), ()
+    few = np.arange(min(n, MOST_POINTS // 2))
+    rest = np.geomspace(max(len(few), 1), n, MOST_POINTS // 2).astype(np.int64) - 1
+    kept = np.unique(np.concatenate([few, rest, [n - 1]]))
+    shares = (kept + 1 + without) / (n + without)
+    return tuple(margins[kept].tolist()), tuple(shares.tolist())
+
+
+def _quantiles(sample: IndependentSample, confidence: float) -> tuple[Quantile, ...]:
+    if sample.declaration.stop_early:
+        return ()
+    found = (tolerance_bound(sample, content, confidence) for content in CONTENTS)
+    return tuple(
+        Quantile(share=one.content, at_least_si=one.at_least) for one in found if np.isfinite(one.at_least)
+    )
+
+
+_DECISIONS = ("proposed positions", "opposite poses", "protective stops", UNANSWERED)
+_SUMS = (
+    "SELECT count(*), coalesce(sum(draws - 1), 0), coalesce(sum(proposed), 0), coalesce(sum(opposite), 0), "
+    "coalesce(sum(stopped), 0), coalesce(sum(faults), 0), coalesce(sum(failure IS NOT NULL), 0) "
+    "FROM episode WHERE stratum = ?"
+)
+
+
+def strata_of(plan: Plan, ledger: Ledger) -> tuple[StratumResult, ...]:
+    """The operational domain as it was run."""
+    hashes = {file.name: file.sha256 for file in ledger.files}
+    return tuple(_stratum(plan, ledger, place, hashes) for place in range(len(plan.strata)))
+
+
+def _stratum(plan: Plan, ledger: Ledger, place: int, hashes: dict[str, str]) -> StratumResult:
+    stratum = plan.strata[place]
+    ((made, again, *counts, failed),) = ledger.all(_SUMS, place)
+    stored = {episode: violation for where, episode, violation in ledger.traces() if where == place}
+    random = random_episodes(plan, place) & stored.keys()
+    file = stratum.space.file
+    name = "" if file is None else next((one for one in hashes if one.endswith(f"/{file.name}")), file.name)
+    return StratumResult(
+        name=stratum.name,
+        space=name or stratum.space.name,
+        about=stratum.space.name.replace("-", " "),
+        space_sha256=hashes.get(name, ""),
+        planned=stratum.runs,
+        made=int(made),
+        failed=int(failed),
+        refused_draws=int(again),
+        decisions=tuple((what, int(many)) for what, many in zip(_DECISIONS, counts, strict=True) if many),
+        random_traces=len(random),
+        violation_traces=sum(stored.values()),
+    )
+
+
+def overruling_of(ledger: Ledger) -> tuple[OverrulingResult, ...]:
+    """How often the gate overruled the avoider, by stratum, each with an interval of its own."""
+    return tuple(_overruling(ledger, place, name) for place, name in enumerate(ledger.declared.strata))
+
+
+def _overruling(ledger: Ledger, place: int, stratum: str) -> OverrulingResult:
+    whole, bound = overruling_in(ledger, place), None
+    some = (
+        "SELECT count(*), coalesce(sum(overruled > 0), 0) FROM episodes WHERE stratum = ? AND proposals > 0"
+    )
+    ((runs, overruled),) = ledger.all(some, stratum)
+    try:
+        one = violation_bounds(overruled_episodes(ledger, place), LEVEL, Sides.BOTH)
+        if one.trials and not ledger.dependent:
+            bound = Bound(lower=one.low, upper=one.high, confidence=one.confidence, method=one.method.value)
+    except StatisticsError:  # episodes are missing yet
+        pass
+    return OverrulingResult(
+        stratum=stratum,
+        proposals=whole.proposals,
+        overruled=whole.overruled,
+        words=whole.words,
+        runs=int(runs),
+        runs_overruled=int(overruled),
+        bound=bound,
+    )

@@ -1,0 +1,205 @@
+"""Does a report stand?  Files, plan, ledger, stored traces, numbers, pages, and runs made again.
+
+Each question is answered with what was looked at and what is otherwise.  A change of the software since is
+named and is no fault by itself: what it changes in verdicts is.  Nothing in a report is executed unasked.
+"""
+
+from __future__ import annotations
+
+import re
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+
+from safety_harness.base.exceptions import InputError, OutputError, Place
+from safety_harness.extensions.assurance.campaign.identity import edition_of, unpacked
+from safety_harness.extensions.assurance.campaign.ledger import Ledger
+from safety_harness.extensions.assurance.campaign.plan import Plan, read_plan
+from safety_harness.extensions.assurance.campaign.session import LEDGER
+from safety_harness.extensions.assurance.certification.altered import turns_of
+from safety_harness.extensions.assurance.certification.evidence import read_evidence
+from safety_harness.extensions.assurance.certification.folder import JSON, put_back_opened, read_manifest
+from safety_harness.extensions.assurance.certification.lodged import (
+    L,
+    declaration_of,
+    read_declaration,
+    read_seal,
+    seal_of,
+)
+from safety_harness.extensions.assurance.certification.verify_files import (
+    Examination,
+    ReportFolder,
+    check_files,
+    check_plan,
+    check_rows,
+    few,
+)
+from safety_harness.extensions.assurance.certification.verify_report import (
+    check_numbers,
+    check_pages,
+    check_proof,
+)
+from safety_harness.extensions.assurance.certification.verify_runs import (
+    Drawing,
+    check_runs,
+    check_searched,
+    check_traces,
+    programs_in,
+)
+
+NO_SEAL = (
+    "no lodged seal was given (--seal): a careful forger who makes all hashes anew may have altered rows, of "
+    "which only stored traces and runs made again tell, and what nothing but the report says: its times, "
+    "machine and command, what the search did, what asking the avoider "
+    "again came to, tables that were handed in"
+)
+NOT_DECLARED = (
+    "no lodged declaration was given (--declared): nothing proves that plan, seed and targets came first"
+)
+_HASH = re.compile(r"[0-9a-f]{64}")
+
+
+def lodged_hash(text: str | None, field: str) -> str | Path | None:
+    """A hash as it was lodged, or the file that it is of; InputError for neither."""
+    if text is None or _HASH.fullmatch(text.strip().lower()):
+        return text and text.strip().lower()
+    if Path(text).is_file():
+        return Path(text)
+    raise InputError(
+        place=Place(field=field), expected="a hash of 64 hexadecimal digits, or its file", got=repr(text)[:80]
+    )
+
+
+def check_lodged(
+    report: ReportFolder, *, seal: str | Path | None, declared: str | Path | None
+) -> Examination:
+    """Against what was lodged elsewhere, or what it means that nothing was."""
+    faults, notes, unchecked = [], [], []
+    if seal is None:
+        unchecked.append(NO_SEAL)
+    else:
+        faults += _differs(seal, seal_of(report.folder, report.ledger), read_seal, "seal")
+        notes.append("nothing in the report was altered since it was sealed")
+    if declared is None:
+        unchecked.append(NOT_DECLARED)
+    else:
+        now = declaration_of(report.plan, report.ledger.declared.identity)
+        faults += _differs(declared, now, read_declaration, "declaration")
+        notes.append(
+            "plan, seed, avoider, targets and software are the declared ones; its runs began on "
+            f"{report.recorded.provenance.began_at}: the declaration has to have been lodged before"
+        )
+    root = report.recorded.record.rows_sha256
+    text = f"the root over all rows, {root[:16]}, and what was lodged elsewhere"
+    return Examination("lodged", text, few(faults), () if faults else tuple(notes), tuple(unchecked))
+
+
+def _differs(lodged: str | Path, now: L, read: Callable[[Path], L], what: str) -> list[str]:
+    """In words, if it does; what of it is otherwise is known from the file only."""
+    if isinstance(lodged, Path):
+        return list(read(lodged).changes(now))
+    return [] if lodged == now.sha256 else [f"the {what} of this report is {now.sha256}, not what was lodged"]
+
+
+MISS = 0.01
+
+
+def verify(
+    folder: Path,
+    *,
+    runs: int | None = None,
+    miss: float = MISS,
+    seed: int = 0,
+    execute_programs: bool = False,
+    seal: str | None = None,
+    declared: str | None = None,
+    on_progress: Callable[[str], None] = lambda words: None,
+) -> Iterator[Examination]:
+    """Check by check; InputError for what is no report, or whose avoider may not be executed.
+
+    ``runs`` episodes are made again, drawn at random with ``seed``, or as many as overlook rows that turn a
+    verdict with the chance ``miss``.  ``seal`` and ``declared`` are hashes (or their files) that were lodged
+    elsewhere.  A file of a report that cannot be read is a fault of the report, and ends what can be checked.
+    """
+    sealed, before = lodged_hash(seal, "--seal"), lodged_hash(declared, "--declared")
+    hashes = read_manifest(folder)
+    on_progress("files")
+    yield check_files(folder, hashes)
+    with ExitStack() as stack:
+        try:
+            recorded = read_evidence(folder / JSON)
+            ledger = stack.enter_context(Ledger.open(folder / LEDGER, alone=True))
+            rows = check_rows(ledger)
+            unpacking = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="safety-harness-")))
+            plan = (
+                read_plan(unpacked(ledger.files, unpacking), edition_of(ledger.declared.identity))
+                if rows.stands
+                else None
+            )
+        except OutputError:
+            raise
+        except InputError as error:
+            yield Examination(
+                "ledger", "the evidence, the ledger and its plan", (str(error),), unchecked=(_REST,)
+            )
+            return
+        yield rows if plan else replace(rows, unchecked=(_REST,))
+        if plan is None:
+            return
+        _refuse_to_execute(plan, runs, execute_programs)
+        if execute_programs and runs != 0:
+            put_back_opened(folder, plan.file, unpacking, ledger)
+        own = check_plan(folder, plan, ledger)
+        yield own
+        if not own.stands:
+            yield Examination("rest", "nothing that follows from the plan", unchecked=(_REST,))
+            return
+        report = ReportFolder(folder, hashes, recorded, plan, ledger)
+        drawing = Drawing(runs=runs, miss=miss, seed=seed, programs=execute_programs, on_progress=on_progress)
+        try:
+            yield from _of_the_plan(report, drawing)
+            yield check_lodged(report, seal=sealed, declared=before)
+        except OutputError:
+            raise
+        except InputError as error:
+            yield Examination("rest", "the rest of the report", (str(error),), unchecked=(_REST,))
+
+
+def _of_the_plan(report: ReportFolder, drawing: Drawing) -> Iterator[Examination]:
+    """What follows from a plan that is the declared one, and a ledger whose rows are of its runs."""
+    plan, ledger, same = report.plan, report.ledger, report.same
+    drawing.on_progress("stored traces, judged with the present code")
+    stored = check_traces(plan, ledger, same=same)
+    yield stored
+    drawing.on_progress("the report from the ledger")
+    again = drawing.runs != 0 and stored.stands
+    if (proof := check_proof(report)) is not None:
+        yield proof
+    numbers, gathered = check_numbers(report, again=again)
+    yield numbers
+    if numbers.stands:
+        drawing.on_progress("the page")
+        yield check_pages(report, gathered)
+    if again and any(not one.shown.independent for one in gathered.examples):
+        drawing.on_progress("counterexamples of the search")
+        yield check_searched(gathered, same=same and not programs_in(plan), programs=drawing.programs)
+    turns = turns_of(gathered.evidence.claims, early=plan.stop_early)
+    drawing.on_progress("runs again")
+    yield check_runs(plan, ledger, turns, drawing, same=same)
+
+
+_REST = "the rest, which cannot be checked without it"
+
+
+def _refuse_to_execute(plan: Plan, runs: int | None, execute_programs: bool) -> None:
+    """A report may come from anybody: a program in it is executed only when the user says so."""
+    programs = programs_in(plan)
+    if programs and runs != 0 and not execute_programs:
+        raise InputError(
+            place=Place(file=plan.file, field="avoider"),
+            expected="--execute-programs, since making runs again executes the program in the report",
+            got=programs[0],
+            hint="or --runs 0, which makes none again",
+        )

@@ -1,0 +1,444 @@
+"""Does what the report says follow from its ledger, and are its page and JUnit XML what is made of it?
+
+What depends on the words of the catalogue, or on the last bits of a trace, may come out otherwise with other
+software than the report's: it is named then.  With the same software all of it has to come out the same.
+
+Text of the page is compared to the letter, wherever it stands: between tags, in drawings, in what a screen
+reader says.  In plots only where a thing stands (``x``, ``y``, ``d``) may be a tenth of a pixel off:
+coordinates are rounded to the first decimal, where another processor's last bit shows.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import shlex
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from datetime import datetime
+from functools import partial
+from hashlib import sha256
+from itertools import zip_longest
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+from safety_harness.base.exceptions import InputError, Place
+from safety_harness.extensions.assurance.campaign.ledger import Ledger
+from safety_harness.extensions.assurance.campaign.plan import Plan
+from safety_harness.extensions.assurance.campaign.session import LEDGER
+from safety_harness.extensions.assurance.certification.counterexamples import (
+    FINDINGS,
+    SEARCH,
+    Example,
+    told_whose_fault,
+    with_fault,
+)
+from safety_harness.extensions.assurance.certification.credibility import credibility_of
+from safety_harness.extensions.assurance.certification.evidence import Evidence, EvidenceProvenance, as_text
+from safety_harness.extensions.assurance.certification.folder import (
+    JSON,
+    JUNIT,
+    MADE,
+    OPENED,
+    PAGE,
+    PDF,
+    PLAN,
+    argument_texts,
+    junit_xml,
+)
+from safety_harness.extensions.assurance.certification.gather import (
+    GatheredEvidence,
+    libraries_of,
+    put_together,
+    sessions_of,
+)
+from safety_harness.extensions.assurance.certification.lodged import declaration_of
+from safety_harness.extensions.assurance.certification.page import render
+from safety_harness.extensions.assurance.certification.proofs import (
+    CERTIFICATE,
+    NETWORK,
+    networks_of,
+    stored_proof,
+)
+from safety_harness.extensions.assurance.certification.stored import Stored
+from safety_harness.extensions.assurance.certification.tools import Credibility, HarnessTrials
+from safety_harness.extensions.assurance.certification.verify_files import Examination, ReportFolder, few
+from safety_harness.extensions.assurance.certification.whose_fault import whose_fault
+from safety_harness.scenario.files import read_bytes
+from safety_harness.scenario.typed_json import plain
+from safety_harness.trace.provenance import provenance
+
+LARGEST_PAGE_BYTES = 2**28
+TOLERANCE_PX = 0.1
+PROOF = (CERTIFICATE, NETWORK)
+_PLOT = re.compile(rb'<svg (?=[^<>]*role="img")(?![^<>]*"coverage-map-)')
+_VERDICT = re.compile(rb'<(span class="verdict [^"<>]*"|div class="banner [^"<>]*" role="note"><p><strong)>')
+_VERDICTS = re.compile(rb'<table class="[^"<>]*\bverdicts"[^<>]*>')
+_NUMBERS = re.compile(rb'<(td)[^<>]*class="number"[^<>]*>')
+_CLOSING = re.compile(rb"</(?:strong|td)>|(?<!</svg>)</span>")
+_HIDING = re.compile(rb"<!--|<template\b", re.IGNORECASE)  # no version's page has any
+_LONGEST_BADGE = 2_000  # bytes, with its icon
+_MARKUP = re.compile(rb"<[^<>]*>")
+_TAG = re.compile(rb"<\w[^<>]*>")
+_WHERE = re.compile(rb'( (?:d|x|y)=")([^"]*)"')
+_NUMBER = re.compile(rb"-?\d+(?:\.\d+)?")
+_NOT_PASSED = {"failure", "error", "skipped"}
+_AROUND = 60  # letters shown before and after a difference
+
+
+def check_pages(report: ReportFolder, gathered: GatheredEvidence) -> Examination:
+    """The page and the JUnit XML, made again from the evidence; with other software a difference is said."""
+    folder, recorded = report.folder, report.recorded
+    faults, notes = list(_traces(folder, gathered)), []
+    unchecked: list[str] = []
+    junit, own = bytes_of(folder / JUNIT), written(junit_xml(recorded))
+    if junit != own:  # which claims pass follows from the evidence by rule, whichever version wrote it
+        same = not report.same_words and passed_in(junit) == passed_in(own)
+        (unchecked if same else faults).append(f"{JUNIT} does not say what {JSON} says")
+    for name, text in argument_texts(recorded).items():
+        file = folder / name
+        absent = not file.is_file() and not report.same_words  # earlier versions wrote none
+        if not absent and not (file.is_file() and bytes_of(file) == written(text)):
+            (faults if report.same_words else unchecked).append(f"{name} does not say what {JSON} says")
+    there, made = bytes_of(folder / PAGE), written(render(recorded, gathered.runs))
+    differs = differences(there, made)
+    if verdicts_in(there) != verdicts_in(made):
+        faults.append(f"{PAGE}: its verdicts are not those that follow from {JSON}")
+    if differs and report.same_words:
+        faults += [f"{PAGE} does not say what {JSON} says: {one}" for one in differs]
+    elif differs:
+        unchecked += [f"{PAGE} was made by other software, and says otherwise: {one}" for one in differs]
+    elif there != made:
+        notes.append(f"{PAGE}: lines of its plots are up to {TOLERANCE_PX} px from where they are drawn here")
+    if (folder / PDF).exists():
+        unchecked.append(f"{PDF} is not compared with the page: print it anew")
+    text = f"{PAGE} and {JUNIT}, made again from {JSON}"
+    return Examination("pages", text, few(faults), tuple(notes), few(unchecked))
+
+
+def differences(there: bytes, made: bytes) -> tuple[str, ...]:
+    """In which lines a page differs from the one that is made here, in words; none within the tolerance."""
+    (text, places), (own_text, own_places) = _parted(there), _parted(made)
+    if text != own_text:
+        style, text = _without_style(text, own_text)
+        pairs = zip_longest(text.splitlines(), own_text.splitlines(), fillvalue=b"")
+        return (*style, *few([_shown(one, other) for one, other in pairs if one != other]))
+    off = max((abs(a - b) for a, b in zip(places, own_places, strict=True)), default=0.0)
+    return () if off <= TOLERANCE_PX + 1e-9 else (f"a line of a plot is {off:.1f} px from its place",)
+
+
+def _parted(page: bytes) -> tuple[bytes, list[float]]:
+    """The page without the numbers that say where things of plots stand, and these numbers."""
+    places: list[float] = []
+
+    def number(found: re.Match[bytes]) -> bytes:
+        places.append(float(found[0]))
+        return b"#"
+
+    def where(found: re.Match[bytes]) -> bytes:
+        return found[1] + _NUMBER.sub(number, found[2]) + b'"'
+
+    parts, done = [], 0
+    for found in _PLOT.finditer(page):
+        if found.start() < done:
+            continue
+        end = page.find(b"</svg>", found.start())
+        if end < 0:  # neither has any later one an end
+            break
+        parts.append(page[done : found.start()])
+        parts.append(_TAG.sub(lambda tag: _WHERE.sub(where, tag[0]), page[found.start() : end]))
+        done = end
+    return b"".join([*parts, page[done:]]), places
+
+
+def passed_in(junit: bytes) -> list[tuple[str, str]] | None:
+    """Return stratum and claim of each case of a JUnit file that passes; None for what is no XML."""
+    try:
+        cases = ElementTree.fromstring(junit).iter("testcase")
+        passed = (one for one in cases if _NOT_PASSED.isdisjoint(child.tag for child in one))
+        return sorted((one.get("classname", ""), one.get("name", "")) for one in passed)
+    except ElementTree.ParseError:
+        return None
+
+
+def verdicts_in(page: bytes) -> list[bytes]:
+    """Return all verdicts on a page with the class that colours them, and the numbers of their table.
+
+    They follow from the evidence by rule, whichever version made the page: standings, counts and bounds.
+    """
+    badges = sorted(opening + text for opening, text in _texts(page, _VERDICT))
+    table = _VERDICTS.search(page)
+    begin = len(page) if table is None else table.end()
+    end = page.find(b"</table>", begin)
+    return [
+        *badges,
+        *_HIDING.findall(page),
+        *(text for _, text in _texts(page[begin : end if end >= 0 else len(page)], _NUMBERS)),
+    ]
+
+
+def _texts(page: bytes, openings: re.Pattern[bytes]) -> Iterator[tuple[bytes, bytes]]:
+    """Yield each opening and the text up to what closes it; a text that is not closed is cut."""
+    for found in openings.finditer(page):
+        some = page[found.end() : found.end() + _LONGEST_BADGE]
+        yield found[1], _MARKUP.sub(b"", _CLOSING.split(some, maxsplit=1)[0])
+
+
+def _without_style(there: bytes, made: bytes) -> tuple[tuple[str, ...], bytes]:
+    """In a line that the style sheet is another, if it is; and the page with the one that is made here.
+
+    Only where all before it is the same: elsewhere a browser might not take it for one, and show it.
+    """
+    one, other = _styled(there), _styled(made)
+    if one is None or other is None or one[0] != other[0] or one[1] == other[1]:
+        return (), there
+    said = "its style sheet is another, and so is what it hides or adds: not compared"
+    return (said,), one[0] + other[1] + one[2]
+
+
+def _styled(page: bytes) -> tuple[bytes, bytes, bytes] | None:
+    """Return what lies before, in and after the first style sheet of a page; None without one."""
+    begin = page.find(b"<style>") + len(b"<style>")
+    end = page.find(b"</style>", begin)
+    return None if begin < len(b"<style>") or end < 0 else (page[:begin], page[begin:end], page[end:])
+
+
+def _shown(there: bytes, made: bytes) -> str:
+    """The letters about the first difference."""
+    at = next((k for k, pair in enumerate(zip_longest(there, made)) if pair[0] != pair[1]), 0)
+    one, other = (
+        line[max(at - _AROUND, 0) : at + _AROUND].decode("utf-8", "replace") for line in (there, made)
+    )
+    return f"{one!r} in place of {other!r}"
+
+
+def _traces(folder: Path, gathered: GatheredEvidence) -> Iterator[str]:
+    """Declared counterexamples of which the file is not the ledger's trace."""
+    for one in gathered.examples:
+        if one.data is not None:
+            file = folder / one.shown.trace_file
+            if not file.is_file() or file.read_bytes() != one.data:
+                yield f"{one.shown.trace_file} is not the trace that the ledger keeps"
+
+
+def bytes_of(path: Path) -> bytes:
+    """A file of a report, which may be a stranger's."""
+    return read_bytes(path, most=LARGEST_PAGE_BYTES, place=Place(file=path), error=InputError)
+
+
+def written(text: str) -> bytes:
+    """As ``write_whole`` writes it."""
+    return text.encode("utf-8", "backslashreplace")
+
+
+def rewritten(text: bytes) -> str:
+    """A JSON as every version writes it: an earlier one's may have other fields."""
+    return json.dumps(json.loads(text), indent=1, ensure_ascii=False) + "\n"
+
+
+WORDS = {
+    *("rationale", "exercised_when", "hazard", "terms", "why", "about", "assumptions", "exclusions", "lines"),
+    *("system", "separation", "calibration", "credibility", "findings", "margin", "selftest_absent"),
+    *("whose_fault", "steps", "approaches"),
+}
+OF_RUNS = frozenset({"reruns", "absent", "whose_fault", "lines"})  # of runs made again
+CLOSE = 1e-9  # relative: another scipy's last digits
+
+
+def check_numbers(report: ReportFolder, *, again: bool) -> tuple[Examination, GatheredEvidence]:
+    """Everything that follows from the ledger and the searches, computed anew.
+
+    ``again``: the runs are made again that doubt the simulator.
+    """
+    recorded, ledger, same = report.recorded, report.ledger, report.same
+    then = recorded.credibility
+
+    def believe(stored: Sequence[Stored], trials: HarnessTrials) -> Credibility:
+        now = credibility_of(stored, trials, reruns=None if again else then.reruns)
+        return now if report.same_words else replace(now, agreement=then.agreement)
+
+    oracles_with = then.oracles_measured_with if then.oracles else ""
+    # if anything was declared, it is this very plan with the ledger's software
+    declared = recorded.record.declaration_sha256
+    gathered = put_together(
+        report.plan,
+        ledger,
+        report.folder,
+        HarnessTrials(
+            selftest=recorded.selftest, oracles=then.oracles, oracles_with=oracles_with, cells=then.cells
+        ),
+        declaration=declared and declaration_of(report.plan, ledger.declared.identity).sha256,
+        origin=_origin(recorded.provenance, ledger, same=same),
+        believe=believe,
+        explain=told_whose_fault if again else partial(_told_before, recorded),
+        blame=whose_fault if again else lambda plan, ledger: recorded.whose_fault,
+        proven=recorded.proven,  # of which check_proof has told
+        notes=recorded.notes,
+    )
+    now = replace(gathered.evidence, files=recorded.files)
+    if recorded.learned is None and not report.same_words:  # earlier versions had no such part
+        now = replace(now, learned=None)
+    faults: list[str] = []
+    others: list[str] = []
+    for place, was, new in _differences(plain(recorded), plain(now), ""):
+        names = set(re.split(r"[.\[\]\d]+", place))
+        lenient = frozenset() if same else OF_RUNS if report.same_words else WORDS
+        words = lenient & names or ("largest" in names and _near(was, new))
+        (others if words else faults).append(f"{place}: {_short(was)} in the report, {_short(new)} comes out")
+    faults += _files(report)
+    faults += _told(recorded.provenance)
+    text = (
+        f"{len(recorded.claims)} claims, with counts, bounds and verdicts, and all that is shown beside them"
+    )
+    unchecked = (
+        []
+        if again
+        else ["the runs by which the simulator is doubted, or a fault is attributed, were not made again"]
+    )
+    if not report.same_words:
+        unchecked.append("the agreement of the worlds is as the report says: another version measured it")
+    if recorded.plan.search_runs:
+        unchecked.append("the search was not made again: what it found, or did not, is what its files say")
+    if recorded.selftest or then.oracles or then.cells:
+        unchecked.append(
+            "the trial of the harness, the table of oracles and recorded cells are as their files said"
+        )
+    unchecked += [f"{name}: a file that no report has" for name in _foreign(gathered.evidence, report.hashes)]
+    unchecked += few([f"{one}: other software, or it was altered" for one in others])
+    return Examination("numbers", text, few(faults), unchecked=tuple(unchecked)), gathered
+
+
+def _told_before(recorded: Evidence, plan: Plan, met: Sequence[Example | str]) -> Iterator[Example | str]:
+    """With what the report says of whose fault they are, which is told only by runs made again."""
+    said = {one.trace_file: one.lines for one in recorded.counterexamples}
+    for one in met:
+        if isinstance(one, Example):
+            lines = said.get(one.shown.trace_file, ())
+            more = max(len(lines) - len(one.shown.lines), 0)
+            one = with_fault(one, lines[1 : 1 + more])
+        yield one
+
+
+def check_proof(report: ReportFolder) -> Examination | None:
+    """The certificate, confirmed anew by the independent checker; None for a report without one."""
+    recorded = report.recorded.proven
+    faults: list[str] = []
+    unchecked: list[str] = []
+    try:
+        now = stored_proof(report.folder, report.plan)
+    except InputError as error:
+        faults, now = [str(error)], None
+    if recorded is None and now is None and not faults:
+        return None
+    if not faults and plain(recorded) != plain(now):
+        faults.append(f"{JSON} says otherwise of what is proven than the certificate")
+    if now is not None:
+        own = {sha256(data).hexdigest() for data in networks_of(report.plan)}
+        if now.network_sha256 not in own:
+            words = "the network of the certificate is not that of the plan's avoider"
+            (faults if report.same else unchecked).append(words)
+    text = "the certificate about the network, bounded anew with code that shares none with the prover"
+    return Examination("proof", text, few(faults), unchecked=tuple(unchecked))
+
+
+def _origin(recorded: EvidenceProvenance, ledger: Ledger, *, same: bool) -> EvidenceProvenance:
+    """As the ledger has it; when and by which command the report was made, nothing else says."""
+    parts = dict(ledger.declared.identity.parts)
+    began_at, machine, spent_s = sessions_of(ledger)
+    return replace(
+        recorded,
+        package_version=provenance("").package_version if same else recorded.package_version,
+        source_hash=parts.get("the source of this package", ""),
+        python=parts.get("Python", ""),
+        platform=parts.get("the platform", ""),
+        libraries=libraries_of(ledger),
+        machine=machine or recorded.machine,
+        began_at=began_at,
+        run_seconds_s=spent_s,
+    )
+
+
+def _differences(then: Any, now: Any, place: str) -> Iterator[tuple[str, Any, Any]]:
+    """Where two documents differ: as deep as they can be told apart."""
+    if isinstance(then, dict) and isinstance(now, dict):
+        for name in now:
+            yield from _differences(then[name], now[name], f"{place}.{name}".lstrip("."))
+    elif isinstance(then, tuple) and isinstance(now, tuple) and len(then) == len(now):
+        for k, pair in enumerate(zip(then, now, strict=True)):
+            yield from _differences(*pair, f"{place}[{k}]")
+    elif isinstance(then, float) and isinstance(now, float):
+        if not math.isclose(then, now, rel_tol=CLOSE):
+            yield place, then, now
+    elif then != now:
+        yield place, then, now
+
+
+def _near(then: str, now: str) -> bool:
+    """Two differences with their unit, within what another processor's last bits may come to in a run."""
+    (value, *unit), (own, *own_unit) = (text.replace("\u2212", "-").split(" ", 1) for text in (then, now))
+    try:
+        return unit == own_unit and math.isclose(float(value), float(own), rel_tol=0.01, abs_tol=0.1)
+    except ValueError:
+        return False
+
+
+def _short(value: Any) -> str:
+    if isinstance(value, tuple):
+        return f"{len(value)} of them"
+    text = str(value)
+    return text if len(text) <= 80 else f"{text[:77]}..."
+
+
+def _files(report: ReportFolder) -> Iterator[str]:
+    """The list in the evidence is that of the manifest, and the evidence the file that certify wrote."""
+    folder, recorded = report.folder, report.recorded
+    listed = {one.path: one.sha256 for one in recorded.files}
+    sizes = {name: (folder / name).stat().st_size for name in listed if (folder / name).is_file()}
+    if any(one.bytes != sizes.get(one.path) for one in recorded.files):
+        yield f"files: {JSON} lists other sizes than there are"
+    if listed != {name: digest for name, digest in report.hashes.items() if name not in MADE}:
+        yield f"files: {JSON} lists others than the manifest"
+    there = bytes_of(folder / JSON)
+    if there != written(as_text(recorded) if report.same_words else rewritten(there)):
+        yield f"{JSON} has been edited: the same content is written otherwise"
+
+
+def _told(origin: EvidenceProvenance) -> Iterator[str]:
+    """What only the maker can say has at least to be what certify writes."""
+    for command in (origin.command, *origin.commands):
+        if not _is_ours(command):
+            yield f"provenance: a command to be copied that certify does not write: {command[:80]}"
+            return
+    again, *others = [shlex.split(command)[1:] for command in origin.commands] or [[]]
+    name = others[0][-1] if others else ""
+    expected = [["verify", name], ["campaign", "status", f"{name}/{LEDGER}"]]
+    if origin.commands[:1] != (origin.command,) or again[:1] != ["certify"] or others != expected:
+        yield f"provenance: commands that certify does not write: {'; '.join(origin.commands)[:200]}"
+    try:
+        ended = datetime.strptime(origin.ended_at, "%d %B %Y, %H:%M UTC")
+        early = origin.began_at and ended < datetime.strptime(origin.began_at, "%d %B %Y, %H:%M UTC")
+    except ValueError:
+        early = True
+    if early:
+        yield f"provenance: it ended on {origin.ended_at[:40]!r}, and began on {origin.began_at!r}"
+
+
+def _foreign(evidence: Evidence, hashes: dict[str, str]) -> Iterator[str]:
+    """Files that nothing here has looked into."""
+    shown = {one.trace_file for one in evidence.counterexamples}
+    for name in hashes:
+        inside = Path(name).parts[0] in (PLAN, OPENED)
+        inside |= Path(name).parts[0] == SEARCH and name.endswith((".yaml", ".trace", f"/{FINDINGS}"))
+        if name not in (*MADE, LEDGER, *PROOF, *shown) and not inside:
+            yield name
+
+
+def _is_ours(command: str) -> bool:
+    """One command of this package, of plain or quoted words: nothing else happens to who pastes it."""
+    try:
+        words = shlex.split(command)
+    except ValueError:
+        return False
+    return words[:1] == ["safety-harness"] and shlex.join(words) == command and command.isprintable()

@@ -1,0 +1,373 @@
+"""Do stored traces and runs that are made again give what the ledger says of them?"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import groupby
+
+from safety_harness.admission.admit import admit
+from safety_harness.admission.avoiders import is_executed
+from safety_harness.admission.trial import run_trial
+from safety_harness.base.exceptions import CampaignError, InputError, SafetyHarnessError, described
+from safety_harness.base.seeds import Branch, generator
+from safety_harness.cell.simulation.worlds import world_of_trace
+from safety_harness.claims.properties.true_motion import refuse_contradictions
+from safety_harness.extensions.assurance.campaign.episodes import EpisodeRunner, trace_of
+from safety_harness.extensions.assurance.campaign.identity import references_in
+from safety_harness.extensions.assurance.campaign.ledger import Ledger
+from safety_harness.extensions.assurance.campaign.plan import Plan
+from safety_harness.extensions.assurance.campaign.rows import ClaimJudgement, Row
+from safety_harness.extensions.assurance.campaign.watch import AvoiderWatch
+from safety_harness.extensions.assurance.certification.altered import Turn, chance_to_miss, runs_to_see
+from safety_harness.extensions.assurance.certification.gather import GatheredEvidence
+from safety_harness.extensions.assurance.certification.verdicts import percent
+from safety_harness.extensions.assurance.certification.verify_files import Examination, few, kept
+from safety_harness.extensions.assurance.statistics.sample import EpisodeOutcome
+from safety_harness.scenario.write import write_scenario
+from safety_harness.trace.compare import first_difference
+from safety_harness.trace.overruling import COUNTS as OVERRULED
+from safety_harness.trace.trace import Trace
+
+MOST_AGAIN = 1000  # unless more are asked for: some minutes in PyBullet
+MOST_TOGETHER = 32
+COUNTS = ("seed", "draws", "decisions", "proposed", "opposite", "stopped", "faults", "late", "theorem")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Drawing:
+    """How many runs are made again: ``runs``, or as many as miss the weakest verdict with chance ``miss``.
+
+    ``seed`` draws them: nobody who made the report can know it.  ``programs``: may those in it be executed?
+    """
+
+    runs: int | None
+    miss: float
+    seed: int
+    programs: bool = False
+    on_progress: Callable[[str], None] = lambda words: None
+
+    def number(self, there: int, turns: Sequence[Turn]) -> int:
+        """Of the runs that there are; not more than ``MOST_AGAIN`` unless they are asked for."""
+        if self.runs is not None:
+            return min(self.runs, there)
+        return min(_needed(there, turns, self.miss), MOST_AGAIN)
+
+    def told(
+        self, there: int, again: int, turns: Sequence[Turn], each_s: float
+    ) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        """How few altered rows turn each verdict, how likely they are missed, and what that leaves open."""
+        lines = [
+            f"{turn.claim}, {turn.stratum}: {_rows(turn.rows)} would turn {turn.standing.value!r}, and "
+            f"{again} of {there} runs miss all of them with a chance of "
+            f"{percent(chance_to_miss(there, turn.rows, again))}"
+            for turn in turns
+        ]
+        missed = chance_to_miss(there, turns[0].rows, again) if turns else 0.0
+        if missed <= self.miss:
+            return few(lines), ()
+        needed = _needed(there, turns, self.miss)
+        return few(lines), (
+            f"altered rows that turn a verdict are missed with a chance of up to {percent(missed)}; for "
+            f"{percent(self.miss)} it takes --runs {needed}, some {_span(needed * each_s)}",
+        )
+
+
+def drawn(there: int, again: int, seed: int) -> list[int]:
+    """Which of the runs are made again: each set of so many is as likely."""
+    rng = generator(seed, Branch.CAMPAIGN, 1)
+    return sorted(rng.choice(there, again, replace=False).tolist())
+
+
+def _needed(there: int, turns: Sequence[Turn], miss: float) -> int:
+    """All of them where there is no verdict to be turned."""
+    return runs_to_see(there, turns[0].rows, miss) if turns else there
+
+
+def _rows(count: int) -> str:
+    return "one altered row" if count == 1 else f"{count} altered rows"
+
+
+def _span(time_s: float) -> str:
+    return f"{time_s:.0f} s" if time_s < 100.0 else f"{time_s / 60.0:.0f} min"
+
+
+def programs_in(plan: Plan) -> list[str]:
+    """Files that a run of the plan may execute, wherever its spaces name them: Python, and ONNX."""
+    texts = [plan.avoider or ""]
+    for stratum in plan.strata:
+        texts += [stratum.space.simplest.under_test, *references_in(stratum.space.tree)]
+    return sorted({text for text in texts if is_executed(text)})
+
+
+SAMPLED = "repulsive ways clear of"  # how the sentences of claims begin whose margins are samples' of a way
+
+
+class Compared:
+    """Rows beside those of the ledger: outcomes may never differ, nor margins beyond a tolerance.
+
+    Nothing else may differ with the same software.
+
+    A ``program`` may import what no hash covers: of its runs only outcomes and how many questions got no
+    answer, which a verdict rests on, have to be the same; what else differs is told as not checked.
+    """
+
+    def __init__(self, plan: Plan, ledger: Ledger, *, same: bool, program: bool = False) -> None:
+        self.plan, self.ledger, self.program = plan, ledger, program
+        self.same, self.answers = same and not program, same
+        self.faults: list[str] = []
+        self._runs: dict[tuple[int, int], tuple[int, int]] = {}  # their number now: episode, number then
+        self.moved = self.otherwise = self.far = self.other_traces = 0
+
+    def add(self, row: Row) -> None:
+        """Take a run in."""
+        then = {
+            claim: ClaimJudgement(
+                EpisodeOutcome(outcome),
+                math.nan if margin is None else margin,
+                math.nan if worst_s is None else worst_s,
+                exercised,
+            )
+            for claim, outcome, margin, worst_s, exercised in self.ledger.all(
+                _JUDGEMENTS, row.stratum, row.episode
+            )
+        }
+        faults = [*self._faults(row, then), *self._hidden_copies(row)]
+        self.faults += faults
+        if faults:
+            return
+        counts = next(self.ledger.all(_COUNTS, row.stratum, row.episode))
+        if "theorem" not in self.ledger.counts:  # of an older program
+            row = replace(row, theorem=0)
+        now = (*(getattr(row, name) for name in COUNTS), *row.overruling.counts)
+        where, silent = self.where(row.stratum, row.episode), COUNTS.index("faults")
+        if self.answers and counts[silent] != now[silent]:
+            self.faults.append(
+                f"{where}: {counts[silent]} questions without an answer then, {now[silent]} now"
+            )
+            return
+        exercised = [then[k].exercised == now.exercised for k, now in enumerate(row.judgements)]
+        times = [_same(then[k].worst_time_s, now.worst_time_s) for k, now in enumerate(row.judgements)]
+        told = (*now, row.cell or None, row.mishap or None, bool(row.failure))
+        if counts != told or not all((*exercised, *times)):
+            self.otherwise += 1
+            if self.same:
+                what = "draws, decisions, cell or mishap" if counts != told else "occasions or worst moment"
+                self.faults.append(f"{where}: its {what} come out otherwise")
+        pairs = [
+            (claim.sentence, then[k].margin, now.margin)
+            for k, (claim, now) in enumerate(zip(self.plan.claims, row.judgements, strict=True))
+        ]
+        self.moved += not all(_same(was, new) for _, was, new in pairs)
+        self.far += not all(_near(*pair) for pair in pairs)
+
+    def add_trace(self, stored: Trace, row: Row) -> None:
+        """Compare a stored trace, bit by bit, with that of the run that was made again."""
+        if row.trace is None:  # the run fails here, of which its row tells
+            return
+        again = trace_of(self.plan, row.stratum, row.trace)
+        difference: object = first_difference(stored, again)
+        if (stored.system, stored.ended) != (again.system, again.ended):
+            difference = difference or "another system under test, or another end"
+        self.other_traces += difference is not None or stored.provenance != again.provenance
+        if difference is not None and self.same:
+            self.faults.append(f"{self.where(row.stratum, row.episode)}: its stored trace: {difference}")
+
+    def where(self, stratum: int, episode: int) -> str:
+        """Words for a run."""
+        return f"{self.plan.strata[stratum].name}, run {episode}"
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What is no fault."""
+        words = "with the same outcomes, but not the same"
+        moved = self.moved - self.far if self.answers else self.moved
+        otherwise = 0 if self.answers else self.otherwise
+        found = ((moved, "margins to the last bit"), (otherwise, "decisions"))
+        return tuple(f"{count} {words} {what}" for count, what in found if count)
+
+    @property
+    def unchecked(self) -> tuple[str, ...]:
+        """What only a program that is another here explains, or rows that were altered."""
+        found = ((self.otherwise, "decisions"), (self.far, "margins")) if self.answers else ()
+        why = "what the program imports is another here, or rows were altered"
+        lines = [f"{count} runs with other {what} than the ledger's: {why}" for count, what in found if count]
+        if self.other_traces:
+            why = "another machine, other software, or they were altered"
+            lines.append(f"{self.other_traces} stored traces are not those of the runs made again: {why}")
+        return tuple(lines)
+
+    def _hidden_copies(self, row: Row) -> Iterator[str]:
+        """Another run that it is a copy of, where the ledger tells them apart."""
+        ((then,),) = self.ledger.all(_RUN, row.stratum, row.episode)
+        episode, other = self._runs.setdefault((row.stratum, row.run), (row.episode, then))
+        if row.run and then != other:
+            where = self.where(row.stratum, row.episode)
+            yield f"{where}: the same run as {episode}, and the ledger tells them apart"
+        elif row.run != then and (self.same or (self.answers and not then)):
+            where, number = self.where(row.stratum, row.episode), then or "no number"
+            yield f"{where}: the ledger has {number} for {row.run}"
+
+    def _faults(self, row: Row, before: Mapping[int, ClaimJudgement]) -> Iterator[str]:
+        """Claims of which the outcome is another now."""
+        where = self.where(row.stratum, row.episode)
+        for number, (claim, now) in enumerate(zip(self.plan.claims, row.judgements, strict=True)):
+            then = before.get(number)
+            if then is None or then.outcome is not now.outcome:
+                was = "nothing" if then is None else then.outcome.name.lower()
+                yield f"{where}: {claim.sentence}: {was} then, {now.outcome.name.lower()} now"
+            elif not self.program and not _near(claim.sentence, then.margin, now.margin):
+                was, new = (claim.unit.margin_text(one.margin) for one in (then, now))
+                yield f"{where}: {claim.sentence}: a margin of {was} then, {new} now"
+
+
+_JUDGEMENTS = (
+    "SELECT claim, outcome, margin, worst_time_s, exercised FROM judgement WHERE stratum = ? AND episode = ?"
+)
+_RUN = "SELECT run FROM episode WHERE stratum = ? AND episode = ?"
+_COUNTS = (
+    f"SELECT {', '.join(f'e.{name}' for name in (*COUNTS, *OVERRULED))}, c.words, "
+    "e.mishap, e.failure IS NOT NULL FROM episode e LEFT JOIN cell c ON c.id = e.cell "
+    "WHERE e.stratum = ? AND e.episode = ?"
+)
+
+
+def _same(then: float, now: float) -> bool:
+    return then == now or (math.isnan(then) and math.isnan(now))
+
+
+def _near(sentence: str, then: float, now: float) -> bool:
+    """Return whether two margins (SI) of a claim differ by no more than another machine's arithmetic may do.
+
+    Emulated machines move a margin by 1e-12 at most, and that of ``SAMPLED`` claims by 0.13 mm: a way ends at
+    one of its samples, which are 2.5 mm apart, and a last bit decides at which.  The stated tolerances are a
+    tenth of a millimetre (1e-4 in SI units) and that step.
+    """
+    if math.isnan(then) or math.isnan(now):
+        return math.isnan(then) and math.isnan(now)
+    return math.isclose(then, now, rel_tol=1e-3, abs_tol=2.5e-3 if sentence.startswith(SAMPLED) else 1e-4)
+
+
+def check_traces(plan: Plan, ledger: Ledger, *, same: bool) -> Examination:
+    """All that were to be kept, each of the run that it is stored for, judged with the present code."""
+    faults, count = list(kept(plan, ledger)), 0
+    compared, bench = Compared(plan, ledger, same=same), EpisodeRunner(plan, programs=False)
+    declared = dict(ledger.declared.identity.parts)
+    source, python = declared.get("the source of this package"), declared.get("Python")
+    others = 0
+    if ledger.opened and not any(file.name.endswith(".py") for file in plan.files):
+        faults.append("the ledger names files that a module opened, and its plan has no module")
+    for stratum, episode, _ in ledger.traces():
+        where = compared.where(stratum, episode)
+        ((draws,),) = ledger.all(
+            "SELECT draws FROM episode WHERE stratum = ? AND episode = ?", stratum, episode
+        )
+        try:
+            trace = trace_of(plan, stratum, ledger.trace(stratum, episode) or b"")
+            refuse_contradictions(trace)  # claims believe poses, speeds and distances
+            drawn = bench.scenario(stratum, episode, draws - 1)
+            other = write_scenario(trace.scenario, all_settings=True) != write_scenario(
+                drawn, all_settings=True
+            )
+            count += 1
+            compared.add(bench.row_of(stratum, episode, draws, trace))
+        except InputError as error:
+            faults.append(f"{where}: {error.place.field or 'its trace'}: got {error.got}")
+            continue
+        except Exception as error:  # whatever a stranger's trace does to what judges it
+            faults.append(f"{where}: its trace cannot be judged: {described(error)}")
+            continue
+        others += other
+        if other and same:
+            faults.append(f"{where}: its trace is of another scenario than the plan draws for it")
+        made = trace.provenance
+        if (made.source_hash, made.python, made.world) != (source, python, plan.world.name):
+            faults.append(f"{where}: its trace was made by other software, or in another world")
+    notes = compared.notes
+    if others and not same:
+        notes += (f"{others} traces are of scenarios that the present software draws or writes otherwise",)
+    text = f"{count} stored traces, judged with the present code"
+    return Examination("stored traces", text, few([*faults, *compared.faults]), notes)
+
+
+def check_searched(gathered: GatheredEvidence, *, same: bool, programs: bool) -> Examination:
+    """The runs of what a search found, made again: nothing else is known of them than their traces."""
+    faults: list[str] = []
+    notes: list[str] = []
+    unchecked: list[str] = []
+    count = 0
+    for one in gathered.examples:
+        if one.shown.independent:
+            continue
+        trace, count = one.run.trace, count + 1
+        if is_executed(trace.scenario.under_test) and not programs:
+            unchecked.append(f"{one.shown.trace_file} is of a program, which is not executed")
+            continue
+        try:
+            world = world_of_trace(trace.provenance.world)
+            again = run_trial(admit(trace.scenario), world=world, recorded=trace)
+            difference = first_difference(trace, again)
+        except SafetyHarnessError as error:
+            unchecked.append(f"{one.shown.trace_file} cannot be made again: {described(error)}")
+            continue
+        if difference is not None:
+            (faults if same else notes).append(f"{one.shown.trace_file}: {difference}")
+    text = f"{count} counterexamples of the search, made again"
+    return Examination("search", text, few(faults), few(notes), few(unchecked))
+
+
+def check_runs(
+    plan: Plan, ledger: Ledger, turns: Sequence[Turn], drawing: Drawing, *, same: bool
+) -> Examination:
+    """Runs that verdicts rest on, drawn by whoever verifies; ``turns`` are all verdicts, weakest first.
+
+    A program is asked again what they asked it: the ledger may not say that it remembers nothing if it does.
+    """
+    made = list(ledger.all("SELECT DISTINCT stratum, episode FROM judgement ORDER BY stratum, episode"))
+    count = drawing.number(len(made), turns)
+    if count < 1 or not plan.world.is_installed:
+        why = "" if plan.world.is_installed else f": {plan.world} is not installed"
+        return Examination(
+            "runs", "no run was made again", unchecked=(f"whether runs give their outcomes again{why}",)
+        )
+    stored = {(stratum, episode) for stratum, episode, _ in ledger.traces()}
+    chosen = sorted({*(made[k] for k in drawn(len(made), count, drawing.seed)), *(stored & set(made))})
+    program, watch = bool(programs_in(plan)), AvoiderWatch()
+    bench = EpisodeRunner(plan, programs=drawing.programs)
+    compared = Compared(plan, ledger, same=same, program=program)
+    together = MOST_TOGETHER if plan.world.batch else 1
+    begun_s, told = time.perf_counter(), 0
+    for (stratum, keeps), group in groupby(
+        sorted(chosen, key=lambda one: (one[0], one in stored)), lambda one: (one[0], one in stored)
+    ):
+        episodes = [episode for _, episode in group]
+        for first in range(0, len(episodes), together):
+            some = episodes[first : first + together]
+            try:
+                for row in bench.run(stratum, some, keep_violations=keeps):
+                    compared.add(row)
+                    if keeps:
+                        data = ledger.trace(stratum, row.episode) or b""
+                        compared.add_trace(trace_of(plan, stratum, data), row)
+                    if program:
+                        watch.add_row(
+                            row, partial(bench.scenario, stratum, row.episode, max(row.draws - 1, 0))
+                        )
+            except CampaignError as error:
+                compared.faults.append(f"{compared.where(stratum, some[0])}: {error}")
+            told += len(some)
+            if told * 10 // len(chosen) > (told - len(some)) * 10 // len(chosen):
+                drawing.on_progress(f"{told} of {len(chosen)} runs made again")
+    each_s = (time.perf_counter() - begun_s) / len(chosen)
+    notes, unchecked = drawing.told(len(made), count, turns, each_s)
+    text = f"{count} of {len(made)} runs made again, drawn with seed {drawing.seed}"
+    if stored:
+        text += f", and those of the {len(stored)} stored traces"
+    again = watch.repeatability.check() if program else None
+    if again is not None and again.remembers and not ledger.dependent:
+        compared.faults.append(f"{again.remembers}, and the ledger says nothing of that")
+    notes = (*compared.notes, *notes, *([again.line] if again is not None else []))
+    return Examination("runs", text, few(compared.faults), notes, (*compared.unchecked, *unchecked))

@@ -1,0 +1,27 @@
+"""Whose fault the violations of the declared runs are: the first of each claim, drawn and run again."""
+
+from __future__ import annotations
+
+from safety_harness.extensions.assurance.campaign.attributed import ViolatedEpisodes, violated_episodes
+from safety_harness.extensions.assurance.campaign.ledger import Ledger
+from safety_harness.extensions.assurance.campaign.plan import Plan
+from safety_harness.extensions.assurance.certification.evidence import WhoseFault
+from safety_harness.search.attribution.attribute import attribute
+from safety_harness.search.attribution.tally import AttributionTally
+
+MOST = 20  # violations of each claim: the first ones
+
+
+def whose_fault(plan: Plan, ledger: Ledger) -> WhoseFault:
+    """Ask by kinematic replays; it executes what the plan names, as the runs did."""
+    violated = ViolatedEpisodes.first(ledger, MOST)
+    tally = AttributionTally.of(
+        found
+        for admitted, claims in violated_episodes(plan, violated, programs=True)
+        for found in attribute(admitted, claims)
+    )
+    return WhoseFault(
+        about=f"{violated.words}, the first {MOST} of each claim" if violated.of else "",
+        groups=tuple(tally.groups.items()),
+        would_help=tuple((change, count) for change, count in tally.would_help.items() if count),
+    )

@@ -1,0 +1,115 @@
+"""Plans, before they are run: what one will show at best, and a draft from a scenario space."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shlex
+from pathlib import Path
+
+from safety_harness.base.exceptions import InputError, OutputError, Place
+from safety_harness.base.shipped.contents import located
+from safety_harness.base.whole_file import writing
+from safety_harness.cli.console import AS_EXPECTED, document, result, say
+from safety_harness.extensions.assurance.campaign.pilot import aim_of
+from safety_harness.extensions.assurance.campaign.plan import read_plan
+from safety_harness.extensions.assurance.certification.verdicts import confidence_words, percent
+from safety_harness.extensions.assurance.statistics.binomial import ends_of
+from safety_harness.extensions.assurance.statistics.planning import Aim, allowed_violations, runs_needed
+from safety_harness.scenario.model import Verdict
+from safety_harness.space.read import read_space
+
+TARGET = 0.02  # of a draft, to be replaced by whoever knows the hazard
+
+
+def explain_plan(path: Path) -> int:
+    """Print what a plan's runs can show; returns the exit code."""
+    plan = read_plan(path)
+    family = ends_of(len(plan.claims), len(plan.strata))
+    result(f"{plan.file}: {plan.title}; {plan.world}, seed {plan.seed}")
+    each = confidence_words(1.0 - (1.0 - plan.confidence) / family)
+    result(
+        f"{family} bounds hold together with {percent(plan.confidence)} confidence, each alone with {each}"
+    )
+    for hazard in plan.risks.hazards:
+        result(f"{hazard.name}: {'; '.join(hazard.derived(plan.risks.graph).steps)}")
+    claims: list[dict[str, object]] = []
+    for claim in plan.claims:
+        aim = None if claim.target is None else aim_of(plan, claim.target)
+        needed = None if aim is None else runs_needed(aim)
+        target = "no target: estimated only"
+        if claim.target is not None:
+            target = f"violated in at most {percent(claim.target)}: takes {needed} tested runs of a stratum"
+        result(f"{claim.sentence}: {target}")
+        for stratum in plan.strata:
+            allowed = None if aim is None else allowed_violations(aim, stratum.runs)
+            many = (
+                "too few even if all test it"
+                if allowed is None
+                else f"{allowed} may violate it if all test it"
+            )
+            result(f"  {stratum.name}: {stratum.runs} runs{'' if aim is None else f': {many}'}")
+            claims.append(
+                {
+                    "claim": claim.sentence,
+                    "target": claim.target,
+                    "stratum": stratum.name,
+                    "runs": stratum.runs,
+                    "needed_tested": needed,
+                    "allowed_violations": allowed,
+                }
+            )
+    document(plan=plan.title, runs=plan.runs, bounds=family, claims=claims)
+    say(f"next: safety-harness campaign pilot {shlex.quote(str(path))} says how many of them will test each")
+    return AS_EXPECTED
+
+
+def draft_plan(space: Path | None, file: Path | None) -> int:
+    """Write a plan of a space's claims with the fewest runs that can show ``TARGET``; the exit code."""
+    if space is None:
+        expected = "the space to draft a plan of: safety-harness new plan SPACE"
+        raise InputError(place=Place(field="space"), expected=expected, got="none")
+    read = read_space(located(space))
+    claims = [one for one in read.simplest.claims if one.expected is not Verdict.VIOLATED]
+    if not claims:
+        expected = "a space with a claim that is expected to hold"
+        raise InputError(place=Place(file=space), expected=expected, got="none")
+    path = file or Path(f"{read.name}-plan.yaml")
+    if path.exists() or path.is_symlink():
+        raise OutputError.of_file(path, "a file that is not there yet", "one that is")
+    named = str(space)
+    if not named.startswith("shipped:"):
+        named = os.path.relpath(space, path.parent)
+    runs = runs_needed(Aim(target=TARGET, family=ends_of(len(claims), 1)))
+    lines = [
+        f"plan: {_scalar(read.title)}",
+        "about: >",
+        "  Say here why, for what use, and what is taken for granted.",
+        "confidence: 95 %",
+        "seed: 1  # better one that the assessor names",
+        "strata:",
+        f"  - stratum: {_scalar(read.name.replace('-', ' '))}",
+        f"    space: {_scalar(named)}",
+        f"    runs: {runs}  # the fewest, if all test each claim and none violates it; see campaign pilot",
+        "claims:",
+    ]
+    for one in claims:
+        lines += [
+            f"  - claim: {_scalar(one.sentence)}",
+            f"    violated in at most: {100 * TARGET:g} %  # yours, from the risk of the task",
+        ]
+    with writing(path), path.open("x", encoding="utf-8") as stream:
+        stream.write("\n".join(lines) + "\n")
+    read_plan(path)
+    document(files=[path])
+    result(f"wrote {path}")
+    quoted = shlex.quote(str(path))
+    commands = ("explain", "campaign pilot", "certify declare", "certify")
+    say("next:", *(f"  safety-harness {one} {quoted}" for one in commands))
+    return AS_EXPECTED
+
+
+def _scalar(text: str) -> str:
+    """As YAML has it: in quotes where it might be taken for something else."""
+    return text if re.fullmatch(r"[A-Za-z][\w .,/-]*", text) else json.dumps(text, ensure_ascii=False)

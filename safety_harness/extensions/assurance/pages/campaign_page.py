@@ -1,0 +1,174 @@
+"""One self-contained page of a campaign's ledger: its bounds, its worst episodes, and what did not run."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from datetime import datetime
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from safety_harness.admission.trial import judge
+from safety_harness.base.proportions import share_words
+from safety_harness.base.whole_file import write_whole
+from safety_harness.claims.properties.base import Unit
+from safety_harness.extensions.assurance.campaign.ledger import Declared, Ledger
+from safety_harness.extensions.assurance.campaign.overruled import overruling_in
+from safety_harness.extensions.assurance.campaign.summary import (
+    CampaignTally,
+    LedgerState,
+    basis_in,
+    fallback_of,
+)
+from safety_harness.extensions.assurance.statistics.binomial import ProbabilityBounds
+from safety_harness.extensions.assurance.statistics.sample import EpisodeOutcome
+from safety_harness.report.evidence import JudgedRun
+from safety_harness.report.page_parts import render_page
+from safety_harness.report.replay import Replays
+from safety_harness.report.words import rounded_down, rounded_up, with_minus
+from safety_harness.scenario.files import told
+from safety_harness.trace.store import load_trace
+
+MOST_EPISODES = 1000  # of violations; the ledger has all
+MOST_SHOWN = 5  # of them as replays
+SHOWN, REFUTED, NOT_SHOWN, NO_TARGET = "shown", "refuted", "not shown", "no target"
+CSS = {SHOWN: "holds", REFUTED: "violated", NOT_SHOWN: "inconclusive", NO_TARGET: "none"}
+_WORST = (
+    "SELECT j.stratum, j.episode, j.claim, j.margin, j.worst_time_s, t.episode IS NOT NULL FROM judgement j "
+    "LEFT JOIN trace t ON t.stratum = j.stratum AND t.episode = j.episode "
+    f"WHERE j.outcome = {int(EpisodeOutcome.VIOLATED)} "
+    "ORDER BY row_number() OVER (PARTITION BY j.claim ORDER BY j.margin, j.stratum, j.episode), j.claim "
+    f"LIMIT {MOST_EPISODES}"  # each claim's worst, then each claim's next: metres are not radians
+)
+_FAILED = (
+    "SELECT failure, count(*), min(episode) FROM episode WHERE failure IS NOT NULL GROUP BY 1 ORDER BY 2 DESC"
+)
+Cells = tuple[Any, ...]
+
+
+def write_page(
+    path: Path, ledger: Ledger, state: LedgerState, *, command: str, generated_at: datetime
+) -> None:
+    """Write the page whole or not at all; ``command`` makes it again.  Raises OSError."""
+    declared, tally = ledger.declared, state.tally
+    rows = list(_claims(declared, tally, state.bounds))
+    verdicts = [str(row[2]) for row in rows]
+    worst = list(ledger.all(_WORST))
+    shown = list(_shown(ledger, worst))
+    page = render_page(
+        "campaign.html.j2",
+        of="safety_harness.extensions.assurance",
+        replays=bool(shown),
+        shown=shown,
+        made=(generated_at, command),
+        declared=declared,
+        basis=basis_in(ledger, tally),
+        tally=tally,
+        answer=_answer(tally, verdicts),
+        remarks=[
+            one
+            for one in (
+                ledger.dependent,
+                fallback_of(ledger).words,
+                ledger.repeated.words,
+                *ledger.slow,
+                *ledger.wrists,
+            )
+            if one
+        ],
+        rows=rows,
+        css=CSS,
+        verdicts=verdicts,
+        strata=list(_strata(ledger, tally)),
+        failures=list(ledger.all(_FAILED)),
+        worst=[_worst(declared, *one) for one in worst],
+        violations=sum(
+            tally.of_claim(k).counts[EpisodeOutcome.VIOLATED] for k in range(len(declared.claims))
+        ),
+        ledger=told(ledger.path),
+        plan=told(declared.plan_file),
+        fingerprint=state.fingerprint,
+    )
+    write_whole(path, page)
+
+
+def _answer(tally: CampaignTally, verdicts: list[str]) -> str:
+    if not tally.complete:
+        return f"not complete: {tally.done} of {tally.planned} episodes"
+    targets = [one for one in verdicts if one != NO_TARGET]
+    if not targets:
+        return f"{tally.done} episodes, no target declared"
+    words = f"{targets.count(SHOWN)} of {len(targets)} targets shown"
+    return words + (f", {targets.count(REFUTED)} refuted" if REFUTED in targets else "")
+
+
+def _verdict(target: float | None, bound: ProbabilityBounds | None) -> str:
+    if target is None:
+        return NO_TARGET
+    if bound is None or not bound.trials:
+        return NOT_SHOWN
+    return SHOWN if bound.shows(target) else REFUTED if bound.low > target else NOT_SHOWN
+
+
+def _claims(
+    declared: Declared, tally: CampaignTally, bounds: tuple[ProbabilityBounds, ...]
+) -> Iterator[Cells]:
+    """A row for each claim in each stratum: words, and which of them is which."""
+    of = {(one.stratum, one.claim): one for one in bounds}
+    for name, stratum in zip(declared.strata, tally.strata, strict=True):
+        of_claims = zip(declared.claims, declared.units, declared.targets, stratum.claims, strict=True)
+        for claim, unit, target, found in of_claims:
+            counts, bound = found.counts, of.get((name, claim))
+            known = bound is not None and bound.trials > 0
+            yield (
+                name,
+                claim,
+                _verdict(target, bound),
+                counts[EpisodeOutcome.HOLDS] + counts[EpisodeOutcome.VIOLATED],
+                counts[EpisodeOutcome.VIOLATED],
+                counts[EpisodeOutcome.INCONCLUSIVE] + counts[EpisodeOutcome.FAILED],
+                rounded_down(bound.low) if bound is not None and known else "–",
+                rounded_up(bound.high) if bound is not None and known else "–",
+                "–" if target is None else f"{target:.4g}",
+                _margin(unit, found.worst),
+                found.worst_episode if found.worst_episode >= 0 else "–",
+            )
+
+
+def _strata(ledger: Ledger, tally: CampaignTally) -> Iterator[Cells]:
+    for number, (name, one) in enumerate(zip(ledger.declared.strata, tally.strata, strict=True)):
+        gate = overruling_in(ledger, number)
+        overruled = share_words(gate.overruled, gate.proposals) if gate.proposals else "no proposals"
+        early = "" if one.stopped_after is None else f"decided after {one.stopped_after}"
+        yield name, one.done, one.planned, one.failed, overruled, early or "–"
+
+
+def _worst(
+    of: Declared, stratum: int, episode: int, claim: int, margin: float, time_s: float | None, kept: bool
+) -> Cells:
+    at = "–" if time_s is None else f"{time_s:.3f} s"
+    words = "kept" if kept else "made again from its seed"
+    return of.strata[stratum], episode, of.claims[claim], _margin(of.units[claim], margin), at, words
+
+
+def _shown(ledger: Ledger, worst: Iterable[Cells]) -> Iterator[dict[str, object]]:
+    """The worst violations whose traces are kept, as replays."""
+    kept, replays = [one for one in worst if one[-1]], Replays()
+    with TemporaryDirectory() as folder:
+        for number, (stratum, episode, claim, margin, *_) in enumerate(kept[:MOST_SHOWN], start=1):
+            data = ledger.trace(stratum, episode)
+            assert data is not None
+            file = Path(folder) / f"{number}.trace"
+            file.write_bytes(data)
+            trace, sentence = load_trace(file), ledger.declared.claims[claim]
+            run = JudgedRun(trace, judge(trace), "").under(sentence)
+            yield {
+                "id": f"shown-{number}",
+                "what": f"{ledger.declared.strata[stratum]}, episode {episode}",
+                "words": f"{sentence}: {_margin(ledger.declared.units[claim], margin)}",
+                "replay": replays.of(run, f"shown-{number}"),
+            }
+
+
+def _margin(unit: Unit, margin: float | None) -> str:
+    return "–" if margin is None or margin != margin else with_minus(unit.margin_text(margin))

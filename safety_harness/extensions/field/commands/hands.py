@@ -1,0 +1,49 @@
+"""``safety-harness hands``: what recorded hands did, as a space of scenarios."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from typer import Argument, Option, Typer
+
+from safety_harness.cli.console import AS_EXPECTED, document, result, say
+from safety_harness.cli.options import Seed, command
+
+_ABOUT = "Make a scenario space of recorded hands."
+commands = Typer(no_args_is_help=True, help=_ABOUT, short_help=_ABOUT)
+
+
+@commands.callback()
+def _group() -> None:
+    """Keeps ``fit`` a command of a group, as long as it is the only one."""
+
+
+@command(commands, "fit")
+def fit(
+    logs: Annotated[list[Path], Argument(help="Descriptions of logs with hands.", metavar="LOG.yaml...")],
+    out: Annotated[Path, Option(help="The space that is written.", metavar="FILE")] = Path("hands.yaml"),
+    seed: Seed = 0,
+) -> int:
+    """Fit how hands approach: speed, acceleration, direction, dwell, pauses, approaches per hour.
+
+    Writes a scenario space that fuzz and sample take. What no distribution of a space fits stands there as it
+    was recorded. Exit code 0; 2: a log cannot be used, or there are too few approaches.
+    """
+    from safety_harness.base.whole_file import write_text
+    from safety_harness.extensions.field.hands import direction_line, fit_hands, quantity_lines, space_text
+    from safety_harness.extensions.field.logs.read import read_log
+    from safety_harness.space.read import parse_space
+
+    found = fit_hands([read_log(file) for file in logs], seed=seed)
+    text = space_text(found)
+    parse_space(text, out)
+    write_text(out, text)
+    low, high = found.per_hour_interval
+    result(f"{found.approaches} approaches, {found.per_hour:.0f} an hour ({low:.0f} to {high:.0f})")
+    for one in found.quantities:
+        result(*quantity_lines(one))
+    result(direction_line(found.direction))
+    say(*found.notes, f"space: {out}")
+    document(fit=found, space=str(out))
+    return AS_EXPECTED

@@ -1,0 +1,258 @@
+"""``safety-harness monitor``: claims on a cell that runs, by the stream of its joints and hands."""
+
+from __future__ import annotations
+
+import json
+import os
+import selectors
+import sys
+import time
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, Annotated
+
+from typer import Argument, Option, Typer
+
+from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, DIFFERS, INTERRUPTED, explain, result, say
+from safety_harness.cli.options import command
+
+if TYPE_CHECKING:
+    from safety_harness.extensions.field.monitoring.cell import WatchedCell
+    from safety_harness.extensions.field.monitoring.monitor import Monitor, VerdictLine
+
+commands = Typer()
+OPTIONS = {"robot": "--robot", "log.hands": "--hand", "log.period": "--period"}  # by what their text reads
+REFUSED_TOLD = 5  # lines that cannot be used; the others are counted
+CHUNK = 65_536
+MOST_WAIT_S = 10.0
+
+
+@command(commands, "monitor", json=False)
+def monitor(
+    cell: Annotated[
+        Path | None,
+        Argument(
+            help="A LOG.yaml: how well the cell is known, and its claims. Its streams are not opened.",
+            metavar="LOG.yaml",
+            show_default=False,
+        ),
+    ] = None,
+    claim: Annotated[
+        list[str] | None,
+        Option(help="A formula; in place of the file's own. May be repeated.", metavar="SENTENCE"),
+    ] = None,
+    robot: Annotated[
+        str | None,
+        Option(help="UR10, UR5, UR3 or an arm's file; without a LOG.yaml.", metavar="ROBOT"),
+    ] = None,
+    hand: Annotated[
+        list[str] | None,
+        Option(
+            help="A name that a hand has in the stream, 'hand' if a claim is of hands and none is given; "
+            "without a LOG.yaml. May be repeated.",
+            metavar="NAME",
+        ),
+    ] = None,
+    period: Annotated[
+        str | None,
+        Option(help="From one tick to the next, '8 ms' if not given; without a LOG.yaml.", metavar="TIME"),
+    ] = None,
+    wait: Annotated[
+        str, Option(help="How long a line waits for earlier ones that come later.", metavar="TIME")
+    ] = "0 ms",
+    out: Annotated[
+        Path | None,
+        Option(help="Folder for the monitor's own log, in parts that judge reads.", show_default=False),
+    ] = None,
+    part: Annotated[int, Option(help="Size of a part of the log, in MB.", min=1, metavar="MB")] = 100,
+    keep: Annotated[int, Option(help="How many parts are kept; the oldest are deleted.", min=2)] = 10,
+    json_lines: Annotated[
+        bool, Option("--json", help="A JSON object a line in place of lines for people.")
+    ] = False,
+) -> int:
+    """Watch a cell that runs: a line when the verdict on a claim changes. It is no safety function.
+
+    Reads JSON lines from standard input, such as
+
+    {"time_s": 1.008, "joint_position_rad": [0, -1.2, 1.9, -2.2, -1.5, 0], "hands": {"hand":
+    {"hand_position_in_base_m": [0.9, 0.1, 0.3], "elbow_position_in_base_m": [1.2, 0.1, 0.4]}}}
+
+    Joints and hands may come in lines of their own. A hand that is null is lost, and claims on it are
+    inconclusive at once. Verdicts are those that judge gives of a log of all that came, with the same
+    LOG.yaml: certain within what it says, else inconclusive.
+
+    robot_stream | safety-harness monitor --robot ur10 --claim "always hand distance > 50 mm"
+
+    Exit code when the stream ends 0: every claim holds; 1: one is violated, inconclusive or not watched, or
+    the stream ends within a line; 2: bad input, or
+    nothing in the stream could be used; 130: interrupted. The log is kept however it ends.
+    """
+    from safety_harness.base.exceptions import Place, SettingsError
+    from safety_harness.extensions.field.monitoring.cell import taken
+    from safety_harness.extensions.field.monitoring.journal import Journal
+    from safety_harness.extensions.field.monitoring.monitor import NO_SAFETY_FUNCTION, Monitor
+    from safety_harness.scenario.units import TIME, parse_quantity
+
+    wait_s = parse_quantity(wait, TIME, Place(field="--wait"))
+    if not 0.0 <= wait_s <= MOST_WAIT_S:
+        raise SettingsError.of_option("--wait", f"a time from 0 to {MOST_WAIT_S:g} s", wait)
+    watched = _cell(cell, claim or [], robot, hand, period)
+    own = Monitor(cell=watched, wait_s=wait_s, some=not claim)
+    if out is not None:
+        sentences = [one.sentence for one in watched.scenario.claims]
+        own.journal = Journal(cell=watched, claims=sentences, folder=out, most_bytes=part * 10**6, keep=keep)
+    say(NO_SAFETY_FUNCTION)
+    if cell is None:
+        words = "; ".join(taken([one.name for one in watched.hands]).splitlines())
+        say(f"taken, as no LOG.yaml says it: {words}")
+    for sentence, reason in own.unwatched.items():
+        say(f"not watched, which judge may tell of the log: {sentence} (expected {reason.expected})")
+    interrupted, usable, patience_s = False, True, watched.joint_facts.longest_gap_s
+    try:
+        usable = follow(own, lines_of(sys.stdin.buffer, patience_s), patience_s, as_json=json_lines)
+    except KeyboardInterrupt:
+        interrupted = True
+    code = _ended(own, as_json=json_lines, interrupted=interrupted)
+    if code != AS_EXPECTED or (usable and not own.unwatched):
+        return code
+    say(
+        "not 0, since "
+        + ("claims were not watched" if usable else "the stream ends with a line that cannot be used")
+    )
+    return DIFFERS
+
+
+def follow(own: Monitor, stream: Iterable[bytes | None], patience_s: float, *, as_json: bool) -> bool:
+    """Take every line of a stream; what keeps coming without joints, for ``patience_s``, is silence too.
+
+    Return whether the last line could be used: of a feeder that died it is cut.
+    """
+    from safety_harness.base.exceptions import StreamError
+
+    told, ticks, since_s, usable = 0, 0, time.monotonic(), True
+    for line in stream:
+        usable = usable or line is not None
+        try:
+            for change in own.take(line) if line is not None else ():
+                _say(change, as_json)
+        except StreamError as error:
+            told, usable = told + 1, False
+            if told <= REFUSED_TOLD:
+                explain(error)
+            if told == REFUSED_TOLD:
+                say("further lines that cannot be used are counted, and not told")
+        if own.counts.ticks != ticks:
+            ticks, since_s = own.counts.ticks, time.monotonic()
+        elif line is None or time.monotonic() - since_s > patience_s:
+            for change in own.silent():
+                _say(change, as_json)
+    return usable
+
+
+def _cell(
+    file: Path | None, claims: list[str], robot: str | None, hands: list[str] | None, period: str | None
+) -> WatchedCell:
+    """The cell of a file, or one of which only so much is said."""
+    from safety_harness.base.exceptions import InputError, SettingsError
+    from safety_harness.extensions.field.monitoring.cell import cell_taken, read_cell
+
+    if file is not None:
+        for option, value in (("--robot", robot), ("--hand", hands), ("--period", period)):
+            if value is not None:
+                raise SettingsError.of_option(option, "what LOG.yaml says, which has it too", str(value))
+        found = read_cell(file, claims)
+    else:
+        if robot is None:
+            hint = "safety-harness monitor --robot ur10 --claim 'always hand distance > 50 mm'"
+            raise SettingsError.of_option("monitor", "a LOG.yaml, or --robot", "neither", hint)
+        name = robot.upper() if robot.upper() in ("UR10", "UR5", "UR3") else robot
+        named = hands or (["hand"] if any("hand" in claim for claim in claims) else [])
+        try:
+            found = cell_taken(name, named, period or "8 ms", claims)
+        except InputError as error:  # of the text that the options make
+            field = error.place.field or ""
+            of = next((option for key, option in OPTIONS.items() if field.startswith(key)), None)
+            if of is None:
+                raise
+            raise type(error).of_option(of, error.expected, error.got, error.hint) from error
+    if not found.scenario.claims:
+        hint = "--claim 'always hand distance > 50 mm'"
+        raise SettingsError.of_option("--claim", "a claim at least, there or in LOG.yaml", "none", hint)
+    return found
+
+
+def lines_of(stream: IO[bytes], patience_s: float) -> Iterator[bytes | None]:
+    """The lines of a stream as they come; None when nothing came for so long.
+
+    A line without an end is cut where it is longer than any that can be used, and what follows is left out.
+    """
+    from safety_harness.extensions.field.monitoring.sample import MOST_CHARACTERS
+
+    try:
+        source = stream.fileno()
+        waiting = selectors.DefaultSelector()
+        waiting.register(source, selectors.EVENT_READ)
+    except (OSError, ValueError):  # of a test, or a regular file, which never lets one wait
+        yield from (line for line in stream if line.strip())
+        return
+    rest, cut = b"", False
+    while True:
+        if not waiting.select(patience_s):
+            yield None
+            continue
+        chunk = os.read(source, CHUNK)
+        if not chunk:
+            break
+        *whole, rest = (rest + chunk).split(b"\n")
+        for line in whole:
+            if not cut and line.strip():
+                yield line
+            cut = False
+        if len(rest) > MOST_CHARACTERS:
+            if not cut:
+                yield rest
+            rest, cut = b"", True
+    if rest.strip() and not cut:
+        yield rest
+
+
+def _say(change: VerdictLine, as_json: bool) -> None:
+    """A line of results."""
+    if as_json:
+        result(json.dumps(change.told))
+        return
+    now = "" if change.latest is change.verdict else f", now {change.latest.value}"
+    margin = "" if change.margin is None else f"  {change.margin:+.4g} {change.unit}".rstrip()
+    result(f"{change.time_s:.3f} s  {change.verdict.value}{now}  {change.claim}{margin}  ({change.reason})")
+
+
+def _ended(own: Monitor, *, as_json: bool, interrupted: bool) -> int:
+    """What came of it, and the exit code."""
+    from safety_harness.base.exceptions import StreamError
+    from safety_harness.claims.properties.tally import UNWATCHED_IN_LOGS, basis
+    from safety_harness.scenario.model import Verdict
+
+    try:
+        for change in own.end():
+            _say(change, as_json)
+    except StreamError as error:
+        explain(error)
+    counts = own.counts
+    say(", ".join(f"{name.replace('_', ' ')} {number:,}" for name, number in vars(counts).items()))
+    if own.journal is not None:
+        own.journal.close()
+        say(f"log: {own.journal.folder}, part {own.journal.part}: safety-harness judge {own.journal.latest}")
+    if interrupted:
+        say("interrupted: the log is kept")
+        return INTERRUPTED
+    if not counts.ticks:
+        say("error: nothing in the stream could be used: no joints came")
+        return BAD_INPUT
+    final = own.verdicts()
+    if not as_json:
+        say("at the end of the stream:")
+    for change in final:
+        say(f"  {change.verdict.value}  {change.claim}  ({change.reason})")
+    exercised = [(int(one.verdict is not Verdict.INCONCLUSIVE), 1) for one in final]
+    say(basis(["a stream of a cell"], exercised, UNWATCHED_IN_LOGS))
+    return AS_EXPECTED if all(change.verdict is Verdict.HOLDS for change in final) else DIFFERS

@@ -1,0 +1,250 @@
+"""``safety-harness scenario from`` and ``compare-worlds``: what a cell's log says, taken into simulation."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from pathlib import Path
+from typing import Annotated, Any
+
+from typer import Argument, Option, Typer
+from typer.core import TyperGroup
+
+from safety_harness.base.exceptions import InputError, LogError
+from safety_harness.base.settings import Vector3
+from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, DIFFERS, document, explain_each, result, say
+from safety_harness.cli.options import command
+
+_NUMBER, _UNIT = re.compile(r"[+-]?[0-9.]+(e[+-]?[0-9]+)?"), re.compile(r"[a-z]{1,2}")
+
+
+class _Quantities(TyperGroup):
+    """``--around 100 mm`` as ``--around "100 mm"``: a shell takes the unit for another argument."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """As it is, but that a unit after an option's number belongs to it."""
+        joined: list[str] = []
+        for word in args:
+            number = len(joined) > 1 and joined[-2].startswith("--") and _NUMBER.fullmatch(joined[-1])
+            if number and _UNIT.fullmatch(word):
+                joined[-1] += f" {word}"
+            else:
+                joined.append(word)
+        return super().parse_args(ctx, joined)
+
+
+_ABOUT = "Make a scenario, and a space around it, of the log of a cell."
+of_scenarios = Typer(cls=_Quantities, no_args_is_help=True, help=_ABOUT, short_help=_ABOUT)
+commands = Typer()
+Log = Annotated[Path, Argument(help="The description of a log.", metavar="LOG.yaml")]
+OfCell = Annotated[
+    str | None,
+    Option(
+        "--scenario",
+        help="A scenario of the cell, or shipped:NAME, for what no log says: desired TCP, object, camera, "
+        "hand sensor, avoider. Its hands and its start are not used.",
+        metavar="FILE",
+    ),
+]
+From = Annotated[
+    str | None,
+    Option(
+        "--from", help="Where the part that is used begins, since the first sample: 1.5 s.", metavar="TIME"
+    ),
+]
+To = Annotated[str | None, Option("--to", help="Where it ends.", metavar="TIME")]
+ElbowTowards = Annotated[
+    str | None,
+    Option(
+        help="Where a forearm points that was not measured: '1.6 m, -1.2 m, 0.3 m'; else as in --scenario.",
+        metavar="POINT",
+    ),
+]
+
+
+@of_scenarios.callback()
+def _group() -> None:
+    """Keeps ``from`` a command of a group, as long as it is the only one."""
+
+
+@command(of_scenarios, "from")
+def scenario_from(
+    log: Log,
+    scenario: OfCell = None,
+    around: Annotated[
+        str | None,
+        Option(help="How far hands are elsewhere in the space, along each axis: 100 mm.", metavar="LENGTH"),
+    ] = None,
+    speed: Annotated[
+        str | None,
+        Option(help="How many times as fast they are in the space: 0.8..1.25.", metavar="LOW..HIGH"),
+    ] = None,
+    from_: From = None,
+    to: To = None,
+    desired_tcp: Annotated[
+        str | None,
+        Option(
+            help="Where the task ends, without --scenario: '700 mm, 0 mm, 350 mm'; else where the log ends.",
+            metavar="POINT",
+        ),
+    ] = None,
+    elbow_towards: ElbowTowards = None,
+    out: Annotated[
+        Path | None, Option(help="Folder for the files; without it from-NAME of the log.", metavar="FOLDER")
+    ] = None,
+) -> int:
+    """Make a scenario of a log, and a space around it: an incident becomes a regression test and a search.
+
+    Writes NAME.yaml and the hands' recordings, and with --around or --speed NAME-around.yaml, which run, fuzz
+    and pytest take as they are. Comments in the files say what is the log's and what is the scenario's.
+    Without --scenario the avoider is the opposite pose, and what else no log says is the default. Every
+    claim is expected to hold: run ends with 1 as long as the incident happens again.
+    Hands keep their samples; a gap longer than LOG.yaml says is refused, and --from and --to choose another
+    part. Nothing is executed, and nothing overwritten.
+    Exit code 0; 2: it cannot be made, or what was made cannot be tried, and why.
+    """
+    from safety_harness.admission.admit import Looker
+    from safety_harness.admission.avoiders import as_seen_from
+    from safety_harness.admission.spaces import draw_admissible
+    from safety_harness.base.compiled import without_compiling
+    from safety_harness.extensions.field.recorded.scenario import (
+        USUAL,
+        Around,
+        scenario_text,
+        space_text,
+        usual_cell,
+        write_all,
+    )
+    from safety_harness.extensions.field.recorded.scenario import scenario_from as make
+    from safety_harness.scenario.files import told
+    from safety_harness.scenario.read import read_scenario
+    from safety_harness.space.read import read_space
+
+    neighbourhood = Around(shift_m=_length(around), speeds=_speeds(speed))
+    folder = out or Path(f"from-{log.stem}")
+    if scenario is not None and desired_tcp is not None:
+        raise LogError.of_option("--desired-tcp", "what --scenario says, which has it too", desired_tcp)
+    given = None if scenario is None else _cell(scenario)
+    found, desired_m = _part(log, from_, to), _point(desired_tcp, "--desired-tcp")
+    if given is None:
+        end = "as --desired-tcp says" if desired_m is not None else "where the log ends"
+        named = f"the defaults (desired TCP {end}, avoider {USUAL})"
+        given = usual_cell(found, desired_m)
+        say(f"note: no --scenario: {named}")
+    else:
+        named = str(told(Path(str(scenario))))
+    cell = as_seen_from(folder, given)
+    made = make(found, cell, elbow_towards_in_base_m=_point(elbow_towards))
+    file, space = folder / f"{found.name}.yaml", folder / f"{found.name}-around.yaml"
+    files = {folder / one.name: one.data for one in made.hands}
+    files[file] = scenario_text(made, named=named).encode()
+    if neighbourhood:
+        files[space] = space_text(made, neighbourhood, named=named).encode()
+    write_all(files)
+    result(*(f"wrote {told(path)}" for path in files))
+    say(*(f"note: {note}" for note in made.notes))
+    document(files=list(files), notes=made.notes)
+    try:
+        without_compiling(lambda: Looker().look(read_scenario(file)))
+        if neighbourhood:
+            draws = without_compiling(lambda: draw_admissible(read_space(space), seed=0, count=20))
+            say(f"{told(space)}: {draws}")
+    except InputError as error:
+        say("what was written cannot be tried as it is:")
+        explain_each([error])
+        return BAD_INPUT
+    say("next:", f"  safety-harness run {shlex.quote(str(told(file)))}")
+    say(*[f"  safety-harness fuzz {shlex.quote(str(told(space)))}"] * bool(neighbourhood))
+    return AS_EXPECTED
+
+
+def _part(log: Path, begin: str | None, end: str | None) -> Any:
+    from safety_harness.extensions.field.recorded.scenario import read_part
+
+    return read_part(log, begin, end)
+
+
+def _cell(scenario: str | None) -> Any:
+    from safety_harness.scenario.read import read_scenario
+
+    if scenario is None:
+        expected = "a scenario of the cell: where the task ends, its object, camera, hand sensor, avoider"
+        hint = "no log says these; of ours, say, --scenario shipped:servoing-alone"
+        raise LogError.of_option("--scenario", expected, "none", hint)
+    return read_scenario(scenario)
+
+
+def _length(text: str | None) -> float | None:
+    from safety_harness.base.exceptions import Place
+    from safety_harness.scenario.units import LENGTH, parse_quantity
+
+    if text is None:
+        return None
+    found = parse_quantity(text, LENGTH, Place(field="--around"))
+    if not 0.0 < found <= 2.0:
+        raise LogError.of_option("--around", "a length above 0, and at most 2 m", text)
+    return found
+
+
+def _speeds(text: str | None) -> tuple[float, float] | None:
+    if text is None:
+        return None
+    try:
+        low, high = (float(one) for one in text.split(".."))
+    except ValueError:
+        low = high = -1.0
+    if not 0.01 <= low < high <= 10.0:
+        raise LogError.of_option("--speed", "two factors from 0.01 to 10, such as 0.8..1.25", text)
+    return low, high
+
+
+def _point(text: str | None, option: str = "--elbow-towards") -> Vector3 | None:
+    from safety_harness.scenario.codec import POINT
+    from safety_harness.scenario.fields import Field
+    from safety_harness.scenario.nodes import Scalar, Sequence
+
+    if text is None:
+        return None
+    items = Sequence(tuple(Scalar(one.strip(), 1) for one in text.split(",")), 1)
+    return POINT.read(Field(items, None, path=option, line=1))
+
+
+@command(
+    commands,
+    "compare-worlds",
+    interrupted="interrupted: nothing was written",
+)
+def compare_worlds(
+    log: Log,
+    scenario: OfCell = None,
+    from_: From = None,
+    to: To = None,
+    elbow_towards: ElbowTowards = None,
+    out: Annotated[Path, Option(help="Folder for compare-worlds.json.")] = Path("reports/compare-worlds"),
+) -> int:
+    """Run a controller in both worlds under recorded hands: how far is the simulated arm from the recorded?
+
+    The runs are those of "scenario from LOG.yaml" with the same options. Joints, TCP and hand distances are
+    held against the log, with intervals; a delay and offsets of the joints are estimated; claims are judged
+    of log and runs. certify PLAN --cell compare-worlds.json takes what it writes into a report.
+    A program that the scenario names is executed.
+    Exit code 0: no verdict contradicts the log's; 1: one does; 2: bad input, or a world that is not
+    installed; 130: interrupted.
+    """
+    from safety_harness.base.whole_file import write_text
+    from safety_harness.extensions.field.recorded.compare import FILE, FORMAT, as_json
+    from safety_harness.extensions.field.recorded.compare import compare_worlds as compare
+    from safety_harness.extensions.field.recorded.scenario import scenario_from as make
+    from safety_harness.extensions.field.recorded.words import comparison_lines
+    from safety_harness.scenario.files import told
+    from safety_harness.scenario.typed_json import plain
+
+    cell = _cell(scenario)
+    made = make(_part(log, from_, to), cell, elbow_towards_in_base_m=_point(elbow_towards))
+    found = compare(made)
+    result(*comparison_lines(found))
+    say(*(f"note: {note}" for note in found.notes))
+    write_text(out / FILE, as_json(found))
+    document(format=FORMAT, **plain(found))
+    say(f"{told(out / FILE)}: for safety-harness certify PLAN --cell")
+    return DIFFERS if any(one.differs for one in found.claims) else AS_EXPECTED

@@ -1,0 +1,176 @@
+"""By how much the hands' clock is ahead of the joints', from a body that both streams show.
+
+Such a body moves with the tool: a marker on the flange, or a hand that holds on to the tool, for a while in
+which the arm moves.  With the offset d, the places p(t + d) of the body in the base frame are R(t) c + x(t),
+where R and x are the tool's pose by the joints, and c, where the body is on the tool, is unknown and
+constant.  d and c are those of the least squares.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+from math import sqrt
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from safety_harness.base.exceptions import LogError
+from safety_harness.cell.robot.kinematics import links_in_base
+from safety_harness.cell.robot.robots import arm_model
+from safety_harness.extensions.field.logs.model import Body, CellLog
+
+Floats = NDArray[np.float64]
+GRID_S = 0.01  # of the search for peaks, before the least squares
+NEAR_S = 0.1  # of a peak, within which the least squares look
+PEAKS = 16  # that are tried, the best correlated ones
+ALIKE = 2.0  # of two offsets: the one leaves at most so many times as much as the other, root mean square
+PARTS, LEVEL = 8, 0.99  # of the recording, each of which has an offset of its own; of their interval
+LEAST_S, FEWEST = 4.0, 100  # of what both show
+LEAST_EXPLAINED = 0.95  # of the body's variance, by the arm's motion; a body that stands still has none
+LEAST_MOVED_M = 0.05  # root mean square about its mean
+
+
+@dataclass(frozen=True, kw_only=True)
+class Offset:
+    """``hands_ahead_s`` is known to ``known_to_s``: with every part's own estimate, and its interval.
+
+    ``parts_s`` are these estimates in the order of time; ``off_m`` is the root mean square of what no offset
+    explains, ``explained`` the share of the body's variance that the arm's motion does.
+    """
+
+    hands_ahead_s: float
+    known_to_s: float
+    parts_s: tuple[float, ...]
+    off_m: float
+    explained: float
+
+
+def align(log: CellLog, body: Body) -> Offset:
+    """LogError for a body that does not show what the joints do, not for long enough, or again and again."""
+    joints_s, count = log.seconds(log.joints), log.joints.values.shape[1] // 2
+    arm = arm_model(log.robot)
+    tools = np.array([links_in_base(arm, row[:count].copy())[-1] for row in log.joints.values])
+    body_s, places = log.seconds(body.hand), body.hand.values
+    if len(body_s) < FEWEST or body_s[-1] - body_s[0] < LEAST_S or joints_s[-1] - joints_s[0] < LEAST_S:
+        got = f"{len(body_s)} of the body in {body_s[-1] - body_s[0]:.4g} s, "
+        got += f"{len(joints_s)} of the joints in {joints_s[-1] - joints_s[0]:.4g} s"
+        raise _refused(body, f"{FEWEST} samples at least, in {LEAST_S:g} s or more, of body and joints", got)
+    moved_m = float(np.sqrt(((places - places.mean(axis=0)) ** 2).sum(axis=1).mean()))
+    if moved_m < LEAST_MOVED_M:
+        expected = f"a body that moves with the tool, by {LEAST_MOVED_M * 1e3:g} mm at least"
+        raise _refused(body, expected, f"one that moves by {moved_m * 1e3:.3g} mm")
+    fit = _Fit(joints_s, tools, body_s, places)
+    every = np.ones(len(body_s), bool)
+    peaks_s = _peaks_s(joints_s, tools[:, :3, 3], body_s, places)
+    found = [(near_s, *fit.best(near_s, every)) for near_s in peaks_s]
+    _, ahead_s, residual = min(found, key=lambda one: one[2])
+    there = fit.there(ahead_s, every)
+    about = places[there] - places[there].mean(axis=0)
+    explained = 1.0 - residual / float((about**2).sum())
+    if explained < LEAST_EXPLAINED or there.sum() < FEWEST:
+        got = f"one of whose motion the joints explain {max(explained, 0.0):.0%}"
+        hint = "a marker on the tool, or a hand that holds on to it; in the base frame, by the key frame"
+        raise _refused(body, "a body that moves with the tool", got, hint)
+    # one that ends where it may look no farther is no least of its own, but on the way to another
+    own = [(one, left) for near, one, left in found if abs(one - near) < NEAR_S - GRID_S]
+    alike = [one for one, left in own if left < ALIKE**2 * residual and abs(one - ahead_s) > NEAR_S]
+    if alike:
+        them = ", ".join(f"{one * 1e3:.0f}" for one in sorted([ahead_s, *alike]))
+        hint = "a motion that does not repeat itself, or the part that has one: log: {from: ..., to: ...}"
+        raise _refused(
+            body,
+            "a motion that one offset alone explains",
+            f"ahead by {them} ms, which explain it alike",
+            hint,
+        )
+    edges = np.linspace(body_s[there][0], body_s[there][-1], PARTS + 1)
+    parts = []
+    for begin, end in itertools.pairwise(edges):
+        inside = (body_s >= begin) & (body_s <= end)
+        parts.append(fit.best(ahead_s, inside)[0])
+    spread_s = float(np.std(parts, ddof=1))
+    half_s = float(scipy.stats.t.ppf(0.5 + LEVEL / 2.0, PARTS - 1)) * spread_s
+    return Offset(
+        hands_ahead_s=ahead_s,
+        known_to_s=float(np.abs(np.array(parts) - ahead_s).max()) + half_s / sqrt(PARTS),
+        parts_s=tuple(parts),
+        off_m=float(np.sqrt(residual / there.sum())),
+        explained=explained,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    joints_s: Floats
+    tools: Floats  # (n, 4, 4) tool to base
+    body_s: Floats
+    places: Floats  # (m, 3)
+
+    def there(self, ahead_s: float, of: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Those of the body's samples at which the joints are known."""
+        at = self.body_s - ahead_s
+        return np.asarray(of & (at >= self.joints_s[0]) & (at <= self.joints_s[-1]))
+
+    def residual(self, ahead_s: float, of: NDArray[np.bool_]) -> float:
+        """The least sum of squares [m2] by any place on the tool; fewer than 10 samples tell nothing."""
+        there = self.there(ahead_s, of)
+        if there.sum() < 10:
+            return float("inf")
+        at = self.body_s[there] - ahead_s
+        poses = np.empty((len(at), 3, 4))
+        for i in range(3):
+            for j in range(4):
+                poses[:, i, j] = np.interp(at, self.joints_s, self.tools[:, i, j])
+        turned, beside = poses[:, :, :3].reshape(-1, 3), (self.places[there] - poses[:, :, 3]).reshape(-1)
+        offset_m = np.linalg.lstsq(turned, beside, rcond=None)[0]
+        return float(((beside - turned @ offset_m) ** 2).sum() / there.sum() * of.sum())
+
+    def best(self, near_s: float, of: NDArray[np.bool_]) -> tuple[float, float]:
+        """The offset within ``NEAR_S`` of ``near_s`` and what it leaves."""
+        tried = near_s + np.arange(-NEAR_S, NEAR_S + 1e-9, GRID_S / 2.0)
+        first = float(tried[int(np.argmin([self.residual(one, of) for one in tried]))])
+        bounds = first - GRID_S, first + GRID_S
+        found = scipy.optimize.minimize_scalar(
+            self.residual, bounds=bounds, args=(of,), method="bounded", options={"xatol": 1e-6}
+        )
+        return float(found.x), float(found.fun)
+
+
+def _peaks_s(joints_s: Floats, tool_m: Floats, body_s: Floats, places: Floats) -> list[float]:
+    """Where the speeds of tool and body correlate, the best first, if half of the shorter one overlaps."""
+    tool, body = _speed(joints_s, tool_m), _speed(body_s, places)
+    products = scipy.signal.correlate(body, tool, method="fft")
+    overlap = scipy.signal.correlate(np.ones(len(body)), np.ones(len(tool)), method="fft")
+    power = np.sqrt(
+        np.maximum(scipy.signal.correlate(body**2, np.ones(len(tool)), method="fft"), 1e-12)
+        * np.maximum(scipy.signal.correlate(np.ones(len(body)), tool**2, method="fft"), 1e-12)
+    )
+    alike = np.where(overlap >= 0.5 * min(len(body), len(tool)), products / power, -np.inf)
+    padded = np.pad(alike, 1, constant_values=-np.inf)  # for peaks at the ends
+    peaks = scipy.signal.find_peaks(padded, distance=NEAR_S / GRID_S)[0] - 1
+    steps = peaks[np.argsort(-alike[peaks])][:PEAKS] - (len(tool) - 1)
+    return [float(body_s[0] - joints_s[0] + step * GRID_S) for step in steps]
+
+
+def _speed(time_s: Floats, places: Floats) -> Floats:
+    """The speed on a grid, about its mean."""
+    grid_s = np.arange(time_s[0], time_s[-1], GRID_S)
+    way = np.column_stack([np.interp(grid_s, time_s, column) for column in places.T])
+    window = np.ones(9) / 9.0  # of 90 ms, since noise would be all that a difference shows
+    smooth = np.column_stack([np.convolve(column, window, mode="same") for column in way.T])
+    speed = np.linalg.norm(np.gradient(smooth, GRID_S, axis=0), axis=1)
+    speed[:9] = speed[-9:] = np.median(speed)  # the window reaches over the ends
+    return np.asarray(speed - speed.mean())
+
+
+def _refused(body: Body, expected: str, got: str, hint: str = "") -> LogError:
+    source = body.hand.source
+    return LogError(place=source.place, expected=f"{expected}, in {source.name}", got=got, hint=hint)
+
+
+def words(offset: Offset) -> str:
+    """As LOG.yaml has it, rounded up."""
+    known_ms = np.ceil(offset.known_to_s * 1e4) / 10.0 + 0.1  # for the rounding of the offset
+    return f"clock: {{hands are ahead by: {offset.hands_ahead_s * 1e3:.1f} ms, known to: {known_ms:.1f} ms}}"

@@ -1,0 +1,207 @@
+"""What hands did in a log, move by move: how fast they came, how hard they sped up, from where, how long for.
+
+A hand moves while its speed, over a tenth of a second, is at least 100 mm/s; what is shorter than 50 mm is no
+move, and what stands for less than 100 ms between two moves is none either.  An approach is a move that ends
+100 mm nearer to the TCP than it began, and within 600 mm of it.
+
+How often hands came is counted more cautiously, for an upper bound: a move counts as often as it comes so
+much nearer, also where it turns back without a stand; a move that a gap cuts counts, and so does a gap across
+which the hand came nearer.  The time is the clock's, while any hand was seen.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.cell.robot.description import ArmModel
+from safety_harness.cell.robot.kinematics import links_in_base
+from safety_harness.cell.robot.robots import arm_model
+from safety_harness.extensions.field.logs.model import CellLog
+from safety_harness.extensions.field.logs.streams import NS, LogSamples
+
+Floats = NDArray[np.float64]
+WINDOW_S, MOVES_MPS, LEAST_WAY_M, LEAST_STAND_S = 0.1, 0.1, 0.05, 0.1
+NEARER_M, NEAR_M = 0.1, 0.6
+SHARE = 0.9  # of the greatest speed, up to which the acceleration is taken
+
+
+@dataclass(frozen=True, kw_only=True)
+class Approach:
+    """One approach: its greatest speed, mean acceleration up to nine tenths of that, and where it led.
+
+    ``start_from_tcp_m`` (3,) is where it began, from the TCP then, in the base frame; ``end_distance_m`` is
+    how far from the TCP it ended.  ``dwell_s`` is how long the hand stood then, None if that was not seen to
+    its end; ``pause_s`` how long it had stood before, None if that was not seen, or after another approach.
+    """
+
+    speed_mps: float
+    acceleration_mps2: float
+    start_from_tcp_m: tuple[float, float, float]
+    end_distance_m: float
+    dwell_s: float | None
+    pause_s: float | None
+
+
+@dataclass(eq=False)
+class Watched:
+    """The approaches of some hands, for how long any was watched, and what is no approach of its own.
+
+    ``counted`` is how often hands may have come: of no use but for an upper bound.
+    """
+
+    approaches: list[Approach] = field(default_factory=list)
+    counted: int = 0
+    seconds: float = 0.0
+    moves: int = 0
+    cut: int = 0  # moves whose beginning or end was not seen
+    gaps: int = 0
+    fastest_mps: float = 0.0  # that anybody said that a hand may be
+
+    def add(self, other: Watched) -> None:
+        """Those of ``other`` too."""
+        self.approaches += other.approaches
+        self.counted += other.counted
+        self.seconds, self.moves = self.seconds + other.seconds, self.moves + other.moves
+        self.cut, self.gaps = self.cut + other.cut, self.gaps + other.gaps
+        self.fastest_mps = max(self.fastest_mps, other.fastest_mps)
+
+
+def approaches_of(log: CellLog) -> Watched:
+    """Of every hand of a log; a gap longer than the longest one begins another piece."""
+    found, facts = Watched(), log.hand_facts
+    if facts is None:
+        return found
+    found.fastest_mps = facts.moves_at_most_mps
+    arm, seen_s = arm_model(log.robot), list[tuple[float, float]]()
+    for body in log.hands:
+        hand = body.hand.measured
+        time_s = log.seconds(hand, of_hands=True)
+        breaks = np.flatnonzero(np.diff(time_s) > facts.longest_gap_s) + 1
+        found.gaps += len(breaks)
+        bounds = [0, *breaks.tolist(), len(time_s)]
+        cut_before = True
+        for begin, end in pairwise(bounds):
+            part = time_s[begin:end]
+            cut, cut_after = _piece(found, part, hand.values[begin:end], log, arm)
+            if not (cut_before or cut):  # nothing moved where the gap began, or where it ended
+                across = slice(begin - 1, begin + 1)
+                found.counted += _reaches(log, arm, time_s[across], hand.values[across])
+            cut_before = cut_after
+            seen_s.append((float(max(part[0], 0.0)), float(min(part[-1], log.seconds(log.joints)[-1]))))
+    until_s = 0.0
+    for first_s, last_s in sorted(seen_s):
+        found.seconds += max(last_s - max(first_s, until_s), 0.0)
+        until_s = max(until_s, last_s)
+    return found
+
+
+def _reaches(log: CellLog, arm: ArmModel, time_s: Floats, hand_m: Floats) -> int:
+    """How often ``hand_m`` (n, 3) comes NEARER_M nearer to the TCP than it was, and within NEAR_M of it."""
+    tcp_m = np.array([_tcp_m(log, arm, at_s) for at_s in time_s.tolist()])
+    count, away, least_m, most_m = 0, True, np.inf, -np.inf
+    for distance_m in np.linalg.norm(hand_m - tcp_m, axis=1).tolist():
+        most_m, least_m = max(most_m, distance_m), min(least_m, distance_m)
+        if away and distance_m <= min(most_m - NEARER_M, NEAR_M):
+            count, away, least_m = count + 1, False, distance_m
+        elif not away and distance_m >= least_m + NEARER_M:
+            away, most_m = True, distance_m
+    return count
+
+
+def _piece(found: Watched, time_s: Floats, hand_m: Floats, log: CellLog, arm: ArmModel) -> tuple[bool, bool]:
+    """The moves of a hand that was never lost, ``hand_m`` (n, 3) at ``time_s`` (n,).
+
+    Was one cut at the beginning, or at the end?
+    """
+    inside = (time_s >= 0.0) & (time_s <= log.seconds(log.joints)[-1])
+    time_s, hand_m = time_s[inside], hand_m[inside]
+    if len(time_s) < 3 or time_s[-1] - time_s[0] < 3.0 * WINDOW_S:
+        moved = bool(np.linalg.norm(np.diff(hand_m, axis=0), axis=1).sum() >= LEAST_WAY_M)
+        found.cut, found.counted = found.cut + moved, found.counted + moved
+        return moved, moved
+    speed_mps = _speed(time_s, hand_m)
+    stood_s: float | None = None
+    cuts = False, False
+    for first, after, dwell_s, whole in _moves(time_s, hand_m, speed_mps):
+        found.moves += 1
+        cuts = cuts[0] or first == 0, after == len(time_s) - 1
+        way = slice(first, after + 1)
+        found.counted += max(_reaches(log, arm, time_s[way], hand_m[way]), not whole)
+        stood_before_s, stood_s = stood_s, dwell_s
+        if not whole:
+            found.cut += 1
+            continue
+        tcp_m = [_tcp_m(log, arm, float(time_s[k])) for k in (first, after)]
+        from_m, to_m = hand_m[first] - tcp_m[0], hand_m[after] - tcp_m[1]
+        nearer_m = float(np.linalg.norm(from_m) - np.linalg.norm(to_m))
+        if nearer_m < NEARER_M or np.linalg.norm(to_m) > NEAR_M:
+            continue
+        peak = float(speed_mps[first : after + 1].max())
+        fast = first + int(np.argmax(speed_mps[first : after + 1] >= SHARE * peak))
+        rise_s = max(float(time_s[fast] - time_s[first]), float(np.diff(time_s).min()))
+        found.approaches.append(
+            Approach(
+                speed_mps=peak,
+                acceleration_mps2=(SHARE * peak - float(speed_mps[first])) / rise_s,
+                start_from_tcp_m=(float(from_m[0]), float(from_m[1]), float(from_m[2])),
+                end_distance_m=float(np.linalg.norm(to_m)),
+                dwell_s=dwell_s,
+                pause_s=stood_before_s,
+            )
+        )
+        stood_s = None
+    return cuts
+
+
+def _speed(time_s: Floats, hand_m: Floats) -> Floats:
+    """(n,) over a window about each sample, or what of it there is."""
+    ends = [
+        np.column_stack([np.interp(at, time_s, column) for column in hand_m.T])
+        for at in (
+            np.maximum(time_s - WINDOW_S / 2.0, time_s[0]),
+            np.minimum(time_s + WINDOW_S / 2.0, time_s[-1]),
+        )
+    ]
+    lasted_s = np.minimum(time_s + WINDOW_S / 2.0, time_s[-1]) - np.maximum(
+        time_s - WINDOW_S / 2.0, time_s[0]
+    )
+    return np.asarray(np.linalg.norm(ends[1] - ends[0], axis=1) / lasted_s)
+
+
+def _moves(time_s: Floats, hand_m: Floats, speed_mps: Floats) -> list[tuple[int, int, float | None, bool]]:
+    """(first, last, seconds that it stood then, was it seen whole?) of each move."""
+    state = np.concatenate([[False], speed_mps >= MOVES_MPS, [False]])
+    change = np.diff(state.astype(np.int8))
+    spans = list(
+        zip(np.flatnonzero(change == 1).tolist(), (np.flatnonzero(change == -1) - 1).tolist(), strict=True)
+    )
+    joined: list[tuple[int, int]] = []
+    for first, last in spans:
+        if joined and time_s[first] - time_s[joined[-1][1]] < LEAST_STAND_S:
+            joined[-1] = joined[-1][0], last
+        else:
+            joined.append((first, last))
+    far = [
+        (first, last)
+        for first, last in joined
+        if np.linalg.norm(np.diff(hand_m[first : last + 1], axis=0), axis=1).sum() >= LEAST_WAY_M
+    ]
+    found = []
+    for number, (first, last) in enumerate(far):
+        whole = first > 0 and last < len(time_s) - 1
+        followed = number + 1 < len(far)
+        dwell_s = float(time_s[far[number + 1][0]] - time_s[last]) if followed else None
+        found.append((first, last, dwell_s, whole))
+    return found
+
+
+def _tcp_m(log: CellLog, arm: ArmModel, time_s: float) -> Floats:
+    """(3,) where the TCP was."""
+    joints: LogSamples = log.joints
+    at_s, count = (joints.time_ns - log.origin_ns) / NS, len(arm.joint_names)
+    q = np.array([np.interp(time_s, at_s, column) for column in joints.values.T[:count]])
+    return np.asarray(links_in_base(arm, q)[-1][:3, 3])

@@ -1,0 +1,414 @@
+"""Streams from MCAP files and ROS 2 bags (sqlite3 and MCAP), message by message, without a ROS installation.
+
+Standard messages are known by their type; any other is read by the definition that its bag carries, and the
+path of the field that is meant.  Lengths and angles are metres and radians by REP 103, unless another unit is
+said.  Memory does not grow with what a bag holds beside the stream.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+from safety_harness.base.exceptions import LogError, Place, near_miss
+from safety_harness.base.extras import LOGS
+from safety_harness.extensions.field.logs.containers import Bag, UnreadableDefinitionError, opened
+from safety_harness.extensions.field.logs.foxglove import (
+    JOINT_STATE,
+    POSE_ARRAY,
+    POSE_STAMPED,
+    TF,
+    as_standard,
+    fields_of,
+    nanoseconds,
+)
+from safety_harness.extensions.field.logs.sample_bound import SampleBound
+from safety_harness.extensions.field.logs.streams import Collector, LogSource
+from safety_harness.extensions.field.logs.tables import as_word
+from safety_harness.scenario.units import shown
+
+POSITIONS = {  # where a position is in a message of a standard type
+    POSE_STAMPED: "pose.position",
+    "geometry_msgs/msg/PoseWithCovarianceStamped": "pose.pose.position",
+    "geometry_msgs/msg/PointStamped": "point",
+    "geometry_msgs/msg/TransformStamped": "transform.translation",
+}
+STAMP, RECEIVED = "stamp", "received"
+_STEP = re.compile(r"([A-Za-z_][A-Za-z0-9_]*)((?:\[[0-9]{1,4}\])*)")
+
+
+@dataclass(frozen=True)
+class Message:
+    """One message of a topic: its number from 1, when it was received, and what it says."""
+
+    number: int
+    received_ns: int
+    kind: str
+    content: Any
+
+
+@dataclass(frozen=True)
+class Part:
+    """A field of each message by its ``path``: so many numbers, or a word that ``words`` has as a number.
+
+    ``si`` is what one of it is in SI.  With ``names`` the numbers are those of the things that this field
+    lists, as in a ``JointState``.
+    """
+
+    path: str
+    width: int
+    si: float
+    words: Mapping[str, float] | None = None
+    names: str = ""
+
+
+def read_parts(
+    source: LogSource,
+    collector: Collector,
+    parts: Sequence[Part],
+    names: Sequence[str],
+    *,
+    time: str,
+    framed: Callable[[str, Message], object] | None = None,
+) -> None:
+    """What a program told: the ``parts`` of each message, NaN for one that it does not have.
+
+    ``framed`` raises for a message of another frame than is said.
+    """
+    for message in messages(source):
+        content, values = message.content, []
+        for part in parts:
+            found = _follow(content, source, message, part.path)
+            if part.words is not None:
+                word = as_word(found)
+                if word not in part.words:
+                    hint = near_miss(word, part.words)
+                    expected = f"one of {', '.join(part.words)} for {part.path}"
+                    raise error(source, message, expected, shown(word) or "none", hint)
+                values.append(part.words[word])
+                continue
+            values += [value * part.si for value in _of_part(part, found, names, source, message)]
+        _refuse_infinite(values, source, message)
+        header = getattr(content, "header", None)
+        if framed is not None:
+            framed(_frame_of(header), message)
+        _add(collector, message, time, header, values)
+
+
+def _of_part(
+    part: Part, found: Any, names: Sequence[str], source: LogSource, message: Message
+) -> Sequence[float]:
+    """The numbers of one part of a message."""
+    if found is None:
+        return [math.nan] * part.width
+    if part.width == 1:
+        return _numbers([found], source, message)
+    if not part.names:
+        if part.width == 3 and not names:
+            return _xyz(found, source, message)
+        numbers = _numbers(found, source, message)
+    else:
+        told = list(_follow(message.content, source, message, part.names))
+        numbers = _numbers(found, source, message)
+        lacking = [name for name in names if name not in told]
+        if lacking or len(numbers) != len(told):
+            expected = f"a number for each of {', '.join(names)}"
+            raise error(source, message, expected, f"{len(numbers)} for {shown(', '.join(told))}")
+        numbers = [numbers[told.index(name)] for name in names]
+    if len(numbers) != part.width:
+        raise error(source, message, f"{part.width} numbers in {part.path}", str(len(numbers)))
+    return numbers
+
+
+@contextmanager
+def _opened(source: LogSource) -> Iterator[Bag]:
+    """The bag of a stream; whatever its reader stumbles over becomes a LogError."""
+    with LOGS.needed("logs in MCAP files and bags of ROS", source.file):
+        import rosbags.rosbag1
+        import rosbags.rosbag2  # noqa: F401
+    place, hint = Place(file=source.file, field=source.what), ""
+    error: Exception
+    try:
+        with opened(source.file) as bag:
+            yield bag
+        return
+    except LogError:
+        raise
+    except UnreadableDefinitionError as unreadable:
+        expected, error = f"a definition of the messages of {source.topic} that can be read", unreadable
+    except ModuleNotFoundError as missing:
+        expected, error, hint = "a package that decodes these messages", missing, "pip install protobuf"
+    except Exception as damage:  # of the storage, its compression, a message: whatever damage provokes
+        expected, error = "a bag, whole", damage
+        hint = "of a recording that was cut off: mcap recover FILE.mcap, or ros2 bag reindex FOLDER"
+    got = " ".join(f"{type(error).__name__}: {error}".split())
+    raise LogError(place=place, expected=expected, got=got, hint=hint) from error
+
+
+def messages(source: LogSource) -> Iterator[Message]:
+    """Every message of the stream's topic, in the order in which they were received.
+
+    LogError for a topic that the bag does not have, damage, and fewer messages than the bag says it has.
+    """
+    with _opened(source) as reader:
+        connections = [one for one in reader.connections if one.topic == source.topic]
+        source.seen.update(one.topic for one in reader.connections)
+        source.used.add(source.topic)
+        if not connections:
+            topics = sorted(source.seen)
+            raise LogError(
+                place=source.place,
+                expected=f"a topic of {source.file.name}",
+                got=source.topic,
+                hint=near_miss(source.topic, topics) or f"its topics: {shown(', '.join(topics))}",
+            )
+        number = 0
+        for connection, received_ns, content in reader.messages(connections):
+            number += 1
+            try:
+                message = Message(number, received_ns, *as_standard(connection.msgtype, content))
+            except AttributeError as lacking:
+                place = Place(file=source.file, field=f"message {number} of {source.topic}")
+                expected = f"the fields of a message of {connection.msgtype}"
+                raise LogError(place=place, expected=expected, got=str(lacking)) from lacking
+            yield message
+        promised = sum(one.msgcount for one in connections)
+        if number != promised:
+            raise LogError(
+                place=Place(file=source.file, field=source.topic),
+                expected=f"{promised} messages, as the bag says",
+                got=str(number),
+                hint="it was cut off, or its index is not of this file",
+            )
+
+
+def topics_of(source: LogSource) -> dict[str, str]:
+    """The topics of a stream's bag with their types."""
+    with _opened(source) as reader:
+        return {one.topic: one.msgtype for one in reader.connections}
+
+
+def read_joints(
+    source: LogSource, collector: Collector, names: Sequence[str], *, time: str, angle: float
+) -> None:
+    """(position, velocity) of the joints ``names``, in this order; NaN for velocities that are not told.
+
+    ``angle`` is the unit of angles in rad.
+    """
+    wanted, found = tuple(names), dict[tuple[str, ...], list[int]]()
+    skipped: dict[tuple[str, ...], int] = {}  # how many messages of a gripper, or another arm
+    first: Message | None = None  # of them
+    for message in messages(source):
+        content = message.content
+        if message.kind != JOINT_STATE and not source.path:
+            raise _unknown(message, source, "the joints", JOINT_STATE)
+        if source.path:
+            values = _numbers(_follow(content, source, message), source, message)
+            if len(values) != len(wanted):
+                raise error(source, message, f"{len(wanted)} joint angles", str(len(values)))
+            rates = [math.nan] * len(wanted)
+        else:
+            told = tuple(content.name)
+            if told not in found:
+                source.seen.update(told)
+                found[told] = []
+                if set(wanted) & set(told):
+                    _refuse_lacking(wanted, told, source, message)
+                    found[told] = [told.index(name) for name in wanted]
+                    source.used.update(wanted)
+            at = found[told]
+            if not at:
+                skipped[told] = skipped.get(told, 0) + 1
+                first = first or message
+                continue
+            if len(content.position) != len(told):
+                raise error(source, message, f"{len(told)} positions", str(len(content.position)))
+            values = [float(content.position[k]) for k in at]
+            rates = [math.nan] * len(at)
+            if len(content.velocity) == len(told):
+                rates = [float(content.velocity[k]) for k in at]
+        _refuse_infinite(values, source, message)
+        numbers = [value * angle for value in (*values, *rates)]
+        _add(collector, message, time, getattr(content, "header", None), numbers)
+    if first is not None and not collector.seen:
+        _refuse_lacking(wanted, first.content.name, source, first)
+    if skipped:
+        count, them = sum(skipped.values()), shown(", ".join(name for told in skipped for name in told))
+        collector.notes.append(f"{count} messages that name no joint of the arm are skipped: {them}")
+
+
+def _refuse_lacking(wanted: Sequence[str], told: Sequence[str], source: LogSource, message: Message) -> None:
+    """LogError for a message that does not name all joints of the arm."""
+    for name in wanted:
+        if name not in told:
+            hint = near_miss(name, told) or 'the key "names" says what the log calls each joint'
+            raise error(source, message, f'the joint "{name}"', f"the joints {shown(', '.join(told))}", hint)
+
+
+def read_positions(
+    source: LogSource,
+    collector: Collector,
+    time: str,
+    length: float,
+    to_base: Callable[[str, Message], Callable[[Sequence[float]], Sequence[float]]],
+    *,
+    halves: bool = True,
+    bound: SampleBound | None = None,
+    speeds: str | None = None,
+) -> None:
+    """Positions in the base frame; NaN for a body that a message does not have.
+
+    LogError for one of which it has not all numbers, unless ``halves`` may be.
+    ``length`` is the unit in m, ``to_base`` makes positions in a frame, by its name, positions in the base's.
+    With a ``bound`` each has beside it, in m, within how much it is known; with ``speeds``, the path of a
+    field in the same frame, its velocity [m/s] comes last.
+    """
+    for message in messages(source):
+        content = message.content
+        header = getattr(content, "header", None)
+        if message.kind == TF:
+            if not source.path:
+                raise error(source, message, "a frame after the topic, such as /tf:right_hand", "none")
+            for transform in content.transforms:
+                if transform.child_frame_id.lstrip("/") == source.path.lstrip("/"):
+                    where, header = transform.transform.translation, transform.header
+                    break
+            else:
+                collector.frames.update(one.child_frame_id.lstrip("/") for one in content.transforms)
+                continue
+        elif message.kind == POSE_ARRAY and not source.path:
+            if source.index is None:
+                raise error(source, message, "which of the poses, such as /poses[0]", "none")
+            poses = content.poses
+            where = poses[source.index].position if source.index < len(poses) else None
+        else:
+            path = source.path or POSITIONS.get(message.kind, "")
+            if not path:
+                raise _unknown(message, source, "a position", ", ".join((*POSITIONS, POSE_ARRAY, TF)))
+            where = _follow(content, source, message, path)
+        place = [math.nan] * 3 if where is None else _xyz(where, source, message)
+        if not any(place):  # what trackers write for a body that they do not see
+            place = [math.nan] * 3
+        _refuse_infinite(place, source, message)
+        if not halves and 0 < sum(map(math.isnan, place)) < 3:
+            raise error(source, message, "a position, or none of its three numbers", str(place))
+        collector.bodies.update(_bodies(source, message))
+        moved = to_base(_frame_of(header), message)
+        position = moved([value * length for value in place])
+        if bound is not None:
+            position = [*position, _bound(bound, content, source, message) * length]
+        if speeds is not None:
+            speed = _xyz(_follow(content, source, message, speeds), source, message)
+            ends = moved([value * length for value in speed]), moved([0.0] * 3)
+            position = [*position, *(one - other for one, other in zip(*ends, strict=True))]
+        _add(collector, message, time, header, position)
+
+
+def _bodies(source: LogSource, message: Message) -> Iterator[str]:
+    """The bodies of a message beside the stream's: all of its list, or all frames below the same parent."""
+    content = message.content
+    if message.kind == TF:
+        parents = {one.child_frame_id.lstrip("/"): one.header.frame_id for one in content.transforms}
+        own = parents.get(source.path.lstrip("/"))
+        yield from (f"{source.topic}:{child}" for child, parent in parents.items() if parent == own)
+    elif message.kind == POSE_ARRAY and not source.path:
+        there = (k for k, pose in enumerate(content.poses) if any(_xyz(pose, source, message)))
+        yield from (f"{source.topic}[{k}]" for k in there)
+    elif "[" in source.path:
+        before, _, after = source.path.partition("[")
+        count = len(_follow(content, source, message, before))
+        yield from (f"{source.topic}:{before}[{k}{after[after.index(']') :]}" for k in range(count))
+
+
+def _bound(bound: SampleBound, content: Any, source: LogSource, message: Message) -> float:
+    """Within how much a position is known, in its unit; NaN where the message does not say it."""
+    found = _follow(content, source, message, bound.field)
+    if found is None:
+        return math.nan
+    if hasattr(found, "x"):
+        return bound.reach_m(_xyz(found, source, message))
+    return bound.reach_m(_numbers([found] if isinstance(found, int | float) else found, source, message))
+
+
+def error(source: LogSource, message: Message, expected: str, got: str, hint: str = "") -> LogError:
+    """LogError at one message."""
+    place = Place(file=source.file, field=f"message {message.number} of {source.topic}")
+    return LogError(place=place, expected=expected, got=got, hint=hint)
+
+
+def _unknown(message: Message, source: LogSource, what: str, types: str) -> LogError:
+    hint = f"say which field of it, such as {source.topic}:wrist.position"
+    return error(source, message, f"{what}, in a message of {types}", message.kind, hint)
+
+
+def _frame_of(header: Any) -> str:
+    return str(getattr(header, "frame_id", ""))
+
+
+def _add(collector: Collector, message: Message, said: str, header: Any, values: Iterable[float]) -> None:
+    """Hand the sample of a message to ``collector``."""
+    try:
+        time_ns = _time_ns(message, collector.source, said, header)
+    except LogError as refused:
+        collector.unstamped(refused)
+    else:
+        collector.add(time_ns, values, message.number)
+
+
+def _time_ns(message: Message, source: LogSource, said: str, header: Any) -> int:
+    if said == RECEIVED:
+        return message.received_ns
+    stamp = getattr(header, "stamp", None)
+    time_ns = 0 if stamp is None else nanoseconds(stamp)
+    if time_ns == 0:
+        hint = 'the key "time: received" takes the time at which each was received'
+        raise error(source, message, "a stamp in its header", "none", hint)
+    return time_ns
+
+
+def _follow(content: Any, source: LogSource, message: Message, path: str = "") -> Any:
+    """What the path of a field leads to, such as ``markers[2].pose.position``."""
+    for step in (path or source.path).split("."):
+        found = _STEP.fullmatch(step)
+        fields = fields_of(content)
+        if found is None or found[1] not in fields:
+            hint = near_miss(step, fields) or f"its fields: {shown(', '.join(fields))}"
+            raise error(source, message, "a path of fields such as wrist.position", step, hint)
+        content = getattr(content, found[1])
+        for index in re.findall(r"[0-9]+", found[2]):
+            if int(index) >= len(content):
+                return None  # not there in this message
+            content = content[int(index)]
+    return content
+
+
+def _xyz(where: Any, source: LogSource, message: Message) -> list[float]:
+    """Of a point, a pose, or a list of three numbers."""
+    where = getattr(where, "position", where)
+    try:
+        if all(hasattr(where, axis) for axis in "xyz"):
+            return [float(where.x), float(where.y), float(where.z)]
+        values = [float(value) for value in where]
+    except (TypeError, ValueError):
+        values = []
+    if len(values) != 3:
+        raise error(
+            source, message, "a position: a field with x, y and z, or three numbers", type(where).__name__
+        )
+    return values
+
+
+def _numbers(values: Any, source: LogSource, message: Message) -> list[float]:
+    try:
+        return [float(value) for value in values]
+    except (TypeError, ValueError):
+        raise error(source, message, "a list of numbers", type(values).__name__) from None
+
+
+def _refuse_infinite(values: Sequence[float], source: LogSource, message: Message) -> None:
+    if any(math.isinf(value) for value in values):
+        raise error(source, message, "numbers, or NaN where nothing was measured", str(list(values)))

@@ -1,0 +1,78 @@
+"""What a LOG.yaml says of joints and hands, and how well they are known."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from safety_harness.cell.robot.description import ArmModel
+from safety_harness.extensions.field.logs.frozen import REPEATS, at_rest
+from safety_harness.extensions.field.logs.model import (
+    JOINTS_KNOWN_TO_RAD,
+    JOINTS_LONGEST_GAP_S,
+    HandFacts,
+    JointFacts,
+)
+from safety_harness.extensions.field.logs.streams import LATEST_S
+from safety_harness.scenario.fields import Fields
+from safety_harness.scenario.nodes import Mapping
+from safety_harness.scenario.units import (
+    ANGLE,
+    ANGULAR_ACCELERATION,
+    ANGULAR_SPEED,
+    LENGTH,
+    SPEED,
+    TIME,
+    Dimension,
+)
+
+FORMAT, RATE = "format", "rate"
+OF_JOINTS = (
+    *("names", FORMAT, "unit", "time", "known to", "speeds known to"),
+    *("move at most", "accelerate at most", "longest gap", REPEATS),
+)
+OF_HANDS = (
+    *("forearm", "left out", "longest gap", "moves at most", "known to", "frame", "unit", "time"),
+    *(RATE, "speeds", REPEATS),
+)
+
+
+def said_of_joints(given: Fields) -> Fields:
+    """What stands below the key "joints", nothing if it is not there."""
+    field = given.optional("joints")
+    return Fields(given.whole, {}) if field is None else field.fields(OF_JOINTS)
+
+
+def facts_of_joints(said: Fields, arm: ArmModel) -> JointFacts:
+    """What is said of the joints below the key of that name."""
+    most = arm.velocity_limit_radps.copy()
+    if (field := said.optional("move at most")) is not None:
+        most = np.full(len(most), field.quantity(ANGULAR_SPEED, above=0.0))
+    hard = said.optional("accelerate at most")
+    rates = said.optional("speeds known to")
+    return JointFacts(
+        known_to_rad=_quantity(said, "known to", ANGLE, JOINTS_KNOWN_TO_RAD),
+        speeds_known_to_radps=None if rates is None else rates.quantity(ANGULAR_SPEED, least=0.0),
+        move_at_most_radps=most,
+        accelerate_at_most_radps2=None if hard is None else hard.quantity(ANGULAR_ACCELERATION, above=0.0),
+        longest_gap_s=_quantity(said, "longest gap", TIME, JOINTS_LONGEST_GAP_S, LATEST_S),
+        at_rest=at_rest(said),
+    )
+
+
+def facts_of_hands(said: Fields, *, each: bool = False) -> HandFacts:
+    """What is said of the hands below the key of that name; ``each`` sample may say how well it is known."""
+    known = said.required("known to")
+    by_sample = each and isinstance(known.node, Mapping)
+    return HandFacts(
+        known_to_m=np.inf if by_sample else known.quantity(LENGTH, least=0.0),
+        moves_at_most_mps=said.required("moves at most").quantity(SPEED, above=0.0),
+        longest_gap_s=said.required("longest gap").quantity(TIME, above=0.0, most=LATEST_S),
+        at_rest=at_rest(said),
+    )
+
+
+def _quantity(
+    said: Fields, key: str, dimension: Dimension, default: float, most: float | None = None
+) -> float:
+    field = said.optional(key)
+    return default if field is None else field.quantity(dimension, least=0.0, most=most)

@@ -1,0 +1,120 @@
+"""Streams that repeat their values to the last bit, although their noise changes each sample elsewhere.
+
+A recorder that lost its sensor, or a driver that hangs, goes on with the last values.  A stream without
+noise, or with one that its resolution hides, may repeat them at rest; so only a stream counts whose numbers
+go to and fro, by more than their resolution, also where they hardly move.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.claims.properties.base import runs_of
+from safety_harness.extensions.field.logs.streams import NS, LogSamples
+from safety_harness.scenario.fields import Fields
+
+Values = NDArray[np.float64]
+BLOCK, NOISY_BLOCKS = 10, 3  # samples that are asked for noise together, and how many such blocks it takes
+FEWEST, BY_CHANCE = 4, 1e-3  # repetitions in a row, and how often a stream may show so many by chance
+TURNS = (
+    0.2  # of the squared steps, by which those that follow each other turn back: noise without motion has 0.5
+)
+RESOLUTIONS = 2.5  # of the least step in a block, that its steps have, root mean square
+LEAST_NOISE = 1e-7  # rad or m: rounding of a computation is less
+INTERVALS_TOLD = 3
+REPEATS, AT_REST = "repeats", "at rest"
+
+
+def at_rest(said: Fields) -> bool:
+    """Does the file say that repeated values are those of a thing at rest?"""
+    field = said.optional(REPEATS)
+    return field is not None and field.one_of({AT_REST: True})
+
+
+def noisy(blocks: Values) -> NDArray[np.bool_]:
+    """(b,) of ``blocks`` (b, BLOCK, k) those whose noise exceeds their motion and their resolution."""
+    steps = np.diff(blocks, axis=1)
+    size = np.abs(steps)
+    least = np.where(size > 0.0, size, np.inf).min(axis=1)
+    squares, turns = (steps**2).sum(axis=1), -(steps[:, 1:] * steps[:, :-1]).sum(axis=1)
+    noise = np.maximum(RESOLUTIONS * least, LEAST_NOISE) ** 2 * (BLOCK - 1)
+    changes = np.all(size.any(axis=2), axis=1)
+    return np.asarray(changes & ((turns > TURNS * squares) & (squares >= noise)).any(axis=1))
+
+
+def _is_frozen(row: int, repeated: int, blocks: int, samples: int) -> bool:
+    """Are ``row`` repetitions in a row, of all that are ``repeated``, too many for chance?
+
+    Chance is the share of repetitions elsewhere, among samples that hardly move: those of noisy ``blocks``.
+    """
+    share = (repeated - row + 1) / (BLOCK * blocks + repeated - row + 1)
+    return row >= FEWEST and blocks >= NOISY_BLOCKS and samples * share**row < BY_CHANCE
+
+
+def frozen(values: Values) -> NDArray[np.bool_]:
+    """(n,) where ``values`` (n, k) repeat the sample before them more often than chance lets their noise."""
+    same, found = np.zeros((2, len(values)), np.bool_)
+    same[1:] = np.all(values[1:] == values[:-1], axis=1)
+    whole = len(values) // BLOCK * BLOCK
+    blocks = int(noisy(values[:whole].reshape(-1, BLOCK, values.shape[1])).sum())
+    (begins, ends), repeated = runs_of(same), int(same.sum())
+    for k in np.flatnonzero(ends - begins >= FEWEST) if blocks >= NOISY_BLOCKS else ():
+        row = int(ends[k] - begins[k])
+        found[begins[k] : ends[k]] = _is_frozen(row, repeated, blocks, len(values))
+    return found
+
+
+def with_frozen(samples: LogSamples, things: Sequence[Values], said: Fields) -> LogSamples:
+    """Mark and note where any of the ``things``, each (n, k), repeats; ``said`` may declare it at rest."""
+    flags = np.any([frozen(one) for one in things], axis=0)
+    if not flags.any():
+        return samples
+    begins, ends = runs_of(flags)
+    times = zip(samples.time_ns[begins - 1] / NS, samples.time_ns[ends - 1] / NS, strict=True)
+    where = ", ".join([f"{begin:.3f} to {end:.3f} s" for begin, end in times][:INTERVALS_TOLD])
+    where += f" and {len(begins) - INTERVALS_TOLD} times more" * (len(begins) > INTERVALS_TOLD)
+    note = f"repeats its values to the last bit from {where} of its clock, though it has noise elsewhere: "
+    if at_rest(said):
+        return samples.noted(note + "at rest, as the file says")
+    note += f'not measured then; the key "{REPEATS}: {AT_REST}" says that it stood still'
+    return replace(samples, frozen=flags).noted(note)
+
+
+@dataclass
+class Repeats:
+    """``frozen`` of a stream, sample by sample."""
+
+    _block: list[tuple[float, ...]] = field(default_factory=list)
+    _last: tuple[float, ...] = ()
+    _noisy: int = 0
+    _samples: int = 0
+    _repeated: int = 0
+    _row: int = 0
+    _since_ns: int = 0
+    _longest: tuple[int, int] = 0, 0  # row, and when it began, that was not told
+
+    def since(self, time_ns: int, values: tuple[float, ...]) -> int | None:
+        """Return since when the stream repeats ``values``, which came at ``time_ns``; None: it need not.
+
+        A stream that repeated its values before it was known to have noise is told once, when it is known.
+        """
+        self._samples += 1
+        if values == self._last:
+            self._row, self._repeated = self._row + 1, self._repeated + 1
+        else:
+            self._last, self._since_ns, self._row = values, time_ns, 0
+        self._block.append(values)
+        if len(self._block) == BLOCK:
+            self._noisy += int(noisy(np.array([self._block]))[0])
+            self._block.clear()
+        if self._row > self._longest[0]:
+            self._longest = self._row, self._since_ns
+        row, since_ns = self._longest
+        if row < FEWEST or not _is_frozen(row, self._repeated, self._noisy, self._samples):
+            return None
+        self._longest = 0, 0
+        return since_ns

@@ -1,0 +1,71 @@
+"""Within how much a tracker knows each sample of a body, where it says so beside the sample."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from safety_harness.extensions.field.logs.streams import LogSamples
+from safety_harness.scenario.fields import Field
+from safety_harness.scenario.units import NUMBER
+
+KEYS = ("field", "times")
+COVARIANCES = (9, 36)  # of a position, or of a pose, row by row
+
+
+@dataclass(frozen=True)
+class SampleBound:
+    """The ``field`` of a sample that says it, and how many ``times`` as much no sample is off by."""
+
+    field: str
+    times: float | None
+    said: Field
+
+    def reach_m(self, numbers: Sequence[float]) -> float:
+        """How far off a sample may be: by a radius, half the sides of a box, or a covariance; NaN for none.
+
+        Of a box it is the way to its corner, of a covariance ``times`` its largest standard deviation.  A
+        covariance of zeros is what a tracker writes that does not know it.  LogError for another count.
+        """
+        values = np.array(numbers, np.float64)
+        if len(values) in COVARIANCES:
+            if self.times is None:
+                expected = 'the key "times": how many standard deviations no sample is farther off than'
+                raise self.said.error(expected, got="none, for a covariance")
+            side = round(len(values) ** 0.5)
+            block = values.reshape(side, side)[:3, :3]
+            if not np.isfinite(block).all():
+                return np.nan
+            variances = np.linalg.eigvalsh((block + block.T) / 2.0)
+            known = variances[-1] > 0.0 and variances[0] >= -1e-9 * variances[-1]
+            return self.times * float(np.sqrt(variances[-1])) if known else np.nan
+        if len(values) not in (1, 3):
+            raise self.said.error("one, three, 9 or 36 numbers a sample", got=str(len(values)))
+        times = 1.0 if self.times is None else self.times
+        return float(np.linalg.norm(values)) * times if (values >= 0.0).all() else np.nan
+
+
+def sample_bound(known: Field) -> SampleBound:
+    """What ``{field: NAME, times: 4}`` says; LogError with its place for what is wrong."""
+    given = known.fields(KEYS)
+    times = given.optional("times")
+    return SampleBound(
+        field=given.required("field").sentence("a column after the track's name, or the path of a field"),
+        times=None if times is None else times.quantity(NUMBER, above=0.0),
+        said=known,
+    )
+
+
+def refuse_unbounded(samples: LogSamples) -> None:
+    """LogError at the first sample that was measured without a word on how well."""
+    assert samples.known_to_m is not None
+    lacking = np.isfinite(samples.values).all(axis=1) & ~np.isfinite(samples.known_to_m)
+    if lacking.any():
+        raise samples.error(
+            int(np.argmax(lacking)),
+            "beside the position how well it is known, as numbers of at least 0",
+            "none: empty, negative, or a covariance that is none (of zeros, where nobody knows it)",
+            "hands: {known to: 8 mm} says it of all samples",
+        )

@@ -1,0 +1,362 @@
+"""Streams from tables, CSV and Parquet, row by row: columns by what they begin with and the unit they end in.
+
+``right_hand_x_mm`` is the x of the track ``right_hand`` in millimetres.  A column without a unit at its end
+needs the unit said for the whole stream.  An empty cell, or NaN, is a sample that was not measured.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from decimal import Decimal, InvalidOperation
+from os import SEEK_END
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from safety_harness.base.exceptions import LogError, Place, near_miss
+from safety_harness.base.extras import LOGS
+from safety_harness.extensions.field.logs.streams import LATEST_S, NS, Collector, LogSource
+from safety_harness.scenario.units import shown
+
+MOST_COLUMNS, MOST_NAMES_BYTES = 10_000, 1_000_000
+ROWS_AT_ONCE = 8_192
+TIME_UNITS = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}  # in nanoseconds
+LENGTH_UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
+ANGLE_UNITS = {"rad": 1.0, "deg": math.pi / 180.0}
+SEPARATORS = ("\t", ";", ",")  # or spaces, where the line of names has none of these
+RTDE_JOINTS, RTDE_TIME = ("actual_q_", "actual_qd_"), "timestamp in s"
+RTDE_TCP, RTDE_BASE = "actual_TCP_pose", np.diag([-1.0, -1.0, 1.0, 1.0])  # UR's base frame, in base_link's
+SPEED_UNITS = {f"{unit}ps": si for unit, si in LENGTH_UNITS.items()}
+RATE_UNITS = {"radps": 1.0, "degps": math.pi / 180.0}
+_TIME_HINT = 'another one by the key "time", such as: stamp in ns; none by hands: {rate: 120 Hz}'
+_EXACT_BELOW = 1e6  # in a unit of time, up to which a float has enough digits for a nanosecond
+
+
+@dataclass(frozen=True)
+class TableColumn:
+    """A column of a table and what one of it is in SI, or what its ``words`` are as numbers."""
+
+    name: str
+    si: float
+    words: Mapping[str, float] | None = None
+
+
+@dataclass(frozen=True)
+class Table:
+    """Which columns a stream is made of, and its time column with how many nanoseconds one of it is.
+
+    Without a time column, ``time`` is empty, and each line or row is ``time_ns`` after the one before.
+    """
+
+    time: str
+    time_ns: float
+    columns: tuple[TableColumn | None, ...]
+
+
+def header_of(source: LogSource) -> tuple[str, ...]:
+    """The names of the columns of a table; LogError for a file that has none."""
+    if source.ending == ".parquet":
+        with _parquet(source) as file:
+            names = tuple(file.schema_arrow.names)
+    else:
+        with _rows(source.file) as rows:
+            _, first = next(rows, (1, []))
+            names = tuple(cell.strip() for cell in first)
+    for at, name in enumerate(names):
+        if name in names[:at]:
+            raise _error(source, "each column once", f'"{shown(name)}" twice', line=1)
+    if not names or len(names) > MOST_COLUMNS:
+        raise _error(source, f"1 to {MOST_COLUMNS:,} named columns", str(len(names)), line=1)
+    return names
+
+
+def time_column(
+    source: LogSource, names: Sequence[str], said: str | None, rate_hz: float | None = None
+) -> tuple[str, float]:
+    """The time column, with nanoseconds in one of it: what is ``said``, or ``time_s`` and the like.
+
+    With the rate of a table that has no such column: none, with nanoseconds from row to row.
+    """
+    if rate_hz is not None:
+        got = said or next((name for unit in TIME_UNITS if (name := f"time_{unit}") in names), None)
+        if got is not None:
+            raise _error(source, 'no column of times, where the file says a "rate"', got, line=1)
+        return "", NS / rate_hz
+    if said is not None:
+        name, _, unit = said.partition(" in ")
+        unit = unit or name.rpartition("_")[2]
+        if name not in names:
+            raise _error(
+                source,
+                f'the column "{name}", which is said to have the time',
+                "none of that name",
+                near_miss(name, names),
+                line=1,
+            )
+        if unit not in TIME_UNITS:
+            expected = f"a unit of the time, as in {name}_ms or in the words {name} in ms"
+            raise LogError(place=source.place, expected=expected, got=said, hint=", ".join(TIME_UNITS))
+        return name, TIME_UNITS[unit]
+    found = [(name, unit) for unit in TIME_UNITS if (name := f"time_{unit}") in names]
+    if len(found) != 1:
+        expected = "one column time_s, time_ms, time_us or time_ns"
+        got = " and ".join(name for name, _ in found) or f"the columns {shown(', '.join(names))}"
+        raise _error(source, expected, got, _TIME_HINT, line=1)
+    return found[0][0], TIME_UNITS[found[0][1]]
+
+
+def optional_column(
+    source: LogSource,
+    names: Sequence[str],
+    stem: str,
+    units: dict[str, float],
+    unit: str | None,
+    *,
+    bare: bool = True,
+) -> TableColumn | None:
+    """The column that begins with ``stem``: with a unit at its end, or none and the ``unit`` that is said.
+
+    Unless it may be ``bare``, a column without a unit at its end is another quantity's.
+    """
+    found = [TableColumn(name, si) for one, si in units.items() if (name := f"{stem}_{one}") in names]
+    if stem in names and unit is not None:
+        found.append(TableColumn(stem, units[unit]))
+    if len(found) > 1:
+        raise _error(source, f"one column of {stem}", " and ".join(one.name for one in found), line=1)
+    if not found and bare and stem in names:
+        ends = " or ".join(f"{stem}_{one}" for one in units)
+        raise _error(source, f'a unit: {ends} as the name of the column, or the key "unit"', stem, line=1)
+    return found[0] if found else None
+
+
+def required_column(
+    source: LogSource, names: Sequence[str], stem: str, units: dict[str, float], unit: str | None
+) -> TableColumn:
+    """As ``optional_column``; LogError if there is none."""
+    found = optional_column(source, names, stem, units, unit)
+    if found is None:
+        wanted = [f"{stem}_{one}" for one in units]
+        hint = near_miss(wanted[0], names) or f"the columns: {shown(', '.join(names))}"
+        raise _error(source, f"a column {' or '.join(wanted)}", "none of that name", hint, line=1)
+    return found
+
+
+def along(track: str, axis: str) -> str:
+    """What a column of a track begins with; of a track without a name it is the axis."""
+    return f"{track}_{axis}" if track else axis
+
+
+def tracks_of(header: tuple[str, ...], *, bare: bool) -> set[str]:
+    """The names of all tracks of a table: x, y and z in a unit of length, or in none if ``bare``.
+
+    That of columns x, y and z alone is empty.
+    """
+    ends = (*(f"_{unit}" for unit in LENGTH_UNITS), *[""] * bare)
+    found = {(name[: -len(f"_x{end}")], end) for name in header for end in ends if name.endswith(f"_x{end}")}
+    found |= {("", end) for end in ends if f"x{end}" in header}
+    return {stem for stem, end in found if {along(stem, f"{axis}{end}") for axis in "yz"} <= set(header)}
+
+
+def only_track(source: LogSource, header: tuple[str, ...]) -> str:
+    """The one track of a table."""
+    tracks = sorted(tracks_of(header, bare=True))
+    if len(tracks) != 1:
+        got = ", ".join(tracks) or f"the columns {', '.join(header)}"
+        expected = f"which track, such as {source.file.name}#right_hand"
+        raise LogError(place=source.place, expected=expected, got=got)
+    return tracks[0]
+
+
+def read_table(table: Table, collector: Collector) -> None:
+    """Hand every row to ``collector``; LogError with line or row for a cell that is no number."""
+    source = collector.source
+    wanted = tuple(one.name for one in table.columns if one is not None)
+    wanted = (table.time, *wanted) if table.time else wanted
+    source.seen.update(header_of(source))
+    source.used.update(wanted)
+    parquet, first = source.ending == ".parquet", None
+    for at, cells in _parquet_cells(source, table, wanted) if parquet else _csv_cells(source, wanted):
+        rest, first = iter(cells), at if first is None else first
+        try:
+            since = round((at - first) * table.time_ns)  # a line without cells is a sample that was lost
+            time_ns = _time(next(rest), table, source, at) if table.time else since
+        except LogError as refused:
+            collector.unstamped(refused)
+            continue
+        values = [math.nan if one is None else _cell(next(rest), one, source, at) for one in table.columns]
+        collector.add(time_ns, values, at)
+
+
+def _csv_cells(source: LogSource, wanted: Sequence[str]) -> Iterator[tuple[int, Sequence[Any]]]:
+    """Each line's number, and its cells in the columns that are ``wanted``."""
+    with source.file.open("rb") as data:
+        data.seek(-1, SEEK_END)
+        cut_off = data.read() not in (b"\n", b"\r")
+    with _rows(source.file) as rows:
+        line, row = next(rows)
+        names = [cell.strip() for cell in row]
+        cells_at = [names.index(name) for name in wanted]
+        for line, row in rows:
+            if not row:
+                continue
+            if len(row) != len(names):
+                expected = f"{len(names)} cells, as in the first line"
+                raise _error(source, expected, str(len(row)), line=line)
+            yield line, [row[at] for at in cells_at]
+    if cut_off:
+        expected, got = "a line end after the last line", f"the end of the file after {row[-1]!r}"
+        hint = "it may be cut off within a number; if it is whole, end it with a line end, in a copy"
+        raise _error(source, expected, got, hint, line=line)
+
+
+def _parquet_cells(
+    source: LogSource, table: Table, wanted: Sequence[str]
+) -> Iterator[tuple[int, Sequence[Any]]]:
+    """As ``_csv_cells``, with the numbers of rows."""
+    with _parquet(source) as file:
+        _refuse_types(source, file.schema_arrow, table)
+        row = 0
+        for batch in file.iter_batches(batch_size=ROWS_AT_ONCE, columns=list(dict.fromkeys(wanted))):
+            columns = {name: batch.column(name).to_pylist() for name in batch.schema.names}
+            for cells in zip(*(columns[name] for name in wanted), strict=True):
+                row += 1
+                yield row, cells
+
+
+def _refuse_types(source: LogSource, schema: Any, table: Table) -> None:
+    """LogError for a column of a Parquet file that would be taken for numbers, and has none."""
+    columns = [one.name for one in table.columns if one is not None and one.words is None]
+    for name in [*[table.time] * bool(table.time), *columns]:
+        kind = str(schema.field(name).type)
+        if kind == "bool" or kind.startswith(("timestamp", "duration", "date", "time")):
+            hint = 'whole nanoseconds, in a copy: column.cast("timestamp[ns]").cast("int64") of pyarrow'
+            raise _error(source, "a column of numbers", kind, hint * (kind != "bool"), field=name)
+
+
+def as_word(cell: object) -> str:
+    """A word of a program, or the number that it has in its place, as a table of words would have it."""
+    if isinstance(cell, float) and cell.is_integer():
+        return str(int(cell))
+    return "" if cell is None else str(cell).strip()
+
+
+def _time(cell: Any, table: Table, source: LogSource, at: int) -> int:
+    """A time in nanoseconds, from decimal digits where a float has too few."""
+    try:
+        value = float(cell)
+        if isinstance(cell, str) and "_" in cell:
+            raise ValueError
+        if abs(value) * table.time_ns > LATEST_S * NS:
+            expected = f"a time within {LATEST_S:g} s of 0"
+            got, hint = f"{value * table.time_ns / NS:.6g} s", 'its unit? the key "time" says it: stamp in ns'
+            raise _error(source, expected, got, hint, field=table.time, line=at)
+        if isinstance(cell, int):
+            return cell * int(table.time_ns)
+        if abs(value) < _EXACT_BELOW or not isinstance(cell, str):
+            return round(value * table.time_ns)
+        return int((Decimal(cell.strip()) * int(table.time_ns)).to_integral_value())
+    except (TypeError, ValueError, OverflowError, InvalidOperation):
+        raise _error(
+            source, "a time", shown(str(cell)) or "an empty cell", field=table.time, line=at
+        ) from None
+
+
+def _cell(cell: Any, one: TableColumn, source: LogSource, at: int) -> float:
+    """A number in SI, NaN for an empty cell."""
+    if one.words is not None:
+        word = as_word(cell)
+        if word not in one.words:
+            hint = near_miss(word, one.words)
+            raise _error(
+                source, f"one of {', '.join(one.words)}", shown(word) or "none", hint, field=one.name, line=at
+            )
+        return one.words[word]
+    text = cell.strip() if isinstance(cell, str) else cell
+    if text is None or text == "":
+        return math.nan
+    try:
+        value = float(text)
+    except (TypeError, ValueError):
+        value = math.inf
+    if math.isinf(value) or (isinstance(text, str) and "_" in text):
+        expected = "a number, or an empty cell where nothing was measured"
+        raise _error(source, expected, shown(str(cell)), field=one.name, line=at)
+    return value * one.si
+
+
+def _separator(path: Path) -> str:
+    """What stands between the cells of a CSV file, by its line of names; several spaces count as one."""
+    with path.open("rb") as data:
+        names = data.readline(MOST_NAMES_BYTES).decode("utf-8-sig", "replace").strip()
+    unquoted = re.sub(r'"[^"]*"', "", names)
+    by = max(SEPARATORS, key=unquoted.count)
+    return by if by in unquoted else " " if " " in unquoted else ","
+
+
+@contextmanager
+def _rows(path: Path) -> Iterator[Iterator[tuple[int, list[str]]]]:
+    """The rows of a CSV file with their lines, as they are asked for."""
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as text:
+            by = _separator(path)
+            lines = (f"{line.strip()}\n" for line in text) if by == " " else text
+            reader = csv.reader(lines, strict=True, delimiter=by, skipinitialspace=by == " ")
+
+            def rows() -> Iterator[tuple[int, list[str]]]:
+                while True:
+                    try:
+                        row = next(reader)
+                    except StopIteration:
+                        return
+                    except csv.Error as error:
+                        place = Place(file=path, line=reader.line_num)
+                        raise LogError(
+                            place=place, expected=f"a table of cells with {by!r} between them", got=str(error)
+                        ) from error
+                    except UnicodeDecodeError as error:
+                        place = Place(file=path, line=reader.line_num + 1)
+                        raise LogError(place=place, expected="text in UTF-8", got=str(error)) from error
+                    yield reader.line_num, row
+
+            yield rows()
+    except OSError as error:
+        raise LogError(place=Place(file=path), expected="a file that can be read", got=str(error)) from error
+
+
+@contextmanager
+def _parquet(source: LogSource) -> Iterator[Any]:
+    with LOGS.needed("logs in Parquet files", source.file):
+        from pyarrow.parquet import ParquetFile
+    try:
+        with ParquetFile(source.file) as file:
+            yield file
+    except LogError:
+        raise
+    except Exception as error:  # whatever damage provokes
+        place = Place(file=source.file)
+        raise LogError(
+            place=place, expected="a Parquet file, whole", got=f"{type(error).__name__}: {error}"
+        ) from error
+
+
+def _error(
+    source: LogSource,
+    expected: str,
+    got: str,
+    hint: str = "",
+    *,
+    field: str | None = None,
+    line: int | None = None,
+) -> LogError:
+    """At a line of a CSV; a Parquet file has rows."""
+    if source.ending == ".parquet":
+        field = f"row {line}" + (f": {field}" if field else "") if line else field
+        line = None
+    place = Place(file=source.file, line=line, field=field)
+    return LogError(place=place, expected=expected, got=got, hint=hint)

@@ -1,0 +1,356 @@
+"""What a log has of its controller's own word: mode, limits, commands, predicted hands, decisions.
+
+A program's word is no measurement: it is exact, and stands from its stamp until the next one.  What is not
+certain is the stamp, to within what the log's owner says, and whether a word was lost where none was told for
+longer than the longest gap.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import reduce
+from operator import or_
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.base.exceptions import LogError
+from safety_harness.extensions.field.logs.bags import RECEIVED, STAMP, Part, read_parts
+from safety_harness.extensions.field.logs.frames import ToBase
+from safety_harness.extensions.field.logs.streams import LATEST_S, NS, Collector, LogSamples, LogSource
+from safety_harness.extensions.field.logs.tables import (
+    ANGLE_UNITS,
+    LENGTH_UNITS,
+    RATE_UNITS,
+    Table,
+    TableColumn,
+    header_of,
+    read_table,
+    required_column,
+    time_column,
+)
+from safety_harness.scenario.fields import Field, Fields
+from safety_harness.scenario.nodes import Mapping as MappingNode
+from safety_harness.scenario.units import TIME
+from safety_harness.trace.records import DecisionOutcome, Limit, Mode, Trigger
+
+MODE, LIMITS, COMMANDS, DETECTIONS, DECISIONS = "mode", "limits", "commands", "detections", "decisions"
+STREAMS = (MODE, LIMITS, COMMANDS, DETECTIONS, DECISIONS)
+_COMMON = ("clock", "known to", "time")
+KEYS_OF = {
+    MODE: (*_COMMON, "longest gap", "words"),
+    LIMITS: (*_COMMON, "longest gap", "words"),
+    COMMANDS: (*_COMMON, "longest gap", "unit"),
+    DETECTIONS: (*_COMMON, "longest gap", "unit", "frame", "ahead by"),
+    DECISIONS: (*_COMMON, "unit", "frame", "fields", "words"),
+}
+UNTIL_THE_NEXT = "until the next"
+OF_JOINTS, OF_HANDS = "joints", "hands"
+MODES = {
+    "servoing": Mode.SERVOING,
+    "repulsing": Mode.REPULSING,
+    "stopped": Mode.PROTECTIVE_STOP,
+    "object lost": Mode.OBJECT_LOST,
+}
+FLAGS = {"none": Limit.NONE} | {one.name.lower().replace("_", " "): one for one in Limit if one.name}
+OUTCOMES = {one.name.lower(): one for one in DecisionOutcome}
+TRIGGERS = {one.name.lower().replace("_", " "): one for one in Trigger}
+POSITIONS = {
+    "hand": "hand_position_in_base_m",
+    "tcp": "tcp_position_in_base_m",
+    "proposed": "proposed_position_in_base_m",
+    "chosen": "chosen_position_in_base_m",
+    "opposite": "opposite_position_in_base_m",
+}
+SPREAD, THRESHOLD, OUTCOME, TRIGGER = "spread", "threshold", "outcome", "trigger"
+FIELDS = {
+    **POSITIONS,
+    SPREAD: "proposed_spread_m",
+    THRESHOLD: "spread_threshold_m",
+    OUTCOME: "outcome",
+    TRIGGER: "trigger",
+}
+FASTEST_RADPS, FARTHEST_M, LARGEST_SPREAD_M = 8.0 * np.pi, 10.0, 10.0
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ToldStream:
+    """One stream: ``time_ns`` (n,) on the clock of the joints, each stamp within ``off_ns`` of the truth."""
+
+    samples: LogSamples
+    time_ns: NDArray[np.int64]
+    off_ns: int
+    longest_ns: int | None
+
+    @property
+    def values(self) -> NDArray[np.float64]:
+        """(n, k)."""
+        return self.samples.values
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Told:
+    """All that a log has of it; ``decisions`` have the columns of ``fields``, in this order."""
+
+    mode: ToldStream | None = None
+    limits: ToldStream | None = None
+    commands: ToldStream | None = None
+    tracks: tuple[ToldStream, ...] = ()
+    ahead: Field | None = None  # by how much the told hands are predicted
+    decisions: ToldStream | None = None
+    fields: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class ToldClock:
+    """How stamps become those of the joints' clock: that of hands shows more, known only to so much."""
+
+    hands_ahead_ns: int | None
+    hands_known_to_ns: int
+
+
+Positions = Callable[[Field, Fields], LogSamples]  # a stream of positions in the base frame, NaN kept
+Places = Callable[[Field, LogSamples, int], LogSamples]  # column k and the next two, from a frame to the base
+
+
+def read_told(
+    given: Fields,
+    streams: Fields,
+    joints: tuple[str, ...],
+    clock: ToldClock,
+    source_of: Callable[[Field], LogSource],
+    positions: Positions,
+    placed: Places,
+    to_base: Callable[[LogSource, Field], ToBase],
+) -> Told:
+    """Every stream below ``log`` that is one of ``STREAMS``; LogError with its place for what is wrong."""
+    found: dict[str, object] = {}
+    for name in STREAMS:
+        if name not in streams:
+            if name in given:
+                hint = f"log: {{{name}: FILE}}"
+                raise given.required(name).error(f"a stream of {name} below log", got="none", hint=hint)
+            continue
+        said = given.required(name).fields(KEYS_OF[name])
+        one = _Reading(name, streams.required(name), said, clock, source_of)
+        if name in (MODE, LIMITS):
+            found[name] = one.stream(one.words(said.required("words"), MODES if name == MODE else FLAGS))
+        elif name == COMMANDS:
+            found[name] = one.commands(joints)
+        elif name == DETECTIONS:
+            found["tracks"] = one.tracks(positions)
+            found["ahead"] = said.required("ahead by")
+        else:
+            found[name], found["fields"] = one.decisions(placed, to_base)
+    return Told(**found)  # type: ignore[arg-type]
+
+
+@dataclass(frozen=True)
+class _Reading:
+    """Reads one of the streams, ``field``, of which ``said`` is said."""
+
+    name: str
+    field: Field
+    said: Fields
+    clock: ToldClock
+    source_of: Callable[[Field], LogSource]
+
+    def words(self, table: Field, ours: Mapping[str, int]) -> dict[str, float]:
+        """The log's words, or numbers, with what they mean; several of a kind are joined by "and"."""
+        found = {}
+        for word, one in table.entries("the log's words with ours, such as RETREAT: repulsing"):
+            told = one.scalar("a word of ours")
+            parts = told.split(" and ") if Limit.NONE in ours.values() else [told]
+            codes = [ours[part] if part in ours else one.one_of(dict(ours)) for part in parts]
+            found[word] = float(reduce(or_, (int(code) for code in codes)))
+        if not found:
+            raise table.error("a word at least")
+        return found
+
+    def stream(self, words: dict[str, float]) -> ToldStream:
+        """Of one word a sample."""
+        source = self.source_of(self.field)
+        if source.is_bag:
+            return self.told(self.read_bag(source, [Part(self.path(source), 1, 1.0, words)]))
+        return self.told(self.read(source, [TableColumn(self.column(source), 1.0, words)]))
+
+    def commands(self, joints: tuple[str, ...]) -> ToldStream:
+        """(n, j) speeds of the joints."""
+        source, unit = self.source_of(self.field), self.said.optional("unit")
+        word = None if unit is None else unit.one_of({one: one for one in ANGLE_UNITS})
+        if source.is_bag:
+            si = ANGLE_UNITS[word or "rad"]
+            part = Part(source.path or "velocity", len(joints), si, names="" if source.path else "name")
+            samples = self.read_bag(source, [part], joints)
+        else:
+            header, rate = header_of(source), None if word is None else f"{word}ps"
+            columns = [
+                required_column(source, header, f"{source.what}{name}", RATE_UNITS, rate) for name in joints
+            ]
+            samples = self.read(source, columns)
+        self.refuse(samples, ~np.isfinite(samples.values), "a speed of each joint", "none")
+        fast, most = np.abs(samples.values) > FASTEST_RADPS, np.degrees(FASTEST_RADPS)
+        self.refuse(samples, fast, f"joint speeds of at most {most:.0f} deg/s", "more", 'the key "unit"')
+        return self.told(samples)
+
+    def tracks(self, positions: Positions) -> tuple[ToldStream, ...]:
+        """Of one hand that is told each; a sample without numbers tells that it is not tracked."""
+        field, several = self.field, isinstance(self.field.node, MappingNode)
+        parts = field.entries("tracked hands by their names") if several else (("", field),)
+        if not parts:
+            raise field.error("a tracked hand at least")
+        found = []
+        for _, one in parts:
+            found.append(self.told(positions(one, self.said)))
+        return tuple(found)
+
+    def decisions(
+        self, placed: Places, to_base: Callable[[LogSource, Field], ToBase]
+    ) -> tuple[ToldStream, tuple[str, ...]]:
+        """A decision a sample: the numbers of each field that is mapped, in the order of ``FIELDS``."""
+        said = self.said.required("fields").fields(tuple(FIELDS))
+        words = self.said.optional("words")
+        given = None if words is None else words.fields((OUTCOME, TRIGGER))
+        tables = {}
+        for name, ours in ((OUTCOME, OUTCOMES), (TRIGGER, TRIGGERS)):
+            table = None if given is None else given.optional(name)
+            tables[name] = (
+                {w: float(c) for w, c in ours.items()} if table is None else self.words(table, ours)
+            )
+        names = tuple(name for name in FIELDS if name in said)
+        if not names:
+            raise self.said.required("fields").error("a field at least", hint=", ".join(FIELDS))
+        widths = tuple(width_of(name) for name in names)
+        source, unit = self.source_of(self.field), self.said.optional("unit")
+        word = None if unit is None else unit.one_of({one: one for one in LENGTH_UNITS})
+        called = {name: said.required(name).sentence("what the log calls it") for name in names}
+        if source.is_bag:
+            parts = [
+                Part(
+                    called[name],
+                    width,
+                    1.0 if name in tables else LENGTH_UNITS[word or "m"],
+                    tables.get(name),
+                )
+                for name, width in zip(names, widths, strict=True)
+            ]
+            somewhere = any(name in POSITIONS for name in names)
+            framed = to_base(source, self.said.required("frame")) if somewhere else None
+            samples = self.read_bag(source, parts, least=0, framed=framed)
+        else:
+            header, columns = header_of(source), []
+            for name in names:
+                stem = source.what + called[name]
+                if name in tables:
+                    self.column(source, stem)
+                    columns.append(TableColumn(stem, 1.0, tables[name]))
+                    continue
+                stems = [stem] if name == THRESHOLD else [f"{stem}_{axis}" for axis in "xyz"]
+                columns += [required_column(source, header, one, LENGTH_UNITS, word) for one in stems]
+            samples = self.read(source, columns, least=0)
+        at = dict(zip(names, np.cumsum((0, *widths)).tolist(), strict=False))
+        for name in names:
+            if name in POSITIONS:
+                samples = placed(self.said.required("frame"), samples, at[name])
+        self.refuse_no_decision(samples, at)
+        return self.told(samples), names
+
+    def refuse_no_decision(self, samples: LogSamples, at: Mapping[str, int]) -> None:
+        """LogError for a decision whose numbers are none: only a stop has no position that was chosen."""
+        values = samples.values
+        stops = np.zeros(len(values), np.bool_)
+        if OUTCOME in at:
+            stops = values[:, at[OUTCOME]] == DecisionOutcome.STOP
+        for name, first in at.items():
+            here = values[:, first : first + width_of(name)]
+            if name in POSITIONS:
+                none = np.asarray(~np.isfinite(here).all(axis=1))
+                if name == "chosen":
+                    none &= ~stops
+                elif name == "proposed" and OUTCOME in at:  # one that was no answer was not used
+                    none &= values[:, at[OUTCOME]] == DecisionOutcome.PROPOSED
+                elif name == "opposite":
+                    none[:] = False
+                self.refuse(samples, none, f'three numbers for "{name}"', "none")
+                far = np.abs(here) > FARTHEST_M
+                self.refuse(samples, far, f'"{name}" within {FARTHEST_M:g} m', "more", 'the key "unit"')
+            elif name == SPREAD:
+                self.refuse(
+                    samples, (here < 0.0) | (here > LARGEST_SPREAD_M), "a spread of 0 to 10 m", "none"
+                )
+
+    def refuse(
+        self, samples: LogSamples, wrong: NDArray[np.bool_], expected: str, got: str, hint: str = ""
+    ) -> None:
+        """LogError at the first sample that is ``wrong`` (n, ...)."""
+        if wrong.any():
+            index = int(np.argmax(wrong.reshape(len(wrong), -1).any(axis=1)))
+            told = ", ".join(f"{value:.6g}" for value in samples.values[index])
+            raise samples.error(index, f"{self.name}: {expected}", f"{got} ({told})", hint)
+
+    def path(self, source: LogSource) -> str:
+        """The field of a message that the word is in."""
+        return source.path or "data"
+
+    def column(self, source: LogSource, name: str | None = None) -> str:
+        """A column by its whole name; LogError if there is none."""
+        wanted, header = source.what if name is None else name, header_of(source)
+        if wanted not in header:
+            columns = f"the columns: {', '.join(header)}"
+            raise LogError(
+                place=source.place, expected="the name of a column", got=wanted or "none", hint=columns
+            )
+        return wanted
+
+    def read(self, source: LogSource, columns: list[TableColumn], least: int = 1) -> LogSamples:
+        """From a table."""
+        said = self.said.optional("time")
+        time = time_column(
+            source, header_of(source), None if said is None else said.sentence("the name of a column")
+        )
+        collector = Collector(source, len(columns), least=least)
+        read_table(Table(*time, tuple(columns)), collector)
+        return collector.samples()
+
+    def read_bag(
+        self,
+        source: LogSource,
+        parts: list[Part],
+        names: tuple[str, ...] = (),
+        least: int = 1,
+        framed: ToBase | None = None,
+    ) -> LogSamples:
+        """From the messages of a topic."""
+        said = self.said.optional("time")
+        time = STAMP if said is None else said.one_of({one: one for one in (STAMP, RECEIVED)})
+        collector = Collector(source, sum(part.width for part in parts), least=least)
+        read_parts(source, collector, parts, names, time=time, framed=framed)
+        return collector.samples()
+
+    def told(self, samples: LogSamples) -> ToldStream:
+        """With its clock."""
+        clock, by_ns = self.said.optional("clock"), 0
+        off_ns = round(self.said.required("known to").quantity(TIME, least=0.0, most=LATEST_S) * NS)
+        if clock is not None and clock.one_of({OF_JOINTS: False, OF_HANDS: True}):
+            if self.clock.hands_ahead_ns is None:
+                raise clock.error("the clock of the joints, where no hands are", got=OF_HANDS)
+            by_ns, off_ns = self.clock.hands_ahead_ns, off_ns + self.clock.hands_known_to_ns
+        longest_ns = None
+        if self.name != DECISIONS:
+            gap = self.said.required("longest gap")
+            if gap.scalar("a time, or: until the next") != UNTIL_THE_NEXT:
+                longest_ns = round(gap.quantity(TIME, above=0.0, most=LATEST_S) * NS)
+        return ToldStream(
+            samples=samples, time_ns=samples.time_ns - by_ns, off_ns=off_ns, longest_ns=longest_ns
+        )
+
+
+def width_of(name: str) -> int:
+    """How many numbers a field of a decision has."""
+    return 3 if name in POSITIONS or name == SPREAD else 1
+
+
+def ahead_s(told: Told) -> float | None:
+    """How far ahead told hands are predicted, if there are any."""
+    return None if told.ahead is None else told.ahead.quantity(TIME, least=0.0, most=2.0)

@@ -1,0 +1,378 @@
+"""Samples in, ticks made of them, verdicts out: what a stream does, and what was missing in it.
+
+A tick is judged when joints of its time or later have come.  A hand's place there is what its latest sample
+leaves possible; when its next one has come, the ticks since the last one are judged again by both, beside the
+next tick, as a log of all that came would be.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, field
+from fractions import Fraction
+from math import inf
+
+import numpy as np
+
+from safety_harness.base.exceptions import FormulaError, StreamError
+from safety_harness.claims.formulas.claim import GRAVEST
+from safety_harness.claims.formulas.signals import hand_distance
+from safety_harness.extensions.field.logs.streams import NS, SHORTEST_STEP_NS
+from safety_harness.extensions.field.monitoring.cell import WatchedCell
+from safety_harness.extensions.field.monitoring.journal import Journal
+from safety_harness.extensions.field.monitoring.sample import Sample, line_error, read_sample
+from safety_harness.extensions.field.monitoring.sensing import MEASURED, HandTracks, Sensing, TickSeen
+from safety_harness.extensions.field.monitoring.tracks import BodyTrack, JointTrack, Jump
+from safety_harness.extensions.field.monitoring.watched import WatchedClaim
+from safety_harness.scenario.model import Verdict
+
+NO_SAFETY_FUNCTION = (
+    "this monitor is no safety function: it stops nothing, and nothing may rely on it to protect a person"
+)
+FARTHEST_AHEAD_S = 60.0  # a time so much later than the latest one is a slip, or another clock
+LATENCY_S = 0.1  # of hands behind joints, by which ticks are still judged again
+WAITING_HANDS = 100  # before the first joints
+FORGETS_EVERY = 10  # ticks
+
+
+@dataclass
+class StreamCounts:
+    """What came of a stream."""
+
+    lines: int = 0
+    refused: int = 0  # that cannot be used, or not all of it
+    out_of_order: int = 0  # joints or hands that came after later ones: in time to be put in order, or late
+    late: int = 0  # joints or hands older than what was used, left out
+    repeated: int = 0  # joints or hands of the same time as what was used, left out
+    ticks: int = 0
+    missing: int = 0  # ticks in a gap of the joints, or without a sample of them within a period
+    lost: int = 0  # ticks at which, as they came, the arm or a hand was lost
+    silent: int = 0  # times that nothing came for the joints' longest gap
+
+
+@dataclass(frozen=True, kw_only=True)
+class VerdictLine:
+    """A claim's verdict on the run so far, or what it says of the latest tick, is another from here on."""
+
+    time_s: float
+    claim: str
+    verdict: Verdict
+    latest: Verdict
+    margin: float | None
+    unit: str
+    reason: str
+
+    @property
+    def told(self) -> dict[str, object]:
+        """For programs."""
+        return asdict(self) | {"verdict": self.verdict.value, "latest": self.latest.value}
+
+
+@dataclass(kw_only=True)
+class Monitor:
+    """Watches the claims of ``cell`` on its stream.
+
+    FormulaError for one that it cannot tell; with ``some`` that is kept in ``unwatched``, and the others are
+    watched, if there are any.  Lines wait ``wait_s`` of the stream's time for earlier ones.  What is used
+    goes to ``journal``.
+    """
+
+    cell: WatchedCell
+    wait_s: float = 0.0
+    some: bool = False
+    unwatched: dict[str, FormulaError] = field(default_factory=dict)
+    journal: Journal | None = None
+    counts: StreamCounts = field(default_factory=StreamCounts)
+
+    def __post_init__(self) -> None:
+        cell = self.cell
+        self._joints = JointTrack(cell.joint_facts, cell.period_ns, cell.arm)
+        self._with_speeds = cell.joint_facts.speeds_known_to_radps is not None
+        self._hands: dict[str, HandTracks] = {}
+        for hand in cell.hands:
+            own, elbow = (BodyTrack(cell.hand_facts, cell.clock_known_to_s, cell.period_ns) for _ in range(2))
+            self._hands[hand.name] = HandTracks(own, elbow if hand.elbow else None if hand.forearm else own)
+        self._sensing = Sensing(cell, tuple(self._hands.values()))
+        revisable = int((cell.hand_facts.longest_gap_s + LATENCY_S) / cell.period_s) + 4
+        self.claims: list[WatchedClaim] = []
+        for one in cell.scenario.claims:
+            try:
+                self.claims.append(self._watched(one.sentence, revisable))
+            except FormulaError as error:
+                self.unwatched[one.sentence] = error
+        if self.unwatched and not (self.some and self.claims):
+            raise next(iter(self.unwatched.values()))
+        self.time_s = 0.0
+        period = Fraction(repr(cell.period_s))  # as it is written, in decimals: so elapsed time has it
+        self._exact = float(period.numerator), float(period.denominator)
+        self._told: list[tuple[Verdict, Verdict] | None] = [None] * len(self.claims)
+        self._better_since_s = [inf] * len(self.claims)
+        self._waiting: list[tuple[float, int, Sample]] = []
+        self._newest_s = -inf  # on the joints' clock
+        self._latest_of: dict[str, float] = {}  # joints, and each hand
+        self._origin_ns: int | None = None
+        self._early: deque[tuple[int, Sample]] = deque(maxlen=WAITING_HANDS)
+        self._moments: deque[TickSeen] = deque(maxlen=revisable + 1)
+        self._next = 0  # tick
+        self._stale = 0  # the first tick of which more is known
+        self._silent = False
+        self._unused = 0  # lines since joints were used last, but those of hands alone
+
+    def _watched(self, sentence: str, revisable: int) -> WatchedClaim:
+        measured = all(hand.elbow or not hand.forearm for hand in self.cell.hands)
+        known = [signal for signal in MEASURED if measured or signal is not hand_distance]
+        try:
+            return WatchedClaim(sentence, known, self.cell.period_s, revisable)
+        except FormulaError as error:
+            hint = error.hint
+            if not measured and hand_distance.words in error.got:
+                hint = "the forearm is not measured, and may be anywhere about the hand"
+            got = error.got if sentence in error.got else f'{error.got}, in "{sentence}"'
+            raise FormulaError(place=error.place, expected=error.expected, got=got, hint=hint) from None
+
+    def take(self, line: bytes) -> Iterator[VerdictLine]:
+        """The next line; StreamError if it, or part of it, cannot be used, which is counted."""
+        self.counts.lines += 1
+        self._unused += 1
+        number = self.counts.lines
+        try:
+            count, speeds = len(self.cell.arm.joint_names), self._with_speeds
+            sample = read_sample(line, number, joints=count, hands=self._hands.keys(), speeds=speeds)
+            time_s = sample.time_s - self._ahead_s(sample)
+            if -inf < self._newest_s + FARTHEST_AHEAD_S < time_s:
+                expected = f"a time within {FARTHEST_AHEAD_S:g} s of the latest one, {self._newest_s:.10g} s"
+                hint = "a clock that jumped is another run: begin again"
+                raise line_error(number, "time_s", expected, f"{sample.time_s:.10g} s", hint)
+        except StreamError:
+            self.counts.refused += 1
+            raise
+        kinds = {"joints"} if sample.joint_position_rad is not None else set()
+        self._unused -= not kinds
+        for kind in kinds | sample.hands.keys():
+            self.counts.out_of_order += sample.time_s < self._latest_of.get(kind, -inf)
+            self._latest_of[kind] = max(sample.time_s, self._latest_of.get(kind, -inf))
+        self._newest_s = max(self._newest_s, time_s)
+        heapq.heappush(self._waiting, (time_s, number, sample))
+        while self._waiting and self._waiting[0][0] <= self._newest_s - self.wait_s:
+            yield from self._use(*heapq.heappop(self._waiting)[1:])
+
+    def _ahead_s(self, sample: Sample) -> float:
+        """How much more a line shows than the joints' clock: one of hands alone is on theirs."""
+        return self.cell.hands_ahead_ns / NS if sample.joint_position_rad is None else 0.0
+
+    def silent(self) -> Iterator[VerdictLine]:
+        """Nothing came for the longest gap of the joints: nothing is known now."""
+        if not self._silent and self.counts.ticks:
+            self._silent, self.counts.silent = True, self.counts.silent + 1
+            yield from self._changes(self._silence)
+
+    def end(self) -> Iterator[VerdictLine]:
+        """The stream is over: what waits is used; of an end without joints nothing is known."""
+        while self._waiting:
+            yield from self._use(*heapq.heappop(self._waiting)[1:])
+        yield from self._judge_again()
+        if self._joints.last is not None and self._origin_ns is not None:
+            without_s = self._newest_s - (self._origin_ns + self._joints.last[0]) / NS
+            gap_s = self.cell.joint_facts.longest_gap_s
+            if max(without_s, self._unused * self.cell.period_s) > gap_s:
+                yield from self.silent()
+
+    @property
+    def _silence(self) -> str:
+        """Why nothing is known now; empty if something is."""
+        gap_s = self.cell.joint_facts.longest_gap_s
+        return f"no joints that can be used came for {gap_s * 1e3:g} ms" if self._silent else ""
+
+    def verdicts(self) -> list[VerdictLine]:
+        """Every claim's words now: at the latest tick, or when joints had not come for too long."""
+        return [self._change(claim, self._silence) for claim in self.claims]
+
+    def _use(self, number: int, sample: Sample) -> Iterator[VerdictLine]:
+        """StreamError after all that can be used of it was used."""
+        time_ns, problems = round(sample.time_s * NS), []
+        if sample.joint_position_rad is not None and self._origin_ns is None:
+            self._origin_ns = time_ns
+            for early in self._early:
+                problems += self._use_hands(*early)
+            self._early.clear()
+        if self._origin_ns is None:
+            self._early.append((time_ns, sample))
+            return
+        problems += self._use_hands(time_ns, sample)
+        grown = sample.joint_position_rad is not None
+        if grown:
+            try:
+                self._use_joints(time_ns - self._origin_ns, sample)
+            except Jump as error:
+                problems.append(("joint_position_rad", str(error)))
+        if grown:  # hands alone count when the next joints come
+            yield from self._judge()
+        if problems:
+            self.counts.refused += 1
+            name, got = problems[0]
+            hint = 'another unit, marker or clock from here on? faster than is said? or "repeats: at rest"'
+            raise line_error(number, name, "a sample that can follow the one before it", got, hint)
+
+    def _use_hands(self, time_ns: int, sample: Sample) -> list[tuple[str, str]]:
+        """The places of hands of a line that cannot be used, and why."""
+        assert self._origin_ns is not None
+        problems = []
+        at_ns = time_ns - self.cell.hands_ahead_ns - self._origin_ns
+        for name, hand in sample.hands.items() if self._hands else ():
+            tracks = self._hands[name]
+            if hand is None or not any(hand.hand_position_in_base_m):  # zeros: trackers' word for not seen
+                for track in tracks:
+                    if track is not None and track.takes(at_ns):
+                        track.lost = True
+                self._stale = min(self._stale, max(self._next - 1, 0))
+                continue
+            last_ns = [track.samples[-1][0] for track in tracks if track is not None and track.samples]
+            if last_ns and at_ns - max(last_ns) < SHORTEST_STEP_NS:
+                self._count_late(at_ns - max(last_ns))
+                continue
+            used: list[bool] = []
+            for body, track, place in (
+                ("hand", tracks.hand, hand.hand_position_in_base_m),
+                ("elbow", tracks.elbow, hand.elbow_position_in_base_m),
+            ):
+                used.append(False)
+                again = body == "elbow" and track is tracks.hand
+                if track is None or place is None or again or not any(place):
+                    continue
+                position_m = np.array(place)
+                try:
+                    track.refuse_jump(at_ns, position_m)
+                except Jump as error:
+                    problems.append((f"hands.{name}.{body}_position_in_base_m", str(error)))
+                    track.lost = True
+                    continue
+                since_ns = track.samples[-1][0] if track.samples else at_ns - track.reaches_ns
+                if (frozen_ns := track.add(at_ns, position_m)) is not None:
+                    problems.append((f"hands.{name}.{body}_position_in_base_m", self._frozen(frozen_ns)))
+                    since_ns = min(since_ns, frozen_ns)
+                self._stale = max(min(self._stale, since_ns // self.cell.period_ns), 0)
+                used[-1] = True
+            if self.journal is not None and any(used):
+                elbow = hand.elbow_position_in_base_m
+                place = hand.hand_position_in_base_m if used[0] else None
+                self.journal.hand(name, time_ns, place, elbow if used[1] else None)
+        return problems
+
+    def _count_late(self, later_ns: int) -> None:
+        self.counts.repeated += later_ns > -SHORTEST_STEP_NS
+        self.counts.late += later_ns <= -SHORTEST_STEP_NS
+
+    def _use_joints(self, time_ns: int, sample: Sample) -> None:
+        """The next ticks, up to a sample's time; Jump if it cannot be."""
+        track, position_rad = self._joints, sample.joint_position_rad
+        assert position_rad is not None
+        if track.last is not None and time_ns - track.last[0] < SHORTEST_STEP_NS:
+            self._count_late(time_ns - track.last[0])
+            return
+        position = track.unwrapped(time_ns, np.array(position_rad))
+        before_ns = track.last[0] if track.last is not None else time_ns
+        rates = np.array(sample.joint_velocity_radps) if self._with_speeds else None
+        frozen_ns = track.add(time_ns, position, rates)
+        if self.journal is not None:
+            assert self._origin_ns is not None
+            self.journal.joints(time_ns + self._origin_ns, position_rad, sample.joint_velocity_radps)
+        self._silent, self._unused = False, 0
+        period_ns = self.cell.period_ns
+        since_ns = before_ns if frozen_ns is None else frozen_ns
+        self._stale = max(min(self._stale, since_ns // period_ns), 0)
+        if self._moments and before_ns % period_ns == 0 and self._moments[-1].tick == before_ns // period_ns:
+            self._moments[-1].rates_radps = track.at(before_ns)[1]
+        self.counts.missing += max((time_ns - before_ns) // period_ns - 1, 0)
+        if frozen_ns is not None:
+            raise Jump(self._frozen(frozen_ns))
+
+    def _frozen(self, since_ns: int) -> str:
+        """What came of a stream that repeats itself since ``since_ns``, on the joints' clock."""
+        assert self._origin_ns is not None
+        since_s = (self._origin_ns + since_ns) / NS
+        return (
+            f"the same numbers to the last bit from {since_s:.3f} s on, though the stream has noise elsewhere"
+        )
+
+    def _judge(self) -> Iterator[VerdictLine]:
+        """The ticks that joints have come for."""
+        assert self._joints.last is not None
+        while self._next * self.cell.period_ns <= self._joints.last[0]:
+            tick = self._next
+            position, rates = self._joints.at(tick * self.cell.period_ns)
+            elapsed_s = float(tick) * self._exact[0] / self._exact[1]
+            self._moments.append(TickSeen(tick, elapsed_s, position, rates))
+            self._next, self.counts.ticks = tick + 1, self.counts.ticks + 1
+            yield from self._judge_again(grown=True)
+            self.counts.lost += self._moments[-1].lost
+
+    def _judge_again(self, *, grown: bool = False) -> Iterator[VerdictLine]:
+        """The ticks of which more is known."""
+        moments = [one for one in self._moments if one.tick >= self._stale]
+        if not moments:
+            return
+        assert self._origin_ns is not None
+        self.time_s = (self._origin_ns + moments[-1].tick * self.cell.period_ns) / NS
+        off = [self._joints.off(one.tick) for one in moments]
+        first = len(self._moments) - len(moments)
+        if first > 0:
+            moments.insert(0, self._moments[first - 1])
+        seen = self._sensing.see(moments, len(moments) - len(off), off)
+        for claim in self.claims:
+            claim.see(seen, moments[0].tick, grown=grown)
+        self._stale = self._next
+        if (oldest := self._moments[0].tick) % FORGETS_EVERY == 0:
+            self._forget(oldest)
+        yield from self._changes()
+
+    def _forget(self, before: int) -> None:
+        self._joints.forget(before)
+        for tracks in self._hands.values():
+            for track in tracks:
+                if track is not None:
+                    track.forget(before)
+
+    def _changes(self, silence: str = "") -> Iterator[VerdictLine]:
+        """What is worse is told at once, what is better when it lasted for the hands' longest gap.
+
+        A verdict that is close comes and goes with every sample of a hand.
+        """
+        for number, claim in enumerate(self.claims):
+            now, told = _said(claim, silence), self._told[number]
+            if now == told:
+                self._better_since_s[number] = inf
+                continue
+            since_s = self._better_since_s[number] = min(self._better_since_s[number], self.time_s)
+            worse = told is None or any(map(_worse, now, told))
+            if worse or self.time_s - since_s >= self.cell.hand_facts.longest_gap_s:
+                self._told[number], self._better_since_s[number] = now, inf
+                yield self._change(claim, silence)
+
+    def _change(self, claim: WatchedClaim, silence: str = "") -> VerdictLine:
+        """A claim's words at the latest tick; with ``silence`` nothing is known since then."""
+        part = claim.deciding
+        verdict, latest = _said(claim, silence)
+        signals = self._moments[-1].signals if self._moments else None
+        return VerdictLine(
+            time_s=self.time_s,
+            claim=claim.sentence,
+            verdict=verdict,
+            latest=latest,
+            margin=None if part.margin is None else part.margin * part.unit.per_si,
+            unit=part.unit.symbol,
+            reason=silence or (part.reason(signals) if signals is not None else "nothing came yet"),
+        )
+
+
+def _worse(now: Verdict, told: Verdict) -> bool:
+    return GRAVEST.index(now) < GRAVEST.index(told)
+
+
+def _said(claim: WatchedClaim, silence: str) -> tuple[Verdict, Verdict]:
+    """On the run so far and of the latest tick; with ``silence`` no more is known than what was violated."""
+    verdict = claim.verdict
+    if silence:
+        return Verdict.VIOLATED if verdict is Verdict.VIOLATED else Verdict.INCONCLUSIVE, Verdict.INCONCLUSIVE
+    return verdict, claim.latest

@@ -1,0 +1,259 @@
+"""Samples of one thing as they come, straight between them, and within how much of that the true one was.
+
+The bounds are those of a log that ends now (``extensions.field.logs.certain``), sample by sample: between two samples by
+``extensions.field.logs.reach``, after the last one by the greatest speed, up to half of the longest gap.  Times are in
+nanoseconds since the first joints.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.cell.robot.description import ArmModel
+from safety_harness.extensions.field.logs.checked import wrapped_rad
+from safety_harness.extensions.field.logs.frozen import Repeats
+from safety_harness.extensions.field.logs.model import HandFacts, JointFacts
+from safety_harness.extensions.field.logs.reach import (
+    ROUNDING_M,
+    beyond_end,
+    body_off_m,
+    joint_off_rad,
+    known_beyond_ns,
+    rate_off,
+)
+from safety_harness.extensions.field.logs.streams import NS, SHORTEST_STEP_NS
+
+Values = NDArray[np.float64]
+
+
+class Jump(ValueError):
+    """A sample that cannot follow the one before it: too far away, or frozen."""
+
+
+class WithinByTick:
+    """``extensions.field.logs.reach.over_ticks``, sample by sample: bounds at ticks, and ticks at which nothing is known."""
+
+    def __init__(self, longest_ns: int, period_ns: int) -> None:
+        self._longest_ns, self._period_ns = longest_ns, period_ns
+        self._off: dict[int, float] = {}
+        self._lost: dict[int, None] = {}
+        self._alone: dict[int, None] = {}  # ticks with a sample at the end of a gap
+        self.oldest = 0
+
+    def add(self, begin_ns: int, end_ns: int, off: float, *, lost: bool = False) -> None:
+        """From one sample to the next it was within ``off`` of the line between them, or ``lost``."""
+        first, last = begin_ns // self._period_ns, -(-end_ns // self._period_ns)
+        if lost or end_ns - begin_ns > self._longest_ns:
+            self._lost |= dict.fromkeys(range(max(first + (last - first > 1), self.oldest), last))
+            ends = (divmod(time_ns, self._period_ns) for time_ns in (begin_ns, end_ns))
+            self._alone |= {tick: None for tick, beside_ns in ends if not beside_ns}
+            return
+        for tick in range(max(first, self.oldest), last + 1):
+            self._off[tick] = max(self._off.get(tick, 0.0), off)
+
+    def at(self, tick: int) -> float | None:
+        """At a tick; None where nothing is known."""
+        if tick in self._lost or (tick in self._alone and tick not in self._off):
+            return None
+        return self._off.get(tick, 0.0)
+
+    def forget(self, before: int) -> None:
+        """Of ticks before this one nothing is asked again."""
+        self.oldest = before
+        for kept in (self._off, self._lost, self._alone):
+            while kept and (tick := next(iter(kept))) < before:
+                del kept[tick]
+
+
+class JointTrack:
+    """The joints: their position, speed and what both may be off, at ticks that a sample has come for."""
+
+    def __init__(self, facts: JointFacts, period_ns: int, arm: ArmModel) -> None:
+        self._facts, self._period_ns, self._arm = facts, period_ns, arm
+        self._turned_rad = np.zeros(len(arm.joint_names))  # by which what comes is wrapped
+        longest_ns = round(facts.longest_gap_s * NS)
+        self._within, self._rate_within = (WithinByTick(longest_ns, period_ns) for _ in range(2))
+        self._bends: dict[int, float] = {}
+        self.last: tuple[int, Values, Values | None] | None = None
+        self._before: tuple[int, Values, Values | None] | None = None
+        self.slope: Values | None = None  # from the sample before to the last
+        self._repeats = [Repeats() for _ in facts.move_at_most_radps]
+
+    def unwrapped(self, time_ns: int, position_rad: Values) -> Values:
+        """Return the next ``position_rad`` (n,) without wraps; Jump if a joint cannot have got there."""
+        turned_rad = self._turned_rad
+        if self.last is not None:
+            step_s = (time_ns - self.last[0]) / NS
+            way, most = position_rad - turned_rad - self.last[1], self._facts.move_at_most_radps
+            wrapped = wrapped_rad(way, step_s, self._facts, self._arm)
+            turned_rad, way = turned_rad + wrapped, np.abs(way - wrapped)
+            fast = way - step_s * most - 2.0 * self._facts.known_to_rad
+            if fast.max() > 0.0:
+                joint = int(fast.argmax())
+                raise Jump(
+                    f"joint {joint + 1} turn {np.degrees(way[joint]):.4g} deg in {step_s * 1e3:.4g} ms, "
+                    f"which can {np.degrees(most[joint]):.4g} deg/s"
+                )
+        self._turned_rad = turned_rad
+        return position_rad - turned_rad
+
+    def add(self, time_ns: int, position_rad: Values, rates_radps: Values | None) -> int | None:
+        """Take a sample that is later than the last one: ``position_rad`` (n,), ``rates_radps`` (n,).
+
+        Return since when a joint is frozen; None: none is.
+        """
+        sample, before = (time_ns, position_rad, rates_radps), self.last
+        self._before, self.last = before, sample
+        joints = zip(self._repeats, position_rad.tolist(), strict=True)
+        since = [at_ns for one, value in joints if (at_ns := one.since(time_ns, (value,))) is not None]
+        if before is None:
+            self._within.add(0, 0, self._facts.known_to_rad)
+            return None
+        frozen = bool(since) and not self._facts.at_rest
+        begin_ns = min(before[0], *since) if frozen else before[0]
+        step_s, facts = (time_ns - before[0]) / NS, self._facts
+        most, hard = facts.move_at_most_radps, facts.accelerate_at_most_radps2
+        slope = (position_rad - before[1])[None] / step_s
+        # of one step, by numbers: it is the quicker way
+        steps = np.array([step_s]) if hard is None else step_s
+        off = joint_off_rad(slope, steps, most=most, hardest=hard, sample_rad=facts.known_to_rad)
+        self._within.add(begin_ns, time_ns, off.item(), lost=frozen)
+        if facts.speeds_known_to_radps is None:
+            off = rate_off(slope, steps, most=most, hardest=hard, sample=facts.known_to_rad)
+        else:
+            assert rates_radps is not None
+            assert before[2] is not None
+            fastest = np.maximum(np.abs(rates_radps), np.abs(before[2])) + most
+            more = float(fastest.max()) if hard is None else hard * step_s / 2.0
+            off = np.array(facts.speeds_known_to_radps + more)
+        self._rate_within.add(begin_ns, time_ns, off.item(), lost=frozen)
+        if self.slope is not None and before[0] % self._period_ns:
+            cell = before[0] // self._period_ns
+            bend = float(np.abs(slope[0] - self.slope).max()) * self._period_ns / NS / 4.0
+            self._bends[cell] = self._bends.get(cell, 0.0) + bend
+        self.slope = slope[0]
+        return begin_ns if frozen else None
+
+    def at(self, tick_ns: int) -> tuple[Values, Values]:
+        """Position and speed at a time from the sample before the last one on, up to the last."""
+        assert self.last is not None
+        time_ns, position_rad, rates_radps = self.last
+        if self._before is None or self.slope is None:
+            return position_rad, rates_radps if rates_radps is not None else np.zeros_like(position_rad)
+        before_ns, before_rad, _ = self._before
+        share = (tick_ns - before_ns) / (time_ns - before_ns)
+        position = position_rad if share == 1.0 else before_rad + share * (position_rad - before_rad)
+        if self._facts.speeds_known_to_radps is None:
+            return position, self.slope
+        assert rates_radps is not None
+        assert self._before[2] is not None
+        return position, self._before[2] + share * (rates_radps - self._before[2])
+
+    def off(self, tick: int) -> tuple[float, float] | None:
+        """Within how much position and speed are known at a tick; None if nothing is."""
+        within, rate = self._within.at(tick), self._rate_within.at(tick)
+        if within is None or rate is None:
+            return None
+        if self.slope is None:  # one sample alone
+            rate = float(self._facts.move_at_most_radps.max())
+        return within + max(self._bends.get(tick, 0.0), self._bends.get(tick - 1, 0.0)), rate
+
+    def forget(self, before: int) -> None:
+        """Of ticks before this one nothing is asked again."""
+        self._within.forget(before)
+        self._rate_within.forget(before)
+        while self._bends and (cell := next(iter(self._bends))) < before - 1:
+            del self._bends[cell]
+
+
+class BodyTrack:
+    """A hand or an elbow."""
+
+    def __init__(self, facts: HandFacts, clock_known_to_s: float, period_ns: int) -> None:
+        self._facts, self._clock_s, self._period_ns = facts, clock_known_to_s, period_ns
+        self._longest_ns = round(facts.longest_gap_s * NS)
+        self.reaches_ns = known_beyond_ns(self._longest_ns)
+        self._sample_m = facts.known_to_m + facts.moves_at_most_mps * clock_known_to_s + ROUNDING_M
+        self._within = WithinByTick(self._longest_ns, period_ns)
+        self.samples: deque[tuple[int, Values]] = deque()
+        self._first_ns: int | None = None
+        self.lost = False  # since the last sample
+        self._repeats = Repeats()
+
+    def takes(self, time_ns: int) -> bool:
+        """Is it later than the last one?"""
+        return not self.samples or time_ns - self.samples[-1][0] >= SHORTEST_STEP_NS
+
+    def refuse_jump(self, time_ns: int, position_m: Values) -> None:
+        """Jump if it cannot have got to ``position_m`` (3,) since the last sample."""
+        if self.samples:
+            before_ns, before_m = self.samples[-1]
+            step_s, way_m = (time_ns - before_ns) / NS, float(np.linalg.norm(position_m - before_m))
+            most = self._facts.moves_at_most_mps
+            if way_m > most * (step_s + 2.0 * self._clock_s) + 2.0 * self._facts.known_to_m + ROUNDING_M:
+                raise Jump(f"it go {way_m * 1e3:.4g} mm in {step_s * 1e3:.4g} ms, which can {most:g} m/s")
+
+    def add(self, time_ns: int, position_m: Values) -> int | None:
+        """Take a sample that is later than the last one, at ``position_m`` (3,).
+
+        Return since when it is frozen, and lost; None: it is not.
+        """
+        since_ns = self._repeats.since(time_ns, tuple(position_m.tolist()))
+        self.lost = since_ns is not None and not self._facts.at_rest
+        if self.samples:
+            before_ns, before_m = self.samples[-1]
+            way_m = np.array([np.linalg.norm(position_m - before_m)])
+            steps, most = np.array([(time_ns - before_ns) / NS]), self._facts.moves_at_most_mps
+            off = body_off_m(way_m, steps, most_mps=most, sample_m=self._sample_m)
+            begin_ns = before_ns if since_ns is None else min(since_ns, before_ns)
+            self._within.add(begin_ns if self.lost else before_ns, time_ns, float(off[0]), lost=self.lost)
+        else:
+            self._first_ns = time_ns
+        self.samples.append((time_ns, position_m))
+        return since_ns if self.lost else None
+
+    def at(self, tick: int) -> tuple[Values, float] | None:
+        """Where it was at a tick, and within how much; None if that is not known."""
+        if not self.samples or self._first_ns is None:
+            return None
+        time_ns, last_ns = tick * self._period_ns, self.samples[-1][0]
+        within = self._within.at(tick)
+        away_ns = max(self._first_ns - time_ns, time_ns - last_ns)
+        if within is None or away_ns > self.reaches_ns or (self.lost and time_ns > last_ns):
+            return None
+        if away_ns > -self._period_ns:
+            most = self._facts.moves_at_most_mps
+            own_m = beyond_end(away_ns, most=most, sample=self._sample_m, period_ns=self._period_ns)
+            within = max(within, own_m)
+        return self.between(time_ns), within
+
+    def between(self, time_ns: int) -> Values:
+        """The place at a time on the line between its samples."""
+        after = self.samples[-1]
+        if time_ns >= after[0]:
+            return after[1]
+        for before in reversed(self.samples):
+            if before[0] <= time_ns:
+                share = (time_ns - before[0]) / (after[0] - before[0])
+                return before[1] + share * (after[1] - before[1])
+            after = before
+        return after[1]
+
+    def corners(self, begin_ns: int, end_ns: int) -> list[int]:
+        """The times of samples between two times."""
+        found = []
+        for time_ns, _ in reversed(self.samples):
+            if time_ns <= begin_ns:
+                break
+            if time_ns < end_ns:
+                found.append(time_ns)
+        return found
+
+    def forget(self, before: int) -> None:
+        """Of ticks before this one nothing is asked again."""
+        self._within.forget(before)
+        while len(self.samples) > 1 and self.samples[1][0] <= before * self._period_ns:
+            self.samples.popleft()

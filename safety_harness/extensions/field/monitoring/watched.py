@@ -1,0 +1,239 @@
+"""A claim while a run goes on: at every tick the verdict that ``FormulaClaim`` has on the run up to there."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from math import inf, isnan
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.claims.formulas.claim import GRAVEST, near_of
+from safety_harness.claims.formulas.formula import (
+    Comparison,
+    Formula,
+    Globally,
+    Initially,
+    Not,
+    Relation,
+    Truth,
+    goal_of,
+    parts_of,
+    reach_ticks,
+    shown_in,
+    signals_of,
+    unit_of,
+)
+from safety_harness.claims.formulas.parse import parse_formula
+from safety_harness.claims.formulas.prefix import Prefix, is_endless
+from safety_harness.claims.formulas.quantities import formula_error
+from safety_harness.claims.formulas.signal import Signal
+from safety_harness.claims.formulas.signals import hand_distance, nearest_hand_to_tcp
+from safety_harness.claims.properties.base import Unit
+from safety_harness.claims.properties.catalogue import CATALOGUE
+from safety_harness.claims.properties.hand_distance import HAND_DISTANCE
+from safety_harness.claims.properties.limits import TCP_SPEED as TCP_SPEED_LIMIT
+from safety_harness.extensions.field.monitoring.sensing import (
+    CELL_HIGH,
+    CELL_LOW,
+    HIGH,
+    LOW,
+    MEASURED,
+    TRIED,
+    VALUE,
+    Values,
+)
+from safety_harness.scenario.model import Verdict
+
+AT_TICK, CELL = 0, 1
+AS_FORMULAS = ((HAND_DISTANCE, "always hand distance >= {}"), (TCP_SPEED_LIMIT, "always TCP speed <= {}"))
+
+
+def watched_formula(sentence: str) -> Formula:
+    """What a claim says of every tick and between: a formula, or a sentence of the catalogue that is one.
+
+    FormulaError for what is neither.
+    """
+    for entry, formula in AS_FORMULAS:
+        if (match := entry.understands(sentence)) is not None:
+            return parse_formula(formula.format(match[1]))
+    if any(entry.understands(sentence) for entry in CATALOGUE):
+        known = " and ".join(f'"{entry.example}"' for entry, _ in AS_FORMULAS)
+        expected = f"a formula, or a sentence of the catalogue that is one, as {known} are"
+        got = f'"{sentence}", which looks at a whole run'
+        raise formula_error(expected, got, "judge tells it of the log")
+    return parse_formula(sentence)
+
+
+class WatchedClaim:
+    """What ``sentence`` says of a run so far, of which it asks signals in ``known``.
+
+    FormulaError for one of others, or that cannot be told in bounded memory.
+    """
+
+    def __init__(self, sentence: str, known: Collection[Signal], period_s: float, revisable: int) -> None:
+        formula = watched_formula(sentence)
+        for signal in signals_of(formula):
+            if signal not in known:
+                expected = f"a signal that this stream has: {', '.join(one.words for one in known)}"
+                raise formula_error(expected, signal.words)
+        self.sentence = sentence
+        self.parts = [WatchedPart(part, period_s, revisable) for part in parts_of(formula)]
+        self.single = len(self.parts) == 1
+
+    def see(self, seen: Values, first: int, *, grown: bool) -> None:
+        """Of the latest ticks, from ``first`` on, more is known now, ``seen`` (m, signals, 6).
+
+        With ``grown`` the last one is new.
+        """
+        for part in self.parts:
+            part.see(seen, first, grown=grown)
+
+    @property
+    def verdict(self) -> Verdict:
+        """On the run so far, as if it ended now."""
+        first = self.parts[0]
+        return first.verdict if self.single else _gravest([part.verdict for part in self.parts])
+
+    @property
+    def latest(self) -> Verdict:
+        """Of the latest tick that can be told, where a claim asks every tick; else of the run so far."""
+        first = self.parts[0]
+        return first.latest if self.single else _gravest([part.latest for part in self.parts])
+
+    @property
+    def deciding(self) -> WatchedPart:
+        """The first part with the gravest verdict."""
+        return next(part for part in self.parts if part.verdict is self.verdict)
+
+
+class WatchedPart:
+    """One part of a claim: its ``verdict`` on the run so far, and what it says of the ``latest`` tick.
+
+    ``margin`` is the least of all that may have been, or of one that is violated the largest; None for no
+    finite number.
+    """
+
+    def __init__(self, part: Formula, period_s: float, revisable: int) -> None:
+        self.part, self.unit = part, unit_of(part)
+        self.verdict = self.latest = Verdict.INCONCLUSIVE
+        self.margin: float | None = None
+        ways = _ways(part)
+        single = all(len(one) == 1 for one in ways.values())
+        rising = {atom for atom in ways if 1 in ways[atom]}
+
+        def prefix(formula: Formula, least: int, most: int) -> Prefix:
+            """A comparison's columns, as the formula's ``least`` and ``most`` are asked of ticks or cells.
+
+            A formula's least margin is of what may be from tick to tick, its largest of the ticks alone; the
+            low of a comparison decides the one, or the other if it stands below a "not" or in a trigger.
+            """
+
+            def columns(atom: Comparison | Truth) -> tuple[int, int, int]:
+                low, high = (least, most) if atom in rising else (most, least)
+                if isinstance(atom, Comparison) and atom.relation in (Relation.BELOW, Relation.AT_MOST):
+                    low, high = high, low
+                return MEASURED.index(atom.signal), (LOW, CELL_LOW)[low], (HIGH, CELL_HIGH)[high]
+
+            return Prefix(formula, period_s, revisable, columns)
+
+        self._least = prefix(part, CELL, AT_TICK if single else CELL)
+        self._most = self._least if single else prefix(part, AT_TICK, AT_TICK)
+        goal = goal_of(part)
+        self._end = None if goal is None else prefix(goal, AT_TICK, AT_TICK)
+        asked = dict.fromkeys((self._least, self._most, self._end))
+        self._prefixes = [prefix for prefix in asked if prefix is not None]
+        self._signals = signals_of(part)
+        self._read = [MEASURED.index(signal) for signal in self._signals]
+        triggers = signals_of(part.trigger) if isinstance(part, Globally) else ()
+        self._untried = {k for k, one in zip(self._read, self._signals, strict=True) if one not in triggers}
+        self._asked = False
+        of_hands = (hand_distance, nearest_hand_to_tcp)
+        near_m = (near_of(part, one) if one in of_hands else -inf for one in self._signals)
+        self._near_m = dict(zip(self._read, near_m, strict=True))
+        span = getattr(part, "span", None)
+        self._begin = span.ticks(period_s)[0] if span is not None else 0
+        self._last = inf if any(map(is_endless, part.nodes())) else reach_ticks(part, period_s)
+
+    def see(self, seen: Values, first: int, *, grown: bool) -> None:
+        """As ``WatchedClaim.see``; ``seen`` (m, signals, 6)."""
+        for prefix in self._prefixes:
+            prefix.see(seen, grown=grown)
+        self._exercise(seen, first)
+        least, most = self._least.least, self._most.most
+        self.verdict = _verdict(least, most)
+        if self.verdict is Verdict.HOLDS and not self.exercised:
+            self.verdict = Verdict.INCONCLUSIVE
+        margin = most if most < 0.0 else least
+        self.margin = margin if abs(margin) < inf else None
+        self.latest = self.verdict
+        if self._least.latest is not None and self._most.latest is not None:
+            self.latest = _verdict(self._least.latest[0], self._most.latest[1])
+
+    def _exercise(self, seen: Values, first: int) -> None:
+        """As ``claims.formulas.claim`` counts it."""
+        if not self._asked and isinstance(self.part, Globally):
+            self._asked = self._most.triggered
+        elif not self._asked and (first == 0 or not isinstance(self.part, Initially)):
+            asked = seen[:1] if isinstance(self.part, Initially) else seen
+            self._asked = not bool(np.isnan(asked[:, self._read, VALUE]).any(axis=1).all())
+        ticks = first + np.arange(len(seen))
+        own = seen[(ticks >= self._begin) & (ticks <= self._last)]
+        if self._untried and (not isinstance(self.part, Globally) or self._most.triggered):
+            self._untried -= {k for k in self._untried if self._tries(own[:, k], self._near_m[k]).any()}
+
+    @staticmethod
+    def _tries(own: Values, near_m: float) -> NDArray[np.bool_]:
+        """(m,) where a signal ``own`` (m, 6) puts a claim on it to the test; within ``near_m`` it does."""
+        tries: NDArray[np.bool_] = (own[:, TRIED] > 0.0) | (
+            ~np.isnan(own[:, VALUE]) & (own[:, HIGH] < near_m)
+        )
+        return tries
+
+    @property
+    def exercised(self) -> bool:
+        """An "until" or "eventually" that may be met at the first tick asks nothing."""
+        if self._end is not None and self._end.most >= 0.0:
+            return False
+        return self._asked and not self._untried
+
+    def reason(self, now: Values) -> str:
+        """What is measured of its signals at the latest tick, ``now`` (signals, 6), and what it lacks."""
+        words = ", ".join(_told(signal, now[k]) for k, signal in zip(self._read, self._signals, strict=True))
+        if self.verdict is Verdict.INCONCLUSIVE and self._least.least >= 0.0:
+            return f"never exercised yet: {words}"
+        return words
+
+
+def _ways(formula: Formula, sign: int = 1) -> dict[Comparison | Truth, set[int]]:
+    """Of each comparison whether the formula's margin rises with its own (1), falls (-1), or both.
+
+    Of a trigger the other bound counts, which is as if it fell.
+    """
+    if isinstance(formula, Comparison | Truth):
+        return {formula: {sign}}
+    found: dict[Comparison | Truth, set[int]] = {}
+    for part in formula.parts:
+        turned = isinstance(formula, Not) or (isinstance(formula, Globally) and part is formula.trigger)
+        for atom, ways in _ways(part, -sign if turned else sign).items():
+            found.setdefault(atom, set()).update(ways)
+    return found
+
+
+def _gravest(verdicts: Sequence[Verdict]) -> Verdict:
+    return next(verdict for verdict in GRAVEST if verdict in verdicts)
+
+
+def _verdict(least: float, most: float) -> Verdict:
+    if most < 0.0:
+        return Verdict.VIOLATED
+    return Verdict.HOLDS if least >= 0.0 else Verdict.INCONCLUSIVE
+
+
+def _told(signal: Signal, known: Values) -> str:
+    """A signal's value in words, with its bounds (6,) if they are not it."""
+    if known[LOW] == -inf or isnan(known[VALUE]):
+        return f"{signal.words} not known"
+    unit: Unit = shown_in(signal.dimension)
+    low, high = (f"{float(side) * unit.per_si:.4g}" for side in known[[LOW, HIGH]])
+    return f"{signal.words} {low if low == high else f'{low} to {high}'} {unit.symbol}".rstrip()

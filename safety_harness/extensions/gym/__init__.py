@@ -1,0 +1,24 @@
+"""Worlds as Gymnasium environments; importing this registers ``SafetyHarness-v0``, docs/environments.md.
+
+``gymnasium.make("safety_harness.extensions.gym:SafetyHarness-v0", space="unseen-both.yaml")`` imports it, too.
+"""
+
+from safety_harness.base.extras import GYM
+
+ENVIRONMENT_ID = "SafetyHarness-v0"
+
+
+def register_environments() -> None:
+    """Register the environment, once; MissingPackageError without Gymnasium."""
+    with GYM.needed("environments"):
+        from gymnasium.envs.registration import register, registry
+
+    if ENVIRONMENT_ID not in registry:
+        register(
+            id=ENVIRONMENT_ID,
+            entry_point="safety_harness.extensions.gym.environment:HarnessEnv",
+            vector_entry_point="safety_harness.extensions.gym.vector:HarnessVectorEnv",
+        )
+
+
+register_environments()

@@ -1,0 +1,254 @@
+"""One episode after another as a Gymnasium environment: the loop of ``simulate``, turned inside out."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from itertools import count
+from multiprocessing import current_process, parent_process
+from typing import Any
+from weakref import WeakValueDictionary
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import ArrayLike, NDArray
+
+from safety_harness.admission.admit import Checked
+from safety_harness.base.exceptions import ControllerError, InadmissibleError
+from safety_harness.base.settings import Settings
+from safety_harness.cell.controller.arrays import Arrays, observed
+from safety_harness.cell.controller.driven import DrivenController
+from safety_harness.cell.simulation.simulate import no_ticks, trace_of
+from safety_harness.cell.simulation.world import World
+from safety_harness.cell.simulation.worlds import KINEMATIC, WorldEntry, world_named
+from safety_harness.extensions.gym.episodes import OUTSIDE, Episodes, File
+from safety_harness.extensions.gym.observing import observation_space
+from safety_harness.extensions.gym.rewards import PROGRESS, Rewards
+from safety_harness.scenario.model import Scenario
+from safety_harness.seams.contract import JOINTS, PREDICTED_HANDS, DrivenArm, Seen, Start, Stop, sees_of
+from safety_harness.seams.rows import seen_dtype
+from safety_harness.space.space import ScenarioSpace
+from safety_harness.trace.records import Limit
+from safety_harness.trace.trace import Trace
+
+SEES = (JOINTS, PREDICTED_HANDS)
+REWARDS = {PROGRESS: 1.0, "hand distance never below 50 mm": 100.0}
+TCP_VELOCITY, TCP_TWIST, JOINT_VELOCITY = "tcp velocity", "tcp twist", "joint velocity"
+ACTIONS = (TCP_VELOCITY, TCP_TWIST, JOINT_VELOCITY)
+
+
+class Pilot:
+    """The controller in an environment's place: it says what is seen; ``act`` is the agent's."""
+
+    name = OUTSIDE
+
+    def __init__(self, sees: Sequence[str]) -> None:
+        self.sees = tuple(sees)
+
+    def reset(self, *, settings: Settings, arm: DrivenArm, start: Start, seed: int) -> None:
+        """Nothing is carried over."""
+
+    def act(self, seen: Seen) -> Stop:
+        """Never asked: the environment is told what to do."""
+        raise ControllerError("an environment's actions come from step")
+
+
+class Setting:
+    """What every episode of an environment has in common, single or one of many.
+
+    ``wanted`` has as many numbers as ``obey`` wants of an action: 6 of the TCP, or n of the joints.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario | File | None,
+        space: ScenarioSpace | File | None,
+        world: WorldEntry | str,
+        sees: Sequence[str],
+        action: str,
+        rewards: Mapping[str, float],
+        ends: Sequence[str],
+    ) -> None:
+        for name, words, what in (("sees", sees, "words"), ("ends", ends, "claims")):
+            if not isinstance(words, tuple | list | set | frozenset):  # a text is a sequence of its letters
+                hint = f"[{words!r}]" if isinstance(words, str) else ""
+                raise InadmissibleError.of_option(name, f"a list of {what}", repr(words), hint)
+        self.world = world_named(world, "world") if isinstance(world, str) else world
+        self.episodes = Episodes(scenario, space, self.world)
+        first = self.episodes.first
+        self.pilot = Pilot(sees)
+        self.sees = sees_of(self.pilot)
+        self.joints = len(first.arm.joint_names)
+        self.rewards = Rewards.of(rewards, ends, first)
+        seen = np.zeros(1, seen_dtype(first.scenario.hand_slots, self.joints))
+        self.observation_space = observation_space(seen, self.sees)
+        self.action_space = _action_space(action, first)
+        self.by_joints = action == JOINT_VELOCITY
+        self.wanted = self.joints if self.by_joints else 6
+
+    def wanted_of(self, actions: ArrayLike, lanes: int) -> NDArray[np.float64]:
+        """(n, wanted) of ``actions`` (n, a); ControllerError for another shape, or what is not finite."""
+        shape = self.action_space.shape
+        try:
+            given = np.asarray(actions, np.float64)
+        except (TypeError, ValueError):  # no numbers, or rows that are not alike
+            given = np.full(0, np.nan)
+        if given.size != lanes * shape[0] or given.shape[-1:] != shape or not np.isfinite(given).all():
+            raise ControllerError(f"an action is finite numbers of the shape {shape}; got {actions!r}")
+        wanted = np.zeros((lanes, self.wanted))
+        wanted[:, : shape[0]] = given.reshape(lanes, -1)
+        return wanted
+
+
+def _action_space(action: str, first: Checked) -> spaces.Box:
+    """In SI; what is beyond it is bounded as of any controller, and the trace says so."""
+    motion = first.scenario.settings.motion
+    linear, angular = [motion.max_tcp_speed_mps] * 3, [motion.max_tcp_angular_speed_radps] * 3
+    if action not in ACTIONS:
+        raise InadmissibleError.of_option("action", f"one of: {', '.join(ACTIONS)}", repr(action))
+    most = {
+        TCP_VELOCITY: np.array(linear),
+        TCP_TWIST: np.array(linear + angular),
+        JOINT_VELOCITY: np.array(first.arm.velocity_limit_radps),
+    }[action]
+    return spaces.Box(-most, most, dtype=np.float64)
+
+
+def _lane(environment: HarnessEnv) -> int:
+    """The stream of an environment before a seed is given: another one than its neighbours' in a vector.
+
+    In a process of a vector's, which are numbered by their names, that number; then the lowest that no living
+    environment of the title has.
+    """
+    title = environment.setting.episodes.first.scenario.title
+    worker = re.search(r"\d+$", current_process().name) if parent_process() is not None else None
+    first, step = (int(worker[0]), 1 << 32) if worker else (0, 1)
+    lane = next(number for number in count(first, step) if (title, number) not in _LIVING)
+    _LIVING[title, lane] = environment
+    return lane
+
+
+_LIVING: WeakValueDictionary[tuple[str, int], HarnessEnv] = WeakValueDictionary()
+
+
+class HarnessEnv(gymnasium.Env[dict[str, Any], NDArray[np.float64]]):
+    """A scenario, or draws of a space, in any world, driven by the actions of an agent.
+
+    A step is a control tick.  Without a seed several at a time have streams of their own.  ``sees`` are words
+    of a controller's contract.  ``action`` is "tcp velocity" (3,) or "tcp twist" (6,) in the base frame, or
+    "joint velocity" (n,), in SI.  ``rewards`` gives weights to claims and to "progress" (``extensions.gym.rewards``).
+    A violation of one of ``ends`` at a tick terminates an episode, the end of its scenario truncates it.
+    InadmissibleError for what cannot be tried.
+    """
+
+    metadata = {"render_modes": []}  # noqa: RUF012
+
+    action_space: spaces.Box  # type: ignore[assignment]  # its numbers are float64
+
+    def __init__(
+        self,
+        *,
+        scenario: Scenario | File | None = None,
+        space: ScenarioSpace | File | None = None,
+        world: WorldEntry | str = KINEMATIC,
+        sees: Sequence[str] = SEES,
+        action: str = TCP_VELOCITY,
+        rewards: Mapping[str, float] = REWARDS,
+        ends: Sequence[str] = (),
+    ) -> None:
+        self.setting = Setting(scenario, space, world, sees, action, rewards, ends)
+        self.observation_space = self.setting.observation_space
+        self.action_space = self.setting.action_space
+        self._stream: Iterator[Checked] = self.setting.episodes.stream(_lane(self) or None)
+        self._closing = ExitStack()
+        self._way_m = np.zeros(1)
+        self._over = True
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Begin the next episode; with a ``seed`` the first one of that stream of the seed tree."""
+        super().reset(seed=seed)
+        if seed is not None:
+            self._stream = self.setting.episodes.stream(seed)
+        self._begin(next(self._stream))
+        return self._observed(), self._info()
+
+    def step(self, action: NDArray[np.float64]) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
+        """Move so for a control tick.  ``action`` (a,) as ``action_space`` has; ControllerError for NaN."""
+        if self._over:
+            raise ControllerError("the episode is over: reset begins the next")
+        wanted = self.setting.wanted_of(action, 1)[0]
+        self._command(wanted, last=False)
+        self._look(self._tick + 1)
+        way_before_m, rewards = self._way_m, self.setting.rewards
+        ticks = self._ticks[self._tick : self._tick + 1]
+        margins, self._way_m = rewards.at(ticks), rewards.way_left_m(ticks)
+        for sentence, margin in margins.items():
+            self._least[sentence] = np.minimum(self._least[sentence], margin)
+        reward = float(rewards.of_step(margins, self._way_m, way_before_m)[0])
+        terminated = bool(rewards.over(margins, 1)[0])
+        truncated = self._tick == self._checked.scenario.ticks
+        self._over = terminated or truncated
+        if truncated:  # both ends of a run are recorded, and at the last the action stands
+            self._command(wanted, last=True)
+        return self._observed(), reward, terminated, truncated, self._info()
+
+    def trace(self) -> Trace:
+        """The run of the episode that is over, or so far, to be judged and reported like any other."""
+        whole = self._tick == self._checked.scenario.ticks
+        done = self._ticks[: self._tick + whole]
+        ended = "complete" if whole else "the environment's episode ended before its scenario"
+        return trace_of(self._checked.scenario, self._world, self._controller, done, ended)
+
+    def close(self) -> None:
+        """Close the world."""
+        self._closing.close()
+        self._over = True
+        for key in [key for key, living in _LIVING.items() if living is self]:
+            del _LIVING[key]
+
+    def _begin(self, checked: Checked) -> None:
+        self._closing.close()
+        self._checked, scenario = checked, checked.scenario
+        opened = self.setting.world.open(scenario, checked.arm, checked.joint_position_rad)
+        self._world: World = self._closing.enter_context(opened)
+        self._controller = DrivenController(
+            self.setting.pilot,
+            scenario.settings,
+            checked.arm,
+            checked.view,
+            checked.joint_position_rad,
+            scenario.seed,
+            scenario.hand_slots,
+        )
+        self._ticks, self._over = no_ticks(scenario), False
+        self._look(0)
+        rewards = self.setting.rewards
+        self._least, self._way_m = rewards.at(self._ticks[:1]), rewards.way_left_m(self._ticks[:1])
+
+    def _look(self, tick: int) -> None:
+        self._tick = tick
+        self._world.true_state(self._ticks[tick : tick + 1])
+        self._observation = self._world.observe()
+        self._seen = self._controller.look(self._observation)
+
+    def _command(self, wanted: NDArray[np.float64], *, last: bool) -> None:
+        """What ``simulate`` does between two looks, and after the last one.  ``wanted`` (6,) or (n,)."""
+        tick = self._ticks[self._tick : self._tick + 1]
+        command = self._controller.carry_out(wanted, self.setting.by_joints, False, self._observation)
+        self._controller.report(tick)
+        if not last and self._world.step(command):
+            tick["limits"] |= int(Limit.BRAKING)
+        tick["faults"] |= self._world.acted_faults
+
+    def _observed(self) -> dict[str, Any]:
+        rows: Arrays = observed(self._seen, self.setting.sees)
+        return {name: array[0] for name, array in rows.items()}
+
+    def _info(self) -> dict[str, Any]:
+        """``margins``: by claim the least of the episode so far [SI], at ticks alone."""
+        margins = {sentence: float(least[0]) for sentence, least in self._least.items()}
+        return {"margins": margins, "scenario": self._checked.scenario.name}

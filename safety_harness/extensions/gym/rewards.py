@@ -1,0 +1,148 @@
+"""Rewards of claims: by how much each tick falls short of them, and progress to the desired pose.
+
+A claim can be used if its margin is the least, over the ticks of a run, of a number of that tick alone.  With
+m_k [SI] that number at tick k and T the control period, a claim of weight w gives
+
+    r_k = w T min(m_k, 0),
+
+zero at a tick that keeps it and negative at one that does not: an episode whose ticks all keep it costs
+nothing.  Progress of weight w gives r_k = w (d_(k-1) - d_k), d [m] being the TCP's distance from the desired
+position.  What happens between two ticks is judged in the trace, and not here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.admission.admit import Checked
+from safety_harness.admission.claims import property_of
+from safety_harness.base.exceptions import InadmissibleError, Place
+from safety_harness.cell.robot.description import ArmModel
+from safety_harness.claims.formulas.claim import FormulaClaim
+from safety_harness.claims.formulas.formula import Always, Comparison, Relation
+from safety_harness.claims.formulas.signal import Signal
+from safety_harness.claims.formulas.signals import hand_distance, joint_speed, tcp_height, tcp_speed
+from safety_harness.claims.properties.base import Property
+from safety_harness.claims.properties.hand_distance import HandDistance
+from safety_harness.claims.properties.limits import JointLimits, JointSpeedLimits, TcpSpeedLimit
+from safety_harness.scenario.model import Claim, Verdict
+
+Floats = NDArray[np.float64]
+Ticks = NDArray[np.void]  # (n,) TICK
+OfTicks = Callable[[Ticks], Floats]  # (n,) TICK to (n,)
+PROGRESS = "progress"
+USABLE = (
+    "hand distance never below 50 mm, TCP speed never above 250 mm/s, joint speeds within limits, joint "
+    'positions within limits, "always hand distance > 80 mm" or the same of TCP speed, TCP height and joint '
+    f"speed; {PROGRESS}"
+)
+
+
+def nearest_m(ticks: Ticks) -> Floats:
+    """(n,) the least distance of any hand from the arm, surface to surface; infinite without one."""
+    nearest: Floats = np.where(ticks["hand_present"], ticks["hand_distance_m"], np.inf).min(axis=1)
+    return nearest
+
+
+_SIGNALS: dict[Signal, OfTicks] = {
+    hand_distance: nearest_m,
+    tcp_speed: lambda ticks: ticks["tcp_speed_mps"],
+    tcp_height: lambda ticks: ticks["transform_tcp_to_base"][:, 2, 3],
+    joint_speed: lambda ticks: np.abs(ticks["joint_velocity_radps"]).max(axis=1),
+}
+
+
+def margins_of(claim: Property, arm: ArmModel) -> OfTicks | None:
+    """The claim's number at each of (n,) TICK [SI]; None where it is no such claim."""
+    lower, upper = arm.position_lower_rad, arm.position_upper_rad
+    if isinstance(claim, HandDistance):
+        least_m = claim.minimum_m
+        return lambda ticks: nearest_m(ticks) - least_m
+    if isinstance(claim, TcpSpeedLimit):
+        most_mps = claim.maximum_mps
+        return lambda ticks: most_mps - ticks["tcp_speed_mps"]
+    if isinstance(claim, JointSpeedLimits):
+        return lambda ticks: (arm.velocity_limit_radps - np.abs(ticks["joint_velocity_radps"])).min(axis=1)
+    if isinstance(claim, JointLimits):
+        return lambda ticks: np.minimum(
+            ticks["joint_position_rad"] - lower, upper - ticks["joint_position_rad"]
+        ).min(axis=1)
+    return _of_formula(claim.formula) if isinstance(claim, FormulaClaim) else None
+
+
+def _of_formula(formula: object) -> OfTicks | None:
+    """Of "always SIGNAL < LIMIT" without a window, for the signals of one tick."""
+    if not isinstance(formula, Always) or formula.span is not None:
+        return None
+    compared = formula.body
+    if not isinstance(compared, Comparison) or compared.signal not in _SIGNALS:
+        return None
+    value, limit = _SIGNALS[compared.signal], compared.limit.value
+    sign = 1.0 if compared.relation in (Relation.ABOVE, Relation.AT_LEAST) else -1.0
+    return lambda ticks: sign * (value(ticks) - limit)
+
+
+@dataclass(frozen=True, eq=False)
+class Rewards:
+    """The claims that count, each with its weight, and those whose violation ends an episode."""
+
+    margins: Mapping[str, OfTicks]
+    weights: Mapping[str, float]  # of those that are rewarded
+    ends: tuple[str, ...]
+    progress: float
+    period_s: float
+    desired_tcp_in_base_m: Floats  # (3,)
+
+    @classmethod
+    def of(cls, rewards: Mapping[str, float], ends: Sequence[str], checked: Checked) -> Rewards:
+        """By sentences; InadmissibleError for a claim that cannot be used, or a weight that is none."""
+        margins, weights = {}, {}
+        settings = checked.scenario.settings
+        for name, weight in rewards.items():
+            if not (isinstance(weight, int | float) and np.isfinite(weight)):
+                raise InadmissibleError.of_option("rewards", f"a number for {name!r}", repr(weight))
+            if weight < 0.0:  # of a claim a violation would be rewarded, as its margin is negative already
+                raise InadmissibleError.of_option("rewards", f"no negative number for {name!r}", repr(weight))
+            if name != PROGRESS:
+                weights[name] = float(weight)
+        for sentence in (*weights, *ends):
+            place = Place(field="rewards" if sentence in weights else "ends")
+            claim = Claim(sentence=sentence, expected=Verdict.HOLDS, place=place)
+            found = margins_of(property_of(claim, checked.scenario), checked.arm)
+            if found is None:
+                raise InadmissibleError(
+                    place=place, expected=f"a claim of single ticks: {USABLE}", got=repr(sentence)
+                )
+            margins[sentence] = found
+        desired = np.array(settings.cell.desired_tcp_position_in_base_m)
+        progress = float(rewards.get(PROGRESS, 0.0))
+        return cls(margins, weights, tuple(ends), progress, settings.clock.control_period_s, desired)
+
+    def way_left_m(self, ticks: Ticks) -> Floats:
+        """(n,) from the TCP to where servoing should end.  ``ticks`` (n,) TICK."""
+        left: Floats = np.linalg.norm(
+            ticks["transform_tcp_to_base"][:, :3, 3] - self.desired_tcp_in_base_m, axis=1
+        )
+        return left
+
+    def at(self, ticks: Ticks) -> dict[str, Floats]:
+        """By claim its margin (n,) at each of the ticks alone.  ``ticks`` (n,) TICK."""
+        return {sentence: of_ticks(ticks) for sentence, of_ticks in self.margins.items()}
+
+    def of_step(self, margins: Mapping[str, Floats], way_m: Floats, way_before_m: Floats) -> Floats:
+        """(n,) the reward of a step: ``margins`` and ``way_m`` (n,) at its end, ``way_before_m`` (n,)."""
+        total = self.progress * (way_before_m - way_m)
+        for sentence, weight in self.weights.items():
+            total += weight * self.period_s * np.minimum(margins[sentence], 0.0)
+        return total
+
+    def over(self, margins: Mapping[str, Floats], count: int) -> NDArray[np.bool_]:
+        """(n,) whether one of the claims that end an episode is violated; a NaN is no safety."""
+        ended = np.zeros(count, np.bool_)
+        for sentence in self.ends:
+            ended |= ~(margins[sentence] >= 0.0)
+        return ended

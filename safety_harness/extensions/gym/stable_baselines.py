@@ -1,0 +1,96 @@
+"""Many environments as Stable-Baselines3 takes them: actions from -1 to 1, observations in float32."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from safety_harness.base.exceptions import InadmissibleError, near_miss
+from safety_harness.base.extras import POLICIES
+from safety_harness.cell.controller.arrays import Arrays
+from safety_harness.extensions.gym.vector import HarnessVectorEnv
+
+with POLICIES.needed("policies trained in environments"):
+    from stable_baselines3.common.vec_env import VecEnv
+
+
+class StableBaselinesEnv(VecEnv):
+    """``environments`` for an algorithm of Stable-Baselines3, which get those ``fields`` of observations.
+
+    No field given is all of them.  An action of 1 is the largest of the environments' action space; each is
+    held for ``ticks``, or until the episode ends.
+    """
+
+    def __init__(self, environments: HarnessVectorEnv, fields: Sequence[str] = (), ticks: int = 1) -> None:
+        if ticks < 1:
+            raise InadmissibleError.of_option("ticks", "at least one", str(ticks))
+        self.environments, self._ticks = environments, ticks
+        shown, moved = environments.setting.observation_space, environments.setting.action_space
+        known = shown.spaces
+        for field in fields:
+            if field not in known:
+                raise InadmissibleError.of_option(
+                    "fields", f"some of: {', '.join(known)}", repr(field), near_miss(field, known)
+                )
+        self._fields = tuple(fields) or tuple(known)
+        self._most = moved.high
+        boxes = {name: spaces.Box(-np.inf, np.inf, known[name].shape, np.float32) for name in self._fields}
+        actions = spaces.Box(-1.0, 1.0, self._most.shape, np.float32)
+        super().__init__(environments.num_envs, spaces.Dict(boxes), actions)  # type: ignore[arg-type]
+        self._actions = np.zeros((self.num_envs, *self._most.shape))
+
+    def reset(self) -> Arrays:
+        """Begin an episode in each; the first time that of the seed, if one was given."""
+        seeds = None if all(one is None for one in self._seeds) else self._seeds
+        self._reset_seeds()
+        return self._shown(self.environments.reset(seed=seeds)[0])
+
+    def step_async(self, actions: NDArray[np.float32]) -> None:
+        """Take the ``actions`` (environments, a)."""
+        self._actions = self._most * actions.astype(np.float64)
+
+    def step_wait(self) -> tuple[Arrays, NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
+        """Each on by its ticks; one that has ended stands at its next start until all have come so far."""
+        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        total, ended = np.zeros(self.num_envs), np.zeros(self.num_envs, np.bool_)
+        for _ in range(self._ticks):
+            seen, reward, terminated, truncated, info = self.environments.step(
+                np.where(ended[:, None], 0.0, self._actions)
+            )
+            total += np.where(ended, 0.0, reward)
+            over = terminated | truncated
+            for k, lane in enumerate(np.flatnonzero(over)):
+                if not ended[lane]:
+                    last = {name: array[k] for name, array in self._shown(info["final_obs"]).items()}
+                    cut = bool(truncated[lane] and not terminated[lane])
+                    infos[lane] = {"terminal_observation": last, "TimeLimit.truncated": cut}
+                    infos[lane] |= {name: float(m[k]) for name, m in info["final_info"]["margins"].items()}
+            ended |= over
+        return self._shown(seen), total.astype(np.float32), ended, infos
+
+    def close(self) -> None:
+        """Close the environments."""
+        self.environments.close()
+
+    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
+        """The environments' attribute, once for each of ``indices``."""
+        return [getattr(self.environments, attr_name)] * len(list(self._get_indices(indices)))
+
+    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
+        """Refused: lanes have no attributes of their own."""
+        raise AttributeError(f"{attr_name} cannot be set: lanes have no attributes of their own")
+
+    def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
+        """Refused: lanes have no methods of their own."""
+        raise AttributeError(f"{method_name} cannot be called: lanes have no methods of their own")
+
+    def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
+        """No lane is."""
+        return [False] * len(list(self._get_indices(indices)))
+
+    def _shown(self, seen: Arrays) -> Arrays:
+        return {name: seen[name].astype(np.float32) for name in self._fields}

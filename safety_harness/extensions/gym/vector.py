@@ -1,0 +1,184 @@
+"""Many episodes at once in the kinematic world, a step of all in one compiled call: a vector environment."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
+
+from safety_harness.admission.admit import Checked
+from safety_harness.base.exceptions import InadmissibleError
+from safety_harness.cell.controller.answers import NOT_REPORTED
+from safety_harness.cell.controller.arrays import Arrays, observed
+from safety_harness.cell.controller.cycle import QUESTION
+from safety_harness.cell.controller.seeing import DrivenRecords, driven_records
+from safety_harness.cell.simulation.lanes import look_lanes, obey_lanes, placed, stacked, step_lanes
+from safety_harness.cell.simulation.records import WorldRecords, world_records
+from safety_harness.cell.simulation.worlds import KINEMATIC, WorldEntry
+from safety_harness.extensions.gym.environment import REWARDS, SEES, TCP_VELOCITY, Setting
+from safety_harness.extensions.gym.episodes import File
+from safety_harness.scenario.model import Scenario
+from safety_harness.seams.contract import OBJECT, PREDICTED_HANDS
+from safety_harness.space.space import ScenarioSpace
+from safety_harness.trace.records import as_compiled, tick_dtype
+
+
+class HarnessVectorEnv(VectorEnv[Any, Any, Any]):
+    """``num_envs`` environments, each the ``HarnessEnv`` of the same arguments bit for bit, in lanes.
+
+    Lane i begins stream seed + i, and stream i before a seed is given.  A lane whose episode is over is reset
+    within the same step; its last observation and info are ``info["final_obs"]`` and ``info["final_info"]``.
+    The world is the kinematic one, and no lane has a trace: ``HarnessEnv`` with the lane's seed has.
+    """
+
+    metadata = {"render_modes": [], "autoreset_mode": AutoresetMode.SAME_STEP}  # noqa: RUF012
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        *,
+        scenario: Scenario | File | None = None,
+        space: ScenarioSpace | File | None = None,
+        world: WorldEntry | str = KINEMATIC,
+        sees: Sequence[str] = SEES,
+        action: str = TCP_VELOCITY,
+        rewards: Mapping[str, float] = REWARDS,
+        ends: Sequence[str] = (),
+    ) -> None:
+        setting = self.setting = Setting(scenario, space, world, sees, action, rewards, ends)
+        if setting.world is not KINEMATIC:
+            raise InadmissibleError.of_option("world", "the kinematic one", setting.world.label)
+        if num_envs < 1:
+            raise InadmissibleError.of_option("num_envs", "at least one", str(num_envs))
+        self.num_envs = num_envs
+        self.single_observation_space = setting.observation_space
+        self.single_action_space = setting.action_space
+        self.observation_space = batch_space(setting.observation_space, num_envs)
+        self.action_space = batch_space(setting.action_space, num_envs)
+        self._streams = [setting.episodes.stream(lane or None) for lane in range(num_envs)]
+        world_of, controller_of = _records(setting.episodes.first)
+        self._worlds, self._controllers = stacked(world_of, num_envs), stacked(controller_of, num_envs)
+        self._wants = OBJECT in setting.sees, PREDICTED_HANDS in setting.sees
+        first = setting.episodes.first.scenario
+        self._tick_dtype = tick_dtype(first.hand_slots, setting.joints)
+        self._left = np.zeros(num_envs, np.int64)  # ticks
+        self._acts = _Acts(num_envs, setting.joints, as_compiled(np.zeros((num_envs, 1), self._tick_dtype)))
+        self._way_m = np.zeros(num_envs)
+        self._least = {sentence: np.full(num_envs, np.inf) for sentence in setting.rewards.margins}
+
+    def reset(
+        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Arrays, dict[str, Any]]:
+        """Begin an episode in every lane; with a ``seed`` lane i begins stream seed + i."""
+        super().reset(seed=seed if isinstance(seed, int) else None)
+        seeds = [seed + lane for lane in range(self.num_envs)] if isinstance(seed, int) else seed
+        for lane in range(self.num_envs):
+            own = None if seeds is None else seeds[lane]
+            if own is not None:
+                self._streams[lane] = self.setting.episodes.stream(own)
+            self._begin(lane)
+        self._measured(np.arange(self.num_envs))
+        return self._observed(), {"margins": self._margins()}
+
+    def step(
+        self, actions: NDArray[np.float64]
+    ) -> tuple[Arrays, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
+        """Every lane a control tick on.  ``actions`` (lanes, a) as of ``action_space``."""
+        wanted = self.setting.wanted_of(actions, self.num_envs)
+        self._acts.carry_out(self._worlds, self._controllers, wanted, self.setting.by_joints)
+        self._acts.look(self._worlds, self._controllers, self._acts.lasts, self._wants)
+        rewards, ticks, way_before_m = self.setting.rewards, self._ticks, self._way_m
+        margins, self._way_m = rewards.at(ticks), rewards.way_left_m(ticks)
+        for sentence, margin in margins.items():
+            np.minimum(self._least[sentence], margin, out=self._least[sentence])
+        reward = rewards.of_step(margins, self._way_m, way_before_m)
+        self._left -= 1
+        terminated, truncated = rewards.over(margins, self.num_envs), self._left == 0
+        info: dict[str, Any] = {}
+        ended = np.flatnonzero(terminated | truncated)
+        observation = self._observed()
+        if len(ended):
+            info["final_obs"] = {name: array[ended] for name, array in observation.items()}
+            info["final_info"] = {"margins": {name: own[ended] for name, own in self._least.items()}}
+            info["_final_obs"] = info["_final_info"] = terminated | truncated
+            for lane in ended:
+                self._begin(int(lane))
+            self._measured(ended)
+            observation = self._observed()
+        info["margins"] = self._margins()
+        return observation, reward, terminated, truncated, info
+
+    @property
+    def _ticks(self) -> NDArray[np.void]:
+        """(lanes,) TICK: the truth of now."""
+        return self._worlds.truth[:, 0].view(self._tick_dtype)
+
+    def _begin(self, lane: int) -> None:
+        checked = next(self._streams[lane])
+        world, controller = _records(checked)
+        self._worlds = placed(self._worlds, lane, world)
+        self._controllers = placed(self._controllers, lane, controller)
+        self._left[lane] = checked.scenario.ticks
+        alone = np.full(self.num_envs, -1)
+        alone[lane] = 0
+        self._acts.look(self._worlds, self._controllers, alone, self._wants)
+
+    def _measured(self, lanes: NDArray[np.int64]) -> None:
+        """Where the ``lanes`` (k,) begin."""
+        ticks = self._ticks[lanes]
+        self._way_m[lanes] = self.setting.rewards.way_left_m(ticks)
+        for sentence, margin in self.setting.rewards.at(ticks).items():
+            self._least[sentence][lanes] = margin
+
+    def _observed(self) -> Arrays:
+        return observed(self._controllers.seen[:, 0], self.setting.sees)
+
+    def _margins(self) -> dict[str, NDArray[np.float64]]:
+        return {sentence: least.copy() for sentence, least in self._least.items()}
+
+
+class _Acts:
+    """A control tick of all lanes, of which no trace is kept: each writes the one of its ``ticks`` again.
+
+    ``ticks`` (lanes, 1) ``as_compiled``.
+    """
+
+    def __init__(self, lanes: int, joints: int, ticks: NDArray[np.void]) -> None:
+        self._ticks, self.lasts = ticks, np.ones(lanes, np.int64)  # the last tick is another one
+        self._twists, self._joints = np.zeros((lanes, 6)), np.zeros((lanes, joints))
+        self._flags = [np.zeros(lanes, np.bool_) for _ in range(3)]
+        self._questions = np.zeros((lanes, 1), QUESTION)
+        self._modes = np.full(lanes, NOT_REPORTED, np.int64)
+
+    def carry_out(
+        self, worlds: WorldRecords, controllers: DrivenRecords, wanted: NDArray[np.float64], by_joints: bool
+    ) -> None:
+        """Every lane obeys its action, ``wanted`` (lanes, a)."""
+        flags, lasts = self._flags, self.lasts
+        (self._joints if by_joints else self._twists)[:] = wanted
+        flags[0][:] = by_joints
+        obey_lanes(worlds.observation, controllers, lasts, 0, self._twists, self._joints, *flags)
+        step_lanes(worlds, controllers, self._questions, self._ticks, lasts, 0, self._modes)
+
+    def look(
+        self,
+        worlds: WorldRecords,
+        controllers: DrivenRecords,
+        lasts: NDArray[np.int64],
+        wants: tuple[bool, bool],
+    ) -> None:
+        """The lanes whose ``lasts`` (lanes,) are not negative look."""
+        look_lanes(worlds, controllers, lasts, 0, *wants)
+
+
+def _records(checked: Checked) -> tuple[WorldRecords, DrivenRecords]:
+    """An episode's, as it begins."""
+    scenario = checked.scenario
+    return (
+        world_records(scenario, checked.arm, checked.joint_position_rad),
+        driven_records(scenario.settings, checked.arm, checked.view, scenario.hand_slots),
+    )

@@ -1,0 +1,336 @@
+"""Commands about networks: their data, training, evaluation and export, and how fast they answer."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from itertools import count
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from typer import Argument, Option, Typer
+
+from safety_harness.base.exceptions import InadmissibleError, ModelError, NoAnswerError
+from safety_harness.base.extras import LEARNING, ONNX
+from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, INTERRUPTED, document, result, say
+from safety_harness.cli.options import Seed, command
+
+if TYPE_CHECKING:
+    from safety_harness.extensions.lab.learning.checkpoint import Epoch
+    from safety_harness.extensions.lab.learning.recipes import Recipe
+
+MODEL = "model.safetensors"
+Cell = Annotated[
+    str | None,
+    Option(
+        "--robot",
+        help="A scenario with the cell, arm and settings: a file, or shipped:NAME; else the UR10's.",
+        metavar="SCENARIO",
+    ),
+]
+commands = Typer()
+
+
+@command(commands, interrupted="interrupted: no data set was written")
+def dataset(
+    out: Annotated[Path, Argument(help="Folder for arrays.npz and manifest.json.", metavar="FOLDER")],
+    space: Annotated[str, Option(help="'seen', 'unseen hand', 'unseen tcp' or 'unseen both'.")] = "seen",
+    tcps: Annotated[int, Option(help="TCP positions.")] = 10_000,
+    candidates: Annotated[int, Option(help="Repulsive candidates of each TCP.")] = 100,
+    hands: Annotated[int, Option(help="Hand positions, joined with every TCP.")] = 500,
+    robot: Cell = None,
+    seed: Seed = 0,
+) -> int:
+    """Make the data that an avoider learns from: TCP x hand, with eq. 13's ground truth.
+
+    The defaults are the paper's 5,000,000 samples, in a few seconds.
+    Exit code 0; 2: bad input; 130: interrupted, nothing was written.
+    """
+    from safety_harness.cli.progress import counting
+    from safety_harness.extensions.lab.learning.cell import training_cell
+    from safety_harness.extensions.lab.learning.dataset import generate, space_named
+    from safety_harness.extensions.lab.learning.manifest import data_hash, manifest_of, save_dataset
+
+    cell = training_cell(robot)
+    where = space_named(space, cell.settings)
+    say(f"{where.name} space: {tcps} TCPs, {candidates} candidates each, {hands} hands")
+    with counting(tcps, "TCPs") as show:
+        made = generate(
+            cell.settings,
+            where,
+            seed=seed,
+            tcps=tcps,
+            candidates=candidates,
+            hands=hands,
+            arm=cell.arm,
+            on_progress=show,
+        )
+    save_dataset(made, out)
+    views, away = made.tcps * made.candidates, made.views_without_object
+    result(
+        f"space       {made.space.name}, of the arm {made.arm}",
+        f"samples     {len(made):,} = {made.tcps:,} TCPs x {made.hands:,} hands",
+        f"candidates  {views:,}; object not wholly in view of {away:,} ({away / views:.2%}), "
+        "which are not selected",
+        f"blind TCPs  {made.tcps_without_view:,}, with no candidate in view: "
+        "selected as if the image had no border",
+        f"seed        {made.seed}",
+        f"sha256      {data_hash(made)}",
+    )
+    document(**manifest_of(made), folder=out)
+    say(f"data set: {out}")
+    return AS_EXPECTED
+
+
+@command(commands)
+def train(
+    recipe: Annotated[
+        str,
+        Argument(
+            help="mc-dropout, mc-dropout-full, deterministic, ensemble or optimum; "
+            "also with paper- or trial- before it."
+        ),
+    ] = "mc-dropout",
+    robot: Cell = None,
+    data: Annotated[
+        Path | None,
+        Option(help="Folder of a data set; without it one is made on the spot."),
+    ] = None,
+    out: Annotated[Path, Option(help="Folder for model.safetensors and the checkpoint.")] = Path(
+        "models/new"
+    ),
+    seed: Seed = 0,
+    resume: Annotated[bool, Option("--resume", help="Go on from the folder's checkpoint.")] = False,
+    device: Annotated[str, Option(help="Where PyTorch computes: cpu, cuda, ...")] = "cpu",
+) -> int:
+    """Train and calibrate a network, of the UR10's cell or another; "trial-mc-dropout" takes under a minute.
+
+    Ctrl-C costs the epoch that was under way; --resume goes on from there, to the same bits.
+    Needs PyTorch, the extra "learning" of this package.
+    Exit code 0; 2: bad input; 130: interrupted.
+    """
+    import shlex
+
+    from safety_harness.base.whole_file import writing
+    from safety_harness.cell.avoidance.model_file import save_model
+    from safety_harness.cli.progress import paced_lines
+    from safety_harness.extensions.lab.learning.cell import training_cell
+    from safety_harness.extensions.lab.learning.dataset import generate, seen
+    from safety_harness.extensions.lab.learning.manifest import load_dataset
+    from safety_harness.extensions.lab.learning.recipes import recipe_named
+    from safety_harness.extensions.lab.learning.samples import samples_for
+    from safety_harness.extensions.lab.learning.trained_model import calibrate, model_of, split_for
+
+    if robot and data:
+        raise InadmissibleError.of_option("--robot", "no --data, whose data are of a cell already", robot)
+    again = ["safety-harness", "train", recipe, "--seed", str(seed), "--out", str(out)]
+    again += ["--robot", robot] if robot else []
+    again += ["--data", str(data)] if data else []
+    again += ["--device", device] if device != "cpu" else []
+    try:
+        chosen = recipe_named(recipe)
+        if data:
+            dataset = load_dataset(data)
+        else:
+            cell = training_cell(robot)
+            dataset = generate(cell.settings, seen(cell.settings), seed=seed, arm=cell.arm)
+        split = split_for(chosen, dataset)
+        with LEARNING.needed("train"):
+            from safety_harness.extensions.lab.learning.training import CHECKPOINT  # brings PyTorch
+            from safety_harness.extensions.lab.learning.training import train as train_networks
+        if resume and not (out / CHECKPOINT).exists():
+            say(f"{out} has no checkpoint to go on from: beginning from the start")
+        say(f"training on {len(split.train):,} samples of the cell of a {dataset.arm}")
+        with paced_lines() as tell:
+            trained = train_networks(
+                chosen,
+                samples_for(chosen, dataset),
+                split.train,
+                split.validation,
+                seed=seed,
+                out=out,
+                resume=resume,
+                device=device,
+                on_epoch=_epoch_lines(chosen, tell),
+            )
+        say("calibrating on seen TCPs and hands that are new")
+        model = model_of(trained, dataset, split, shlex.join(again))
+        model = calibrate(model, chosen, dataset, seed=seed)
+        with writing(out / MODEL):
+            save_model(model, out / MODEL)
+    except KeyboardInterrupt:
+        say(f"stopped; to go on from the last whole epoch: {shlex.join([*again, '--resume'])}")
+        return INTERRUPTED
+    assert model.calibration is not None
+    multiplier, threshold_m = model.calibration.interval_multiplier, model.calibration.spread_threshold_m
+    result(f"intervals of 95 % joint coverage: {multiplier:.3f} times sqrt(spread^2 + residual^2)")
+    result(f"spread threshold: {1e3 * threshold_m:.2f} mm")
+    low_m, high_m = model.seen.boxes["tcp"]
+    result(f"made for the arm {model.made_for}, TCPs from {list(low_m)} to {list(high_m)} m")
+    result(f"model: {out / MODEL}")
+    document(
+        model=out / MODEL, arm=model.made_for, interval_multiplier=multiplier, spread_threshold_m=threshold_m
+    )
+    return AS_EXPECTED
+
+
+def _epoch_lines(recipe: Recipe, say: Callable[[str], None]) -> Callable[[Epoch], None]:
+    """One line an epoch: the losses, the share that is done, and how long the rest will take."""
+    begun_s, epochs = time.monotonic(), count(1)
+
+    def tell(epoch: Epoch) -> None:
+        whole = recipe.members * recipe.epochs
+        left = whole - epoch.member * recipe.epochs - epoch.number - 1
+        left_s = left * (time.monotonic() - begun_s) / next(epochs)
+        member = f"member {epoch.member + 1}/{recipe.members}, " if recipe.members > 1 else ""
+        say(
+            f"{member}epoch {epoch.number + 1}/{recipe.epochs}: loss {epoch.training_loss:.4f}, "
+            f"validation {epoch.validation_loss:.4f}, RMSE {1e3 * epoch.validation_rmse_m:.2f} mm"
+            f"{' (best)' if epoch.is_best else ''}, {100 * (1 - left / whole):.0f} %, {left_s:.0f} s left"
+        )
+
+    return tell
+
+
+@command(commands, interrupted="interrupted: no figures were written")
+def metrics(
+    models: Annotated[
+        list[str],
+        Argument(help="Model files (*.safetensors), or names of shipped models.", metavar="MODEL..."),
+    ],
+    robot: Cell = None,
+    samples: Annotated[int, Option(help="Fresh pairs of TCP and hand in each set.")] = 10_000,
+    seed: Seed = 0,
+    out: Annotated[Path | None, Option(help="Also every figure, as JSON, to this file.")] = None,
+) -> int:
+    """Compare networks on seen and unseen space: errors, intervals, coverage, doubt as a detector.
+
+    Against what they learn, eq. 13's labels; ``evaluate`` scores any avoider.
+    Every model answers the same questions; no sample was used in training or calibration.
+    Exit code 0; 2: bad input; 130: interrupted.
+    """
+    from safety_harness.cell.avoidance.learned import LearnedAvoider
+    from safety_harness.cli.progress import paced_lines
+    from safety_harness.extensions.lab.commands.evaluation_tables import tables
+    from safety_harness.extensions.lab.learning.cell import training_cell
+    from safety_harness.extensions.lab.learning.evaluation_file import (
+        evaluation_data,
+        figures_of,
+        load_models,
+        write_evaluation,
+    )
+
+    cell = training_cell(robot)
+    loaded = load_models(models, cell.settings)
+    with paced_lines() as tell:
+        figures, remarks = figures_of(loaded, samples, seed, tell, cell)
+    found = evaluation_data(loaded, figures, remarks, samples, seed)
+    document(**found)
+    if out is not None:
+        write_evaluation(out, found)
+    for one in loaded:
+        result(f"{one.label}: {LearnedAvoider.of(one.model).name}, {one.path}")
+    result(f"{samples} TCPs and hands a set, drawn from seed {seed}; every TCP is in one row only")
+    result(*remarks, *tables(figures))
+    if out is not None:
+        say(f"figures: {out}")
+    return AS_EXPECTED
+
+
+@command(commands, "time", interrupted="interrupted: nothing was written")
+def time_avoider(
+    avoider: Annotated[
+        str,
+        Argument(
+            help="Any avoider: a shipped one by name, FILE.py:NAME, FILE.safetensors or FILE.onnx.",
+            metavar="AVOIDER",
+        ),
+    ],
+    out: Annotated[Path | None, Option(help="Also a profile for scenarios, to this file *.json.")] = None,
+    questions: Annotated[int, Option(help="How many are asked.", min=100, max=1_000_000)] = 1_000,
+    seed: Seed = 0,
+) -> int:
+    """Measure how long an avoider takes to answer on this machine: p50, p99, max.
+
+    A scenario that names the profile (settings: {avoidance: {decision time: FILE.json}}) draws what each
+    decision costs in simulated time from it.  A Python file is executed.
+    Exit code 0; 2: bad input, or an avoider that does not answer; 130: interrupted.
+    """
+    from safety_harness.admission.measured_times import measured_times
+    from safety_harness.base.whole_file import write_text
+    from safety_harness.report.words import milliseconds_words
+    from safety_harness.scenario.decision_times import profile_text
+
+    if out is not None and out.suffix != ".json":
+        raise InadmissibleError.of_option("--out", "a file *.json", out.name)
+    try:
+        found = measured_times(avoider, questions, seed)
+    except NoAnswerError as error:
+        say(f"error: {error}; nothing was written")
+        return BAD_INPUT
+    if out is not None:
+        write_text(out, profile_text(found.profile))
+    quantiles_s = found.quantiles_s(0.5, 0.99, 1.0)
+    p50, p99, most = map(milliseconds_words, quantiles_s)
+    document(
+        avoider=found.measured.avoider,
+        **dict(zip(("p50_s", "p99_s", "max_s"), quantiles_s, strict=True)),
+        questions=questions,
+        faults=found.faults,
+        machine=found.measured.machine,
+        profile=out,
+    )
+    who = f"{found.measured.avoider} ({found.avoider_name})"
+    result(f"{who}: p50 {p50}, p99 {p99}, max {most}, of {questions:,} answers")
+    result(f"on {found.measured.machine}")
+    if found.faults:
+        say(f"note: {found.faults} of them were faults, no usable answers")
+    if out is not None:
+        say(f"profile: {out}; in a scenario: settings: {{avoidance: {{decision time: {out.name}}}}}")
+    return AS_EXPECTED
+
+
+@command(commands, interrupted="interrupted: nothing was exported")
+def export(
+    model: Annotated[
+        str,
+        Argument(
+            help="A model file (*.safetensors), or a shipped model's name; of a run its trace.",
+            metavar="MODEL|TRACE",
+        ),
+    ],
+    out: Annotated[Path, Option(help="The file to write; of a trace FILE.mcap.")],
+    seed: Seed = 0,
+) -> int:
+    """Write a model as ONNX, and try the file against the original on random questions; or a run as MCAP.
+
+    A model needs PyTorch, the extra "learning" of this package.
+    With --out FILE.mcap it is a trace, and needs the extra "logs": joints, transforms, hands, decisions and
+    verdicts as ROS 2 messages and in Foxglove's schemas, with a LOG.yaml beside it for "judge".
+    Exit code 0; 2: bad input, or the file answers otherwise (then it is not kept); 130: interrupted.
+    """
+    from safety_harness.cell.avoidance.model_file import load_model
+    from safety_harness.cell.avoidance.shipped import model_file
+
+    if out.suffix == ".mcap":
+        from safety_harness.admission.trial import judge
+        from safety_harness.report.mcap import LOG_FILE, write_mcap
+        from safety_harness.trace.store import load_trace
+
+        trace = load_trace(model)
+        write_mcap(trace, judge(trace, file=Path(model)), out)
+        document(mcap=out, log=out.with_name(LOG_FILE))
+        result(f"mcap: {out}, described by {out.with_name(LOG_FILE)}")
+        return AS_EXPECTED
+    path = model_file(str(model))
+    if seed < 0:
+        raise ModelError.of_option("--seed", "a seed of at least 0", str(seed))
+    loaded = load_model(path)
+    with LEARNING.needed("export"), ONNX.needed("export"):  # onnxscript is asked for by PyTorch, and late
+        from safety_harness.extensions.lab.learning.export import write_export  # brings PyTorch
+
+        difference_m = write_export(loaded, path.read_bytes(), out, seed=seed)
+    document(onnx=out, model=path, max_difference_m=difference_m)
+    result(f"onnx: {out}")
+    result(f"differs from {path} by {1e3 * difference_m:.1e} mm at most")
+    return AS_EXPECTED

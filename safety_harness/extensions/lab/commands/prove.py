@@ -1,0 +1,265 @@
+"""``safety-harness prove``: what holds for every question of a region, and ``--check`` of its certificate."""
+
+from __future__ import annotations
+
+import sys
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from typer import Argument, Option, Typer
+
+from safety_harness.cli.console import AS_EXPECTED, DIFFERS, INTERRUPTED, columns_of, document, result, say
+from safety_harness.cli.options import command
+
+if TYPE_CHECKING:
+    from safety_harness.extensions.lab.proof.certificate import Proof
+    from safety_harness.extensions.lab.proof.plan import ProofPlan
+    from safety_harness.extensions.lab.proof.together import JointBound
+
+CERTIFICATE, PAGE = "certificate.json", "proof.html"
+commands = Typer()
+
+
+@command(commands)
+def prove(
+    file: Annotated[
+        Path,
+        Argument(
+            help="A plan of proofs; with --check a certificate, with --decisions a trace.",
+            metavar="PLAN|CERTIFICATE|TRACE",
+        ),
+    ],
+    check: Annotated[
+        bool, Option("--check", help="Check a certificate, with code that shares none.")
+    ] = False,
+    model: Annotated[
+        Path | None, Option(help="The network of a certificate, if it is none that ships.", metavar="FILE")
+    ] = None,
+    out: Annotated[Path, Option(help="Folder for the certificate and wrong answers.")] = Path(
+        "reports/prove"
+    ),
+    minutes: Annotated[float, Option(help="For all claims together.", min=0.0)] = 5.0,
+    halvings: Annotated[int, Option(help="How often a box is halved at most.", min=1, max=60)] = 40,
+    jobs: Annotated[int, Option(help="Processes.", min=1)] = 1,
+    decisions: Annotated[
+        str | None,
+        Option(
+            help="Of a trace: is each decision the same for every hand so near by axis? Adds it to a copy.",
+            metavar="LENGTH",
+        ),
+    ] = None,
+    resume: Annotated[bool, Option("--resume", help="Go on with the certificate in the folder.")] = False,
+) -> int:
+    """Prove claims about every answer of a small ReLU network, with bounds that hold for its own arithmetic.
+
+    A region is halved until its boxes are proven, or refuted as a whole; what is left is undecided.  A claim
+    is refuted with a question that the network itself answers wrongly, written as a scenario where a run can
+    ask it. Exit code 0: all proven, or all decisions of a trace the same; 1: not so, or a certificate that is
+    not confirmed; 2: bad input; 130: interrupted, with the certificate of what was done.
+    """
+    if check:
+        return _check(file, model)
+    if decisions is not None:
+        return _decisions(file, decisions, out)
+    import shlex
+    from dataclasses import asdict
+    from datetime import UTC, datetime
+
+    from safety_harness.base.interrupts import one_more_ctrl_c
+    from safety_harness.base.pool import pool
+    from safety_harness.base.whole_file import write_text
+    from safety_harness.claims.properties.tally import BASIS_OF_ANSWERS
+    from safety_harness.cli.progress import watching_steps
+    from safety_harness.extensions.lab.pages.proof_page import ProofEvidence, render
+    from safety_harness.extensions.lab.proof.certificate import taken_up, write_certificate
+    from safety_harness.extensions.lab.proof.plan import read_proof_plan
+    from safety_harness.extensions.lab.proof.session import Effort, carry_on, fresh
+    from safety_harness.extensions.lab.proof.together import joint_bounds
+    from safety_harness.scenario.files import told
+
+    plan, path = read_proof_plan(file), out / CERTIFICATE
+    before = taken_up(path, plan) if resume else fresh(plan)
+    proofs = list(before)
+    remark = "interrupted: finishing the batch"
+    with ExitStack() as closing:
+        stopped = closing.enter_context(one_more_ctrl_c(say, remark))
+        on_step = closing.enter_context(watching_steps())
+        over = map if jobs == 1 else closing.enter_context(pool(jobs)).map
+        effort = Effort(
+            seconds=60.0 * minutes, halvings=halvings, over=over, at_once=jobs, stopped=stopped, told=on_step
+        )
+        for number, proof in enumerate(carry_on(plan, before, effort)):
+            proofs[number] = proof
+        interrupted = stopped()
+    written = write_certificate(path, plan, proofs)
+    bounds = joint_bounds(plan, proofs)
+    files = _tell(plan, proofs, out)
+    _tell_bounds(plan, proofs, bounds)
+    page = out / PAGE
+    words = ["safety-harness", "prove", str(told(file)), "--out", str(told(out)), "--minutes", f"{minutes:g}"]
+    evidence = ProofEvidence(
+        plan=plan,
+        proofs=tuple(proofs),
+        bounds=tuple(bounds),
+        files=tuple(files),
+        command=shlex.join([*words, "--halvings", str(halvings)]),
+        generated_at=datetime.now(UTC),
+        interrupted=interrupted,
+    )
+    write_text(page, render(evidence))
+    document(
+        page=page,
+        basis=BASIS_OF_ANSWERS,
+        certificate=path,
+        claims=[{k: v for k, v in one.items() if k != "tree"} for one in written["claims"]],
+        together=[asdict(one) for one in bounds],
+    )
+    result("", BASIS_OF_ANSWERS, str(page))
+    say(f"certificate: {path} (safety-harness prove --check {path})")
+    if interrupted:
+        say("interrupted: --resume goes on")
+        return INTERRUPTED
+    return AS_EXPECTED if all(proof.verdict == "proven" for proof in proofs) else DIFFERS
+
+
+def _tell(plan: ProofPlan, proofs: list[Proof], out: Path) -> list[str | None]:
+    """The table, and the files of questions that were answered wrongly, by claim."""
+    from safety_harness.claims.properties.tally import table
+    from safety_harness.extensions.lab.proof.certificate import outward
+
+    rows = []
+    for proof in proofs:
+        cells = outward(proof.least_shares)
+        rows.append((proof.planned.claim.sentence, proof.planned.region.name, proof.verdict, *cells))
+    columns = ("claim", "region", "verdict", "proven", "refuted", "undecided")
+    result(f"{plan.avoider}: shares of each region, proven at least and undecided at most", "")
+    result(*table(columns, rows, columns_of(sys.stdout), named_by=2, right=range(3, 6)))
+    return [
+        None if proof.question is None else _write_question(plan, proof, out / f"refuted-{number}.yaml")
+        for number, proof in enumerate(proofs, 1)
+    ]
+
+
+def _tell_bounds(plan: ProofPlan, proofs: list[Proof], bounds: list[JointBound]) -> None:
+    """How often the network is wrong at most, where the plan says how questions are distributed."""
+    from safety_harness.claims.properties.tally import table
+
+    if plan.questions is None:
+        return
+    confidence = f"{plan.questions.confidence:.7g}"
+    rows = [
+        (proof.planned.claim.sentence, proof.planned.region.name, *bound.cells)
+        for proof, bound in zip(proofs, bounds, strict=True)
+    ]
+    columns = ("claim", "region", "wrong at most", "at least", "undecided", "of it asked", "wrong")
+    heading = f"chance that a question as the plan draws them is answered wrongly; all hold with {confidence}"
+    result("", heading, "")
+    result(*table(columns, rows, columns_of(sys.stdout), named_by=2, right=range(2, 7)))
+
+
+def _write_question(plan: ProofPlan, proof: Proof, path: Path) -> str | None:
+    """Its name, if a run can begin with the question."""
+    import numpy as np
+
+    from safety_harness.base.whole_file import write_text
+    from safety_harness.cell.avoidance.shipped import SHIPPED
+    from safety_harness.extensions.lab.proof.claims import ClaimKind
+    from safety_harness.extensions.lab.proof.onnx_file import OnnxFunction
+    from safety_harness.extensions.lab.scoring.question_file import question_file
+
+    assert proof.question is not None
+    claim = {
+        ClaimKind.AWAY: "proposals lead away to within 10 mm",
+        ClaimKind.OPTIMUM: "proposals within 60 mm of the optimum",
+    }.get(proof.planned.claim.kind, "trace finite and monotone")
+    made = question_file(
+        path,
+        plan.avoider if plan.avoider in SHIPPED else str(plan.model_file),
+        plan.asked.avoider if isinstance(plan.asked, OnnxFunction) else plan.asked,
+        np.array(proof.question.hand_in_base_m),
+        np.array(proof.question.tcp_in_base_m),
+        0,
+        title=f"answered wrongly: {proof.planned.claim.sentence}",
+        about=f"A question to {plan.avoider} that refutes: {proof.planned.sentence}.",
+        claims=(claim,),
+    )
+    if made.path is None:
+        say(f"{proof.planned.sentence}: its question is in the certificate alone, {made.remark}")
+        return None
+    write_text(made.path, made.text)
+    say(f"{proof.planned.sentence}: refuted by {made.path}")
+    return made.path.name
+
+
+def _decisions(file: Path, text: str, out: Path) -> int:
+    import hashlib
+    from dataclasses import replace
+
+    from safety_harness.base.exceptions import InputError, Place
+    from safety_harness.base.whole_file import writing
+    from safety_harness.cell.avoidance.model_file import load_model
+    from safety_harness.claims.properties.tally import table
+    from safety_harness.extensions.assurance.certification.system import network_file_of
+    from safety_harness.extensions.lab.proof.decisions import certified_decisions
+    from safety_harness.scenario.typed_json import plain
+    from safety_harness.scenario.units import LENGTH, parse_quantity
+    from safety_harness.trace.certified import Sameness
+    from safety_harness.trace.store import load_trace, save_trace
+    from safety_harness.trace.unmeasured import refuse_not_simulated
+
+    half_m, trace = parse_quantity(text, LENGTH, Place(field="--decisions")), load_trace(file)
+    if not 0.0 <= half_m <= 1.0:
+        raise InputError.of_option("--decisions", "a length from 0 m to 1 m", text, "")
+    refuse_not_simulated(trace, file)
+    network = None if trace.scenario.driven else network_file_of(trace.scenario)
+    if network is None:
+        expected = "a run of a network that ships, or of FILE.safetensors"
+        raise InputError(place=Place(file=file), expected=expected, got=trace.scenario.under_test)
+    model = load_model(network)
+    found = certified_decisions(trace, model, hashlib.sha256(network.read_bytes()).hexdigest(), half_m)
+    path = out / file.name
+    with writing(path):
+        save_trace(replace(trace, certified=found), path)
+    rows = [
+        (str(number), f"{time_s:.3f} s", one.words)
+        for number, (one, time_s) in enumerate(
+            zip(found.decisions, trace.decisions["time_s"], strict=True), 1
+        )
+    ]
+    result(*table(("decision", "at", "every hand near"), rows, columns_of(sys.stdout), named_by=1))
+    result("", found.words, str(path))
+    say(f"safety-harness judge {path} --out {out} shows it in the report")
+    document(trace=path, **plain(found))
+    same = bool(rows) and all(one.whole is Sameness.SAME for one in found.decisions)
+    return AS_EXPECTED if same else DIFFERS
+
+
+def _check(file: Path, model: Path | None) -> int:
+    from safety_harness.base.exceptions import InputError, Place
+    from safety_harness.cell.avoidance.shipped import SHIPPED, shipped_model
+    from safety_harness.extensions.lab.proof.certificate import FORMAT
+    from safety_harness.extensions.lab.proof.check import check
+    from safety_harness.scenario.files import read_bytes
+    from safety_harness.scenario.typed_json import LARGEST_BYTES, of_format, read_json
+
+    found = of_format(read_json(file, "a certificate of prove"), FORMAT, file)
+    name = found.get("avoider")
+    if model is None and name not in SHIPPED:
+        raise InputError.of_option(
+            "--model", "the file of the network, which does not ship", "nothing", str(name)
+        )
+    network = model if model is not None else shipped_model(str(name))
+    certificate, weights = (
+        read_bytes(one, most=LARGEST_BYTES, place=Place(file=one), error=InputError)
+        for one in (file, network)
+    )
+    try:
+        lines = check(certificate, weights)
+    except Exception as error:  # whatever a stranger's certificate makes of the checker, it is not confirmed
+        say(f"not confirmed: {type(error).__name__}: {error}")
+        document(confirmed=False, why=f"{type(error).__name__}: {error}", claims=[])
+        return DIFFERS
+    result(*(f"confirmed {line}" for line in lines))
+    document(confirmed=True, why=None, claims=lines)
+    return AS_EXPECTED

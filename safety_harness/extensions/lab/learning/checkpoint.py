@@ -1,0 +1,158 @@
+"""The state of a training after an epoch as one file: safetensors with a JSON text, never a pickle.
+
+Numbers come back bit for bit.  No state of a random generator is in it, as there is none: every
+epoch draws from a generator of its own, a leaf of the training's seed.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from msgspec import Meta
+from numpy.typing import NDArray
+from safetensors import SafetensorError, safe_open
+from safetensors.numpy import save
+
+from safety_harness.base.exceptions import ModelError, OutputError, Place
+from safety_harness.base.whole_file import replacing, writing
+from safety_harness.extensions.lab.learning.recipes import Recipe
+from safety_harness.scenario.files import refuse_no_file
+from safety_harness.scenario.typed_json import plain, typed
+
+FORMAT = "safety-harness checkpoint 1"
+KEY = "safety_harness"  # of the metadata
+
+Tensors = Mapping[str, NDArray[np.float32]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Epoch:
+    """One epoch of one member (both counted from 0): mean losses in the network's unit.
+
+    ``training_loss`` is the mean over the epoch's batches; ``validation_loss`` is that of the mean of
+    the passes, after the epoch.  ``is_best``: the lowest validation loss of this member yet.
+    """
+
+    member: int
+    number: int
+    training_loss: float
+    validation_loss: float
+    validation_rmse_m: float
+    is_best: bool
+
+
+@dataclass(frozen=True)
+class _History:
+    history: Annotated[tuple[Epoch, ...], Meta(min_length=1)]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Checkpoint:
+    """Where a training stands: ``history`` ends with the epoch after which this was saved.
+
+    ``data`` is a hash of what is trained on.  ``best`` holds the best weights of every member so
+    far, ``weights`` and ``optimiser`` the present state of the last one.
+    """
+
+    recipe: Recipe
+    seed: int
+    data: str
+    history: tuple[Epoch, ...]
+    best: tuple[Tensors, ...]
+    weights: Tensors
+    optimiser: Tensors
+
+
+def begin_or_resume(path: Path, recipe: Recipe, seed: int, data: str, *, resume: bool) -> Checkpoint | None:
+    """The checkpoint to go on from, or None to begin; its folder is there afterwards.
+
+    OutputError if the folder cannot be made, or holds a training that is not to be resumed.
+    """
+    if resume and path.exists():
+        return load_checkpoint(path, recipe, seed, data)
+    if path.exists():
+        raise OutputError(
+            place=Place(file=path),
+            expected="a folder without a training in it",
+            got="a checkpoint of one",
+            hint="resume it, or choose another folder",
+        )
+    with writing(path.parent):
+        path.parent.mkdir(parents=True, exist_ok=True)
+    return None
+
+
+def save_checkpoint(checkpoint: Checkpoint, path: Path) -> None:
+    """Write it, whole or not at all, and onto the disk; OutputError if the place refuses."""
+    groups = {"weights": checkpoint.weights, "optimiser": checkpoint.optimiser}
+    groups |= {f"best {member}": tensors for member, tensors in enumerate(checkpoint.best)}
+    text = {
+        "format": FORMAT,
+        **_identity(checkpoint.recipe, checkpoint.seed, checkpoint.data),
+        "history": [asdict(epoch) for epoch in checkpoint.history],
+    }
+    content = save(
+        {f"{group}/{name}": tensor for group, tensors in groups.items() for name, tensor in tensors.items()},
+        metadata={KEY: json.dumps(text, sort_keys=True)},
+    )
+    with writing(path), replacing(path) as unfinished:
+        unfinished.write_bytes(content)
+
+
+def load_checkpoint(path: Path, recipe: Recipe, seed: int, data: str) -> Checkpoint:
+    """Read the checkpoint of *this* training; ModelError if it is of another one, or damaged."""
+    refuse_no_file(path, "a checkpoint of a training", ModelError)
+    try:
+        with safe_open(path, framework="np") as file:
+            text = json.loads((file.metadata() or {}).get(KEY, "null"))
+            arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    except (OSError, SafetensorError, ValueError, RecursionError) as error:
+        raise _refused(path, None, "a checkpoint of a training", str(error)) from error
+    if not isinstance(text, dict) or text.get("format") != FORMAT:
+        raise _refused(path, "format", FORMAT, "something else")
+    for name, expected in _identity(recipe, seed, data).items():
+        if text.get(name) != expected:
+            raise _refused(path, name, *_difference(expected, text.get(name)))
+    history = typed({"history": text.get("history")}, _History, path, error=ModelError).history
+    members = range(recipe.members)[: history[-1].member + 1]
+    return Checkpoint(
+        recipe=recipe,
+        seed=seed,
+        data=data,
+        history=history,
+        best=tuple(_group(arrays, f"best {member}") for member in members),
+        weights=_group(arrays, "weights"),
+        optimiser=_group(arrays, "optimiser"),
+    )
+
+
+def _identity(recipe: Recipe, seed: int, data: str) -> dict[str, Any]:
+    """What must be the same for a training to go on, as JSON gives it back."""
+    return {"recipe": plain(recipe), "seed": seed, "data": data}
+
+
+def _difference(expected: object, got: object) -> tuple[str, str]:
+    """What the two say; of two recipes only where they differ."""
+    if isinstance(expected, dict) and isinstance(got, dict):
+        keys = [key for key in expected if expected[key] != got.get(key)]
+        return str({key: expected[key] for key in keys}), str({key: got.get(key) for key in keys})
+    return str(expected), str(got)
+
+
+def _group(arrays: Tensors, group: str) -> dict[str, NDArray[np.float32]]:
+    prefix = group + "/"
+    return {name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}
+
+
+def _refused(path: Path, field: str | None, expected: str, got: str) -> ModelError:
+    return ModelError(
+        place=Place(file=path, field=field),
+        expected=expected,
+        got=got,
+        hint="resume with what the training was begun with, or begin in another folder",
+    )

@@ -1,0 +1,360 @@
+"""The data that a network learns eq. 13 from (section 4.1 of the paper), in a compact form.
+
+10,000 TCPs times 500 hands are 5,000,000 samples, but the selected candidate belongs to the TCP and the
+hand only shifts it, so that 10,000 selections and 500 hands say everything.  Sample k joins TCP k // hands
+with hand k mod hands; rows are made when somebody asks for them.
+
+TCPs and hands lie in the seen space or in one of the three unseen ones (Table 3); the regions themselves are
+those of scenario spaces (``space.regions``, which says why they are so).
+
+0.8, 0.1 and 0.1 of the samples are trained on, validated on and tested on.  The paper splits them at random,
+so that every TCP, and with it the noise of its label, is in all three parts: a network may remember what it
+is then tested on.  Splitting by TCP has no such leak.  (Hands are shared in both; they only shift the
+target, in a known way.)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.base.compiled import compiled
+from safety_harness.base.exceptions import DatasetError, Place, near_miss
+from safety_harness.base.geometry.regions import Region
+from safety_harness.base.settings import Settings
+from safety_harness.cell.avoidance.candidates import CandidateCap, continuous_optimum
+from safety_harness.extensions.lab.learning.image_error import ImageErrors
+from safety_harness.scenario.robots import Robot
+from safety_harness.space.regions import paper_seen, region_named
+
+Vector = NDArray[np.float64]  # (3,)
+Vectors = NDArray[np.float64]  # (..., 3)
+
+
+@dataclass(frozen=True)
+class Space:
+    """Where the TCPs and, independently of them, the hands of a data set are."""
+
+    name: str
+    tcp: Region
+    hand: Region
+
+
+SPACES = {  # by name, the regions of hands and of TCPs
+    "seen": ("seen hand", "seen tcp"),
+    "unseen hand": ("unseen hand", "seen tcp"),
+    "unseen tcp": ("seen hand", "unseen tcp"),
+    "unseen both": ("unseen hand", "unseen tcp"),
+}
+
+
+def space_named(name: str, settings: Settings) -> Space:
+    """The space that a user names; DatasetError with the four names for any other."""
+    if name not in SPACES:
+        raise DatasetError(
+            place=Place(field="space"),
+            expected=f"one of {', '.join(map(repr, SPACES))}",
+            got=repr(name),
+            hint=near_miss(name, SPACES),
+        )
+    bounds = paper_seen(settings)
+    hand, tcp = (region_named(region, bounds, settings) for region in SPACES[name])
+    return Space(name, tcp=tcp, hand=hand)
+
+
+def seen(settings: Settings) -> Space:
+    """Where training happens: TCPs about the desired one, hands about the nominal one."""
+    return space_named("seen", settings)
+
+
+Index = NDArray[np.integer]
+Numbers = NDArray[np.int64]
+
+VIEWS_AT_A_TIME = 100_000  # bounds the memory; the result does not depend on it
+TCPS_A_REDRAW = 32
+MOST = {"tcps": 10_000_000, "candidates": 100_000, "hands": 10_000_000}
+
+
+class Stream(IntEnum):
+    """The random streams below a data set's seed.  Numbers are part of the format: never reuse one."""
+
+    TCPS = 1
+    HANDS = 2
+    CANDIDATES = 3  # one stream a TCP, so that its candidates depend on the seed and its number alone
+    SPLIT = 4
+    REDRAWS = 5
+
+
+def stream(seed: int, name: Stream, *path: int) -> np.random.Generator:
+    """A fresh generator for a stream below ``seed``."""
+    return np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=(name, *path))))
+
+
+@dataclass(frozen=True, eq=False)
+class CompactDataset:
+    """TCPs with their selected candidates, and hands; positions in the base frame [m], read-only.
+
+    ``selected_in_base`` is t_opt of eq. 13, the candidate with the least image error;
+    ``optimum_in_base`` the point of the whole cap nearest to the desired position, which has no noise.
+    ``candidates_in_view`` counts the candidates of a TCP from which the whole object is in the image.
+    ``arm`` is the one in whose cell that is.
+    """
+
+    settings: Settings
+    space: Space
+    seed: int
+    tcp_in_base: Vectors  # (n, 3)
+    selected_in_base: Vectors  # (n, 3)
+    optimum_in_base: Vectors  # (n, 3)
+    candidates_in_view: NDArray[np.int64]  # (n,)
+    hand_in_base: Vectors  # (m, 3)
+    arm: str = Robot.UR10.label
+
+    def __post_init__(self) -> None:
+        for value in vars(self).values():
+            if isinstance(value, np.ndarray):
+                value.setflags(write=False)
+
+    def __len__(self) -> int:
+        """How many samples there are: TCPs times hands."""
+        return self.tcps * self.hands
+
+    @property
+    def tcps(self) -> int:
+        """How many TCPs there are."""
+        return len(self.tcp_in_base)
+
+    @property
+    def hands(self) -> int:
+        """How many hands there are."""
+        return len(self.hand_in_base)
+
+    @property
+    def candidates(self) -> int:
+        """How many candidates each TCP had."""
+        return self.settings.avoidance.candidate_count
+
+    @property
+    def views_without_object(self) -> int:
+        """From how many of all candidates the object was not wholly in the image."""
+        return self.tcps * self.candidates - int(self.candidates_in_view.sum())
+
+    @property
+    def tcps_without_view(self) -> int:
+        """For how many TCPs that was so of every candidate."""
+        return int(np.count_nonzero(self.candidates_in_view == 0))
+
+    def without_noise(self) -> CompactDataset:
+        """The same samples with the optimum as t_opt: what remains to be learnt when labels are exact."""
+        return replace(self, selected_in_base=self.optimum_in_base)
+
+    def inputs(self, index: Index) -> Vectors:
+        """(len, 6): hand, then TCP, of the samples with these numbers."""
+        tcp, hand = self._pairs(index)
+        return np.concatenate([self.hand_in_base[hand], self.tcp_in_base[tcp]], axis=1)
+
+    def targets(self, index: Index) -> Vectors:
+        """(len, 3): gt = 0.05 (t_tcp - t_h) + t_opt (eq. 13) of the samples with these numbers."""
+        tcp, hand = self._pairs(index)
+        pull = self.settings.avoidance.hand_pull
+        by_tcp: Vectors = self.selected_in_base + pull * self.tcp_in_base
+        rows: Vectors = by_tcp[tcp] - pull * self.hand_in_base[hand]
+        return rows
+
+    def _pairs(self, index: Index) -> tuple[Index, Index]:
+        """TCP and hand of each sample; IndexError beyond the last or before the first."""
+        if len(index) and not (index.min() >= 0 and index.max() < len(self)):
+            raise IndexError(f"samples are numbered 0 to {len(self) - 1}")
+        tcp, hand = np.divmod(index, self.hands)
+        return tcp, hand
+
+
+def generate(
+    settings: Settings,
+    space: Space,
+    *,
+    seed: int,
+    tcps: int = 10_000,
+    candidates: int = 100,
+    hands: int = 500,
+    arm: str = Robot.UR10.label,
+    on_progress: Callable[[int], object] | None = None,
+) -> CompactDataset:
+    """Draw TCPs, candidates and hands, and select by least |f - f*|^2 (eq. 15) of the exact image.
+
+    ``on_progress`` is told how many TCPs are done.  A candidate without the whole object in its image
+    is not selected unless all candidates of its TCP are such; then the image is taken to have no border
+    (moments of what lies beyond it are as well defined), and ``candidates_in_view`` is 0.
+    DatasetError for impossible numbers, or when an object is not even in front of any camera.
+    """
+    for name, number in (("tcps", tcps), ("candidates", candidates), ("hands", hands)):
+        if not 1 <= number <= MOST[name]:
+            raise DatasetError(
+                place=Place(field=name), expected=f"a number from 1 to {MOST[name]}", got=str(number)
+            )
+    if seed < 0:
+        raise DatasetError(place=Place(field="seed"), expected="a seed of at least 0", got=str(seed))
+    settings = replace(settings, avoidance=replace(settings.avoidance, candidate_count=candidates))
+    tcp_in_base = space.tcp.draw(stream(seed, Stream.TCPS), tcps)
+    errors = ImageErrors.of(settings)
+    selected, in_view = np.empty((tcps, 3)), np.empty(tcps, np.int64)
+    step = max(1, VIEWS_AT_A_TIME // candidates)
+    for start in range(0, tcps, step):
+        part = slice(start, min(start + step, tcps))
+        positions = candidates_of(settings, tcp_in_base, seed, np.arange(part.start, part.stop))
+        best, in_view[part] = errors.select(positions)
+        selected[part] = positions[np.arange(len(positions)), best]
+        if on_progress is not None:
+            on_progress(part.stop)
+    return CompactDataset(
+        settings=settings,
+        space=space,
+        seed=seed,
+        tcp_in_base=tcp_in_base,
+        selected_in_base=selected,
+        optimum_in_base=continuous_optimum(settings, tcp_in_base),
+        candidates_in_view=in_view,
+        hand_in_base=space.hand.draw(stream(seed, Stream.HANDS), hands),
+        arm=arm,
+    )
+
+
+def fresh_pairs(
+    settings: Settings, space: Space, *, seed: int, samples: int, candidates: int
+) -> tuple[CompactDataset, Numbers]:
+    """New data with the numbers of ``samples`` independent rows: every TCP and every hand is in one only."""
+    drawn = generate(settings, space, seed=seed, tcps=samples, candidates=candidates, hands=samples)
+    return drawn, np.arange(samples) * (samples + 1)  # TCP k with hand k
+
+
+def seed_below(seed: int, *path: int) -> int:
+    """A 64-bit seed for a consumer that makes its own generators."""
+    return int(np.random.SeedSequence(seed, spawn_key=path).generate_state(1, np.uint64)[0])
+
+
+def candidates_of(settings: Settings, tcp_in_base: Vectors, seed: int, numbers: Index) -> Vectors:
+    """(k, candidates, 3): the candidate positions of the TCPs with these ``numbers`` (k,) [m].
+
+    ``tcp_in_base`` (n, 3) are all TCPs; a candidate is its TCP and an offset within the cap.
+    """
+    generators = [stream(seed, Stream.CANDIDATES, int(number)) for number in numbers]
+    positions: Vectors = CandidateCap.of(settings).draw_many(generators)
+    positions += tcp_in_base[numbers, None]
+    return positions
+
+
+@dataclass(frozen=True, eq=False)
+class LabelFloor:
+    """What the random candidates leave of any regressor's error on TCPs that it has not seen, by axis [m]."""
+
+    rmse_m: Vector  # (3,)
+    mae_m: Vector  # (3,)
+    redraws: int
+
+
+def label_floor(settings: Settings, tcp_in_base: Vectors, *, seed: int, redraws: int = 1000) -> LabelFloor:
+    """The least RMSE and MAE against labels selected from fresh candidates, by ``redraws`` for each TCP.
+
+        RMSE = sqrt(mean_TCP Var(label | TCP)),   MAE = mean_TCP E|label - median(label | TCP)|, by axis,
+
+    over ``tcp_in_base`` (n, 3).  A regressor knows the TCP and not the draw: its RMSE is least when it
+    predicts the mean label of each TCP and its MAE when it predicts the median, so that the floors are the
+    root mean variance and the mean distance from the median.  (Two floors: one regressor does not reach
+    both.)  A TCP that was trained on is no test of this, for its label may be remembered.  Selection is by
+    nearness to the desired position, which least image error is for upright views; the hand shifts labels and
+    floor alike.
+
+    TCPs share their redraws in groups of 32, which leaves every TCP's own distribution as it is.
+    """
+    if redraws < 2 or len(tcp_in_base) == 0:
+        raise DatasetError(
+            place=Place(field="redraws"),
+            expected="at least 2 redraws for at least one TCP",
+            got=f"{redraws} for {len(tcp_in_base)}",
+        )
+    cap = CandidateCap.of(settings)
+    way = np.array(settings.cell.desired_tcp_position_in_base_m) - tcp_in_base
+    rng = stream(seed, Stream.REDRAWS)
+    variances, deviations = np.empty_like(tcp_in_base), np.empty_like(tcp_in_base)
+    for start in range(0, len(way), TCPS_A_REDRAW):
+        group = slice(start, start + TCPS_A_REDRAW)
+        labels = np.empty((len(way[group]), redraws, 3))
+        _furthest_along(cap.draw_many([rng] * redraws), way[group], labels)
+        variances[group] = labels.var(axis=1, ddof=1)
+        deviations[group] = np.abs(labels - np.median(labels, axis=1, keepdims=True)).mean(axis=1)
+    return LabelFloor(np.sqrt(variances.mean(axis=0)), deviations.mean(axis=0), redraws)
+
+
+@compiled
+def _furthest_along(
+    offsets: NDArray[np.float64],  # (sets, candidates, 3), all of one length
+    way: NDArray[np.float64],  # (n, 3)
+    best_out: NDArray[np.float64],  # (n, sets, 3)
+) -> None:
+    """Of each set the offset o that leads furthest along each way w: the one that ends nearest to its end.
+
+    All o are of one length, so that |o - w|^2 = |o|^2 + |w|^2 - 2 o . w is least there.
+    """
+    sets, candidates, _ = offsets.shape
+    for k in range(way.shape[0]):
+        x, y, z = way[k, 0], way[k, 1], way[k, 2]
+        for s in range(sets):
+            best, furthest = 0, -np.inf
+            for c in range(candidates):
+                along = offsets[s, c, 0] * x + offsets[s, c, 1] * y + offsets[s, c, 2] * z
+                if along > furthest:
+                    best, furthest = c, along
+            for i in range(3):
+                best_out[k, s, i] = offsets[s, best, i]
+
+
+HELD_OUT = 0.1  # for validation, and as much again for testing
+
+
+@dataclass(frozen=True, eq=False)
+class Split:
+    """Numbers of the samples in each part, read-only; together they are all samples, each once."""
+
+    kind: str
+    train: Numbers
+    validation: Numbers
+    test: Numbers
+
+    def __post_init__(self) -> None:
+        for part in (self.train, self.validation, self.test):
+            part.setflags(write=False)
+
+
+def split_by_sample(dataset: CompactDataset, *, seed: int) -> Split:
+    """The paper's split: samples at random, in random order.  DatasetError with fewer than 10 of them."""
+    return Split("by sample", *_parts(len(dataset), "samples", seed, 0))
+
+
+def split_by_tcp(dataset: CompactDataset, *, seed: int) -> Split:
+    """TCPs at random, each with all of its samples in one part.  DatasetError with fewer than 10 TCPs."""
+    train, validation, test = (
+        (tcps[:, None] * dataset.hands + np.arange(dataset.hands)).ravel()
+        for tcps in _parts(dataset.tcps, "TCPs", seed, 1)
+    )
+    return Split("by TCP", train, validation, test)
+
+
+SPLITS = {"by TCP": split_by_tcp, "by sample": split_by_sample}
+
+
+def _parts(count: int, what: str, seed: int, kind: int) -> tuple[Numbers, Numbers, Numbers]:
+    """A random permutation of 0 ... count - 1, cut into train, validation and test."""
+    held_out = round(HELD_OUT * count)
+    if count < 10:
+        raise DatasetError(
+            place=Place(field="split"),
+            expected=f"at least 10 {what} to split into 0.8, 0.1 and 0.1",
+            got=f"{count} {what}",
+        )
+    order = stream(seed, Stream.SPLIT, kind).permutation(count)
+    train = count - 2 * held_out
+    return order[:train], order[train : train + held_out], order[train + held_out :]

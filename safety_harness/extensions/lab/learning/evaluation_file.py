@@ -1,0 +1,199 @@
+"""Trained models on the same draws, side by side: every figure, and the file that has them."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from safety_harness.base.compiled import source_hash
+from safety_harness.base.distribution import installed_version
+from safety_harness.base.exceptions import DatasetError, ModelError, Place
+from safety_harness.base.proportions import Proportion
+from safety_harness.base.settings import DEFAULTS, Settings
+from safety_harness.base.whole_file import write_whole
+from safety_harness.cell.avoidance.learned import LearnedAvoider
+from safety_harness.cell.avoidance.model_file import Model, load_model, writing_to
+from safety_harness.cell.avoidance.shipped import model_file
+from safety_harness.extensions.lab.learning.cell import UR10_CELL, TrainingCell
+from safety_harness.extensions.lab.learning.dataset import seen
+from safety_harness.extensions.lab.learning.evaluation import (
+    LEVELS,
+    DataCard,
+    EvaluationSet,
+    Figures,
+    evaluate_model,
+    fresh_sets,
+    learns_noise_free,
+    test_part,
+)
+from safety_harness.extensions.lab.learning.metrics import IntervalCoverage
+from safety_harness.scenario.typed_json import plain
+
+SCHEMA = "safety-harness evaluation 1"
+FEWEST, MOST = 10, 1_000_000  # samples of a set
+SAME_PLACE_M = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class LoadedModel:
+    """A model, what the tables call it, and the hash of its file."""
+
+    path: Path
+    label: str
+    model: Model
+    sha256: str
+
+    @property
+    def candidates(self) -> int:
+        """Of each TCP in its training data: the noise of its labels."""
+        card = DataCard.of(self.model.card)
+        return card.candidates if card and card.candidates else DEFAULTS.avoidance.candidate_count
+
+
+def load_models(models: Sequence[str | Path], settings: Settings = DEFAULTS) -> list[LoadedModel]:
+    """Model files, or shipped models by name; ModelError for none, or one of another seen space."""
+    if not models:
+        raise ModelError(place=Place(field="MODEL"), expected="at least one model", got="none")
+    loaded: list[LoadedModel] = []
+    for reference in models:
+        path = model_file(str(reference))
+        model = load_model(path)
+        _refuse_another_space(model, path, settings)
+        name = path.parent.name if path.stem == "model" and path.parent.name else path.stem
+        same = sum(one.label.partition(" #")[0] == name for one in loaded)
+        digest = hashlib.sha256(path.read_bytes()).hexdigest()
+        loaded.append(LoadedModel(path, f"{name} #{same + 1}" if same else name, model, digest))
+    return loaded
+
+
+def _refuse_another_space(model: Model, path: Path, settings: Settings) -> None:
+    """What is drawn as seen must be what the model has seen."""
+    space = seen(settings)
+    for name, ours in (("hand", space.hand.outer), ("tcp", space.tcp.outer)):
+        corners, theirs = np.array([ours.low_m, ours.high_m]), model.seen.boxes[name]
+        if not np.abs(corners - np.array(theirs)).max() <= SAME_PLACE_M:
+            raise ModelError(
+                place=Place(file=path, field=f"seen.{name}_low_m to seen.{name}_high_m"),
+                expected=f"the seen space of the cell, {corners[0].tolist()} to {corners[1].tolist()}",
+                got=f"{list(theirs[0])} to {list(theirs[1])}, of the arm {model.made_for}",
+                hint="--robot SCENARIO is the cell that it was made for",
+            )
+
+
+def figures_of(
+    loaded: list[LoadedModel],
+    samples: int,
+    seed: int,
+    say: Callable[[str], None],
+    cell: TrainingCell = UR10_CELL,
+) -> tuple[list[Figures], list[str]]:
+    """The figures of every model on every set, in the order of the models, and what could not be had.
+
+    DatasetError for too few or too many ``samples`` of a set, or a negative seed.
+    """
+    if not FEWEST <= samples <= MOST:
+        raise DatasetError(
+            place=Place(field="--samples"), expected=f"a number from {FEWEST} to {MOST}", got=str(samples)
+        )
+    if seed < 0:
+        raise DatasetError(place=Place(field="--seed"), expected="a seed of at least 0", got=str(seed))
+    fresh: dict[int, list[EvaluationSet]] = {}
+    parts: dict[DataCard, tuple[EvaluationSet | None, str]] = {}
+    figures: list[Figures] = []
+    remarks: list[str] = []
+    for one in loaded:
+        if one.candidates not in fresh:
+            fresh[one.candidates] = fresh_sets(
+                cell.settings,
+                samples=samples,
+                seed=seed,
+                candidates=one.candidates,
+                on_set=lambda name: say(f"drawing {samples} TCPs and hands: {name}"),
+            )
+        card = DataCard.of(one.model.card)
+        if card is not None and card not in parts:
+            say(f"{one.label}: making its training data again")
+            parts[card] = test_part(cell.settings, card, samples=samples, seed=seed)
+        part, why = (None, "its card does not say how its data were made") if card is None else parts[card]
+        if part is None:
+            remarks.append(f"{one.label}: no test part of the training data: {why}")
+        if one.model.calibration is None:
+            remarks.append(f"{one.label}: not calibrated: no intervals, no spread threshold, no residuals")
+        if learns_noise_free(one.model):
+            remarks.append(f"{one.label}: trained for labels without noise, and measured on such")
+        say(f"{one.label}: evaluating")
+        seen_set, *unseen = fresh[one.candidates]
+        sets = [seen_set, *([part] if part is not None else []), *unseen]
+        place = Place(file=one.path)
+        figures += evaluate_model(one.label, one.model, sets, cell.settings, place=place, robot=cell.robot)
+    return figures, remarks
+
+
+def evaluation_data(
+    loaded: list[LoadedModel], figures: list[Figures], remarks: list[str], samples: int, seed: int
+) -> dict[str, Any]:
+    """Everything, in metres, for JSON."""
+    return {
+        "schema": SCHEMA,
+        "package_version": installed_version(),
+        "source_hash": source_hash(),
+        "seed": seed,
+        "samples": samples,
+        "levels": list(LEVELS),
+        "remarks": remarks,
+        "models": [
+            {
+                "label": one.label,
+                "file": str(one.path),
+                "sha256": one.sha256,
+                "name": LearnedAvoider.of(one.model).name,
+                "calibration": plain(one.model.calibration),
+                "sets": [_json_of(f) for f in figures if f.model == one.label],
+            }
+            for one in loaded
+        ],
+    }
+
+
+def write_evaluation(out: Path, found: dict[str, Any]) -> None:
+    """Write what ``evaluation_data`` gave; OutputError if it cannot be written."""
+    with writing_to(out):
+        write_whole(out, json.dumps(found, indent=1, allow_nan=False, default=np.ndarray.tolist) + "\n")
+
+
+def _json_of(figures: Figures) -> dict[str, Any]:
+    one, intervals = figures.set, figures.intervals
+    return {
+        "set": one.name,
+        "about": one.about,
+        "seen": one.seen,
+        "rows": len(one),
+        "label_floor_m": None if one.floor is None else asdict(one.floor),
+        "errors_m": asdict(figures.errors),
+        "errors_without_noise_m": asdict(figures.noise_free),
+        "picp_95": {name: _coverage(value) for name, value in figures.picp.items()},
+        "calibration_curves": figures.curves,
+        "median_largest_spread_m": figures.median_largest_spread_m,
+        "auroc_against_seen": figures.auroc,
+        "unreachable": _proportion(figures.unreachable),
+        "intervals_95": None
+        if intervals is None
+        else _coverage(intervals.coverage) | {"joint": _proportion(intervals.covered)},
+        "above_spread_threshold": None
+        if intervals is None or intervals.above_threshold is None
+        else _proportion(intervals.above_threshold),
+    }
+
+
+def _coverage(found: IntervalCoverage) -> dict[str, Any]:
+    return {"picp": found.picp, "joint": found.joint, "mean_width_m": found.mean_width}
+
+
+def _proportion(found: Proportion) -> dict[str, Any]:
+    return asdict(found) | {"share": found.share}

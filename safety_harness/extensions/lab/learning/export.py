@@ -1,0 +1,194 @@
+"""A trained model as one function from metres to metres, for other programs: an ONNX file.
+
+Normalisation, all passes or members, their mean and their standard deviation are inside.  Inputs are
+float64 (n, 3), as are the outputs; the network between them computes in float32, as ours does.  With
+dropout the masks are an input, so that whoever calls decides on them, and can have ours.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import logging
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from safety_harness.base.exceptions import ModelError, OutputError, Place
+from safety_harness.base.whole_file import replacing
+from safety_harness.cell.avoidance.learned import LearnedAvoider
+from safety_harness.cell.avoidance.model_file import KEY, Dropout, Model, metadata_of, writing_to
+from safety_harness.cell.avoidance.onnx_model import EXPORT_FORMAT, drawn_masks, open_session
+from safety_harness.cell.avoidance.onnx_names import HAND, MASKS, POSITION, SPREAD, TCP
+from safety_harness.extensions.lab.learning.networks import Network, load_tensors, network_of
+from safety_harness.scenario.references import ONNX_SUFFIX
+
+ROWS = 256  # that an exported file is tried with, in the seen space and as many outside
+MOST_DIFFERENT_M = 1e-6  # float32 in another order of sums: 1e-7 m, or 4e-7 m in raw millimetres; measured
+FARTHER = 1.5  # how much larger than the seen boxes those are that the unseen half is drawn from
+
+Arrays = tuple[NDArray[np.float64], ...]
+Function = Callable[[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_] | None], Arrays]
+
+
+class WholeFunction(nn.Module):
+    """Hand and TCP (n, 3) [m], and masks (n, passes, places, width) with dropout: position and spread (n, 3).
+
+    The mean over the passes or members and their standard deviation (n in the denominator), both [m].
+    """
+
+    def __init__(self, model: Model) -> None:
+        super().__init__()
+        self.members = nn.ModuleList(_network(model, member) for member in range(model.members))
+        self.passes = model.passes
+        for name in ("input_mean", "input_std", "target_mean", "target_std"):
+            self.register_buffer(name, torch.tensor(getattr(model, name), dtype=torch.float64))
+        self.eval()
+
+    def forward(self, hand: Tensor, tcp: Tensor, masks: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        """Metres to metres, float64 to float64."""
+        inputs = torch.cat([hand, tcp], dim=1)
+        x = (inputs - self.get_buffer("input_mean")) / self.get_buffer("input_std")
+        x = torch.cat([x, torch.ones_like(x[:, :1])], dim=1).float()  # (n, 7)
+        if masks is None:
+            answers = torch.stack([member(x) for member in self.members], dim=1)  # (n, members, 3)
+        else:
+            by_place = masks.permute(2, 0, 1, 3).flatten(1, 2)  # (places, n passes, width)
+            every = self.members[0](x.repeat_interleave(self.passes, dim=0), by_place)
+            answers = every.unflatten(0, (-1, self.passes))  # (n, passes, 3)
+        answers = answers.double()
+        std = self.get_buffer("target_std")
+        mean = answers.mean(dim=1)
+        # A ReLU may make a NaN a 0 elsewhere: what is not finite stays so.
+        doubt = 0.0 * inputs.sum(dim=1, keepdim=True)
+        spread = std * ((answers - mean[:, None]) ** 2).mean(dim=1).sqrt()
+        return self.get_buffer("target_mean") + std * mean + doubt, spread + doubt
+
+
+def _network(model: Model, member: int) -> Network:
+    network = network_of(model.kind, model.dropout, model.dropout_probability)
+    prefix = f"{member}/"
+    tensors = {n.removeprefix(prefix): t for n, t in model.tensors.items() if n.startswith(prefix)}
+    load_tensors(network, tensors)
+    return network.eval().requires_grad_(False)
+
+
+def write_export(model: Model, source: bytes, out: Path, *, seed: int) -> float:
+    """Write ``model`` (of a file with the bytes ``source``) to ``out``; what is written is tried first.
+
+    Returns the greatest difference [m] that ``difference`` found between the loaded file and
+    ``LearnedAvoider``; ModelError, and the file as it was before, if that is above 1e-6 m.
+    OutputError if ``out`` cannot be written or does not end in .onnx.
+    """
+    if out.suffix != ONNX_SUFFIX:
+        raise OutputError(
+            place=Place(file=out), expected=f"a file that ends in {ONNX_SUFFIX}", got=repr(out.name)
+        )
+    metadata = metadata_of(model) | {
+        "format": EXPORT_FORMAT,
+        "source_sha256": hashlib.sha256(source).hexdigest(),
+    }
+    data = _onnx_bytes(model, json.dumps(metadata, sort_keys=True))
+    with writing_to(out), replacing(out) as unfinished:
+        unfinished.write_bytes(data)
+        found_m = difference(model, load_onnx(unfinished), seed=seed)
+        if not found_m <= MOST_DIFFERENT_M:
+            raise ModelError(
+                place=Place(file=out),
+                expected=f"the original's answers to {1e3 * MOST_DIFFERENT_M:g} mm",
+                got=f"a difference of {1e3 * found_m:.3g} mm",
+            )
+    return found_m
+
+
+def difference(model: Model, function: Function, *, seed: int) -> float:
+    """The greatest difference [m] of any coordinate of any position or spread from ``LearnedAvoider``.
+
+    On random hands and TCPs in the model's seen boxes, as many in boxes 1.5 times as large, each with the
+    masks of its own seed, and one hand that is not a number, which must give none: else infinity.
+    """
+    rng = np.random.default_rng(seed)
+    hands, tcps = (
+        np.concatenate(
+            [rng.uniform(centre - size * half, centre + size * half, (ROWS, 3)) for size in (1.0, FARTHER)]
+        )
+        for centre, half in _boxes(model)
+    )
+    seeds = rng.integers(0, 2**64, len(hands), dtype=np.uint64)
+    masks = None if model.dropout is Dropout.NONE else drawn_masks(model, seeds)
+    own = LearnedAvoider.of(model).propose_many(hands, tcps, seeds)
+    answers = function(hands, tcps, masks)
+    no_answer = function(hands[:1] * np.nan, tcps[:1], None if masks is None else masks[:1])
+    if np.isfinite(no_answer).any() or any(a.shape != b.shape for a, b in zip(own, answers, strict=True)):
+        return float("inf")
+    greatest = float(np.abs(np.array(answers) - np.array(own)).max())
+    return greatest if np.isfinite(greatest) else float("inf")
+
+
+def _boxes(model: Model) -> Iterator[tuple[NDArray[np.float64], NDArray[np.float64]]]:
+    """Centre and half size of the seen hands' box, then of the TCPs'."""
+    for low, high in map(np.array, model.seen.boxes.values()):
+        yield (low + high) / 2, (high - low) / 2
+
+
+def _onnx_bytes(model: Model, metadata: str) -> bytes:
+    """One self-contained ONNX file, without the paths of this machine that PyTorch leaves in it."""
+    point = torch.zeros((2, 3), dtype=torch.float64)
+    question = {HAND: point, TCP: point.clone()}
+    if model.dropout is not Dropout.NONE:
+        question[MASKS] = torch.from_numpy(drawn_masks(model, np.arange(2, dtype=np.uint64)))
+    rows = torch.export.Dim("n")
+    with _quiet():
+        program = torch.onnx.export(
+            WholeFunction(model),
+            tuple(question.values()),
+            dynamo=True,
+            dynamic_shapes=({0: rows},) * len(question),
+            input_names=list(question),
+            output_names=[POSITION, SPREAD],
+            external_data=False,
+            verbose=False,
+        )
+    assert program is not None  # of an export with dynamo
+    proto = program.model_proto
+    proto.graph.ClearField("value_info")  # PyTorch's shapes of transposed weights contradict inferred ones
+    for part in (*proto.graph.node, *proto.graph.input, *proto.graph.output):
+        part.ClearField("doc_string")
+        part.ClearField("metadata_props")
+    proto.graph.ClearField("metadata_props")
+    proto.ClearField("metadata_props")
+    proto.metadata_props.add(key=KEY, value=metadata)
+    data: bytes = proto.SerializeToString(deterministic=True)
+    return data
+
+
+def load_onnx(path: Path) -> Function:
+    """What an exported ONNX file computes, in onnxruntime."""
+    session = open_session(path, path.read_bytes())  # just written
+
+    def function(
+        hands: NDArray[np.float64], tcps: NDArray[np.float64], masks: NDArray[np.bool_] | None
+    ) -> Arrays:
+        feed = {HAND: hands, TCP: tcps} | ({} if masks is None else {MASKS: masks})
+        return tuple(session.run((POSITION, SPREAD), feed))
+
+    return function
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Without the remarks of PyTorch's exporter about itself; whether the outcome is right is tried."""
+    logger = logging.getLogger("torch.onnx")
+    before = logger.level
+    logger.setLevel(logging.ERROR)
+    try:
+        with warnings.catch_warnings(action="ignore"):
+            yield
+    finally:
+        logger.setLevel(before)

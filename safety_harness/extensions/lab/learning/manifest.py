@@ -1,0 +1,192 @@
+"""Data sets on disk: a folder with plain arrays and a manifest that says how they came about.
+
+``arrays.npz`` holds the compact arrays (never a pickle); ``manifest.json`` every parameter, the seed, the
+versions, a sha256 of each array's bytes and one of the manifest itself, so that a data set that was
+changed, on purpose or not, is refused.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import platform
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.base.compiled import source_hash
+from safety_harness.base.distribution import installed_version
+from safety_harness.base.exceptions import DatasetError, OutputError, Place, RegionError
+from safety_harness.base.settings import Settings
+from safety_harness.base.whole_file import replacing, write_whole
+from safety_harness.extensions.lab.learning.dataset import CompactDataset, Space
+from safety_harness.scenario.files import refuse_no_file
+from safety_harness.scenario.kinds import FileKind, refuse_other_kind
+from safety_harness.scenario.robots import Robot
+from safety_harness.scenario.typed_json import of_format, plain, read_json, typed
+
+FORMAT = "safety-harness dataset 1"
+ARRAYS, MANIFEST = "arrays.npz", "manifest.json"
+LARGEST_BYTES = 2**30  # unpacked; the paper's data set has 0.8 MB
+LARGEST_MANIFEST_BYTES = 4_000_000
+DTYPES = {
+    "tcp_in_base": np.float64,
+    "selected_in_base": np.float64,
+    "optimum_in_base": np.float64,
+    "candidates_in_view": np.int64,
+    "hand_in_base": np.float64,
+}
+
+
+@dataclass(frozen=True)
+class _StoredArray:
+    sha256: str
+
+
+@dataclass(frozen=True)
+class _Read:
+    """What of a manifest is used again; the settings in full."""
+
+    seed: int
+    tcps: int
+    hands: int
+    candidates: int
+    space: Space
+    settings: Settings
+    arrays: dict[str, _StoredArray]
+    arm: str = Robot.UR10.label
+
+
+def manifest_of(dataset: CompactDataset) -> dict[str, Any]:
+    """What the manifest of ``dataset`` says; ``sha256`` identifies parameters, software and data together."""
+    manifest = {
+        "format": FORMAT,
+        "package_version": installed_version(),
+        "source_hash": source_hash(),
+        "python": platform.python_version(),
+        "numpy": np.__version__,
+        "arm": dataset.arm,
+        "seed": dataset.seed,
+        "tcps": dataset.tcps,
+        "candidates": dataset.candidates,
+        "hands": dataset.hands,
+        "samples": len(dataset),
+        "views_without_object": dataset.views_without_object,
+        "tcps_without_view": dataset.tcps_without_view,
+        "space": plain(dataset.space),
+        "settings": plain(dataset.settings),
+        "arrays": {
+            name: {"sha256": _sha256(array), "dtype": array.dtype.str, "shape": list(array.shape)}
+            for name, array in _arrays(dataset).items()
+        },
+    }
+    return manifest | {"sha256": _manifest_hash(manifest)}
+
+
+def data_hash(dataset: CompactDataset) -> str:
+    """One sha256 over the arrays alone: the same data, whichever version made it."""
+    digest = hashlib.sha256()
+    for name, array in sorted(_arrays(dataset).items()):
+        digest.update(f"{name} {_sha256(array)}\n".encode())
+    return digest.hexdigest()
+
+
+def save_dataset(dataset: CompactDataset, folder: Path) -> None:
+    """Write ``arrays.npz`` and ``manifest.json`` into ``folder``; OutputError if that is impossible.
+
+    The folder is made if need be, and each file replaced whole.  An interruption between the two leaves
+    a folder that does not load.
+    """
+    try:
+        with replacing(folder / ARRAYS) as unfinished, unfinished.open("wb") as file:
+            np.savez(file, allow_pickle=False, **_arrays(dataset))
+        write_whole(folder / MANIFEST, json.dumps(manifest_of(dataset), indent=1, allow_nan=False) + "\n")
+    except OSError as error:
+        raise OutputError(
+            place=Place(file=folder), expected="a folder that can be written", got=str(error)
+        ) from error
+
+
+def load_dataset(folder: Path) -> CompactDataset:
+    """Read what ``save_dataset`` wrote; DatasetError says what is wrong with anything else."""
+    refuse_other_kind(folder, FileKind.DATASET, error=DatasetError)
+    file = folder / MANIFEST
+    manifest = _read_manifest(file)
+    try:
+        read = typed(manifest, _Read, file, others=True, error=DatasetError)
+        settings = typed(manifest["settings"], Settings, file, where="settings", error=DatasetError)
+    except RegionError as error:
+        raise _error(file, "a manifest as this version writes it", str(error), "space") from error
+    arrays = _read_arrays(folder / ARRAYS, read.arrays)
+    dataset = CompactDataset(settings=settings, space=read.space, seed=read.seed, arm=read.arm, **arrays)
+    for name in ("tcps", "hands", "candidates"):
+        number, said = getattr(dataset, name), getattr(read, name)
+        if number != said:
+            raise _error(file, f"{number}, as the arrays have", str(said), name)
+    return dataset
+
+
+def _arrays(dataset: CompactDataset) -> dict[str, NDArray[Any]]:
+    return {name: getattr(dataset, name) for name in DTYPES}
+
+
+def _sha256(array: NDArray[Any]) -> str:
+    little_endian = np.ascontiguousarray(array, dtype=array.dtype.newbyteorder("<"))
+    return hashlib.sha256(little_endian.tobytes()).hexdigest()
+
+
+def _manifest_hash(manifest: dict[str, Any]) -> str:
+    """Over everything but the hash itself, whatever the spacing."""
+    rest = {name: value for name, value in manifest.items() if name != "sha256"}
+    return hashlib.sha256(json.dumps(rest, sort_keys=True).encode()).hexdigest()
+
+
+def _error(file: Path, expected: str, got: str, field: str | None = None) -> DatasetError:
+    return DatasetError(place=Place(file=file, field=field), expected=expected, got=got)
+
+
+def _read_manifest(path: Path) -> dict[str, Any]:
+    """The manifest as an object of this format that has not been changed."""
+    refuse_no_file(path, "the manifest of a data set", DatasetError)
+    found = read_json(path, "the manifest of a data set", most=LARGEST_MANIFEST_BYTES, error=DatasetError)
+    manifest = of_format(found, FORMAT, path, DatasetError)
+    if manifest.get("sha256") != _manifest_hash(manifest):
+        raise _error(path, "a manifest as it was written", "one that was changed since", "sha256")
+    return manifest
+
+
+def _read_arrays(path: Path, described: dict[str, _StoredArray]) -> dict[str, Any]:
+    """The arrays, each with the bytes that the manifest promises."""
+    arrays: dict[str, NDArray[Any]] = {}
+    refuse_no_file(path, "the arrays of a data set", DatasetError)
+    try:
+        with zipfile.ZipFile(path) as archive:
+            size = sum(info.file_size for info in archive.infolist())
+            if size > LARGEST_BYTES:
+                raise _error(path, f"at most {LARGEST_BYTES} bytes unpacked", f"{size} bytes")
+        with np.load(path, allow_pickle=False) as stored:
+            for name in DTYPES:
+                arrays[name] = stored[name]
+    except DatasetError:
+        raise
+    except KeyError as error:
+        raise _error(path, f"the arrays {', '.join(DTYPES)}", f"{error}") from error
+    except Exception as error:  # zlib.error, struct.error: whatever damaged bytes provoke
+        raise _error(path, "arrays in a .npz file, whole", f"{type(error).__name__}: {error}") from error
+    for name, dtype in DTYPES.items():
+        array, counted = arrays[name], arrays["hand_in_base" if name == "hand_in_base" else "tcp_in_base"]
+        rows = len(counted) if counted.ndim else 0
+        shape = (rows,) if name == "candidates_in_view" else (rows, 3)
+        if array.dtype != dtype or array.shape != shape or rows == 0:
+            expected = f"{np.dtype(dtype)} of shape {shape}, not empty"
+            raise _error(path, expected, f"{array.dtype} of shape {array.shape}", name)
+        if name not in described:
+            raise _error(path.with_name(MANIFEST), "this field", "none", f"arrays.{name}")
+        promised, actual = described[name].sha256, _sha256(array)
+        if promised != actual:
+            raise _error(path, f"data with sha256 {promised}", f"sha256 {actual}", name)
+    return arrays

@@ -1,0 +1,171 @@
+"""The regression ResNet of figures 3 and 4 in PyTorch: Chen et al. (2020), with dropout after Gal.
+
+Dropout is never a hidden state of the module: a forward pass is given its masks, or there is no
+dropout.  So a network in evaluation mode (batch normalisation with its running statistics) with
+masks is one Monte Carlo pass, and another implementation can be given the same masks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from safety_harness.cell.avoidance.model_file import (
+    BLOCKS,
+    INPUTS,
+    OUTPUTS,
+    PERCEPTRON,
+    PERCEPTRON_INPUTS,
+    PLACES,
+    STAGES,
+    WIDTH,
+    Dropout,
+)
+from safety_harness.extensions.lab.learning.recipes import Recipe
+
+UNTRACKED = "num_batches_tracked"  # PyTorch's counter, of no use to a network that is done
+
+Masks = Sequence[Tensor] | Tensor
+Drop = Callable[[Tensor], Tensor]
+
+
+def _keep(x: Tensor) -> Tensor:
+    """No dropout here."""
+    return x
+
+
+def _next_masks(masks: Masks, probability: float) -> Drop:
+    """Inverted dropout: each call applies the next mask and divides by the kept share."""
+    left, scale = iter(masks), 1.0 / (1.0 - probability)
+    return lambda x: x * (next(left)[..., : x.shape[-1]] * scale)
+
+
+class Block(nn.Module):
+    """Three fully connected layers beside a shortcut (figure 4): dense, or identity."""
+
+    def __init__(self, inputs: int, *, dense: bool) -> None:
+        super().__init__()
+        self.fc1, self.bn1 = nn.Linear(inputs, WIDTH), nn.BatchNorm1d(WIDTH)
+        self.fc2, self.bn2 = nn.Linear(WIDTH, WIDTH), nn.BatchNorm1d(WIDTH)
+        self.fc3, self.bn3 = nn.Linear(WIDTH, WIDTH), nn.BatchNorm1d(WIDTH)
+        self.dense = dense
+        if dense:
+            self.fcs, self.bns = nn.Linear(inputs, WIDTH), nn.BatchNorm1d(WIDTH)
+
+    def forward(self, x: Tensor, drop: Drop) -> Tensor:
+        """(n, inputs) to (n, WIDTH); ``drop`` acts before fc1, fc2, fc3, fcs, in this order.
+
+        relu(bn3 fc3 relu(bn2 fc2 relu(bn1 fc1 x)) + shortcut(x)), the shortcut bns fcs x or x itself.
+        """
+        h = torch.relu(self.bn1(self.fc1(drop(x))))
+        h = torch.relu(self.bn2(self.fc2(drop(h))))
+        h = self.bn3(self.fc3(drop(h)))
+        shortcut = self.bns(self.fcs(drop(x))) if self.dense else x
+        return torch.relu(h + shortcut)
+
+
+class RegressionResNet(nn.Module):
+    """Stages of one dense and some identity blocks, then BN and FC; outputs a position.
+
+    ``dropout``: nowhere; INTER, on the output of each stage; FULL, before every FC.
+    ``probability`` is that of dropping a unit.  Inputs (n, 7) and outputs (n, 3) are normalised
+    (or raw millimetres), float32.
+    """
+
+    def __init__(
+        self,
+        *,
+        dropout: Dropout = Dropout.NONE,
+        probability: float = 0.1,
+    ) -> None:
+        super().__init__()
+        if not 0.0 <= probability < 1.0:
+            raise ValueError(f"a dropout probability lies in [0, 1): {probability}")
+        self.dropout, self.probability = dropout, probability
+        self.stages = nn.ModuleList(
+            nn.ModuleList(Block(INPUTS if s == b == 0 else WIDTH, dense=b == 0) for b in range(BLOCKS))
+            for s in range(STAGES)
+        )
+        self.bn_out = nn.BatchNorm1d(WIDTH)
+        self.fc_out = nn.Linear(WIDTH, OUTPUTS)
+
+    @property
+    def places(self) -> int:
+        """At how many dropout acts, in the order of the masks: a stage (its output), or an FC (its input)."""
+        return PLACES[self.dropout]
+
+    def draw_masks(self, rows: int, generator: torch.Generator) -> Tensor:
+        """(places, rows, WIDTH) of 1 (keep) and 0 (drop), on the generator's device."""
+        masks = torch.empty((self.places, rows, WIDTH), device=generator.device)
+        return masks.bernoulli_(1.0 - self.probability, generator=generator)
+
+    def forward(self, x: Tensor, masks: Masks | None = None) -> Tensor:
+        """(n, 7) to (n, 3); without ``masks`` there is no dropout.
+
+        ``masks``: for each of ``places`` what to keep (1 or true) of the units, of shape
+        (n, WIDTH), or (WIDTH,) for all rows alike.  At a place with fewer units than ``WIDTH``
+        (the first layers' seven inputs) the first ones count.  A network without places takes none,
+        or an empty set of them.
+        """
+        if masks is not None and len(masks) != self.places:
+            raise ValueError(f"expected {self.places} dropout masks, got {len(masks)}")
+        drop: Drop = _next_masks(masks, self.probability) if masks is not None and self.places else _keep
+        inside, after = (drop, _keep) if self.dropout is Dropout.FULL else (_keep, drop)
+        for stage in self.stages:
+            for block in stage:  # type: ignore[attr-defined]
+                x = block(x, inside)
+            x = after(x)
+        y: Tensor = self.fc_out(inside(self.bn_out(x)))
+        return y
+
+
+class ReluPerceptron(nn.Module):
+    """Two hidden layers with ReLU; takes what a ResNet takes, without masks, and ignores the constant."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.fc1, self.fc2 = nn.Linear(PERCEPTRON_INPUTS, WIDTH), nn.Linear(WIDTH, WIDTH)
+        self.fc_out = nn.Linear(WIDTH, OUTPUTS)
+
+    def forward(self, x: Tensor, masks: Masks | None = None) -> Tensor:
+        """(n, 7) to (n, 3)."""
+        h = torch.relu(self.fc1(x[:, :PERCEPTRON_INPUTS]))
+        y: Tensor = self.fc_out(torch.relu(self.fc2(h)))
+        return y
+
+
+Network = RegressionResNet | ReluPerceptron
+
+
+def network_of(kind: str, dropout: Dropout, probability: float) -> Network:
+    """A network of one of the two kinds that a model file may have."""
+    return (
+        ReluPerceptron() if kind == PERCEPTRON else RegressionResNet(dropout=dropout, probability=probability)
+    )
+
+
+def fresh_network(recipe: Recipe, seed: int) -> Network:
+    """A network with PyTorch's usual initial weights, drawn from ``seed`` alone."""
+    with torch.random.fork_rng(devices=[]):  # layers draw from the global generator, left as it was
+        torch.default_generator.manual_seed(seed)
+        return network_of(recipe.kind, recipe.dropout, recipe.dropout_probability)
+
+
+def to_tensors(network: Network) -> dict[str, NDArray[np.float32]]:
+    """Weights and running statistics by state-dict name: copies, float32."""
+    return {
+        name: tensor.detach().cpu().numpy().copy()
+        for name, tensor in network.state_dict().items()
+        if not name.endswith(UNTRACKED)
+    }
+
+
+def load_tensors(network: Network, tensors: Mapping[str, NDArray[np.float32]]) -> None:
+    """The reverse of ``to_tensors``; RuntimeError on a missing or unknown name or a wrong shape."""
+    state = {name: torch.from_numpy(np.array(array)) for name, array in tensors.items()}
+    counters = {name: t for name, t in network.state_dict().items() if name.endswith(UNTRACKED)}
+    network.load_state_dict(state | counters)

@@ -1,0 +1,95 @@
+"""One self-contained HTML page about proofs: what is proven, with maps, and apart from that estimates."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import datetime
+
+import numpy as np
+from markupsafe import Markup
+
+from safety_harness.base.compiled import source_hash
+from safety_harness.base.distribution import installed_version
+from safety_harness.claims.properties.tally import BASIS_OF_ANSWERS
+from safety_harness.extensions.lab.proof.certificate import NO_PAIR, Proof, model_hash, outward
+from safety_harness.extensions.lab.proof.maps import EDGES, BoxMap, maps_of
+from safety_harness.extensions.lab.proof.plan import ProofPlan
+from safety_harness.extensions.lab.proof.together import JointBound
+from safety_harness.report.page_parts import in_words, render_page
+from safety_harness.report.question_maps import Scale, class_map, key_of
+from safety_harness.report.words import point_words
+
+SHARES = ("none of it", "under 1 %", "1 to 10 %", "10 to 50 %", "half or more")
+SCALE = Scale(EDGES, SHARES, shares=True)
+STATES = {"proven": "holds", "refuted": "violated", "undecided": "inconclusive", NO_PAIR: "inconclusive"}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ProofEvidence:
+    """Everything that the page shows; ``command`` makes it again, ``files`` are of wrong questions."""
+
+    plan: ProofPlan
+    proofs: tuple[Proof, ...]
+    bounds: tuple[JointBound, ...]
+    files: tuple[str | None, ...]
+    command: str
+    generated_at: datetime
+    interrupted: bool = False
+
+
+def render(evidence: ProofEvidence) -> str:
+    """The page as text; the same evidence gives the same bytes."""
+    proofs = evidence.proofs
+    proven = sum(proof.verdict == "proven" for proof in proofs)
+    return render_page(
+        "proof.html.j2",
+        of="safety_harness.extensions.lab",
+        basis=BASIS_OF_ANSWERS,
+        style="score.css",
+        e=evidence,
+        answer=f"{evidence.plan.title}: {proven} of {len(proofs)} claims proven",
+        generated=in_words(evidence.generated_at),
+        sections=[_section(evidence, number) for number in range(len(proofs))],
+        key=Markup(key_of(SCALE)),
+        sha256=model_hash(evidence.plan),
+        version=installed_version(),
+        source=source_hash(),
+    )
+
+
+def drawn_maps(maps: tuple[BoxMap, ...], prefix: str) -> Iterator[tuple[str, Markup]]:
+    """Captions and drawings; no map of what is refuted where nothing is."""
+    for number, one in enumerate(maps):
+        classes = one.classes
+        if one.what == "refuted" and not (classes > 0).any():
+            continue
+        caption = f"{one.what}, by the {one.who} {one.seen}"
+        ends = ((one.low_m[0], one.high_m[0]), (one.low_m[1], one.high_m[1]))
+        drawing = class_map(
+            classes, SCALE, ends, one.axes, f"seen {one.seen}", prefix=f"{prefix}{number}-", title=caption
+        )
+        yield caption, Markup(drawing)
+
+
+def _section(evidence: ProofEvidence, number: int) -> dict[str, object]:
+    """What the page shows of one claim."""
+    proof, bound = evidence.proofs[number], None
+    if evidence.bounds:
+        bound = evidence.bounds[number]
+    proven, refuted, undecided = outward(proof.least_shares)
+    question = proof.question
+    return {
+        "id": f"claim-{number + 1}",
+        "claim": proof.planned.claim.sentence,
+        "region": proof.planned.region.name,
+        "verdict": proof.verdict,
+        "nothing": proof.verdict == NO_PAIR,
+        "state": STATES[proof.verdict],
+        "cells": (proven, refuted, undecided, f"{sum(map(len, proof.tree.levels)):,}"),
+        "bound": bound,
+        "hand": "" if question is None else point_words(np.array(question.hand_in_base_m)),
+        "tcp": "" if question is None else point_words(np.array(question.tcp_in_base_m)),
+        "file": evidence.files[number],
+        "maps": () if not proof.is_open else tuple(drawn_maps(tuple(maps_of(proof)), f"m{number}-")),
+    }

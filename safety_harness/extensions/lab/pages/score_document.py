@@ -1,0 +1,130 @@
+"""``evaluation.json``: everything that a session of scoring found, for programs; SI, units in the names."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import fields, is_dataclass
+from enum import Enum
+from typing import Any
+
+import numpy as np
+
+from safety_harness.base.compiled import source_hash
+from safety_harness.base.distribution import installed_version
+from safety_harness.cell.avoidance.asking import Question
+from safety_harness.extensions.lab.pages.score_tables import is_green, most_towards
+from safety_harness.extensions.lab.scoring.questions import Answers, Questions
+from safety_harness.extensions.lab.scoring.results import Scored, ScoredAvoider, ShownQuestion
+from safety_harness.extensions.lab.scoring.scorecard import Scorecard
+from safety_harness.report.words import count_words
+
+SCHEMA = "safety-harness scores 1"
+NAMES = {  # of figures that stand beside each other in a scorecard
+    "gained_m": ("p50", "p5"),
+    "angle_rad": ("p50", "p95"),
+    "off_m": ("p50", "p95", "p99"),
+    "bias_in_base_m": ("x", "y", "z"),
+    "within": ("one", "two", "three"),
+}
+
+
+def document(scored: Scored) -> str:
+    """The text of the file.  What the clock measured is under ``times`` alone: the rest repeats."""
+    whole = {
+        "schema": SCHEMA,
+        "package_version": installed_version(),
+        "source_hash": source_hash(),
+        "seed": scored.seed,
+        "search_budget": scored.budget,
+        "against": scored.against or None,
+        "interrupted": scored.interrupted,
+        "failed": scored.failed,
+        "finding_count": scored.findings,
+        "avoiders": [_of_avoider(one) for one in scored.avoiders],
+        "times": {one.card.avoider: _plain(one.card.times) for one in scored.avoiders},
+    }
+    return json.dumps(whole, indent=1, allow_nan=False) + "\n"
+
+
+def sentence(scored: Scored) -> str:
+    """The answer in one sentence."""
+    asked = sum(len(region.questions) for one in scored.avoiders for region in one.card.regions)
+    names = ", ".join(one.card.avoider for one in scored.avoiders)
+    of = f"{asked:,} questions" + f" beside {scored.against}" * bool(scored.against)
+    if not scored.avoiders:
+        return "Nothing was scored."
+    often = [one.card for one in scored.avoiders if not is_green(one.card)]
+    if not scored.findings and often:
+        share, region = max(map(most_towards, often), key=lambda one: (one[1] != "", one[0]))
+        towards = f"{100 * share:.3g} % of proposals lead towards the hand in {region}"
+        if not region:
+            towards = "no region with a proposal was asked about"
+        return f"No finding beyond the yardsticks on {names} in {of}, but {towards}."
+    if not scored.findings:
+        return f"No finding on {names} in {of}: no figure is beyond its limit, which is no proof of safety."
+    return f"{count_words(scored.findings, 'finding', 'findings')} on {names} in {of}."
+
+
+def _of_avoider(one: ScoredAvoider) -> dict[str, Any]:
+    """A card, and apart from it what was searched."""
+    return {
+        "reference": one.reference,
+        "sha256": one.sha256 or None,
+        **_of_card(one.card),
+        "findings": _plain(one.findings),
+        "unlike_the_reference": _plain(one.unlike),
+        "yardsticks": [_of_card(card) for card in one.yardsticks],
+        "search": {
+            "about": "a ledger of its own: a search chooses its questions, so these enter no figure above",
+            "regions": [
+                {
+                    "region": search.region,
+                    "budget": search.budget,
+                    "asked": search.asked,
+                    "unanswered": search.unanswered,
+                    "interrupted": search.interrupted,
+                }
+                for search in one.searches
+            ],
+            "worst": [_of_worst(shown) for shown in one.worst],
+            "left_out": one.left_out,
+        },
+    }
+
+
+def _of_card(card: Scorecard) -> dict[str, Any]:
+    found: dict[str, Any] = _plain(card)
+    found.pop("times")
+    return found
+
+
+def _of_worst(shown: ShownQuestion) -> dict[str, Any]:
+    file = shown.file
+    return {
+        "objective": shown.objective.value,
+        **_plain(shown.tried),
+        "file": None if file.path is None else file.path.name,
+        "claims": {claim.sentence: claim.expected.value for claim in file.claims},
+    }
+
+
+def _plain(value: Any, name: str = "") -> Any:
+    """A value as JSON has it: null for what is no number, none of the arrays of questions and answers."""
+    if isinstance(value, Question):
+        value = {key: part for key, part in value._asdict().items() if key != "limit_s"}
+    if is_dataclass(value) and not isinstance(value, type):
+        parts = {one.name: getattr(value, one.name) for one in fields(value)}
+        kept = {key: part for key, part in parts.items() if not isinstance(part, Questions | Answers)}
+        counts = {"asked": len(parts["questions"])} if isinstance(parts.get("questions"), Questions) else {}
+        return counts | {key: _plain(part, key) for key, part in kept.items()}
+    if isinstance(value, dict):
+        return {key: _plain(part) for key, part in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return _plain(value.tolist())
+    if isinstance(value, tuple | list):
+        parts_of = [_plain(part) for part in value]
+        return dict(zip(NAMES[name], parts_of, strict=True)) if name in NAMES else parts_of
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value.value if isinstance(value, Enum) else value

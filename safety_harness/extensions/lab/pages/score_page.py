@@ -1,0 +1,168 @@
+"""One self-contained HTML page about scored avoiders, in the style of the reports."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+
+import numpy as np
+from markupsafe import Markup
+
+from safety_harness.base.compiled import source_hash
+from safety_harness.base.distribution import installed_version
+from safety_harness.base.geometry.arrays import ArrayNx3
+from safety_harness.base.settings import Settings
+from safety_harness.cell.avoidance.measures import gained_m, off_m, optimum_in_base_m
+from safety_harness.claims.properties.tally import BASIS_OF_ANSWERS
+from safety_harness.extensions.lab.pages.score_document import sentence
+from safety_harness.extensions.lab.pages.score_tables import (
+    COLUMNS,
+    DETAILS,
+    change_words,
+    details,
+    figures,
+    interval,
+    is_green,
+    mm,
+    repeat_words,
+    rows_of,
+    times_words,
+    towards_words,
+)
+from safety_harness.extensions.lab.scoring.results import Scored, ScoredAvoider, ShownQuestion
+from safety_harness.extensions.lab.scoring.scorecard import RegionScore
+from safety_harness.report.page_parts import MOST_OPEN, render_page
+from safety_harness.report.question_maps import VIEWS, Scale, key_of, question_map
+from safety_harness.report.words import point_words
+from safety_harness.scenario.files import told
+
+OFF = Scale(
+    (0.01, 0.02, 0.04, 0.06),
+    ("under 10 mm off", "10 to 20 mm", "20 to 40 mm", "40 to 60 mm", "60 mm and more"),
+)
+TOWARDS = Scale(
+    (1e-9, 0.1, 0.5), ("none leads towards the hand", "under 10 %", "10 to 50 %", "half or more"), shares=True
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScoreEvidence:
+    """Everything that the page shows; ``command`` makes it again."""
+
+    scored: Scored
+    command: str
+    generated_at: datetime
+
+
+def render(evidence: ScoreEvidence) -> str:
+    """The page as text; the same evidence gives the same bytes."""
+    scored = evidence.scored
+    return render_page(
+        "score.html.j2",
+        of="safety_harness.extensions.lab",
+        basis=BASIS_OF_ANSWERS,
+        style="score.css",
+        e=evidence,
+        s=scored,
+        answer=sentence(scored),
+        most_open=MOST_OPEN,
+        columns=COLUMNS,
+        details_columns=DETAILS,
+        sections=[_section(one, number) for number, one in enumerate(scored.avoiders, start=1)],
+        keys=[Markup(key_of(scale)) for scale in (OFF, TOWARDS)],
+        version=installed_version(),
+        source=source_hash(),
+    )
+
+
+def _section(one: ScoredAvoider, number: int) -> dict[str, object]:
+    """What the page shows of one avoider."""
+    card, cards = one.card, [one.card, *one.yardsticks]
+    return {
+        "id": f"avoider-{number}",
+        "one": one,
+        "towards": towards_words(one.card),
+        "green": is_green(one.card),
+        "rows": list(rows_of(cards, figures)),
+        "details": list(rows_of(cards, details)),
+        "regions": [
+            (score, _about(score), list(_maps(score, settings, f"m{number}-{k}-")))
+            for k, (score, settings) in enumerate(zip(card.regions, one.settings, strict=False))
+        ],
+        "jumps": [
+            (jumps.region, jumps.moved.value, [change_words(c) for c in (jumps.largest, jumps.steepest) if c])
+            for jumps in card.jumps
+        ],
+        "repeats": [(repeat.way.value, repeat_words(repeat), repeat.differ > 0) for repeat in card.repeats],
+        "times": times_words(card),
+        "worst": [_worst_row(k, shown) for k, shown in enumerate(one.worst, start=1)],
+        "searched": sum(search.asked for search in one.searches),
+        "run_command": _run_command(one),
+    }
+
+
+def _about(score: RegionScore) -> str:
+    """The region's own words, with its median distance to the optimum and the interval."""
+    if score.off_m is None or score.off_rms_m is None:
+        return score.about
+    median, rms = interval(score.off_m[0]), interval(score.off_rms_m)
+    return f"{score.about}; off the optimum: median {median} mm, rms {rms} mm"
+
+
+def _maps(score: RegionScore, settings: Settings, prefix: str) -> Iterator[tuple[str, str, Markup]]:
+    """Captions, what is shown, drawings: hands and TCPs from above and from the side, by either scale."""
+    asked = score.questions
+    hands, tcps, answers = asked.hands_in_base_m, asked.tcps_in_base_m, score.answers.positions_in_base_m
+    if len(asked) == 0:
+        return
+    error_m = off_m(answers, optimum_in_base_m(settings, hands, tcps))
+    gained = gained_m(hands, tcps, answers)
+    towards = np.where(np.isnan(gained), 1.0, gained < 0.0)
+    what: tuple[tuple[str, np.ndarray, Scale], ...] = (("off", error_m, OFF), ("towards", towards, TOWARDS))
+    for name, values, scale in what:
+        for who, positions in (("hand", hands), ("TCP", tcps)):
+            for view in VIEWS:
+                yield _map(
+                    positions, values, scale, view, f"{prefix}{name}-{who}-{view[1]}-", who, score.region
+                )
+
+
+def _map(
+    positions: ArrayNx3,
+    values: np.ndarray,
+    scale: Scale,
+    view: tuple[int, int, str],
+    prefix: str,
+    who: str,
+    region: str,
+) -> tuple[str, str, Markup]:
+    caption = f"{who}, {view[2]}"
+    what = "towards the hand" if scale.shares else "off the optimum"
+    title = f"{region}: {what}, by the position of the {who}, {view[2]}"
+    return caption, what, Markup(question_map(positions, values, scale, view, prefix=prefix, title=title))
+
+
+def _worst_row(number: int, shown: ShownQuestion) -> dict[str, object]:
+    tried, file = shown.tried, shown.file
+    return {
+        "number": number,
+        "what": shown.objective.value,
+        "region": tried.region,
+        "hand": point_words(tried.hand_in_base_m),
+        "tcp": point_words(tried.tcp_in_base_m),
+        "gained": mm(tried.gained_m),
+        "optimum_gained": mm(tried.optimum_gained_m),
+        "off": mm(tried.off_m),
+        "sure": "sure" if tried.sure else "in doubt",
+        "file": "" if file.path is None else file.path.name,
+        "claims": [f"{claim.sentence}: {claim.expected.value}" for claim in file.claims],
+    }
+
+
+def _run_command(one: ScoredAvoider) -> str:
+    """The command that runs all files of the worst questions."""
+    paths: list[Path] = [shown.file.path for shown in one.worst if shown.file.path is not None]
+    return shlex.join(["safety-harness", "run", *(str(told(path)) for path in paths)]) if paths else ""

@@ -1,0 +1,194 @@
+"""Scorecards as rows of words, for the terminal and for the page: millimetres, per cent, degrees."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from safety_harness.base.proportions import Proportion, share_words
+from safety_harness.extensions.lab.scoring.scorecard import (
+    AnswerChange,
+    AskedAgain,
+    Figure,
+    Jumps,
+    RegionScore,
+    Scorecard,
+)
+from safety_harness.report.words import milliseconds_words, point_words, with_minus
+
+NONE = "\u2013"
+COLUMNS = (
+    "answers",
+    "leads away",
+    "gained mm",
+    "in reach",
+    "off mm: p50",
+    "p99",
+    "max",
+    "wrong and sure",
+    "jump mm",
+)
+DETAILS = (
+    "bias mm",
+    "follows the hand by",
+    "off grows with the TCP by",
+    "errors within 1, 2, 3 spreads",
+    "error to spread",
+    "rank",
+    "in doubt",
+)
+
+
+@dataclass(frozen=True)
+class ScoreRow:
+    """One avoider in one region; ``yardstick``: it is what others are compared to."""
+
+    region: str
+    avoider: str
+    yardstick: bool
+    cells: tuple[str, ...]
+
+
+def rows_of(
+    cards: Sequence[Scorecard], cells: Callable[[RegionScore, Sequence[Jumps]], tuple[str, ...]]
+) -> Iterator[ScoreRow]:
+    """Region by region, the first card's regions in their order: it, then the others as yardsticks."""
+    for region in cards[0].regions if cards else ():
+        for number, card in enumerate(cards):
+            for score in card.regions:
+                if score.region == region.region and (number == 0 or card.avoider != cards[0].avoider):
+                    jumps = [one for one in card.jumps if one.region == region.region]
+                    name = score.region + ("" if score.asked_in_runs else " (no run asks)")
+                    yield ScoreRow(name, card.avoider, number > 0, cells(score, jumps))
+
+
+OFTEN_TOWARDS = 0.20  # of a region's proposals: twice the optimum's share of all near hands, and never green
+
+
+def most_towards(card: Scorecard) -> tuple[float, str]:
+    """Return the largest share of proposals that lead towards the hand, and its region; NaN without any."""
+    known = [
+        (1.0 - one.leads_away.share, one.region)
+        for one in card.regions
+        if one.asked_in_runs and one.leads_away
+    ]
+    return max(known, default=(math.nan, ""))
+
+
+def towards_words(card: Scorecard) -> str:
+    """Return where most proposals lead towards the hand, and how many, whatever the yardsticks do."""
+    share, region = most_towards(card)
+    if math.isnan(share):
+        return "No region with a proposal was asked about."
+    words = f"Towards the hand, most: {100 * share:.3g} % of its proposals in {region}"
+    return words + (f", and {100 * OFTEN_TOWARDS:g} % are too many for green." if not is_green(card) else ".")
+
+
+def is_green(card: Scorecard) -> bool:
+    """Return whether proposals lead towards the hand seldom enough, in every region, to be shown in green."""
+    return most_towards(card)[0] <= OFTEN_TOWARDS  # NaN is not
+
+
+def figures(score: RegionScore, jumps: Sequence[Jumps]) -> tuple[str, ...]:
+    """The cells of COLUMNS."""
+    return (
+        percent(score.answered),
+        percent(score.leads_away),
+        NONE if score.gained_m is None else mm(score.gained_m[0].value),
+        percent(score.in_reach),
+        NONE if score.off_m is None else mm(score.off_m[0].value),
+        NONE if score.off_m is None else mm(score.off_m[2].value),
+        mm(score.off_most_m),
+        percent(score.wrong_and_sure),
+        jump_words(jumps),
+    )
+
+
+def details(score: RegionScore, jumps: Sequence[Jumps]) -> tuple[str, ...]:
+    """The cells of DETAILS."""
+    spreads = score.spreads
+    within = (
+        NONE
+        if spreads is None
+        else ", ".join(_percent(min(axis.share for axis in axes)) for axes in spreads.within)
+    )
+    return (
+        NONE if score.bias_in_base_m is None else " ".join(mm(axis.value) for axis in score.bias_in_base_m),
+        _diagonal(score.pull),
+        _diagonal(score.scale),
+        within,
+        NONE if spreads is None else f"{spreads.error_to_spread.value:.2f}",
+        NONE if spreads is None or spreads.rank is None else with_minus(f"{spreads.rank.value:.2f}"),
+        percent(score.above_threshold),
+    )
+
+
+def _diagonal(matrix: tuple[tuple[float, ...], ...] | None) -> str:
+    return NONE if matrix is None else with_minus(" ".join(f"{matrix[k][k]:.2f}" for k in range(3)))
+
+
+def jump_words(jumps: Sequence[Jumps]) -> str:
+    """The largest jump of a region; a dash where none was looked for."""
+    if not jumps:
+        return NONE
+    changes = [one.largest.change_m for one in jumps if one.largest is not None]
+    return mm(max(changes)) if changes else "none"
+
+
+def change_words(change: AnswerChange) -> str:
+    """Where a change is, and how large."""
+    hand, tcp = change.before.hand_position_in_base_m, change.before.tcp_position_in_base_m
+    return (
+        f"{mm(change.change_m)} mm where {change.moved.value} moves {1e3 * change.apart_m:.3g} mm, at the "
+        f"hand ({point_words(hand)}) and the TCP ({point_words(tcp)}) mm"
+    )
+
+
+def repeat_words(repeat: AskedAgain) -> str:
+    """Whether the answers were the same."""
+    if repeat.differ == 0:
+        return f"the same bits, {repeat.questions:,} questions"
+    by = f" by {mm(repeat.largest_m)} mm at most" if np.isfinite(repeat.largest_m) else ", answers and none"
+    return f"{repeat.differ:,} of {repeat.questions:,} differ{by}"
+
+
+def times_words(card: Scorecard) -> str:
+    """How long answers took on this machine, beside what is declared and allowed."""
+    if card.times is None:
+        return ""
+    times = card.times
+    quantiles = zip(("p50", "p99", "max"), (times.median_s, times.p99_s, times.most_s), strict=True)
+    shown = ", ".join(f"{name} {milliseconds_words(value)}" for name, value in quantiles)
+    declared = milliseconds_words(times.declared_s) if times.declared_s else "nothing"
+    return (
+        f"{shown} of {times.questions:,} answers on this machine; declared: {declared}; "
+        f"deadline {milliseconds_words(times.deadline_s)}"
+    )
+
+
+def interval(figure: Figure, per_si: float = 1e3) -> str:
+    """A figure with its interval."""
+    shown = f"{per_si * figure.value:.1f}"
+    if np.isfinite(figure.low) and np.isfinite(figure.high):
+        shown += f" [{per_si * figure.low:.1f}, {per_si * figure.high:.1f}]"
+    return with_minus(shown)
+
+
+def mm(length_m: float | None) -> str:
+    """Millimetres, with a decimal where there are few; a dash for none."""
+    if length_m is None or not np.isfinite(length_m):
+        return NONE
+    shown = 1e3 * length_m
+    return with_minus(f"{shown:.0f}" if abs(shown) >= 99.5 else f"{shown:.1f}")
+
+
+def percent(found: Proportion | None) -> str:
+    """Never 0 % of something nor 100 % of less than all; a dash for none."""
+    return NONE if found is None else share_words(found.count, found.trials)
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.0f} %"

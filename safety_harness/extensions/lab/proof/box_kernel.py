@@ -1,0 +1,278 @@
+"""What holds for every question of a box, compiled: each claim's bounds, of the answer's form.
+
+After the network (``form_kernel``) come some 500 operations on numbers below ``FARTHEST_M`` (or the box is
+not decided), with vectors of length 1: at most 500 x 100 m x 100 m x u = 6e-10, u = 2^-53.  A bound counts as
+kept only if it keeps ``MARGIN`` = 2e-9 (m, or m2) more than the claim says.
+"""
+
+from __future__ import annotations
+
+from math import log1p, sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.base.compiled import compiled, njit_no_nrt
+from safety_harness.cell.avoidance.model_file import OUTPUTS, PERCEPTRON_INPUTS
+from safety_harness.extensions.lab.proof.form_kernel import UP, mean_answer, spreads
+from safety_harness.extensions.lab.proof.network import ReluNetwork
+
+Floats = NDArray[np.float64]
+Codes = NDArray[np.uint8]
+
+PROVEN, REFUTED, UNDECIDED, OUTSIDE = 6, 7, 8, 9  # codes of a leaf; below: the axis along which it was halved
+FARTHEST_M = 100.0
+MARGIN = 2e-9
+NEAREST_M = 1e-6  # of a direction's length: nearer to 0 it has none
+AT_MOST, AT_LEAST, OPTIMUM, AWAY, UNSURE, CERTAIN = range(6)
+OF_AXES, OF_CURVES = 0.4, 3.0  # tried: how much each counts where to halve
+
+
+@njit_no_nrt
+def _lengths(c: Floats, g: Floats, slack: Floats, out: Floats) -> None:
+    """Fill ``out`` (2,) with bounds of |c + d|, d = sum e_k g_k + slack.
+
+    |c + d| is at least its part along c; its square is |c|^2 + 2 c . d + |d|^2, with |d| bounded by axis.
+
+    ``c`` (3,), ``g`` (k, 3), ``slack`` (3,).
+    """
+    norm, dot, wide = sqrt(c[0] * c[0] + c[1] * c[1] + c[2] * c[2]), 0.0, 0.0
+    for k in range(g.shape[0]):
+        dot += abs(g[k, 0] * c[0] + g[k, 1] * c[1] + g[k, 2] * c[2])
+    for o in range(3):
+        dot += slack[o] * abs(c[o])
+        reach = slack[o]
+        for k in range(g.shape[0]):
+            reach += abs(g[k, o])
+        wide += reach * reach
+    out[0] = max(0.0, norm - dot / norm * UP) if norm > NEAREST_M else 0.0
+    out[1] = sqrt(norm * norm + (2.0 * dot + wide) * UP) * UP
+
+
+@njit_no_nrt
+def _off_optimum(
+    optimum: Floats,
+    centre: Floats,
+    half: Floats,
+    p: Floats,
+    g: Floats,
+    count: int,
+    slack: Floats,
+    scratch: Floats,
+    found: Floats,
+    weight: Floats,
+) -> bool:
+    """Fill ``found`` (2,) with bounds of |p - o(h, t)| in a box; False where the optimum has no direction.
+
+    t_opt = t + R u, where u is the direction of d = desired - t within the cone, else cos a + sin b with b
+    that of d without its part along the axis a.  The direction f of a vector v has the derivative (1 - f f^T)
+    / |v|, and a second one of at most 2 / (sqrt(3) |v|^2): u is its tangent at the centre +- 2 / sqrt(3)
+    (-ln(1 - s) - s), the integral of (1 - x) / (1 - s x)^2 from 0 to 1 times that, s = rho / |v| and rho half
+    the diagonal of the TCP's box.  Where the box may be on either side of the cone, both have to keep the
+    claim.
+
+    ``optimum`` (10,), ``centre`` (6,), ``half`` (6,), ``p`` (3,), ``g`` (n, 3), ``slack`` (3,),
+    ``scratch`` (4, 3), ``weight`` (6,).
+    """
+    axis, radius, cos, sin, pull = optimum[3:6], optimum[6], optimum[7], optimum[8], optimum[9]
+    way, vector, c, bounds = scratch[0], scratch[1], scratch[2], scratch[3]
+    rho, along, length = 0.0, 0.0, 0.0
+    for o in range(3):
+        way[o] = optimum[o] - centre[3 + o]
+        rho += half[3 + o] * half[3 + o]
+        along += way[o] * axis[o]
+        length += way[o] * way[o]
+    rho, length = sqrt(rho) * UP, sqrt(length)
+    beyond = along - cos * length  # changes by at most 1 + cos a metre
+    found[0], found[1] = np.inf, 0.0
+    spread = 0.0
+    for rim in range(2):
+        if (beyond if rim == 0 else -beyond) + (1.0 + abs(cos)) * rho < -MARGIN:
+            continue
+        norm = 0.0
+        for o in range(3):
+            vector[o] = way[o] - along * axis[o] if rim else way[o]
+            norm += vector[o] * vector[o]
+        norm = sqrt(norm)
+        if norm - rho <= NEAREST_M:
+            for i in range(3):  # only a smaller box of TCPs helps
+                weight[3 + i] += 10.0 * half[3 + i]
+            return False
+        scale = radius * (sin if rim else 1.0)
+        rest = scale * 2.0 / sqrt(3.0) * (-log1p(-rho / norm) - rho / norm) * UP
+        spread = max(spread, rest)
+        for o in range(3):
+            to = centre[3 + o] + scale * vector[o] / norm + (radius * cos * axis[o] if rim else 0.0)
+            c[o] = p[o] - to - pull * (centre[3 + o] - centre[o])
+        before = g[count : count + PERCEPTRON_INPUTS]  # beyond the symbols: as they are, for the other side
+        for i in range(PERCEPTRON_INPUTS):
+            for o in range(3):
+                before[i, o] = g[i, o]
+        for o in range(3):
+            g[o, o] += pull * half[o]
+            g[3 + o, o] -= (1.0 + pull) * half[3 + o]
+        for i in range(3):
+            for o in range(3):
+                # d changes by -half e; what is along the axis does not count on the rim
+                change = 1.0 if i == o else 0.0
+                if rim:
+                    change -= axis[i] * axis[o]
+                change -= vector[i] * vector[o] / (norm * norm)
+                g[3 + i, o] += scale * change / norm * half[3 + i]
+        _lengths(c, g[:count], slack, bounds)
+        for i in range(PERCEPTRON_INPUTS):
+            for o in range(3):
+                weight[i] += OF_AXES * abs(g[i, o])
+                g[i, o] = before[i, o]
+        found[0] = min(found[0], bounds[0] - rest)  # which is a ball about the form
+        found[1] = max(found[1], (bounds[1] + rest) * UP)
+    for i in range(3):
+        weight[3 + i] += OF_CURVES * spread * half[3 + i] * half[3 + i] / max(rho * rho, 1e-30)
+    return True
+
+
+@njit_no_nrt
+def _away(
+    centre: Floats,
+    half: Floats,
+    p: Floats,
+    g: Floats,
+    count: int,
+    slack: Floats,
+    found: Floats,
+    weight: Floats,
+) -> None:
+    """Fill ``found`` (2,) with bounds of (p - t) . (t - h) [m2], and add to ``weight`` (6,) what axes do [m].
+
+    Both factors are forms of the same six symbols: q = c + sum g_i e_i + ..., w = w0 + sum h_i e_i.  A square
+    e_i^2 is in [0, 1], any other product in [-1, 1].
+
+    ``centre`` (6,), ``half`` (6,), ``p`` (3,), ``g`` (n, 3), ``slack`` (3,).
+    """
+    middle, radius, norm = 0.0, 0.0, 0.0
+    for o in range(3):
+        apart = centre[3 + o] - centre[o]
+        norm += apart * apart
+        middle += (p[o] - centre[3 + o]) * apart
+        radius += slack[o] * (abs(apart) + half[o] + half[3 + o])
+        g[3 + o, o] -= half[3 + o]
+    norm = max(sqrt(norm), NEAREST_M)
+    for k in range(count):
+        linear = 0.0
+        for o in range(3):
+            linear += g[k, o] * (centre[3 + o] - centre[o])
+            if k >= PERCEPTRON_INPUTS:
+                radius += abs(g[k, o]) * (half[o] + half[3 + o])
+        if k < PERCEPTRON_INPUTS:
+            o = k % 3
+            sign = -1.0 if k < 3 else 1.0
+            linear += sign * half[k] * (p[o] - centre[3 + o])
+            weight[k] += abs(linear) / norm
+            square = sign * half[k] * g[k, o]
+            middle += square / 2.0
+            radius += abs(square) / 2.0
+            for m in range(k):
+                b = m % 3
+                other = -1.0 if m < 3 else 1.0
+                both = abs(sign * half[k] * g[m, o] + other * half[m] * g[k, b])
+                radius += both
+                weight[k] += both / norm
+                weight[m] += both / norm
+        radius += abs(linear)
+    for o in range(3):
+        g[3 + o, o] += half[3 + o]
+    found[0], found[1] = middle - radius * UP, middle + radius * UP
+
+
+@compiled
+def examine(
+    network: ReluNetwork,
+    optimum: Floats,
+    kind: int,
+    limit_m: float,
+    doubt_m: float,
+    near_m: float,
+    far_m: float,
+    low: Floats,
+    high: Floats,
+    codes: Codes,
+    spreads_m: Floats,
+) -> None:
+    """Fill ``codes`` (n,): PROVEN, REFUTED (all of it), OUTSIDE, or the axis along which to halve a box.
+
+    ``low``, ``high`` (n, 6) are boxes of hands and TCPs in the base frame [m]; OUTSIDE are those in which
+    every hand is nearer than ``near_m`` to the TCP, or farther than ``far_m``.  ``optimum`` (10,) is of
+    ``optimum_constants``; with UNSURE a spread above ``doubt_m`` will do as well.  ``spreads_m`` (n, 2) is
+    filled with bounds of the spread, NaN for none.
+    """
+    members, columns = network.weight.shape[0], PERCEPTRON_INPUTS + network.bias.shape[1]
+    most = columns - OUTPUTS  # symbols of a member: the axes, and one a ReLU
+    symbols = PERCEPTRON_INPUTS + members * (most - PERCEPTRON_INPUTS)
+    units, own = np.empty((4, columns)), np.empty((most, columns))
+    of_symbol, share = np.empty(most, np.int64), np.empty((PERCEPTRON_INPUTS, columns))
+    each_p = np.empty((members, 3))
+    each_g, each_r = np.empty((members, PERCEPTRON_INPUTS, 3)), np.empty((members, 3))
+    centre, half, weight, own_weight = np.empty(6), np.empty(6), np.empty(6), np.empty(6)
+    g = np.empty((symbols + PERCEPTRON_INPUTS, 3))
+    p, slack, scratch, found, spread = np.empty(3), np.empty(3), np.empty((4, 3)), np.empty(2), np.empty(2)
+    for n in range(low.shape[0]):
+        nearest, farthest = 0.0, 0.0
+        for i in range(6):
+            centre[i] = (low[n, i] + high[n, i]) / 2.0
+            half[i] = max(high[n, i] - centre[i], centre[i] - low[n, i]) * UP
+        for o in range(3):
+            gap = abs(centre[3 + o] - centre[o])
+            wide = half[o] + half[3 + o]
+            nearest += max(0.0, gap - wide) ** 2
+            farthest += (gap + wide) ** 2
+        nearest, farthest = sqrt(nearest), sqrt(farthest)
+        if farthest < near_m - MARGIN or nearest > far_m + MARGIN:
+            codes[n], spreads_m[n, :] = OUTSIDE, np.nan
+            continue
+        whole = nearest >= near_m + MARGIN and farthest <= far_m - MARGIN
+        count = mean_answer(
+            *(network, centre, half, units, own, of_symbol, share, own_weight),
+            *(each_p, each_g, each_r, p, g, slack, weight),
+        )
+        spreads(each_p, each_g, each_r, p, g, spread)
+        decided = True
+        for o in range(3):
+            reach = abs(p[o]) + slack[o]
+            for k in range(count):
+                reach += abs(g[k, o])
+            decided = decided and reach < FARTHEST_M
+        spreads_m[n, 0] = spread[0] if decided else np.nan
+        spreads_m[n, 1] = spread[1] if decided else np.nan
+        if kind in (OPTIMUM, UNSURE):
+            decided = (
+                _off_optimum(optimum, centre, half, p, g, count, slack, scratch, found, weight) and decided
+            )
+        elif kind == AWAY:
+            _away(centre, half, p, g, count, slack, found, weight)
+        elif kind == CERTAIN:
+            found[:] = spread
+        else:
+            for o in range(3):
+                scratch[0, o] = p[o] - centre[3 + o]
+                g[3 + o, o] -= half[3 + o]
+            _lengths(scratch[0], g[:count], slack, found)
+            for i in range(6):
+                weight[i] += abs(g[i, 0]) + abs(g[i, 1]) + abs(g[i, 2])
+        at_least = kind in (AT_LEAST, AWAY)
+        proven = found[0] >= limit_m + MARGIN if at_least else found[1] <= limit_m - MARGIN
+        refuted = found[1] <= limit_m - MARGIN if at_least else found[0] >= limit_m + MARGIN
+        if kind == UNSURE:
+            proven = proven or spread[0] >= doubt_m + MARGIN
+            refuted = refuted and spread[1] <= doubt_m - MARGIN
+        if decided and proven:
+            codes[n] = PROVEN
+        elif decided and refuted and whole:
+            codes[n] = REFUTED
+        else:
+            axis = 0
+            for i in range(6):
+                if not whole:  # smaller boxes are so, or outside
+                    weight[i] += half[i] * (1.0 if decided and refuted else 0.4)
+                if weight[i] > weight[axis]:
+                    axis = i
+            codes[n] = axis

@@ -1,0 +1,262 @@
+"""Any ReLU network as layers of affine maps of earlier layers, each with a bound of what its program rounds.
+
+A layer is z = b + sum_s W_s a_s, a = relu(z), where a_s are the question (s = 0) or earlier layers, *as the
+program computed them*; the last is the answer, without a ReLU.  Whatever lies between two ReLUs (batch norm,
+residual sums, normalisation) is part of W.  ``AffineForm`` carries with each W an error bound E:
+what the program computes is off by E_s |a_s| at most.  ReLU rounds nothing, so that errors do not add up
+over layers here; the kernel that bounds the network takes them as slack.
+
+A program's operation on n terms with the unit roundoff u is off by gamma = n u / (1 - n u) of the terms'
+magnitudes, in any order, fused or not (Higham 2002, 3.1); ``GUARD`` more terms stand for what a runtime may
+fold into weights beforehand, and for the rounding of W and E here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.cell.avoidance.masks import fill_factors
+from safety_harness.cell.avoidance.model_file import (
+    BLOCKS,
+    INPUTS,
+    LAYERS,
+    PERCEPTRON,
+    PERCEPTRON_INPUTS,
+    STAGE_LAYERS,
+    STAGES,
+    WIDTH,
+    Model,
+)
+from safety_harness.cell.avoidance.perceptron_kernel import fold_perceptron
+from safety_harness.cell.avoidance.resnet_kernel import FULL_PLACES, FoldedNetwork, fold
+
+Floats = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+CONSTANT, QUESTION = -1, 0  # sources; layers count from 1
+SINGLE, DOUBLE = 2.0**-24, 2.0**-53
+SHALLOW = 8  # layers
+GUARD, TINY = 16, 1e-30  # terms; what products below float32's least number lose together
+LARGEST = 1e12  # of a coefficient: with units below 1e8 no float32 sum overflows
+
+
+class ReluNetwork(NamedTuple):
+    """Contiguous arrays, for compiled code, of m members of the same shape.
+
+    Block i of ``blocks`` (n, 3) is (layer, source, start): its matrix (inputs, outputs) of the layer, row by
+    row, is in ``weight`` and ``error`` (m, N) from start on; no ``error`` is 0.  Layers count from 0, sources
+    from 1; 0 is the question.  ``rounding`` times magnitudes is what bounds in float64 may lose.
+    """
+
+    widths: Indices  # (layers,), the last of them OUTPUTS
+    blocks: Indices
+    weight: Floats
+    error: Floats
+    bias: Floats  # (m, units)
+    bias_error: Floats
+    rounding: float
+    gathers: int  # of so many layers, the last makes slack symbols; 0: none does
+
+
+@dataclass(frozen=True, eq=False)
+class AffineForm:
+    """What a program computes as ``value`` of ``CONSTANT``, question and layers: (inputs, width) by source.
+
+    Off by ``error``, of the same shape, times the sources' magnitudes.  (m, inputs, width) of m members.
+    """
+
+    value: Mapping[int, Floats]
+    error: Mapping[int, Floats]
+
+    def __post_init__(self) -> None:
+        if not all(
+            np.abs(one).max(initial=0.0) <= LARGEST for one in (self.sizes | dict(self.error)).values()
+        ):
+            raise ValueError(f"coefficients of at most {LARGEST:g}")
+
+    @property
+    def width(self) -> int:
+        """How many numbers it has."""
+        return int(next(iter(self.value.values())).shape[-1])
+
+    @property
+    def is_shared(self) -> bool:
+        """All members have the same, whatever their masks."""
+        return all(value.ndim == 2 or len(value) == 1 for value in self.value.values())
+
+    @property
+    def sizes(self) -> dict[int, Floats]:
+        """(inputs, width) by source: of what magnitude it is, with its error."""
+        return {s: np.abs(value) + self.error[s] for s, value in self.value.items()}
+
+    def linear(self, weight: Floats, bias: Floats, unit: float) -> AffineForm:
+        """``weight`` (width, outputs) and ``bias`` (outputs,), computed with the unit roundoff ``unit``.
+
+        Of each member its own with one more axis before these.
+        """
+        size, bias = np.abs(weight), bias[..., None, :]
+        part = gamma(weight.shape[-2] + 1, unit)
+        value = {s: own @ weight for s, own in self.value.items()}
+        error = {s: self.error[s] @ size + part * (own @ size) for s, own in self.sizes.items()}
+        value[CONSTANT] = value.get(CONSTANT, 0.0) + bias
+        error[CONSTANT] = error.get(CONSTANT, 0.0) + part * np.abs(bias) + TINY
+        return AffineForm(value, error)
+
+    def scaled(self, factors: Floats, unit: float) -> AffineForm:
+        """Times ``factors`` (width,), or (m, width)."""
+        width = factors.shape[-1]
+        return self.linear(factors[..., None] * np.eye(width), np.zeros(width), unit)
+
+    def plus(self, other: AffineForm, unit: float) -> AffineForm:
+        """The sum of two of the same width."""
+        part, value, error = gamma(2, unit), dict(self.value), dict(self.error)
+        for s, own in self.sizes.items():
+            error[s] = error[s] + part * own
+        for s, own in other.sizes.items():
+            value[s] = value.get(s, 0.0) + other.value[s]
+            error[s] = error.get(s, 0.0) + other.error[s] + part * own
+        return AffineForm(value, error)
+
+
+def gamma(terms: int, unit: float) -> float:
+    """How much of its magnitudes a sum of so many products may be off; twice what a check takes."""
+    part = 2.0 * (terms + GUARD) * unit
+    return part / (1.0 - part)
+
+
+def joined(forms: Sequence[AffineForm]) -> AffineForm:
+    """One beside the other."""
+    sources = dict.fromkeys(s for form in forms for s in form.value)
+    height = {s: len(form.value[s]) for form in forms for s in form.value}
+
+    def side_by_side(parts: Sequence[Mapping[int, Floats]]) -> dict[int, Floats]:
+        return {
+            s: np.hstack(
+                [p.get(s, np.zeros((height[s], f.width))) for p, f in zip(parts, forms, strict=True)]
+            )
+            for s in sources
+        }
+
+    return AffineForm(side_by_side([f.value for f in forms]), side_by_side([f.error for f in forms]))
+
+
+def question(unit: float = 0.0) -> AffineForm:
+    """Hand and TCP [m], each rounded to numbers with the unit roundoff ``unit``."""
+    return AffineForm({QUESTION: np.eye(PERCEPTRON_INPUTS)}, {QUESTION: unit * np.eye(PERCEPTRON_INPUTS)})
+
+
+@dataclass(eq=False)
+class Layers:
+    """The ReLU layers of a network so far; none that is ``known``, of the same network, is made again."""
+
+    found: list[AffineForm] = field(default_factory=list)
+    known: dict[int, AffineForm] = field(default_factory=dict)
+
+    def relu(self, make: Callable[[], AffineForm]) -> AffineForm:
+        """One more."""
+        form = self.known.get(len(self.found)) or make()
+        if form.is_shared:
+            self.known[len(self.found)] = form
+        self.found.append(form)
+        own = np.eye(form.width)
+        return AffineForm({len(self.found): own}, {len(self.found): 0.0 * own})
+
+
+def packed(layers: Sequence[AffineForm], members: int = 1) -> ReluNetwork:
+    """Of a network's layers, the last the answer [m]; what has no axis of members, all ``members`` share."""
+    pairs = [(k, s) for k, form in enumerate(layers) for s in sorted(form.value) if s != CONSTANT]
+    sizes = [layers[k].value[s].shape[-2] * layers[k].width for k, s in pairs]
+    starts = np.cumsum([0, *sizes])[:-1]
+
+    def flat(parts: Iterable[Floats]) -> Floats:
+        """(members, N) one after another, row by row."""
+        rows = [part.reshape(-1, part.shape[-2] * part.shape[-1]) for part in parts]
+        found, end = np.empty((members, sum(row.shape[1] for row in rows))), 0
+        for row in rows:
+            begin, end = end, end + row.shape[1]
+            found[:, begin:end] = row
+        return found
+
+    def constants(name: str) -> Floats:
+        return flat(getattr(form, name).get(CONSTANT, np.zeros((1, form.width))) for form in layers)
+
+    terms = max(sum(value.shape[-2] for s, value in form.value.items() if s != CONSTANT) for form in layers)
+    error = flat(layers[k].error[s] for k, s in pairs)
+    return ReluNetwork(
+        widths=np.array([form.width for form in layers], np.int64),
+        blocks=np.array([(k, s, at) for (k, s), at in zip(pairs, starts, strict=True)], np.int64),
+        weight=flat(layers[k].value[s] for k, s in pairs),
+        error=error if error.any() else np.empty((members, 0)),
+        bias=constants("value"),
+        bias_error=constants("error"),
+        rounding=16.0 * (terms + 8) * DOUBLE,
+        gathers=1 if len(layers) > SHALLOW else 0,
+    )
+
+
+def network_of(model: Model, seed: int = 0) -> ReluNetwork:
+    """Of a file; the passes of a network with dropout are members, with the masks of ``seed``.
+
+    A perceptron rounds as bounds in float64 do, of which ``rounding`` is four times.
+    """
+    if model.kind != PERCEPTRON:
+        return _resnet(model, seed)
+    folded = fold_perceptron(model)
+    parts = (
+        (folded.weight1, folded.bias1),
+        (folded.weight2, folded.bias2),
+        (folded.weight3, folded.bias3),
+    )
+    forms = [
+        AffineForm({CONSTANT: b[:, None], k: w}, {CONSTANT: 0.0 * b[:, None], k: 0.0 * w})
+        for k, (w, b) in enumerate(parts)
+    ]
+    return packed(forms, model.members)
+
+
+@lru_cache(maxsize=1)
+def _folded(model: Model) -> tuple[FoldedNetwork, dict[int, AffineForm]]:
+    """With those layers that no mask changes, once they are known."""
+    return fold(model), {}
+
+
+def _resnet(model: Model, seed: int) -> ReluNetwork:
+    """As ``cell.avoidance.resnet_kernel`` computes it, in float32: the same layers, shortcuts and dropout."""
+    own, known = _folded(model)
+    passes = own.passes if own.places else 1
+    layers = Layers(known=known if passes > 1 else {})  # one pass alone has the shape of what is shared
+    factors = np.empty((own.places, passes, WIDTH), np.float32)
+    fill_factors(np.uint64(seed), own.probability, factors)
+    weight, bias, drop = own.weight.astype(float), own.bias.astype(float), factors.astype(float)
+
+    def connected(form: AffineForm, layer: int) -> AffineForm:
+        before = form.scaled(drop[layer], SINGLE) if own.places == FULL_PLACES else form
+        return before.linear(weight[:, layer], bias[:, layer], SINGLE)
+
+    def block(x: AffineForm, layer: int, *, within: bool) -> AffineForm:
+        h = layers.relu(lambda: connected(x, layer))
+        g = layers.relu(lambda: connected(h, layer + 1))
+        return layers.relu(
+            lambda: connected(g, layer + 2).plus(x if within else connected(x, layer + 3), SINGLE)
+        )
+
+    first, one = np.eye(PERCEPTRON_INPUTS, WIDTH) / own.input_std[:, None], np.eye(WIDTH)[INPUTS - 1]
+    x = question().linear(first, one - own.input_mean @ first, SINGLE)
+    for number in range(STAGES * BLOCKS):
+        stage, within = divmod(number, BLOCKS)
+        x = block(x, stage * STAGE_LAYERS + 3 * within + (within > 0), within=within > 0)
+        if own.places == STAGES and within == BLOCKS - 1:
+            x = x.scaled(drop[stage], SINGLE)
+    scale = own.scale_out.astype(float)[..., None] * np.eye(WIDTH)
+    x = x.linear(scale, own.shift_out.astype(float), SINGLE)
+    if own.places == FULL_PLACES:
+        x = x.scaled(drop[LAYERS], SINGLE)
+    answer = x.linear(own.weight_out.astype(float), own.bias_out.astype(float), SINGLE)
+    answer = answer.linear(np.diag(own.target_std), own.target_mean, DOUBLE)
+    return packed([*layers.found, answer], model.members * passes)

@@ -1,0 +1,272 @@
+"""A plan of proofs: of which network, what is claimed, and of which questions (docs/proof.md)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from safety_harness.base.settings import Vector3
+from safety_harness.base.shipped.contents import located
+from safety_harness.cell.avoidance.learned import LearnedAvoider
+from safety_harness.cell.avoidance.model_file import PERCEPTRON, SeenSpace, load_model
+from safety_harness.cell.avoidance.shipped import SHIPPED, shipped_model
+from safety_harness.extensions.lab.proof.claims import ClaimKind, DecisionClaim, read_claim, threshold_m
+from safety_harness.extensions.lab.proof.network import ReluNetwork, network_of
+from safety_harness.extensions.lab.proof.onnx_file import OnnxFunction, read_onnx
+from safety_harness.scenario.compose import Library
+from safety_harness.scenario.fields import LARGEST_COORDINATE_M, Field
+from safety_harness.scenario.files import as_path
+from safety_harness.scenario.kinds import FileKind, refuse_other_kind
+from safety_harness.scenario.references import MODEL_SUFFIX, ONNX_SUFFIX
+from safety_harness.scenario.units import FRACTION, LENGTH
+from safety_harness.space.regions import exported_use
+
+KEYS = ("proof", "about", "avoider", "regions", "claims", "distribution")
+OF_LOOPS = ("space", "scenario", "run", "runs", "trace", "log", "campaign")
+LOOP = (
+    "questions that a loop makes follow from earlier answers: their distribution is not known, use a campaign"
+)
+SEEN = "seen"
+MOST_CLAIMS, MOST_REGIONS = 64, 64
+STEPS = 150
+MOST_SAMPLES = 10_000_000
+ANY_APART_M = 0.0, 4.0 * LARGEST_COORDINATE_M  # more than any pair
+LEAST_INSIDE = 1e-3  # of a normal axis, within each region
+
+Asked = LearnedAvoider | OnnxFunction
+Floats = NDArray[np.float64]
+Normal = tuple[float, float]  # mean and standard deviation [m]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProofRegion:
+    """Boxes of hands and TCPs in the base frame [m], of which pairs ``apart_m`` from each other count."""
+
+    name: str
+    hand_low_m: Vector3
+    hand_high_m: Vector3
+    tcp_low_m: Vector3
+    tcp_high_m: Vector3
+    apart_m: tuple[float, float] = ANY_APART_M
+
+    @classmethod
+    def about(cls, tcp_m: Floats, low_m: Floats, high_m: Floats) -> ProofRegion:
+        """Of one TCP, ``tcp_m`` (3,), and hands from ``low_m`` (3,) to ``high_m`` (3,)."""
+        tcp, low, high = ((float(x[0]), float(x[1]), float(x[2])) for x in (tcp_m, low_m, high_m))
+        return cls(name="a box", hand_low_m=low, hand_high_m=high, tcp_low_m=tcp, tcp_high_m=tcp)
+
+    def corners(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """(1, 6) twice: the lowest hand and TCP, and the highest."""
+        low, high = (*self.hand_low_m, *self.tcp_low_m), (*self.hand_high_m, *self.tcp_high_m)
+        return np.array([low]), np.array([high])
+
+    @property
+    def has_pair(self) -> bool:
+        """Is any hand ``apart_m`` from any TCP?  Two boxes have all distances between least and largest."""
+        (low,), (high,) = self.corners()
+        least, most = low[:3] - high[3:], high[:3] - low[3:]  # of hand less TCP
+        nearest = np.linalg.norm(np.maximum(np.maximum(least, -most), 0.0))
+        farthest = np.linalg.norm(np.maximum(np.abs(least), np.abs(most)))
+        return bool(nearest <= self.apart_m[1] and farthest >= self.apart_m[0])
+
+    @property
+    def counted_share(self) -> float:
+        """What part of its volume has pairs ``apart_m`` apart: a sum over ``STEPS``^3 ways, good to 1e-3."""
+        ways, chances = [], []
+        for low, high, from_, to in zip(
+            self.hand_low_m, self.hand_high_m, self.tcp_low_m, self.tcp_high_m, strict=True
+        ):
+            edges = np.linspace(low - to, high - from_, STEPS + 1)
+            way = (edges[1:] + edges[:-1]) / 2.0  # from TCP to hand; how likely: the overlap of two boxes
+            overlap = np.maximum(0.0, np.minimum(high, to + way) - np.maximum(low, from_ + way))
+            ways.append(way)
+            chances.append(overlap / overlap.sum())
+        x, y, z = np.meshgrid(*ways, indexing="ij")
+        apart_m = np.sqrt(x**2 + y**2 + z**2)
+        counts = (apart_m >= self.apart_m[0]) & (apart_m <= self.apart_m[1])
+        return min(1.0, float(np.einsum("xyz,x,y,z->", counts.astype(float), *chances)))
+
+
+@dataclass(frozen=True)
+class PlannedProof:
+    """A claim about the questions of a region."""
+
+    claim: DecisionClaim
+    region: ProofRegion
+
+    @property
+    def sentence(self) -> str:
+        """The claim, and of what."""
+        return f"{self.claim.sentence} ({self.region.name})"
+
+
+@dataclass(frozen=True, kw_only=True)
+class QuestionLaw:
+    """How questions are distributed: ``normals_m`` (6,) by axis of hand and TCP, None where it is uniform.
+
+    ``samples`` of them are drawn for each claim, and all bounds hold together with ``confidence``.
+    """
+
+    normals_m: tuple[Normal | None, ...]
+    samples: int
+    confidence: float
+    seed: int
+
+
+@dataclass(frozen=True, eq=False)
+class ProofPlan:
+    """Made by ``read_proof_plan``; ``network`` and what is ``asked`` are of the file ``model_file``."""
+
+    title: str
+    avoider: str
+    model_file: Path
+    network: ReluNetwork
+    asked: Asked
+    proofs: tuple[PlannedProof, ...]
+    questions: QuestionLaw | None = None
+
+    @property
+    def doubt_m(self) -> float:
+        """The largest spread with which the gate takes an answer; NaN for a network without one."""
+        return threshold_m(self.asked.model)
+
+
+def read_proof_plan(path: str | Path) -> ProofPlan:
+    """The plan in a file; ScenarioError with its place, or ModelError, where it cannot be used."""
+    path = as_path(path, "read_proof_plan(path)")
+    refuse_other_kind(path, FileKind.PROOF)
+    given = Field(Library().tree(path), path, path="", line=1).fields(KEYS)
+    title = given.required("proof").prose("a title on one line")
+    if about := given.optional("about"):
+        about.prose("why", lines=True)
+    avoider = given.required("avoider")
+    name = avoider.sentence("a network")
+    if name not in SHIPPED and not name.endswith((MODEL_SUFFIX, ONNX_SUFFIX)):
+        raise avoider.error(f"a network: one that ships, FILE{MODEL_SUFFIX} or FILE{ONNX_SUFFIX}")
+    file = shipped_model(name) if name in SHIPPED else located(path.parent / Path(name).expanduser())
+    network, asked, seen = _network(avoider, name, file)
+    regions = {} if seen is None else {SEEN: seen_region(seen)}
+    if at := given.optional("regions"):
+        for key, item in at.entries("regions by name")[:MOST_REGIONS]:
+            if key in regions:
+                raise item.error(f"a name other than {', '.join(regions)}", got=key)
+            regions[key] = _region(key, item, regions.get(SEEN))
+    proofs: list[PlannedProof] = []
+    for item in given.required("claims").items("a list of claims", least=1, most=MOST_CLAIMS):
+        fields = item.fields(("claim", "in"))
+        where = fields.optional("in")
+        if where is None and SEEN not in regions:
+            raise item.error("a region, since the network's file does not say what it has seen")
+        region = where.one_of(regions) if where else regions[SEEN]
+        proof = PlannedProof(read_claim(fields.required("claim")), region)
+        if proof.claim.kind is ClaimKind.UNSURE and not threshold_m(asked.model) >= 0.0:
+            raise item.error("a network with a spread and its threshold for such a claim", got=name)
+        if proof in proofs:
+            raise item.error("each claim once in a region", got=proof.sentence)
+        proofs.append(proof)
+    if idle := regions.keys() - {SEEN, *(proof.region.name for proof in proofs)}:
+        raise given.required("regions").error("a claim in each region", got=f"none in {sorted(idle)[0]}")
+    at = given.optional("distribution")
+    questions = None if at is None else _questions(at, [proof.region for proof in proofs])
+    return ProofPlan(title, name, file, network, asked, tuple(proofs), questions)
+
+
+def _network(
+    at: Field, name: str, file: Path
+) -> tuple[ReluNetwork, LearnedAvoider | OnnxFunction, SeenSpace | None]:
+    """Its layers, what answers, and what it has seen, if its file says so."""
+    if file.suffix == ONNX_SUFFIX:
+        use = exported_use(file)
+        return *read_onnx(file), None if use is None else use.seen
+    model = load_model(file)
+    if model.kind != PERCEPTRON:
+        raise at.error(f"a {PERCEPTRON}", got=f"{name}: a {model.kind}, {model.members} member(s)")
+    return network_of(model), LearnedAvoider.of(model), model.seen
+
+
+def seen_region(seen: SeenSpace) -> ProofRegion:
+    """All that a network's file says that it has seen."""
+    return ProofRegion(
+        name=SEEN,
+        hand_low_m=seen.hand_low_m,
+        hand_high_m=seen.hand_high_m,
+        tcp_low_m=seen.tcp_low_m,
+        tcp_high_m=seen.tcp_high_m,
+    )
+
+
+def _region(name: str, at: Field, seen: ProofRegion | None) -> ProofRegion:
+    """Boxes and distance of one region; what it does not say is as in ``seen``."""
+    given = at.fields(("hand", "tcp", "apart"))
+    hand, tcp, apart = (given.optional(key) for key in ("hand", "tcp", "apart"))
+    hands, tcps = _box(hand) if hand else None, _box(tcp) if tcp else None
+    if seen is not None:
+        hands = hands or (seen.hand_low_m, seen.hand_high_m)
+        tcps = tcps or (seen.tcp_low_m, seen.tcp_high_m)
+    if hands is None or tcps is None:
+        raise at.error("boxes of hands and of TCPs, since the network's file does not say what it has seen")
+    apart_m = ANY_APART_M
+    if apart:
+        near, far = apart.items("two lengths such as [100 mm, 400 mm]", count=2)
+        near_m = near.quantity(LENGTH, least=0.0)
+        apart_m = near_m, far.quantity(LENGTH, above=near_m, most=ANY_APART_M[1])
+    return ProofRegion(
+        name=name,
+        hand_low_m=hands[0],
+        hand_high_m=hands[1],
+        tcp_low_m=tcps[0],
+        tcp_high_m=tcps[1],
+        apart_m=apart_m,
+    )
+
+
+def _questions(at: Field, regions: list[ProofRegion]) -> QuestionLaw:
+    """A distribution that is known; ScenarioError for one that a loop makes, or that misses a region."""
+    given = at.fields(("hand", "tcp", "samples", "confidence", "seed"), hints=dict.fromkeys(OF_LOOPS, LOOP))
+    normals: list[Normal | None] = []
+    for key in ("hand", "tcp"):
+        one = given.optional(key)
+        normals += [None] * 3 if one is None or one.got() == "uniform" else _normals(one)
+    for region in regions:
+        for axis, (low, high) in enumerate(zip(*(side[0] for side in region.corners()), strict=True)):
+            normal = normals[axis]
+            if normal is None:
+                continue
+            start, end = ((side - normal[0]) / normal[1] for side in (low, high))
+            if not scipy.special.ndtr(end) - scipy.special.ndtr(start) >= LEAST_INSIDE:
+                expected = f"at least {LEAST_INSIDE:g} of each axis within the region {region.name}"
+                raise at.error(expected, got=f"mean {normal[0]:g} m, std {normal[1]:g} m, axis {axis % 3}")
+    samples, confidence, seed = (given.optional(key) for key in ("samples", "confidence", "seed"))
+    return QuestionLaw(
+        normals_m=tuple(normals),
+        samples=20_000 if samples is None else samples.integer(least=1, most=MOST_SAMPLES),
+        confidence=0.99 if confidence is None else confidence.quantity(FRACTION, least=0.5, most=0.999999),
+        seed=0 if seed is None else seed.integer(least=0, most=2**63 - 1),
+    )
+
+
+def _normals(at: Field) -> list[Normal | None]:
+    given = at.fields(("mean", "std"))
+    mean = _corner(given.required("mean"))
+    stds = given.required("std").items("three lengths", count=3)
+    return [(m, std.quantity(LENGTH, above=0.0)) for m, std in zip(mean, stds, strict=True)]
+
+
+def _box(at: Field) -> tuple[Vector3, Vector3]:
+    given = at.fields(("from", "to"))
+    low, high = (_corner(given.required(key)) for key in ("from", "to"))
+    if not all(a < b for a, b in zip(low, high, strict=True)):
+        raise at.error("a box: from below to in every axis", got=f"from {list(low)} to {list(high)} (m)")
+    return low, high
+
+
+def _corner(at: Field) -> Vector3:
+    x, y, z = (
+        one.quantity(LENGTH, least=-LARGEST_COORDINATE_M, most=LARGEST_COORDINATE_M)
+        for one in at.items("a position: three lengths", count=3)
+    )
+    return x, y, z

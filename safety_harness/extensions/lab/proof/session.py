@@ -1,0 +1,102 @@
+"""All claims of a plan of proofs, one after another, for as long as there is time."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+from functools import partial
+from itertools import chain
+
+import numpy as np
+
+from safety_harness.extensions.lab.proof.box_kernel import REFUTED, UNDECIDED
+from safety_harness.extensions.lab.proof.certificate import Proof, WrongQuestion
+from safety_harness.extensions.lab.proof.claims import ClaimKind, margins_of, optimum_constants
+from safety_harness.extensions.lab.proof.plan import ProofPlan
+from safety_harness.extensions.lab.proof.tree import BoxTree, Over, examined, work
+
+MOST_ASKED = 200_000  # questions at the centres of leaves
+WRONG_BY = 1e-8  # m or m2, beyond all rounding
+
+Told = Callable[[str, float], None]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Effort:
+    """How long to work: at most ``seconds`` in all, no box halved more than ``halvings`` times.
+
+    Until the processes have started and have their machine code no time is counted.  ``over`` maps, in other
+    processes say, ``at_once`` batches of boxes; ``stopped`` ends the work, and ``told`` hears the claim and
+    the share of all volume that is decided.
+    """
+
+    seconds: float
+    halvings: int
+    over: Over = map
+    at_once: int = 1
+    stopped: Callable[[], bool] = field(default=lambda: False)
+    told: Told = field(default=lambda words, share: None)
+
+
+def carry_on(plan: ProofPlan, proofs: list[Proof], effort: Effort) -> Iterator[Proof]:
+    """Each of the proofs, gone on with; what time one does not need, those after it have."""
+    for planned in [proof.planned for proof in proofs[:1]]:
+        judge = partial(examined, plan.network, optimum_constants(), planned.claim, planned.region)
+        list(effort.over(judge, [planned.region.corners()] * effort.at_once))
+    end_s = time.monotonic() + effort.seconds
+    for number, proof in enumerate(proofs):
+        now_s = time.monotonic()
+        share_s = (end_s - now_s) / (len(proofs) - number)
+
+        def told(tree: BoxTree, number: int = number, proof: Proof = proof) -> None:
+            decided = 1.0 - tree.shares()["undecided"]
+            effort.told(f"{proof.planned.sentence}: {decided:.2%} decided", (number + decided) / len(proofs))
+
+        work(
+            proof.tree,
+            plan.network,
+            proof.planned.claim,
+            proof.planned.region,
+            halvings=effort.halvings,
+            doubt_m=plan.doubt_m,
+            until_s=now_s + share_s,
+            over=effort.over,
+            at_once=effort.at_once,
+            told=told,
+            stopped=effort.stopped,
+        )
+        yield replace(proof, question=proof.question or wrong_question(plan, proof))
+
+
+def fresh(plan: ProofPlan) -> list[Proof]:
+    """Nothing decided yet."""
+    return [Proof(planned, BoxTree()) for planned in plan.proofs]
+
+
+def wrong_question(plan: ProofPlan, proof: Proof) -> WrongQuestion | None:
+    """The worst question in the middle of a leaf that is not proven; None if all are answered well.
+
+    It is wrong by twice what its bounds are wide, so that a check by other bounds refutes it too.
+    """
+    planned, tree = proof.planned, proof.tree
+    leaves = chain(*(tree.leaves(planned.region, code) for code in (REFUTED, UNDECIDED)))
+    middles = [(low + high) / 2.0 for low, high in leaves if len(low)]
+    asked = np.concatenate([np.empty((0, 6)), *middles])[:MOST_ASKED]
+    near_m, far_m = planned.region.apart_m
+    apart_m = np.linalg.norm(asked[:, :3] - asked[:, 3:], axis=1)
+    asked = asked[(apart_m > near_m + WRONG_BY) & (apart_m < far_m - WRONG_BY)]
+    if not len(asked):
+        return None
+    margins = margins_of(plan.asked, planned.claim, asked)
+    if not margins.min() < -WRONG_BY:
+        return None
+    half_m = (
+        margins.min() / 2.0 * (1.0 if planned.claim.kind in (ClaimKind.AT_LEAST, ClaimKind.AWAY) else -1.0)
+    )
+    harder = replace(planned.claim, limit_m=planned.claim.limit_m + half_m)
+    worst = asked[margins.argmin() :][:1]
+    point = worst.copy(), worst.copy()
+    (code,) = examined(plan.network, optimum_constants(), harder, planned.region, point, plan.doubt_m)
+    x = worst[0].tolist()
+    return WrongQuestion((x[0], x[1], x[2]), (x[3], x[4], x[5])) if code == REFUTED else None

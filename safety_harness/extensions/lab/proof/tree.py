@@ -1,0 +1,152 @@
+"""A region halved until its parts are decided: one code a node, level by level.
+
+A node is halved along an axis (codes 0 to 5: hand, then TCP) or a leaf (``box_kernel``).  The two halves of a
+level's halved nodes, the lower one first, are the next level.  So the leaves fill the region whatever the
+codes are, each at level k has 2^-k of it, and a leaf that is undecided can be taken up at any time.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field
+from functools import partial
+from itertools import islice
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.extensions.lab.proof.box_kernel import OUTSIDE, PROVEN, REFUTED, UNDECIDED, examine
+from safety_harness.extensions.lab.proof.claims import DecisionClaim, optimum_constants
+from safety_harness.extensions.lab.proof.network import ReluNetwork
+from safety_harness.extensions.lab.proof.plan import ProofRegion
+
+Floats = NDArray[np.float64]
+Codes = NDArray[np.uint8]
+Boxes = tuple[Floats, Floats]  # low and high corners (n, 6)
+
+AT_ONCE = 8_192  # boxes; some 50 ms
+MOST_BOXES = 1_500_000  # of a level: 0.15 GB
+LEAVES = {PROVEN: "proven", REFUTED: "refuted", UNDECIDED: "undecided", OUTSIDE: "outside"}
+
+
+@dataclass
+class BoxTree:
+    """The codes of each level; a fresh one is one undecided leaf."""
+
+    levels: list[Codes] = field(default_factory=lambda: [np.array([UNDECIDED], np.uint8)])
+
+    def shares(self) -> dict[str, float]:
+        """What part of the region is proven, refuted, undecided and outside of what is claimed; exact."""
+        return {
+            name: sum(float((codes == code).sum()) * 2.0**-k for k, codes in enumerate(self.levels))
+            for code, name in LEAVES.items()
+        }
+
+    def leaves(self, region: ProofRegion, code: int) -> Iterator[Boxes]:
+        """The boxes of the leaves with this code, level by level, largest first."""
+        low, high = region.corners()
+        for codes in self.levels:
+            yield low[codes == code], high[codes == code]
+            low, high = halves(low, high, codes)
+
+
+def halves(low: Floats, high: Floats, codes: Codes) -> Boxes:
+    """The boxes (2 m, 6) of the next level, of ``low`` to ``high`` (n, 6), of which m are halved."""
+    rows = np.flatnonzero(codes < PROVEN)
+    axes = codes[rows]
+    lows, highs = np.repeat(low[rows], 2, axis=0), np.repeat(high[rows], 2, axis=0)
+    middle = (low[rows, axes] + high[rows, axes]) / 2.0
+    first = 2 * np.arange(len(rows))
+    highs[first, axes] = middle
+    lows[first + 1, axes] = middle
+    return lows, highs
+
+
+Over = Callable[[Callable[[Boxes], Codes], Iterable[Boxes]], Iterable[Codes]]
+
+
+def examined(
+    network: ReluNetwork,
+    constants: Floats,
+    claim: DecisionClaim,
+    region: ProofRegion,
+    boxes: Boxes,
+    doubt_m: float = np.nan,
+) -> Codes:
+    """The codes (n,) of boxes, with ``constants`` (10,); of a module, so that other processes can."""
+    return examined_with_spreads(network, constants, claim, region, boxes, doubt_m)[0]
+
+
+def examined_with_spreads(
+    network: ReluNetwork,
+    constants: Floats,
+    claim: DecisionClaim,
+    region: ProofRegion,
+    boxes: Boxes,
+    doubt_m: float = np.nan,
+) -> tuple[Codes, Floats]:
+    """The codes, and bounds (n, 2) of the spread [m], with ``constants`` (10,)."""
+    codes, spreads_m = np.empty(len(boxes[0]), np.uint8), np.empty((len(boxes[0]), 2))
+    near_m, far_m = region.apart_m
+    examine(
+        network, constants, int(claim.kind), claim.limit_m, doubt_m, near_m, far_m, *boxes, codes, spreads_m
+    )
+    return codes, spreads_m
+
+
+def work(
+    tree: BoxTree,
+    network: ReluNetwork,
+    claim: DecisionClaim,
+    region: ProofRegion,
+    *,
+    halvings: int,
+    until_s: float,
+    doubt_m: float = np.nan,
+    over: Over = map,
+    at_once: int = 1,
+    told: Callable[[BoxTree], Any] = lambda tree: None,
+    stopped: Callable[[], bool] = lambda: False,
+) -> None:
+    """Take up what is undecided in ``tree``, largest first, down to ``halvings`` halvings.
+
+    ``doubt_m`` is the network's threshold of spread.
+
+    Ends early at ``until_s`` of ``time.monotonic`` or when ``stopped``; the tree is whole at any time.
+    ``over`` maps, in other processes say, ``at_once`` batches at a time; the result does not depend on it.
+    """
+    judge = partial(examined, network, optimum_constants(), claim, region, doubt_m=doubt_m)
+    low, high = region.corners()
+    level = 0
+    while level < len(tree.levels):
+        codes = tree.levels[level]
+        waiting = np.flatnonzero(codes == UNDECIDED)
+        before = codes.copy()
+        last = level >= halvings or 2 * len(waiting) > MOST_BOXES
+        batches = ((low[part], high[part]) for part in _parts(waiting))
+        rows = _parts(waiting)
+        while (group := list(islice(rows, at_once))) and not stopped() and time.monotonic() < until_s:
+            for part, found in zip(group, over(judge, list(islice(batches, at_once))), strict=True):
+                codes[part] = np.where(found < PROVEN, UNDECIDED, found) if last else found
+        low, high = halves(low, high, codes)
+        _put_next(tree, level, before, len(low))
+        told(tree)
+        level += 1
+
+
+def _parts(rows: NDArray[np.int64]) -> Iterator[NDArray[np.int64]]:
+    return (rows[start : start + AT_ONCE] for start in range(0, len(rows), AT_ONCE))
+
+
+def _put_next(tree: BoxTree, level: int, before: Codes, count: int) -> None:
+    """Fit the next level to one whose codes were ``before`` (n,): its ``count`` nodes, new ones undecided."""
+    halved = tree.levels[level] < PROVEN
+    fresh = np.full(count, UNDECIDED, np.uint8)
+    old = np.repeat(before[halved] < PROVEN, 2)
+    if level + 1 < len(tree.levels):
+        fresh[old] = tree.levels[level + 1]
+        tree.levels[level + 1] = fresh
+    elif count:
+        tree.levels.append(fresh)

@@ -1,0 +1,81 @@
+"""Asking any avoider many questions: together where it takes many, and one after another where it fails."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from safety_harness.cell.avoidance.asking import (
+    Answer,
+    BatchAvoider,
+    OutOfProcessAvoider,
+    ask,
+    interrupted_after,
+    limit_of,
+    takes_many,
+)
+from safety_harness.cell.avoidance.avoider import Avoider, spread_threshold_of
+from safety_harness.extensions.lab.scoring.questions import Answers, Questions
+
+CHUNK = 2_048
+FEW = 16  # a chunk that fails is halved until whose fault it is can be asked one by one
+
+
+def asked_together(avoider: Avoider, questions: Questions) -> Answers:
+    """The answers, in order; NoAnswerError for an avoider that hangs.
+
+    An avoider that takes many is asked ``CHUNK`` at once; what fails together is asked in smaller parts, and
+    alone in the end.
+    """
+    starts = range(0, len(questions), CHUNK)
+    return Answers.joined([_of_chunk(avoider, questions[start : start + CHUNK]) for start in starts])
+
+
+def asked_alone(avoider: Avoider, questions: Questions) -> tuple[Answers, list[float]]:
+    """The answers to one question at a time, and how long each took [s]."""
+    answers = [ask(avoider, questions.one(row)) for row in range(len(questions))]
+    return _arrays(answers), [answer.latency_s for answer in answers]
+
+
+def _of_chunk(avoider: Avoider, questions: Questions) -> Answers:
+    if isinstance(avoider, OutOfProcessAvoider):
+        every = [questions.one(row) for row in range(len(questions))]
+        return _arrays(avoider.answers(every, together=True))
+    if takes_many(avoider):
+        found = _at_once(avoider, questions)
+        if found is not None:
+            return found
+        if len(questions) > FEW:
+            half = len(questions) // 2
+            return Answers.joined(
+                [_of_chunk(avoider, questions[:half]), _of_chunk(avoider, questions[half:])]
+            )
+    return asked_alone(avoider, questions)[0]
+
+
+def _at_once(avoider: BatchAvoider, questions: Questions) -> Answers | None:
+    """None where one of the answers is none: which one is shows alone."""
+    try:
+        threshold_m = spread_threshold_of(avoider)
+        every = [questions.one(0)] * len(questions)
+        with interrupted_after(limit_of(every), avoider.name):
+            positions, spreads = avoider.propose_many(
+                questions.hands_in_base_m.copy(), questions.tcps_in_base_m.copy(), questions.seeds.copy()
+            )
+        shapes = np.shape(positions), np.shape(spreads)
+        if shapes != (questions.hands_in_base_m.shape,) * 2:
+            return None
+        sound = np.isfinite(positions).all() and np.isfinite(spreads).all() and np.min(spreads) >= 0.0
+        thresholds_m = np.full(len(questions), np.nan if threshold_m is None else threshold_m)
+        found = Answers(np.array(positions, float), np.array(spreads, float), thresholds_m, {})
+    except Exception:  # a user's code may raise anything
+        return None
+    return found if sound else None
+
+
+def _arrays(answers: list[Answer]) -> Answers:
+    return Answers(
+        np.array([answer.proposal.position_in_base_m for answer in answers]).reshape(-1, 3),
+        np.array([answer.proposal.spread_m for answer in answers]).reshape(-1, 3),
+        np.array([answer.spread_threshold_m for answer in answers]),
+        {row: answer.fault for row, answer in enumerate(answers) if answer.fault},
+    )

@@ -1,0 +1,261 @@
+"""Figures of one region: what answers are worth, with intervals."""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from safety_harness.base.geometry.arrays import ArrayNx3
+from safety_harness.base.proportions import LEVEL, Proportion
+from safety_harness.base.seeds import Branch, generator
+from safety_harness.base.settings import Settings, Vector3
+from safety_harness.cell.avoidance.measures import gained_m, is_sure, off_m, optimum_in_base_m
+from safety_harness.cell.controller.desired import reachable
+from safety_harness.extensions.lab.scoring.questions import Answers, Questions
+from safety_harness.extensions.lab.scoring.regions import QuestionRegion
+from safety_harness.extensions.lab.scoring.scorecard import Figure, RegionScore, ScoredQuestion, Spreads
+from safety_harness.scenario.robots import AnyRobot
+
+Floats = NDArray[np.float64]
+ArrayN = NDArray[np.float64]  # (n,)
+Matrix = tuple[Vector3, Vector3, Vector3]
+
+WRONG_M = 0.060  # off the optimum: more than half of the repulsion radius, another direction altogether
+COARSEST_M = 0.001  # between the answers of a number format: half precision has it beyond a metre
+WITHIN = (1, 2, 3)  # spreads
+WORST = 10
+TAIL = (1.0 - LEVEL) / 2.0
+NORMAL = 1.959964
+
+
+def quantile(values: ArrayN, share: float) -> Figure:
+    """The ``share`` quantile of (n,) values, with order statistics for its ends: exact for any distribution.
+
+    An end that no value bounds is infinite.
+    """
+    n, ordered = len(values), np.sort(values)
+    below, above = np.nan_to_num(scipy.special.bdtrik([TAIL, 1.0 - TAIL], n, share), nan=-1.0)
+    low, high = int(np.floor(below)), int(np.ceil(above))  # 0-based: the order statistics low and high
+    return Figure(
+        float(np.quantile(ordered, share)),
+        float(ordered[low]) if low >= 0 else -np.inf,
+        float(ordered[high]) if 0 <= high < n else np.inf,
+    )
+
+
+def mean(values: ArrayN) -> Figure:
+    """The mean of (n,) values and its interval by the normal distribution."""
+    centre = float(values.mean())
+    half = NORMAL * float(values.std(ddof=1)) / np.sqrt(len(values)) if len(values) > 1 else np.inf
+    return Figure(centre, centre - half, centre + half)
+
+
+def root_mean_square(values: ArrayN) -> Figure:
+    """Of (n,) values; its ends are the roots of those of the mean square."""
+    squares = mean(values**2)
+    return Figure(*(float(np.sqrt(max(end, 0.0))) for end in (squares.value, squares.low, squares.high)))
+
+
+def rank_correlation(one: ArrayN, other: ArrayN) -> Figure | None:
+    """Spearman's, with Fisher's interval; None where one of them (n,) is constant or n is below 10."""
+    if len(one) < 10 or np.ptp(one) == 0.0 or np.ptp(other) == 0.0:
+        return None
+    rho = float(np.corrcoef(_ranks(one), _ranks(other))[0, 1])
+    z, half = np.arctanh(np.clip(rho, -1.0 + 1e-12, 1.0 - 1e-12)), NORMAL * 1.06 / np.sqrt(len(one) - 3)
+    return Figure(rho, float(np.tanh(z - half)), float(np.tanh(z + half)))
+
+
+def _ranks(values: Floats) -> Floats:
+    """(n,) average ranks."""
+    _, inverse, counts = np.unique(values, return_inverse=True, return_counts=True)
+    return np.asarray((np.cumsum(counts) - 0.5 * (counts - 1))[inverse])
+
+
+def region_score(
+    region: QuestionRegion, questions: Questions, answers: Answers, settings: Settings
+) -> RegionScore:
+    """Everything that is said of the answers to ``questions``; without any question every figure is None."""
+    given = answers.given
+    asked, said = questions[given], answers[given]
+    step_m = number_step_m(said.positions_in_base_m)
+    figures = _figures(asked, said, settings, region.robot, step_m) if given.any() else dict.fromkeys(_NAMES)
+    return RegionScore(
+        region=region.name,
+        about=region.about
+        if len(questions)
+        else f"{region.about}; it holds no pair that a run could ask about",
+        asked_in_runs=region.asked_in_runs and len(questions) > 0,
+        questions=questions,
+        answers=answers,
+        answered=Proportion.of(given) if len(questions) else None,
+        worst_off=_worst(region.name, questions, answers, settings, by_gained=False),
+        worst_gained=_worst(region.name, questions, answers, settings, by_gained=True),
+        step_m=step_m,
+        **figures,
+    )
+
+
+_NAMES = (
+    "leads_away",
+    "in_reach",
+    "gained_m",
+    "least_gained_m",
+    "angle_rad",
+    "off_rms_m",
+    "off_m",
+    "off_most_m",
+    "bias_in_base_m",
+    "pull",
+    "scale",
+    "spreads",
+    "wrong_and_sure",
+    "above_threshold",
+    "stuck",
+    "sure_and_unsafe",
+)
+
+
+def _figures(
+    asked: Questions, said: Answers, settings: Settings, robot: AnyRobot, step_m: float
+) -> dict[str, object]:
+    """Those of ``_NAMES``, of answers that were given."""
+    hands, tcps, proposed = asked.hands_in_base_m, asked.tcps_in_base_m, said.positions_in_base_m
+    optimum = optimum_in_base_m(settings, hands, tcps)
+    gained, off, error = gained_m(hands, tcps, proposed), off_m(proposed, optimum), proposed - optimum
+    way_m = np.linalg.norm(proposed - tcps, axis=1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        angle = np.where(way_m > 0.0, np.arccos(np.clip(gained / way_m, -1.0, 1.0)), np.pi)
+    pull, scale = _slopes(hands, tcps, error)
+    sure, has_threshold = is_sure(said.spreads_m, said.thresholds_m), np.isfinite(said.thresholds_m)
+    reached = in_reach(proposed, settings, robot)
+    values = (
+        Proportion.of(gained >= 0.0),
+        Proportion.of(reached),
+        (quantile(gained, 0.5), quantile(gained, 0.05)),
+        float(gained.min()),
+        (quantile(angle, 0.5), quantile(angle, 0.95)),
+        root_mean_square(off),
+        (quantile(off, 0.5), quantile(off, 0.95), quantile(off, 0.99)),
+        float(off.max()),
+        tuple(mean(axis) for axis in error.T),
+        _matrix(pull),
+        _matrix(scale),
+        _spreads(error, asked, said.spreads_m) if said.spreads_m.any() else None,
+        Proportion.of((off > WRONG_M) & sure),
+        Proportion.of(~sure) if has_threshold.any() else None,
+        _most_alike(proposed, step_m),
+        Proportion.of(sure & ~((gained >= 0.0) & reached)),
+    )
+    return dict(zip(_NAMES, values, strict=True))
+
+
+def number_step_m(positions: ArrayNx3) -> float:
+    """How far apart neighbours in the number format of positions (n, 3) are, the farthest of them [m].
+
+    0 in double precision, or where the steps are longer than ``COARSEST_M``: that is no number format.
+    """
+    largest = np.abs(positions).max(initial=0.0)
+    for kind in (np.float16, np.float32):
+        if largest < 1e3 and (positions.astype(kind) == positions).all():
+            step_m = float(np.spacing(kind(largest)))
+            return step_m if step_m <= COARSEST_M else 0.0
+    gaps = np.concatenate([np.diff(np.unique(column)) for column in positions.T])
+    gaps = gaps[gaps > 1e-9]  # what is less is the rounding of multiples
+    step_m = float(gaps.min(initial=np.inf))
+    if not 1e-8 < step_m <= COARSEST_M:
+        return 0.0
+    return step_m if (np.abs(gaps / step_m - np.round(gaps / step_m)) < 1e-3).all() else 0.0
+
+
+def _most_alike(proposed: ArrayNx3, step_m: float) -> Proportion:
+    """The answers with the most frequent coordinate, less what their number format explains."""
+    most = 0
+    for column in proposed.T:
+        _, counts = np.unique(column, return_counts=True)
+        usual = np.zeros_like(counts)
+        if step_m > 0.0:  # twice as many as at the most frequent of the next two on either side
+            around = np.pad(counts, 2)
+            usual = 2 * np.max([around[k : k + len(counts)] for k in (0, 1, 3, 4)], axis=0)
+        most = max(most, int((counts - usual).max()))
+    return Proportion.of(np.arange(len(proposed)) < most)
+
+
+def in_reach(positions_in_base_m: ArrayNx3, settings: Settings, robot: AnyRobot) -> NDArray[np.bool_]:
+    """(n,) has the position inverse kinematics, and is it above the table by the clearance?"""
+    lowest_m = settings.cell.table_height_m + settings.avoidance.table_clearance_m
+    reached: NDArray[np.bool_] = reachable(positions_in_base_m, settings, robot) & (
+        positions_in_base_m[:, 2] >= lowest_m
+    )
+    return reached
+
+
+def _slopes(hands: ArrayNx3, tcps: ArrayNx3, error: ArrayNx3) -> tuple[Floats, Floats]:
+    """How the error (n, 3) grows with the hand and with the TCP, (3, 3) each; zero for too few rows."""
+    inputs = np.hstack([hands - hands.mean(axis=0), tcps - tcps.mean(axis=0)])
+    found = np.linalg.lstsq(inputs, error - error.mean(axis=0), rcond=1e-9)[0].T  # (3, 6)
+    return found[:, :3], found[:, 3:]
+
+
+def _matrix(rows: Floats) -> Matrix:
+    one, two, three = ((float(x), float(y), float(z)) for x, y, z in rows)
+    return one, two, three
+
+
+def _spreads(error: ArrayNx3, asked: Questions, spreads: ArrayNx3) -> Spreads:
+    off, largest = np.linalg.norm(error, axis=1), spreads.max(axis=1)
+    drawn = spreads * generator(int(asked.seeds[0]), Branch.SCORING).standard_normal(spreads.shape)
+    honest = rank_correlation(largest, np.linalg.norm(drawn, axis=1))
+    rms_m = float(np.sqrt((spreads**2).sum(axis=1).mean()))
+    errors_m = root_mean_square(off)
+    return Spreads(
+        within=tuple(
+            tuple(Proportion.of(np.abs(error[:, axis]) <= k * spreads[:, axis]) for axis in range(3))  # type: ignore[misc]
+            for k in WITHIN
+        ),
+        error_to_spread=Figure(errors_m.value / rms_m, errors_m.low / rms_m, errors_m.high / rms_m),
+        by_axis=_by_axis(error, spreads),
+        rank=rank_correlation(largest, off),
+        honest_rank=honest.value if honest else 0.0,
+        rms_m=rms_m,
+    )
+
+
+def _by_axis(error: ArrayNx3, spreads: ArrayNx3) -> Vector3:
+    squares = (spreads**2).mean(axis=0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratios = np.sqrt((error**2).mean(axis=0) / squares)
+    x, y, z = np.where(np.isnan(ratios), 1.0, ratios).tolist()  # no error and no spread
+    return x, y, z
+
+
+def asked_row(
+    region: str, questions: Questions, answers: Answers, row: int, settings: Settings
+) -> ScoredQuestion:
+    """One question and its answer, with its numbers."""
+    one = questions[row : row + 1]
+    proposed = answers.positions_in_base_m[row : row + 1]
+    optimum = optimum_in_base_m(settings, one.hands_in_base_m, one.tcps_in_base_m)
+    x, y, z = proposed[0].tolist()
+    return ScoredQuestion(
+        region,
+        one.one(0),
+        (x, y, z),
+        float(answers.spreads_m[row].max()),
+        float(off_m(proposed, optimum)[0]),
+        float(gained_m(one.hands_in_base_m, one.tcps_in_base_m, proposed)[0]),
+        answers.faults.get(row, ""),
+    )
+
+
+def _worst(
+    region: str, questions: Questions, answers: Answers, settings: Settings, *, by_gained: bool
+) -> tuple[ScoredQuestion, ...]:
+    """The worst ``WORST``; what has no answer is worse than any."""
+    hands, tcps, proposed = questions.hands_in_base_m, questions.tcps_in_base_m, answers.positions_in_base_m
+    if by_gained:
+        badness = -gained_m(hands, tcps, proposed)
+    else:
+        badness = off_m(proposed, optimum_in_base_m(settings, hands, tcps))
+    order = np.argsort(-np.where(np.isfinite(badness), badness, np.inf), kind="stable")[:WORST]
+    return tuple(asked_row(region, questions, answers, int(row), settings) for row in order)

@@ -1,0 +1,224 @@
+"""Where answers jump between near questions: along straight segments, of which the uneven ones are followed.
+
+A segment has one seed, and the hand or the TCP moves along it while the other stays.  Most segments pass
+through questions that were drawn, those of the worst answers among them; a ball of 15 mm radius among the
+hands of a region is met by a few in a thousand.  A segment is followed where its answers are least even:
+the step that differs most from the median step is divided by eight, over and over, until its ends are a
+nanometre apart.  What still differs there by more than half a millimetre is a jump, and no steep slope.
+
+An avoider that rounds its questions answers alike within a cell, and a steep one moves far from cell to cell.
+So a jump does not count where the answers stay the same on both sides and then move half as far or farther.
+And one that jumps wherever it is followed, such as a network in int8, answers in steps: up to ``STEPPED_M``,
+which is twice the error of a predicted hand, they are no jumps.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.base.geometry.arrays import ArrayNx3
+from safety_harness.base.proportions import Proportion
+from safety_harness.cell.avoidance.measures import gained_m, off_m, optimum_in_base_m
+from safety_harness.extensions.lab.scoring.figures import number_step_m
+from safety_harness.extensions.lab.scoring.questions import Answers, Questions
+from safety_harness.extensions.lab.scoring.regions import QuestionRegion
+from safety_harness.extensions.lab.scoring.scorecard import AnswerChange, Jumps, Moved
+
+Ask = Callable[[Questions], Answers]
+Floats = NDArray[np.float64]
+
+NEAR_M = 2e-9  # the end of following: a slope would have to be 250,000 to look like a jump
+STEEP_M = (0.0003, 0.003)  # between questions that are about 1 mm apart: the steepest change
+POINTS = 13  # of a segment
+LENGTHS_M = {Moved.HAND: 0.300, Moved.TCP: 0.120}
+ANCHOR_LENGTH_M = 0.060  # through the worst questions
+ANCHORS = 64  # by each of three measures
+FOLLOWED = 128  # of the other segments
+PARTS = 8
+CELLS_M = 2e-6 * 8.0 ** np.arange(4)  # ways from a jump, up to 1 mm: coarser rounding is not harmless
+STEPPED, STEPPED_M = 0.9, 0.020  # share of the segments that are followed, and twice 10 mm
+SAME_M = 1e-9  # a way of 2 um moves the answers of an avoider that does not round its question farther
+
+
+@dataclass(frozen=True, eq=False)
+class _Segments:
+    """Questions at ``middles`` (n), moved along ``directions`` (n, 3), unit vectors, by up to half a length.
+
+    ``half_m`` (n,).
+    """
+
+    moved: Moved
+    middles: Questions
+    directions: ArrayNx3
+    half_m: Floats
+
+    def at(self, rows: NDArray[np.int64], along_m: Floats) -> Questions:
+        """The questions at distances (k,) from the middles of some segments (k,)."""
+        return moved_by(self.middles[rows], self.moved, along_m[:, None] * self.directions[rows])
+
+
+def moved_by(questions: Questions, moved: Moved, shifts_m: ArrayNx3) -> Questions:
+    """The same questions with hands, or TCPs, shifted."""
+    if moved is Moved.HAND:
+        return Questions(questions.hands_in_base_m + shifts_m, questions.tcps_in_base_m, questions.seeds)
+    return Questions(questions.hands_in_base_m, questions.tcps_in_base_m + shifts_m, questions.seeds)
+
+
+def jumps_of(
+    ask: Ask,
+    region: QuestionRegion,
+    moved: Moved,
+    questions: Questions,
+    answers: Answers,
+    rng: np.random.Generator,
+    count: int,
+) -> Jumps:
+    """Along ``count`` segments through the first questions, and some through those of the worst answers.
+
+    ``questions`` were drawn in the region and answered with ``answers``.
+    """
+    segments = _segments(region, moved, questions, answers, rng, count)
+    total, per = len(segments.middles), POINTS
+    grid = np.linspace(-1.0, 1.0, per)
+    rows = np.repeat(np.arange(total), per)
+    along_m = (segments.half_m[:, None] * grid).ravel()
+    points = segments.at(rows, along_m)
+    inside = region.holds(points.hands_in_base_m, points.tcps_in_base_m)
+    values = np.full((total * per, 6), np.nan)
+    values[inside] = _values(ask(points[inside]))
+    step_m = number_step_m(values[np.isfinite(values).all(axis=1), :3])
+    found = Jumps(region=region.name, moved=moved, step_m=step_m)
+    steps = np.diff(values.reshape(total, per, 6), axis=1)
+    uneven_m = _uneven_m(steps)  # (n, per - 1)
+    at, best = np.argmax(uneven_m, axis=1), uneven_m.max(axis=1)
+    first = len(segments.middles) - count  # anchors come first
+    random = first + np.argsort(-best[first:], kind="stable")[:FOLLOWED]
+    chosen = np.concatenate([np.arange(first), random])
+    chosen = chosen[best[chosen] > 0.0]
+    length_m = 2.0 * segments.half_m[chosen] / (per - 1)
+    start_m = -segments.half_m[chosen] + length_m * at[chosen]
+    return _followed(ask, found, segments, chosen, start_m, length_m)
+
+
+def _segments(
+    region: QuestionRegion,
+    moved: Moved,
+    questions: Questions,
+    answers: Answers,
+    rng: np.random.Generator,
+    count: int,
+) -> _Segments:
+    anchors = questions[_anchors(questions, answers, region)]
+    middles = Questions.joined([anchors, questions[:count]])
+    directions = rng.normal(size=(len(anchors) + count, 3))[: len(middles)]
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    half_m = np.full(len(middles), LENGTHS_M[moved] / 2.0)
+    half_m[: len(anchors)] = ANCHOR_LENGTH_M / 2.0
+    return _Segments(moved, middles, directions, half_m)
+
+
+def _anchors(questions: Questions, answers: Answers, region: QuestionRegion) -> NDArray[np.int64]:
+    """The questions with the largest error, the least gain and the largest error for their spread."""
+    hands, tcps, proposed = questions.hands_in_base_m, questions.tcps_in_base_m, answers.positions_in_base_m
+    off = off_m(proposed, optimum_in_base_m(region.settings, hands, tcps))
+    badness = [off, -gained_m(hands, tcps, proposed), off / (answers.spreads_m.max(axis=1) + 1e-3)]
+    known = [np.nan_to_num(one, nan=-np.inf).round(9) for one in badness]  # rounding breaks no tie
+    worst = [np.argsort(-one, kind="stable")[:ANCHORS] for one in known]
+    return np.unique(np.concatenate(worst))
+
+
+def _values(answers: Answers) -> Floats:
+    """(n, 6) positions and spreads."""
+    return np.hstack([answers.positions_in_base_m, answers.spreads_m])
+
+
+def _size_m(changes: Floats) -> Floats:
+    """(...) of changes (..., 6): the larger of that of the position and that of the spread."""
+    position, spread = np.linalg.norm(changes[..., :3], axis=-1), np.linalg.norm(changes[..., 3:], axis=-1)
+    return np.asarray(np.maximum(position, spread))
+
+
+def _uneven_m(steps: Floats) -> Floats:
+    """(n, k) how much each of k steps (n, k, 6) differs from the segment's median step; 0 where unknown."""
+    known = np.isfinite(steps).all(axis=2, keepdims=True)
+    with np.errstate(all="ignore"):
+        filled = np.where(known, steps, np.nan)
+        usual = np.nan_to_num(_nanmedian(filled))
+    return np.asarray(np.nan_to_num(_size_m(filled - usual[:, None])))
+
+
+def _nanmedian(values: Floats) -> Floats:
+    """(n, 6) medians of (n, k, 6), NaN left out; numpy's own warns where there is nothing else."""
+    ordered = np.sort(values, axis=1)  # NaN last
+    counts = np.isfinite(values).sum(axis=1)
+    middle = np.maximum((counts - 1) // 2, 0)[:, None]
+    return np.asarray(np.take_along_axis(ordered, middle, axis=1)[:, 0])
+
+
+def _followed(
+    ask: Ask, found: Jumps, segments: _Segments, rows: NDArray[np.int64], start_m: Floats, step_m: Floats
+) -> Jumps:
+    """Divide the steps that begin at ``start_m`` (k,) and are ``step_m`` long until they are near.
+
+    ``found``, which has the limit of a jump, comes back with what there is on the way.
+    """
+    largest: AnswerChange | None = None
+    steepest: AnswerChange | None = None
+    count = len(segments.middles)
+    jumped_m = np.zeros(count)
+    followed = stepped = len(rows)
+    while len(rows):
+        parts = np.arange(PARTS + 1) / PARTS
+        points_m = start_m[:, None] + step_m[:, None] * parts
+        points = segments.at(np.repeat(rows, PARTS + 1), points_m.ravel())
+        values = _values(ask(points)).reshape(len(rows), PARTS + 1, 6)
+        steps = np.diff(values, axis=1)
+        best = np.argmax(_uneven_m(steps), axis=1)
+        every = np.arange(len(rows))
+        change_m, step_m = np.nan_to_num(_size_m(steps[every, best])), step_m / PARTS
+        start_m = points_m[every, best]
+
+        def change(k: int) -> AnswerChange:
+            ends = points[np.array([k * (PARTS + 1) + best[k], k * (PARTS + 1) + best[k] + 1])]  # noqa: B023
+            sizes_m = float(change_m[k]), float(step_m[k])  # noqa: B023
+            return AnswerChange(segments.moved, ends.one(0), ends.one(1), *sizes_m)
+
+        slopes = np.where((step_m >= STEEP_M[0]) & (step_m < STEEP_M[1]), change_m / step_m, 0.0)
+        k = int(np.argmax(slopes))
+        if slopes[k] > 0.0 and (steepest is None or slopes[k] > steepest.change_m / steepest.apart_m):
+            steepest = change(k)
+        done = (step_m <= NEAR_M) & (change_m > found.limit_m)
+        stepped -= int(np.count_nonzero((change_m <= found.limit_m) & (step_m <= STEEP_M[1])))
+        ends = (every[done] * (PARTS + 1) + best[done])[:, None] + [0, 1]
+        done[done] = change_m[done] > 2.0 * _beside_m(ask, segments.moved, points[ends.ravel()])
+        jumped_m[rows[done]] = change_m[done]
+        k = int(np.argmax(np.where(done, change_m, 0.0)))
+        if done[k] and (largest is None or change_m[k] > largest.change_m):
+            largest = change(k)
+        kept = (step_m > NEAR_M) & ((change_m > found.limit_m) | (step_m > STEEP_M[1]))
+        rows, start_m, step_m = rows[kept], start_m[kept], step_m[kept]
+    if followed and stepped >= STEPPED * followed:
+        found = replace(found, step_m=max(found.step_m, STEPPED_M / 2.0))
+    largest = largest if largest and largest.change_m > found.limit_m else None
+    share = Proportion.of(jumped_m > found.limit_m) if count else None
+    return replace(found, segments=count, jumped=share, largest=largest, steepest=steepest)
+
+
+def _beside_m(ask: Ask, moved: Moved, ends: Questions) -> Floats:
+    """Return how far the answers move to the cells beside (k,) jumps, the two ends (2k) of each in turn.
+
+    That is 0 where they change within ``CELLS_M[0]``: such an avoider does not round its question.
+    """
+    ways_m = CELLS_M[:, None, None] * np.vstack([np.eye(3), -np.eye(3)])  # (c, 6, 3)
+    count, per = len(ends), ways_m.size // 3
+    rows = np.repeat(np.arange(count), per)
+    around = moved_by(ends[rows], moved, np.tile(ways_m.reshape(-1, 3), (count, 1)))
+    own, beside = _values(ask(ends)), _values(ask(around)).reshape(count, *ways_m.shape[:2], 6)
+    sizes_m = np.nan_to_num(_size_m(beside - own[:, None, None]))  # (2k, c, 6)
+    first = np.argmax(sizes_m > SAME_M, axis=1)[:, None]
+    moves_m = np.where(first > 0, np.take_along_axis(sizes_m, first, axis=1), 0.0)
+    return np.asarray(moves_m.max(axis=(1, 2)).reshape(-1, 2).min(axis=1))

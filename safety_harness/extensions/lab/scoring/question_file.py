@@ -1,0 +1,163 @@
+"""A question of an avoider as a scenario that asks it first: what scored badly, to be run and looked at.
+
+The hand rests at the question's hand and the TCP starts at its TCP, so that the first control tick asks it;
+the scenario's seed is the one that the question's own seed descends from.  Every file is tried before it is
+written: what the run asks first must be the question.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from safety_harness.admission.admit import admit
+from safety_harness.admission.avoiders import with_avoider
+from safety_harness.admission.trial import run_trial
+from safety_harness.base.exceptions import InputError, SafetyHarnessError
+from safety_harness.base.geometry.arrays import Array3
+from safety_harness.base.seeds import Branch
+from safety_harness.base.seeds import seed as leaf
+from safety_harness.base.settings import DEFAULTS, Settings, Vector3
+from safety_harness.cell.avoidance.avoider import Avoider
+from safety_harness.cell.avoidance.flaky import question_of
+from safety_harness.cell.controller.desired import desired_transform_tcp_to_base
+from safety_harness.cell.robot.distance import hand_distance, place_capsules
+from safety_harness.cell.robot.kinematics import links_in_base
+from safety_harness.cell.robot.robots import arm_capsules, arm_model, inverse_kinematics
+from safety_harness.cell.simulation.truth import cell_capsules
+from safety_harness.cell.simulation.worlds import KINEMATIC
+from safety_harness.scenario.model import Claim, MovingHand, PoseStart, Scenario, Verdict
+from safety_harness.scenario.robots import AnyRobot, Robot
+from safety_harness.scenario.write import write_scenario
+from safety_harness.trace.trace import Trace
+
+SAME_PLACE_M = 0.001  # the hand as it is perceived, and the question's
+LASTS_S = 0.4  # the first decision, and none after it: a way of 100 mm takes 0.65 s
+
+
+@dataclass(frozen=True)
+class QuestionFile:
+    """``path`` is None where no run can ask the question first, and ``remark`` says why.
+
+    Its ``claims`` expect what the run that tried it gave; those on which it gave no verdict are left out.
+    """
+
+    path: Path | None
+    remark: str
+    claims: tuple[Claim, ...] = ()
+    text: str = ""
+
+
+def seed_of(scenario_seed: int) -> int:
+    """The seed of the first question that a run of a scenario with this seed asks."""
+    return leaf(scenario_seed, Branch.DECISION, 0)
+
+
+def begins_clear(
+    settings: Settings, hand_in_base_m: Array3, tcp_in_base_m: Array3, robot: AnyRobot = Robot.UR10
+) -> bool:
+    """Is the hand, its forearm away from the TCP, outside the arm when the TCP starts there?"""
+    arm, capsules = arm_model(robot), cell_capsules(arm_capsules(robot), settings)
+    target = desired_transform_tcp_to_base(settings)
+    target[:3, 3] = tcp_in_base_m
+    joints = inverse_kinematics(robot).nearest(target, np.array(settings.cell.preferred_joint_position_rad))
+    if joints is None:
+        return False
+    ends = np.empty((len(capsules.names), 2, 3))
+    place_capsules(capsules.records, links_in_base(arm, joints), ends)
+    away = hand_in_base_m - tcp_in_base_m
+    elbow = hand_in_base_m + settings.hand.forearm_length_m * away / max(float(np.linalg.norm(away)), 1e-9)
+    radii_m = settings.hand.radius_m, settings.hand.forearm_radius_m
+    return bool(hand_distance(capsules.records, ends, hand_in_base_m, elbow, *radii_m)[0] > 0.0)
+
+
+def question_file(
+    path: Path,
+    reference: str,
+    avoider: Avoider,
+    hand_in_base_m: Array3,
+    tcp_in_base_m: Array3,
+    scenario_seed: int,
+    *,
+    title: str,
+    about: str,
+    claims: tuple[str, ...],
+    settings: Settings = DEFAULTS,
+    robot: AnyRobot = Robot.UR10,
+) -> QuestionFile:
+    """The scenario for ``path``, not written yet: tried in the kinematic world with ``avoider``.
+
+    ``reference`` is how the file names the avoider, a relative file from the working directory.
+    """
+    why = "no run begins with it"
+    bare = Scenario(
+        name=path.stem,
+        title=title,
+        about=about,
+        duration_s=LASTS_S,
+        seed=scenario_seed,
+        start=PoseStart(position_in_base_m=_vector3(tcp_in_base_m)),
+        hands=(),
+        avoider="",
+        claims=tuple(Claim(sentence=sentence, expected=Verdict.VIOLATED) for sentence in claims),
+        settings=settings,
+        robot=robot,
+        file=path,
+    )
+    for scenario in _ways(with_avoider(bare, reference), hand_in_base_m, tcp_in_base_m):
+        try:
+            admitted = admit(scenario, avoider=avoider)
+            trace = run_trial(admitted, world=KINEMATIC)
+        except InputError as error:
+            why = f"expected {error.expected}; got {error.got}"
+            continue
+        except SafetyHarnessError as error:
+            return QuestionFile(None, str(error))
+        why = _asked_another(trace, hand_in_base_m, tcp_in_base_m)
+        if not why:
+            verdicts = tuple(one.evaluate(trace).verdict for one in admitted.properties)
+            told = tuple(
+                replace(claim, expected=verdict)
+                for claim, verdict in zip(scenario.claims, verdicts, strict=True)
+                if verdict is not Verdict.INCONCLUSIVE
+            )
+            return QuestionFile(path, "", told, write_scenario(replace(scenario, claims=told)))
+    return QuestionFile(None, why)
+
+
+def _ways(scenario: Scenario, hand_in_base_m: Array3, tcp_in_base_m: Array3) -> Iterator[Scenario]:
+    """The forearm to where it is clear of the arm; then the object too, so that the camera sees it."""
+    away = hand_in_base_m - tcp_in_base_m
+    outwards = np.array([hand_in_base_m[0], hand_in_base_m[1], 0.0])
+    object_m = np.array(scenario.settings.object.position_in_base_m)
+    aside = (tcp_in_base_m - scenario.settings.cell.desired_tcp_position_in_base_m) / 2.0
+    for shift in (np.zeros(3), np.array([aside[0], aside[1], 0.0])):
+        shifted = replace(scenario.settings.object, position_in_base_m=_vector3(object_m + shift))
+        for direction in (away, outwards, np.array([0.0, 0.0, 1.0])):
+            length = float(np.linalg.norm(direction))
+            if length > 0.0:
+                hand = MovingHand(
+                    name="hand",
+                    starts_at_in_base_m=_vector3(hand_in_base_m),
+                    elbow_towards_in_base_m=_vector3(hand_in_base_m + 0.6 * direction / length),
+                    moves=(),
+                )
+                settings = replace(scenario.settings, object=shifted)
+                yield replace(scenario, hands=(hand,), settings=settings)
+
+
+def _asked_another(trace: Trace, hand_in_base_m: Array3, tcp_in_base_m: Array3) -> str:
+    """Why the first decision is not the one on this question; empty if it is."""
+    if len(trace.decisions) == 0:
+        return "the run asks nothing: the hand is not seen"
+    hand, tcp = question_of(trace, trace.decisions[0])
+    apart_m = max(float(np.abs(hand - hand_in_base_m).max()), float(np.abs(tcp - tcp_in_base_m).max()))
+    same = apart_m <= SAME_PLACE_M and int(trace.decisions[0]["seed"]) == seed_of(trace.scenario.seed)
+    return "" if same else f"the run's first question is {1e3 * apart_m:.1f} mm from it"
+
+
+def _vector3(point: Array3) -> Vector3:
+    return float(point[0]), float(point[1]), float(point[2])

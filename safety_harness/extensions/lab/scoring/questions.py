@@ -1,0 +1,87 @@
+"""What an avoider is asked, many questions at once, and what it answers: arrays, one row a question."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.base.geometry.arrays import ArrayNx3
+from safety_harness.cell.avoidance.asking import Question
+
+Rows = NDArray[np.int64] | NDArray[np.bool_] | slice
+
+
+@dataclass(frozen=True, eq=False)
+class Questions:
+    """Hands and TCPs (n, 3) in the base frame [m], and the seeds (n,) of the decisions."""
+
+    hands_in_base_m: ArrayNx3
+    tcps_in_base_m: ArrayNx3
+    seeds: NDArray[np.uint64]
+
+    def __len__(self) -> int:
+        """How many."""
+        return len(self.seeds)
+
+    def __getitem__(self, rows: Rows) -> Questions:
+        """Some of them."""
+        return Questions(self.hands_in_base_m[rows], self.tcps_in_base_m[rows], self.seeds[rows])
+
+    def one(self, row: int) -> Question:
+        """A single one, as an avoider is asked it."""
+        return Question(self.hands_in_base_m[row], self.tcps_in_base_m[row], int(self.seeds[row]))
+
+    @classmethod
+    def joined(cls, parts: list[Questions]) -> Questions:
+        """One after another."""
+        return cls(
+            np.concatenate([np.empty((0, 3)), *(part.hands_in_base_m for part in parts)]),
+            np.concatenate([np.empty((0, 3)), *(part.tcps_in_base_m for part in parts)]),
+            np.concatenate([np.empty(0, np.uint64), *(part.seeds for part in parts)]),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Answers:
+    """Proposed positions (n, 3) in the base frame and spreads (n, 3) [m]: NaN where there is no answer.
+
+    ``thresholds_m`` (n,): the largest spread that each may have, NaN without one.  ``faults`` says why there
+    is no answer, by row.
+    """
+
+    positions_in_base_m: ArrayNx3
+    spreads_m: ArrayNx3
+    thresholds_m: NDArray[np.float64]  # (n,)
+    faults: dict[int, str]
+
+    def __len__(self) -> int:
+        """How many."""
+        return len(self.thresholds_m)
+
+    @property
+    def given(self) -> NDArray[np.bool_]:
+        """(n,) is there an answer?"""
+        return np.asarray(np.isfinite(self.positions_in_base_m + self.spreads_m).all(axis=1))
+
+    def __getitem__(self, rows: Rows) -> Answers:
+        """Some of them."""
+        numbers = np.arange(len(self))[rows].tolist()
+        faults = {new: self.faults[old] for new, old in enumerate(numbers) if old in self.faults}
+        return Answers(self.positions_in_base_m[rows], self.spreads_m[rows], self.thresholds_m[rows], faults)
+
+    @classmethod
+    def joined(cls, parts: list[Answers]) -> Answers:
+        """One after another."""
+        faults: dict[int, str] = {}
+        first = 0
+        for part in parts:
+            faults |= {first + row: fault for row, fault in part.faults.items()}
+            first += len(part)
+        return cls(
+            np.concatenate([np.empty((0, 3)), *(part.positions_in_base_m for part in parts)]),
+            np.concatenate([np.empty((0, 3)), *(part.spreads_m for part in parts)]),
+            np.concatenate([np.empty(0), *(part.thresholds_m for part in parts)]),
+            faults,
+        )

@@ -1,0 +1,258 @@
+"""Score an avoider directly: every region, its jumps, whether it repeats, and how long it takes.
+
+The same questions are put to yardsticks: the closed-form optimum, the paper's target (``nearest candidate``)
+and ``mc-dropout``.  All but the times follows from the seed and the counts, which a slow avoider's own pace
+lowers in a few coarse steps.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.admission.admit import answers_at_first, first_question
+from safety_harness.admission.avoiders import NEAREST, resolve_avoider, scenario_of_avoider
+from safety_harness.base.exceptions import NoAnswerError
+from safety_harness.base.seeds import Branch, generator
+from safety_harness.base.settings import DEFAULTS, Settings
+from safety_harness.cell.avoidance.avoider import Avoider, Proposal, Vector, Vectors, decision_time_of
+from safety_harness.cell.avoidance.measures import optimum_in_base_m
+from safety_harness.extensions.lab.scoring.asking import asked_alone, asked_together
+from safety_harness.extensions.lab.scoring.figures import region_score
+from safety_harness.extensions.lab.scoring.jumps import jumps_of
+from safety_harness.extensions.lab.scoring.questions import Questions
+from safety_harness.extensions.lab.scoring.regions import QuestionRegion
+from safety_harness.extensions.lab.scoring.repeats import Subject, compared, repeats
+from safety_harness.extensions.lab.scoring.scorecard import (
+    AnswerTimes,
+    AskedAgain,
+    Jumps,
+    Moved,
+    RegionScore,
+    Scorecard,
+    WayOfAsking,
+)
+
+OPTIMUM, TRAINED = "closed-form optimum", "mc-dropout"
+YARDSTICKS = (OPTIMUM, NEAREST, TRAINED)
+FEWER = 3_000  # questions of a yardstick that takes long and has no learning: its figures hang on no place
+LATER_S = 2.0  # at least, between the first answers and those of a later time
+QUICK_S = 0.00015  # a question: all of some 200,000 are asked within half a minute
+PROBE = 64  # questions that tell how quick an avoider is
+_QUESTIONS, _SEGMENTS, _PACE = 0, 1, 2  # below the branch and a region's number
+
+
+@dataclass(frozen=True)
+class Counts:
+    """How many questions are asked: of the first region, of each other one, and of what no run asks.
+
+    ``segments`` in each region, of the hand and of the TCP; ``alone``: one at a time; ``sample``: again.
+    """
+
+    first: int = 30_000
+    other: int = 10_000
+    far: int = 2_000
+    segments: int = 1_500
+    alone: int = 1_000
+    sample: int = 1_000
+
+    @classmethod
+    def of(cls, questions: int) -> Counts:
+        """So many in the first region, and everything else in proportion."""
+        return cls()._times(questions / cls.first)
+
+    def _times(self, share: float) -> Counts:
+        return Counts(*(max(round(count * share), 20) for count in vars(self).values()))
+
+    def at_pace(self, each_s: float, alone_s: float) -> Counts:
+        """Fewer, by halves, for an avoider that takes ``each_s`` a question of many, ``alone_s`` alone."""
+        share = 2.0 ** -np.clip(np.ceil(np.log2(max(each_s, 1e-9) / QUICK_S)), 0, 8)
+        slow = 10 if alone_s > 0.04 else 3 if alone_s > 0.008 else 1
+        return replace(self._times(float(share)), alone=max(self.alone // slow, 20))
+
+
+@dataclass(frozen=True)
+class ClosedForm:
+    """The closed form of what the networks learn, as an avoider: a yardstick."""
+
+    settings: Settings = DEFAULTS
+    name: str = OPTIMUM
+
+    def propose_many(
+        self, hands_in_base_m: Vectors, tcps_in_base_m: Vectors, seeds: NDArray[np.uint64]
+    ) -> tuple[Vectors, Vectors]:
+        """Eq. 13 with the continuous optimum, and no spread.  Hands and TCPs (n, 3), ``seeds`` (n,)."""
+        positions = optimum_in_base_m(self.settings, hands_in_base_m, tcps_in_base_m)
+        return positions, np.zeros_like(positions)
+
+    def propose(
+        self, *, hand_position_in_base_m: Vector, tcp_position_in_base_m: Vector, seed: int
+    ) -> Proposal:
+        """One of many.  ``hand_position_in_base_m`` and ``tcp_position_in_base_m`` (3,)."""
+        hands, tcps = np.asarray(hand_position_in_base_m)[None], np.asarray(tcp_position_in_base_m)[None]
+        return Proposal(optimum_in_base_m(self.settings, hands, tcps)[0])
+
+
+Told = Callable[[str], object]
+
+
+def _nobody(what: object) -> None:
+    return None
+
+
+def score(
+    subject: Subject,
+    regions: Sequence[QuestionRegion],
+    *,
+    seed: int,
+    counts: Counts | None = None,
+    seen: str = "",
+    on_step: Told = _nobody,
+    on_region: Callable[[Scorecard], object] = _nobody,
+) -> Scorecard:
+    """Ask an avoider in every region.  ``on_step`` is told what comes next; ``counts`` are taken as they are.
+
+    ``on_region`` gets the card as far as it goes after each region: an interruption loses no more than one.
+    ValueError without a region; NoAnswerError for an avoider that does not answer at all, or hangs.
+    """
+    avoider, settings = subject.avoider, regions[0].settings
+    on_step("first answers")
+    if not answers_at_first(avoider, *first_question(settings)):
+        raise NoAnswerError(avoider.name, np.inf)
+    counts = counts or paced(subject, regions[0], seed)
+    drawn = drawn_questions(regions, seed, counts)
+    sample = _sample(regions, drawn, counts.sample)
+    begun_s = time.monotonic()
+    first = asked_together(avoider, sample)
+    few = sample[: counts.alone]
+    alone, times_s = asked_alone(avoider, few)
+    again: list[AskedAgain] = [compared(WayOfAsking.ALONE, few, first[: len(few)], alone)]
+    on_step("the same questions again")
+    if len(sample):
+        again += repeats(subject, sample, first, counts.alone)
+    card = Scorecard(
+        avoider=subject.reference,
+        name=avoider.name,
+        seed=seed,
+        seen=seen,
+        regions=(),
+        jumps=(),
+        repeats=tuple(again),
+        times=_times(avoider, times_s, settings) if times_s else None,
+    )
+    for region, jumps in _by_region(avoider, regions, drawn, seed, counts, on_step):
+        card = replace(card, regions=(*card.regions, region), jumps=(*card.jumps, *jumps))
+        on_region(card)
+    time.sleep(max(LATER_S - (time.monotonic() - begun_s), 0.0))
+    later = compared(WayOfAsking.LATER, sample, first, asked_together(avoider, sample))
+    return replace(card, repeats=(*card.repeats, later))
+
+
+def yardsticks(
+    regions: Sequence[QuestionRegion], *, seed: int, counts: Counts, on_step: Told = _nobody
+) -> tuple[Scorecard, ...]:
+    """The yardsticks' scores, in the order of ``YARDSTICKS``, for the same questions as of ``score``."""
+    drawn = drawn_questions(regions, seed, counts)
+    cards = []
+    for name in YARDSTICKS:
+        on_step(name)
+        settings = regions[0].settings
+        scenario = replace(scenario_of_avoider(name), settings=settings)
+        avoider = ClosedForm(settings) if name == OPTIMUM else resolve_avoider(scenario)
+        if name == NEAREST:
+            scores = tuple(
+                _scored(avoider, region, questions[:FEWER])
+                for region, questions in zip(regions, drawn, strict=True)
+            )
+            jumps: tuple[Jumps, ...] = ()
+        else:
+            both = list(_by_region(avoider, regions, drawn, seed, counts, _nobody))
+            scores, jumps = tuple(one for one, _ in both), tuple(one for _, own in both for one in own)
+        cards.append(Scorecard(name, avoider.name, seed, "", scores, jumps))
+    return tuple(cards)
+
+
+def drawn_questions(regions: Sequence[QuestionRegion], seed: int, counts: Counts) -> list[Questions]:
+    """Those of each region: they hang on the region's number, its own text, and the seed."""
+    return [
+        region.draw(
+            generator(seed, Branch.SCORING, number, _QUESTIONS),
+            (counts.first if number == 0 else counts.other) if region.asked_in_runs else counts.far,
+        )
+        for number, region in enumerate(regions)
+    ]
+
+
+def paced(subject: Subject, region: QuestionRegion, seed: int) -> Counts:
+    """As many questions as the avoider's pace allows, tried with another instance: this one knows nothing.
+
+    The least of a few times, and in this process that of the processor: a busy machine asks no fewer.
+    """
+    few = region.draw(generator(seed, Branch.SCORING, 0, _PACE), PROBE)
+    probed = subject.another()
+    answers_at_first(probed, *first_question(region.settings))
+    took = [_took_s(lambda: asked_together(probed, few)) for _ in range(3)]
+    wall_s, processor_s = (min(one) / max(len(few), 1) for one in zip(*took, strict=True))
+    each_s = max(processor_s, wall_s / 8.0) if subject.in_process else wall_s / 1.5
+    _, alone_s = asked_alone(probed, few[:16])
+    return Counts().at_pace(each_s, float(np.mean(alone_s)) if alone_s else 0.0)
+
+
+def _took_s(do: Callable[[], object]) -> tuple[float, float]:
+    """On the wall's clock and the processor's."""
+    begun_s, processor_s = time.perf_counter(), time.process_time()
+    do()
+    return time.perf_counter() - begun_s, time.process_time() - processor_s
+
+
+def _sample(regions: Sequence[QuestionRegion], drawn: Sequence[Questions], count: int) -> Questions:
+    """The first questions of each region that runs ask about, by turns as many as there are regions."""
+    asked = [
+        questions for region, questions in zip(regions, drawn, strict=True) if region.asked_in_runs
+    ] or list(drawn)
+    each = -(-count // max(sum(len(one) > 0 for one in asked), 1))
+    return Questions.joined([questions[:each] for questions in asked])[:count]
+
+
+def _by_region(
+    avoider: Avoider,
+    regions: Sequence[QuestionRegion],
+    drawn: Sequence[Questions],
+    seed: int,
+    counts: Counts,
+    on_step: Told,
+) -> Iterator[tuple[RegionScore, list[Jumps]]]:
+    """Each region's score and jumps."""
+    for number, (region, questions) in enumerate(zip(regions, drawn, strict=True)):
+        on_step(region.name)
+        scored = _scored(avoider, region, questions)
+        jumps: list[Jumps] = []
+        if region.asked_in_runs and len(questions):
+            for which, moved in enumerate(Moved):
+                rng = generator(seed, Branch.SCORING, number, _SEGMENTS, which)
+                few = min(counts.segments, len(questions))
+                ask = partial(asked_together, avoider)
+                jumps.append(jumps_of(ask, region, moved, questions, scored.answers, rng, few))
+        yield scored, jumps
+
+
+def _scored(avoider: Avoider, region: QuestionRegion, questions: Questions) -> RegionScore:
+    return region_score(region, questions, asked_together(avoider, questions), region.settings)
+
+
+def _times(avoider: Avoider, times_s: Sequence[float], settings: Settings) -> AnswerTimes:
+    deadline_s, found = settings.avoidance.decision_deadline_s, np.array(times_s)
+    return AnswerTimes(
+        questions=len(found),
+        median_s=float(np.median(found)),
+        p99_s=float(np.quantile(found, 0.99)),
+        most_s=float(found.max()),
+        late=int(np.count_nonzero(found > deadline_s)),
+        declared_s=decision_time_of(avoider),
+        deadline_s=deadline_s,
+    )

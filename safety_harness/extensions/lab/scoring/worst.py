@@ -1,0 +1,216 @@
+"""The search for an avoider's worst questions, with the searchers of ``search``, in a ledger of its own.
+
+A search chooses its questions, so nothing that comes of them enters an estimate.  The cube of a region has
+the TCP, the hand as seen from it, and one of a few seeds: both boxes are those of some draws, and pairs that
+the region does not hold, or with which no run begins, are refused.  A question's seed is that of the first
+decision of a run with a declared seed, so that a scenario file can ask it again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from enum import Enum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.base.exceptions import InadmissibleError
+from safety_harness.base.geometry.arrays import Array3
+from safety_harness.base.seeds import Branch, generator
+from safety_harness.base.seeds import seed as leaf
+from safety_harness.cell.avoidance.avoider import Avoider
+from safety_harness.cell.avoidance.measures import gained_m, is_sure, off_m, optimum_in_base_m
+from safety_harness.extensions.lab.scoring.asking import asked_together
+from safety_harness.extensions.lab.scoring.figures import WRONG_M
+from safety_harness.extensions.lab.scoring.question_file import begins_clear, seed_of
+from safety_harness.extensions.lab.scoring.questions import Questions
+from safety_harness.extensions.lab.scoring.regions import QuestionRegion
+from safety_harness.search.cube import Column, Cube, Points
+from safety_harness.search.findings import Findings, Goal, Outcomes
+from safety_harness.search.search import find_violations
+from safety_harness.search.searchers import searcher_named
+
+SEARCHER, BATCH = "diverse", 64
+SEEDS = 8  # of a region's questions: a coordinate of the search, or a random avoider would be all noise to it
+DRAWS = 500  # for the boxes that are searched
+TOLERANCE_M = 0.010  # towards the hand
+APART_M = 0.05  # of hands and TCPs: worst questions that are nearer are one place
+# Goals keep their margins above zero, or a descent would end at the first violation: it is to find the worst.
+_FAR_M = 10.0
+
+
+class Objective(Enum):
+    """What is searched for; the value is how people call it."""
+
+    TOWARDS = "leads least away from the hand"
+    SURE_AND_OFF = "sure, and farthest from the optimum"
+
+    @property
+    def limit_m(self) -> float:
+        """What is not worse than that is shown to nobody; the claims of the files have the same limits."""
+        return TOLERANCE_M if self is Objective.TOWARDS else WRONG_M
+
+
+OBJECTIVES = tuple(Objective)
+
+
+@dataclass(frozen=True, eq=False)
+class Tried:
+    """A question of the search, and what was answered: ``gained_m`` and ``off_m`` are of its proposal.
+
+    ``optimum_gained_m`` is what the closed-form optimum of the question gains, a yardstick.
+    """
+
+    region: str
+    scenario_seed: int
+    hand_in_base_m: Array3
+    tcp_in_base_m: Array3
+    proposed_in_base_m: Array3
+    largest_spread_m: float
+    gained_m: float
+    off_m: float
+    optimum_gained_m: float
+    sure: bool
+
+    def badness_m(self, objective: Objective) -> float:
+        """The larger the worse; -inf where the objective does not ask for it."""
+        if objective is Objective.TOWARDS:
+            return -self.gained_m
+        return self.off_m if self.sure else -np.inf
+
+    def apart_m(self, other: Tried) -> float:
+        """How far the two questions are from each other: the larger of hand's and TCP's distance."""
+        hands = np.linalg.norm(self.hand_in_base_m - other.hand_in_base_m)
+        return float(max(hands, np.linalg.norm(self.tcp_in_base_m - other.tcp_in_base_m)))
+
+
+@dataclass(eq=False)
+class QuestionSearch:
+    """The ledger of one region's search: ``tried`` has the questions with an answer, ``asked`` counts all."""
+
+    region: str
+    budget: int
+    asked: int = 0
+    unanswered: int = 0
+    interrupted: bool = False
+    tried: list[Tried] = field(default_factory=list)
+
+
+@dataclass(eq=False)
+class _Searching:
+    """An ``Evaluate`` of a search: points of a region's cube are asked, and entered into its ledger."""
+
+    avoider: Avoider
+    region: QuestionRegion
+    drawn: Questions
+    scenario_seeds: tuple[int, ...]
+    ledger: QuestionSearch
+
+    def __post_init__(self) -> None:
+        self.which = Column(tuple(np.linspace(0.0, 1.0, SEEDS + 1).tolist()), flat=True)
+        self.cube = Cube((*(Column() for _ in range(6)), self.which))
+        tcps = self.drawn.tcps_in_base_m
+        self._low, self._high = (
+            np.concatenate([end(tcps, axis=0), end(self.drawn.hands_in_base_m - tcps, axis=0)])
+            for end in (np.min, np.max)
+        )
+
+    def __call__(self, points: Points, first: int) -> Outcomes:
+        """Ask the points (n, 7) that the region holds."""
+        at = self._low + points[:, :6] * (self._high - self._low)
+        tcps, hands = at[:, :3], at[:, :3] + at[:, 3:]
+        held = self.region.holds(hands, tcps)
+        held[held] = [
+            begins_clear(self.region.settings, hand, tcp, self.region.robot)
+            for hand, tcp in zip(hands[held], tcps[held], strict=True)
+        ]
+        numbers = self.which.interval_of(points[:, 6])[held]
+        margins = np.full((len(points), len(OBJECTIVES)), np.nan)
+        if held.any():
+            seeds = np.array([seed_of(seed) for seed in self.scenario_seeds], np.uint64)[numbers]
+            margins[held] = self._asked(Questions(hands[held], tcps[held], seeds), numbers)
+        known = Outcomes.of_margins(margins)
+        refused = ["" if one else "no run begins so" for one in held]
+        return Outcomes(margins, known.conclusive, refused, known.mishaps, known.kinds, known.cells)
+
+    def _asked(self, questions: Questions, numbers: NDArray[np.int64]) -> NDArray[np.float64]:
+        """(n, 2) margins of questions with seeds of these ``numbers`` (n,); NaN without an answer."""
+        hands, tcps = questions.hands_in_base_m, questions.tcps_in_base_m
+        answers = asked_together(self.avoider, questions)
+        proposed, optimum = answers.positions_in_base_m, optimum_in_base_m(self.region.settings, hands, tcps)
+        away_m, error_m = gained_m(hands, tcps, proposed), off_m(proposed, optimum)
+        best_m, sure = gained_m(hands, tcps, optimum), is_sure(answers.spreads_m, answers.thresholds_m)
+        given = answers.given
+        self.ledger.asked += len(questions)
+        self.ledger.unanswered += int(np.count_nonzero(~given))
+        self.ledger.tried += [
+            Tried(
+                region=self.region.name,
+                scenario_seed=self.scenario_seeds[numbers[k]],
+                hand_in_base_m=hands[k],
+                tcp_in_base_m=tcps[k],
+                proposed_in_base_m=proposed[k],
+                largest_spread_m=float(answers.spreads_m[k].max()),
+                gained_m=float(away_m[k]),
+                off_m=float(error_m[k]),
+                optimum_gained_m=float(best_m[k]),
+                sure=bool(sure[k]),
+            )
+            for k in np.flatnonzero(given).tolist()
+        ]
+        margins = np.stack([away_m, np.where(sure, -error_m, np.nan)], axis=1)
+        return np.where(given[:, None], np.maximum(_FAR_M + margins, 1e-3), np.nan)
+
+
+def search_region(
+    avoider: Avoider,
+    region: QuestionRegion,
+    *,
+    budget: int,
+    seed: int,
+    number: int,
+    on_progress: Callable[[Findings], None] | None = None,
+) -> QuestionSearch:
+    """Search region ``number`` with ``budget`` questions; Ctrl-C ends it and keeps its ledger."""
+    ledger = QuestionSearch(region.name, budget)
+    drawn = region.draw(generator(seed, Branch.SEARCH, 5, number), DRAWS)
+    if len(drawn) < 2 or budget < 1:
+        return ledger
+    own = tuple(leaf(seed, Branch.SEARCH, 6, number, k) for k in range(SEEDS))
+    searching = _Searching(avoider, region, drawn, own, ledger)
+    goals = [Goal(one.value, 0.1) for one in OBJECTIVES]
+    make = searcher_named(SEARCHER)(
+        searching.cube, claims=len(goals), seed=leaf(seed, Branch.SEARCH, 7, number)
+    )
+    try:
+        found = find_violations(
+            searching.cube, goals, searching, make, budget=budget, batch=BATCH, on_progress=on_progress
+        )
+        ledger.interrupted = found.interrupted
+    except InadmissibleError:  # next to no point of the boxes is in the region: what was asked stays
+        pass
+    return ledger
+
+
+def worst_questions(searches: Sequence[QuestionSearch], most: int) -> list[tuple[Objective, Tried]]:
+    """The worst of all regions: each objective's worst in turn, no two of them near to each other."""
+    queues = [_by_badness(searches, objective) for objective in OBJECTIVES]
+    found: list[tuple[Objective, Tried]] = []
+    while queues and len(found) < most:
+        queue = queues.pop(0)
+        for objective, one in queue:
+            if all(one.apart_m(other) > APART_M for _, other in found):
+                found.append((objective, one))
+                queues.append(queue)
+                break
+    return found
+
+
+def _by_badness(
+    searches: Sequence[QuestionSearch], objective: Objective
+) -> Iterator[tuple[Objective, Tried]]:
+    tried = (one for ledger in searches for one in ledger.tried)
+    every = [one for one in tried if one.badness_m(objective) > objective.limit_m]
+    for one in sorted(every, key=lambda one: -one.badness_m(objective)):
+        yield objective, one

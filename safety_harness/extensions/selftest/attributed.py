@@ -1,0 +1,60 @@
+"""Whose fault it is when it is known: a system with a seeded fault, for attribution to run."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from safety_harness.admission.admit import Admitted
+from safety_harness.extensions.selftest.fault import FaultyPart, SeededFault
+from safety_harness.extensions.selftest.system import ChangedSystem
+from safety_harness.scenario.model import Claim
+from safety_harness.search.attribution.attribute import Attribution, attribute
+from safety_harness.search.attribution.ingredients import Altered, Ingredient
+from safety_harness.trace.trace import Trace
+
+INGREDIENTS = {
+    FaultyPart.AVOIDER: Ingredient.AVOIDER,
+    FaultyPart.GATE: Ingredient.GATE,
+    FaultyPart.PERCEPTION: Ingredient.PERCEPTION,
+    FaultyPart.SERVOING: Ingredient.SERVOING,
+    FaultyPart.MOTION: Ingredient.DRIVES,
+    FaultyPart.TIMING: Ingredient.DEADLINE,
+}
+
+
+@dataclass(frozen=True, eq=False)
+class SeededRunner:
+    """Runs altered systems with the fault; where its ingredient has been changed, without it."""
+
+    fault: SeededFault
+    magnitude: float
+    around: ChangedSystem  # the fault's circumstance, without it
+
+    def __call__(self, systems: Sequence[Altered]) -> list[Trace | Exception]:
+        """One after another; what a faulty system raises stands for its run."""
+        return [self._run(one) for one in systems]
+
+    def _run(self, altered: Altered) -> Trace | Exception:
+        changed = {change.ingredient for change in altered.changes}
+        system = replace(self.around, admitted=altered)
+        if Ingredient.GATE in changed:
+            system = replace(system, edits=())
+        if INGREDIENTS[self.fault.part] not in changed:
+            system = self.fault.seed_into(system, self.magnitude)
+        try:
+            return system.run()
+        except Exception as error:
+            return error
+
+
+def attribute_seeded(
+    fault: SeededFault, magnitude: float, admitted: Admitted, claims: Sequence[Claim]
+) -> tuple[Attribution, ...]:
+    """Whose fault the violations of ``claims`` with a seeded fault are.
+
+    Every part that a fault can sit in is tried sound, so that nothing tells which of them is spoilt.
+    """
+    around = fault.circumstance.bring_about(ChangedSystem(admitted))
+    run = SeededRunner(fault, magnitude, around)
+    return attribute(around.admitted, claims, run=run, spoilt=INGREDIENTS.values())

@@ -1,0 +1,114 @@
+"""``safety-harness selftest``: faults seeded into a sound system, and what caught each of them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from typer import Option, Typer
+
+from safety_harness.base.exceptions import SettingsError
+from safety_harness.cli.console import AS_EXPECTED, DIFFERS, INTERRUPTED, columns_of, document, result, say
+from safety_harness.cli.options import OfAvoider, OfController, command
+
+commands = Typer()
+
+
+@command(commands)
+def selftest(
+    profile: Annotated[
+        str, Option(help="quick: some minutes; nightly: every scenario, and many draws.")
+    ] = "quick",
+    avoider: OfAvoider = None,
+    controller: OfController = None,
+    scenarios: Annotated[
+        Path, Option(help="Folder of scenario files, and of spaces/ in it, to try faults on.")
+    ] = Path("shipped:scenarios"),
+    fault: Annotated[str | None, Option(help="Only faults with these words in their name.")] = None,
+    out: Annotated[Path, Option(help="Folder for selftest.html and selftest.json.")] = Path(
+        "reports/selftest"
+    ),
+    jobs: Annotated[int, Option(help="Processes at once, each on one core.")] = 2,
+) -> int:
+    """Put the harness itself on trial: seed faults into a sound system, and tell what caught each.
+
+    A fault is caught by a claim that is violated with it and holds without it on the same scenario. The
+    table says which, after how many episodes, and the slightest magnitude that was caught. With --avoider
+    or --controller the faults are seeded into yours: those of avoider, gate and servoing only where there
+    are any, and it says how many do not apply. Harmless changes are tried as well, and must raise no alarm.
+    What was tried is kept, however it ends.
+    Exit code 0; 1: a fault survives that is no stated limit, a harmless change raises a false alarm, or no
+    fault applies; 2: bad input; 130: interrupted.
+    """
+    import shlex
+    import sys
+    import time
+
+    from safety_harness.admission.avoiders import one_of, option_of
+    from safety_harness.base.whole_file import writing
+    from safety_harness.claims.properties.tally import table
+    from safety_harness.cli.progress import paced_lines, where
+    from safety_harness.extensions.assurance.certification.tools import FaultState
+    from safety_harness.extensions.selftest.outcome import (
+        HARMLESS_HEAD,
+        HEAD,
+        FaultOutcome,
+        bad,
+        harmless_row,
+        in_table,
+        row,
+        summary,
+        tally_of,
+    )
+    from safety_harness.extensions.selftest.session import DATA, PAGE, SelfTestSession, numbers_of
+    from safety_harness.extensions.selftest.suite import SelfTestPlan, profile_named
+    from safety_harness.scenario.files import told
+
+    again = ["safety-harness", "selftest", "--profile", profile, "--scenarios", str(scenarios)]
+    tested = one_of(avoider, controller)
+    again += [option_of(tested), tested] if tested is not None else []
+    again += ["--fault", fault] if fault is not None else []
+    again += ["--out", str(told(out)), "--jobs", str(jobs)]
+    try:
+        plan = SelfTestPlan(profile_named(profile), scenarios, tested)
+        if jobs < 1:
+            raise SettingsError.of_option("--jobs", "a number of at least 1", str(jobs))
+        numbers = numbers_of(fault)
+        say("reading and trying the sound system")
+        session = SelfTestSession(plan, numbers, out, shlex.join(again))
+    except KeyboardInterrupt:
+        say("interrupted before anything was tried")
+        return INTERRUPTED
+    say(*session.remarks, f"{len(numbers)} faults and harmless changes to try")
+    begun_s = time.monotonic()
+
+    def tell(one: FaultOutcome) -> None:
+        words, alarm, smallest = one.state.value, one.alarm, one.smallest
+        if one.state is FaultState.CAUGHT and alarm and smallest:
+            words = f"caught down to {smallest.words}, by {alarm.claim} in {alarm.scenario}"
+        done, planned = len(session.done), len(numbers)
+        say_where(f"[{done}/{planned}] {one.part}: {one.fault}: {words}{where(done, planned, begun_s)}")
+
+    with writing(out):
+        with paced_lines() as say_where:
+            session.run(jobs, tell)
+        faults, harmless = in_table(session.tried)
+        tables = (HEAD, list(map(row, faults))), (HARMLESS_HEAD, list(map(harmless_row, harmless)))
+        for head, rows in tables:
+            result(*table(head, rows, columns_of(sys.stdout)), "")
+        result(summary(tally_of(session.tried)))
+        document(**session.document)
+        session.write()
+        session.write_page()
+    say(f"page: {out / PAGE} (for programs: {DATA})")
+    tried = f"{len(session.tried)} of {len(numbers)} were tried"
+    if session.interrupted:
+        say(f"interrupted: {tried}")
+        return INTERRUPTED
+    if session.broken:
+        say(f"error: {session.broken}; {tried}")
+        return DIFFERS
+    if not any(one.applies for one in session.tried):
+        say("error: nothing was tried: none of these faults applies to such an avoider")
+        return DIFFERS
+    return DIFFERS if bad(session.tried) else AS_EXPECTED

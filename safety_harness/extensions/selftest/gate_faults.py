@@ -1,0 +1,236 @@
+"""What can be wrong with the gate between avoider and arm.
+
+A gate's mistake shows only where it has something to keep back, so most are tried with an avoider that errs
+in one way; the sound gate is tried with the same one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.cell.avoidance.asking import NAN_PROPOSAL, Answer
+from safety_harness.cell.avoidance.avoider import Proposal, Vector
+from safety_harness.cell.avoidance.gate import Gate, GateDecision, Query
+from safety_harness.cell.controller.around import ControllerWrapper
+from safety_harness.cell.controller.controller import AvoidingServo
+from safety_harness.extensions.selftest.avoider_faults import FaultyAvoider, turned
+from safety_harness.extensions.selftest.fault import Precondition, Seeds, faults_in, of_gate, outright, seeded
+from safety_harness.extensions.selftest.system import ChangedSystem
+from safety_harness.trace.records import Check, DecisionOutcome, Mode
+
+SURE_BELOW_M = 0.02  # the threshold of the avoiders below
+Rule = Callable[[Answer, Query], GateDecision]  # of the sound gate
+
+
+@dataclass(frozen=True, eq=False)
+class Erring:
+    """An avoider that always proposes the same displacement (``aside``: away from the hand, plus that)."""
+
+    by_m: tuple[float, float, float]
+    towards_hand_m: float = 0.0
+    spread_m: float = 0.0
+    spread_threshold_m: float | None = None
+    name: str = "erring"
+
+    def propose(
+        self, *, hand_position_in_base_m: Vector, tcp_position_in_base_m: Vector, seed: int
+    ) -> Proposal:
+        """The same mistake every time."""
+        way = hand_position_in_base_m - tcp_position_in_base_m
+        towards = self.towards_hand_m / np.linalg.norm(way) * way
+        return Proposal(tcp_position_in_base_m + towards + np.array(self.by_m), np.full(3, self.spread_m))
+
+
+def with_an(name: str, avoider: Erring) -> Precondition:
+    """An avoider that errs in one way, for the sound gate as well."""
+    return Precondition(f"with an avoider that {name}", lambda s: s.with_avoider(lambda _: avoider))
+
+
+IN_DOUBT = with_an("is in doubt", Erring((0.0, 0.05, 0.08), 0.0, 0.03, SURE_BELOW_M))
+TO_THE_HAND = with_an("heads for the hand", Erring((0.0, 0.0, 0.0), 0.1))
+TO_THE_TABLE = with_an("heads for the table", Erring((0.0, 0.0, -0.7)))
+TOO_FAR = with_an("proposes positions too far away", Erring((0.0, 2.0, 0.0)))
+ACROSS = with_an("proposes the other side of the arm", Erring((-1.4, 0.0, 0.0)))
+CERTAIN = with_an("is certain", Erring((0.0, 0.05, 0.08), 0.0, 0.01, SURE_BELOW_M))
+
+
+NO_NUMBER = Precondition(
+    "with an avoider that answers NaN",
+    lambda s: s.with_avoider(lambda avoider: FaultyAvoider(avoider, lambda *_: Proposal(np.full(3, np.nan)))),
+)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class FaultyGate(Gate):
+    """A gate whose rulings go through somebody else's hands."""
+
+    rules: Callable[[Rule, Answer, Query], GateDecision]
+
+    def rule_on(self, proposed: Answer, query: Query) -> GateDecision:
+        """What becomes of the ruling."""
+        return self.rules(super().rule_on, proposed, query)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class BlindGate(Gate):
+    """Does not look at some of the checks."""
+
+    to: Check
+
+    def check(self, position_in_base_m: Vector, query: Query) -> Check:
+        """What is left of them."""
+        return super().check(position_in_base_m, query) & ~self.to
+
+
+class LateRefusal(ControllerWrapper):
+    """The gate's refusal counts some cycles late: until then the arm heads for what was refused."""
+
+    def __init__(self, pilot: AvoidingServo, cycles: float) -> None:
+        super().__init__(pilot)
+        self._cycles = int(cycles)
+        self._left = 0
+        self._chosen: Vector = np.full(3, np.nan)
+
+    def step(self, observation: NDArray[np.void]) -> NDArray[np.void]:
+        """As the controller does, but for the position that it heads for."""
+        command = super().step(observation)
+        state, question = self.pilot.records.state[0], self.pilot.records.question[0]
+        if question["made_now"]:
+            decision = self.pilot.decisions[-1]
+            refused = decision["outcome"] == DecisionOutcome.OPPOSITE and np.all(
+                np.isfinite(decision["proposed_position_in_base_m"])
+            )
+            self._left = self._cycles if refused else 0
+            if refused:
+                self._chosen = decision["chosen_position_in_base_m"].copy()
+                state["target_in_base_m"] = decision["proposed_position_in_base_m"]
+        elif self._left > 0:
+            self._left -= 1
+            if self._left == 0 and state["mode"] == Mode.REPULSING:
+                state["target_in_base_m"] = self._chosen
+        return command
+
+
+def ruled(rules: Callable[[float, Rule, Answer, Query], GateDecision]) -> Seeds:
+    """Seeded into each ruling of the gate."""
+    return lambda system, magnitude: system.with_gate(FaultyGate, rules=partial(rules, magnitude))
+
+
+def _taking(ruling: GateDecision, outcome: DecisionOutcome) -> GateDecision:
+    """Another way out than the one that the gate found."""
+    ways = {DecisionOutcome.PROPOSED: ruling.proposed, DecisionOutcome.OPPOSITE: ruling.opposite}
+    chosen = ways.get(outcome, NAN_PROPOSAL).position_in_base_m
+    return replace(ruling, outcome=outcome, chosen_position_in_base_m=chosen)
+
+
+@of_gate("threshold ignored", "the arm goes where the network only guesses", IN_DOUBT)
+@seeded(ruled, (np.inf, 4.0, 2.0, 1.6), "times the threshold")
+def _lax(factor: float, rule: Rule, proposed: Answer, query: Query) -> GateDecision:
+    """The ruling says the true threshold all the same."""
+    true_m = proposed.spread_threshold_m
+    lax = replace(proposed, spread_threshold_m=factor * true_m)
+    return replace(rule(lax, query), spread_threshold_m=true_m)
+
+
+@of_gate(
+    "off by some cycles", "the refusal comes late: meanwhile the arm heads for what was refused", IN_DOUBT
+)
+@seeded(outright, (40.0, 20.0, 10.0, 5.0, 3.0), "cycles")
+def _late(system: ChangedSystem, cycles: float) -> ChangedSystem:
+    return system.with_pilot(lambda pilot: LateRefusal(pilot, cycles))
+
+
+@of_gate("wrong pose handed over", "one position is checked and another one is gone to")
+@seeded(ruled, (np.pi, np.pi / 2, np.pi / 4, np.pi / 9), "deg", 180.0 / np.pi)
+def _wrong_pose(angle_rad: float, rule: Rule, proposed: Answer, query: Query) -> GateDecision:
+    """Turned about the TCP; the ruling tells what was handed over."""
+    ruling = rule(proposed, query)
+    tcp = query.tcp_position_in_base_m
+    wrong = tcp + turned(ruling.chosen_position_in_base_m - tcp, angle_rad)
+    return replace(ruling, chosen_position_in_base_m=wrong)
+
+
+@of_gate("checks the end and not the way", "the arm stops half-way, or bumps into itself", ACROSS)
+@seeded(outright)
+def _blind_to_the_way(system: ChangedSystem, _: float) -> ChangedSystem:
+    way = Check.PATH_UNREACHABLE | Check.NEAR_REACH_LIMIT | Check.ROBOT_ITSELF
+    return system.with_gate(BlindGate, to=way)
+
+
+@of_gate("reach not checked", "the arm is stretched to its limits and stops before the hand", TOO_FAR)
+@seeded(outright)
+def _blind_to_reach(system: ChangedSystem, _: float) -> ChangedSystem:
+    reach = Check.UNREACHABLE | Check.PATH_UNREACHABLE | Check.NEAR_REACH_LIMIT
+    return system.with_gate(BlindGate, to=reach)
+
+
+@of_gate("table not checked", "what is held is crushed between arm and table", TO_THE_TABLE)
+@seeded(outright)
+def _blind_to_the_table(system: ChangedSystem, _: float) -> ChangedSystem:
+    table = Check.TABLE | Check.UNREACHABLE | Check.PATH_UNREACHABLE | Check.ROBOT_ITSELF
+    return system.with_gate(BlindGate, to=table)
+
+
+@of_gate("direction not checked", "the arm goes to the hand that it gives way to", TO_THE_HAND)
+@seeded(outright)
+def _blind_to_direction(system: ChangedSystem, _: float) -> ChangedSystem:
+    return system.with_gate(BlindGate, to=Check.TOWARDS_A_HAND)
+
+
+@of_gate("region not checked", "the arm goes where nothing was proven of the answer")
+@seeded(outright)
+def _blind_to_its_region(system: ChangedSystem, _: float) -> ChangedSystem:
+    return system.with_gate(more=None)
+
+
+@of_gate("minds one hand only", "the arm gives way to one hand and goes to the other")
+@seeded(ruled)
+def _one_hand_only(_: float, rule: Rule, proposed: Answer, query: Query) -> GateDecision:
+    """As if there were only the nearest."""
+    return rule(proposed, replace(query, hands_in_base_m=query.hand_position_in_base_m[None]))
+
+
+@of_gate("passes NaN", "no number becomes a position, and then a speed", NO_NUMBER)
+@seeded(ruled)
+def _passes_nan(_: float, rule: Rule, proposed: Answer, query: Query) -> GateDecision:
+    """NaN is neither above a threshold nor out of reach."""
+    ruling = rule(proposed, query)
+    return _taking(ruling, DecisionOutcome.PROPOSED) if ruling.proposed_failed & Check.NOT_FINITE else ruling
+
+
+@of_gate("lets no proposal pass", "the system in use is not the one whose avoider was tested", CERTAIN)
+@seeded(ruled)
+def _lets_none_pass(_: float, rule: Rule, proposed: Answer, query: Query) -> GateDecision:
+    """A usable proposal gives way only to an opposite pose that can be used too."""
+    ruling = rule(proposed, query)
+    usable = ruling.outcome is DecisionOutcome.PROPOSED and not ruling.opposite_failed
+    return _taking(ruling, DecisionOutcome.OPPOSITE) if usable else ruling
+
+
+@of_gate("stops where it could fall back", "an arm that stands still before a hand that comes", IN_DOUBT)
+@seeded(ruled)
+def _stops(_: float, rule: Rule, proposed: Answer, query: Query) -> GateDecision:
+    ruling = rule(proposed, query)
+    return _taking(ruling, DecisionOutcome.STOP) if ruling.outcome is DecisionOutcome.OPPOSITE else ruling
+
+
+@of_gate("never stops", "the arm heads for where it cannot go")
+@seeded(ruled)
+def _never_stops(_: float, rule: Rule, proposed: Answer, query: Query) -> GateDecision:
+    ruling = rule(proposed, query)
+    return _taking(ruling, DecisionOutcome.OPPOSITE) if ruling.outcome is DecisionOutcome.STOP else ruling
+
+
+@of_gate("fallback towards the hand", "doubt ends in the worst of all places", IN_DOUBT)
+@seeded(outright, (0.2, 0.1, 0.03), "mm", 1e3)
+def _to_the_hand(system: ChangedSystem, way_m: float) -> ChangedSystem:
+    fallback = Erring((0.0, 0.0, 0.0), way_m)
+    return system.with_gate(BlindGate, to=Check.TOWARDS_A_HAND, fallback=fallback)
+
+
+GATE_FAULTS = faults_in(globals())

@@ -1,0 +1,182 @@
+"""One self-test from its faults to its files, in several processes.
+
+Each fault is written down when it is finished, whatever happens to the rest.
+"""
+
+from __future__ import annotations
+
+import platform
+import time
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import as_completed
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from safety_harness.admission.admit import Admitted
+from safety_harness.admission.trial import slower_because
+from safety_harness.base.compiled import source_hash
+from safety_harness.base.distribution import installed_version
+from safety_harness.base.exceptions import SettingsError, near_miss
+from safety_harness.base.pool import pool
+from safety_harness.cell.simulation.worlds import REFERENCE
+from safety_harness.extensions.selftest.catalogue import EVERY
+from safety_harness.extensions.selftest.document import SelfTestRun, document, write_document, write_page
+from safety_harness.extensions.selftest.fault import SeededFault
+from safety_harness.extensions.selftest.outcome import FaultOutcome, outcome_of
+from safety_harness.extensions.selftest.replayed import caught_runs
+from safety_harness.extensions.selftest.suite import SelfTestPlan
+from safety_harness.extensions.selftest.system import ChangedSystem
+from safety_harness.extensions.selftest.trial import SAME_TWICE, FaultTrials, Rung, words_on
+from safety_harness.scenario.model import Verdict
+
+PAGE, DATA = "selftest.html", "selftest.json"
+
+
+@dataclass(eq=False)
+class SelfTestSession:
+    """The faults tried so far, of those with the ``numbers`` in EVERY.
+
+    ``remarks`` are of the sound system, which is tried when this is made; ``broken`` says why the faults
+    could not be carried through.  InputError for scenarios that cannot be used.
+    """
+
+    plan: SelfTestPlan
+    numbers: list[int]
+    out: Path
+    command: str
+    done: dict[str, FaultOutcome] = field(default_factory=dict)
+    interrupted: bool = False
+    broken: str = ""
+
+    def __post_init__(self) -> None:
+        self._episodes = self.plan.episodes()
+        self.remarks = tuple(sound_remarks(self._episodes))
+        self._begun_s = time.monotonic()
+
+    @property
+    def tried(self) -> list[FaultOutcome]:
+        """In the order of the catalogue."""
+        return [self.done[EVERY[n].name] for n in self.numbers if EVERY[n].name in self.done]
+
+    def run(self, jobs: int, on_fault: Callable[[FaultOutcome], None]) -> None:
+        """Until all are tried, or Ctrl-C, or a defect.  OSError if nothing can be written."""
+        found = outcomes(self.plan, self.numbers, jobs)
+        try:
+            while (one := next(found, None)) is not None:
+                self.done[one.fault] = one
+                on_fault(one)
+                self.write()
+        except KeyboardInterrupt:
+            self.interrupted = True
+        except BrokenProcessPool:
+            self.broken = "a process ended before its time (for its memory, or by hand)"
+        except OSError:
+            raise
+        except Exception as error:  # what was tried must not be lost for it
+            self.broken = f"{type(error).__name__}: {error}, a defect of safety-harness"
+
+    @property
+    def document(self) -> dict[str, Any]:
+        """What there is, for JSON."""
+        return document(self.tried, self._about())
+
+    def write(self) -> None:
+        """JSON of what there is.  Raises OSError."""
+        write_document(self.out / DATA, self.tried, self._about())
+
+    def write_page(self) -> None:
+        """The page, with runs in 3-D unless the self-test was broken off.  Raises OSError."""
+        whole = not (self.interrupted or self.broken)
+        runs = caught_runs(self.tried, self._episodes) if whole else []
+        write_page(self.out / PAGE, self.tried, self._about(), runs)
+
+    def _about(self) -> SelfTestRun:
+        return SelfTestRun(
+            profile=self.plan.profile.name,
+            avoider=self.plan.avoider,
+            scenarios=str(self.plan.folder),
+            episodes=len(self._episodes),
+            planned=len(self.numbers),
+            seconds=round(time.monotonic() - self._begun_s, 1),
+            command=self.command,
+            package_version=installed_version(),
+            source_hash=source_hash(),
+            platform=f"Python {platform.python_version()}, {platform.system()} {platform.machine()}",
+            generated_at=datetime.now(UTC),
+            remarks=self.remarks,
+            interrupted=len(self.done) < len(self.numbers),
+        )
+
+
+def numbers_of(words: str | None) -> list[int]:
+    """Which of EVERY have these words in their name; SettingsError for none."""
+    found = [n for n, one in enumerate(EVERY) if words is None or words.lower() in one.name.lower()]
+    if not found:
+        every, page = [one.name for one in EVERY], "safety-harness docs selftest#what-was-caught"
+        hint = near_miss(words or "", every, most=3, all_of_them=page)
+        raise SettingsError.of_option("--fault", f"words of one of {len(EVERY)} faults", repr(words), hint)
+    return found
+
+
+def try_out(trials: FaultTrials, fault: SeededFault) -> FaultOutcome:
+    """Down the ladder until one survives, what is slighter still is not tried; the last catch in PyBullet.
+
+    A harmless one is tried on the whole suite, and all its alarms are kept.
+    """
+    if not trials.applies(fault):
+        return outcome_of(fault, (), applies=False)
+    if fault.harmless:
+        return outcome_of(fault, (trials.everywhere(fault),))
+    rungs: list[Rung] = []
+    for magnitude in fault.ladder.values:
+        rungs.append(trials.rung(fault, magnitude))
+        if not rungs[-1].caught:
+            break
+    caught = [rung for rung in rungs if rung.caught]
+    if caught:
+        confirmed = trials.confirmed(fault, caught[-1])
+        rungs[len(caught) - 1] = replace(caught[-1], confirmed=confirmed)
+    return outcome_of(fault, rungs)
+
+
+_TRIALS: list[FaultTrials] = []  # of this process
+
+
+def _begin(plan: SelfTestPlan) -> None:
+    _TRIALS[:] = [FaultTrials(plan.episodes())]
+
+
+def _try(number: int) -> FaultOutcome:
+    return try_out(_TRIALS[0], EVERY[number])
+
+
+def outcomes(plan: SelfTestPlan, numbers: list[int], jobs: int) -> Iterator[FaultOutcome]:
+    """The faults of these numbers in EVERY, each when it is finished; one job is done here."""
+    if jobs == 1:
+        trials = FaultTrials(plan.episodes())
+        yield from (try_out(trials, EVERY[number]) for number in numbers)
+        return
+    with pool(jobs, partial(_begin, plan)) as processes:
+        for future in as_completed([processes.submit(_try, number) for number in numbers]):
+            yield future.result()
+
+
+def sound_remarks(episodes: Sequence[Admitted]) -> list[str]:
+    """What a user has to know of the sound system: an avoider that is slow to ask, or not repeatable."""
+    asking = [(n, one) for n, one in enumerate(episodes) if one.driver is None]
+    avoiders = {one.avoider.name: number for number, one in reversed(asking)}
+    said = [why for number in avoiders.values() if (why := slower_because(episodes[number].avoider))]
+    if len(asking) < len(episodes):
+        said.append("no avoider and no gate: faults of theirs, and of the visual servo itself, do not apply")
+    if not REFERENCE.is_installed:
+        said.append(f"{REFERENCE} is not installed: neither its world nor its geometry is asked")
+    for name, number in avoiders.items():
+        system = ChangedSystem(episodes[number])
+        wrong = words_on(system.admitted, system.run())[SAME_TWICE]
+        if wrong.verdict is not Verdict.HOLDS:
+            said.append(f"{name} is not repeatable even without a fault: {wrong.reason}")
+    return said

@@ -1,0 +1,137 @@
+"""What faults are tried on: shipped scenarios, then draws of the spaces, in a fixed order.
+
+How much of it: ``quick`` in a couple of minutes on two idle cores, ``nightly`` everything there is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from safety_harness.admission.admit import Admitted, admit
+from safety_harness.admission.avoiders import with_avoider
+from safety_harness.admission.spaces import draw_admissible
+from safety_harness.base.exceptions import InputError, Place, ScenarioError, near_miss
+from safety_harness.base.seeds import Branch, seed
+from safety_harness.base.shipped.contents import located
+from safety_harness.cell.simulation.worlds import KINEMATIC
+from safety_harness.claims.properties.catalogue import CATALOGUE
+from safety_harness.scenario.expand import gather
+from safety_harness.scenario.model import Claim, Scenario, Verdict
+from safety_harness.space.read import read_space
+
+LONG_S = 30.0  # such scenarios come last: they cost as much as several others
+
+# Those that tell most come first; measured, see docs/selftest.md.
+TELLING = (
+    "hand-visits-and-leaves",
+    "second-hand",
+    "hesitating-reach",
+    "hand-stays",
+    "overhead-camera",
+    "own-formulas",
+    "network-certain",
+    "network-in-doubt",
+    "cornered",
+    "between-two-hands",
+    "servoing-alone",
+    "stops-in-time",
+    "nothing-reachable",
+    "lost-between-two-hands",
+    "object-lost-and-found",
+    "fault-camera-hidden-by-a-hand",
+    "fault-camera-blind",
+    "tilted-start",
+    "over-the-shoulder",
+    "proven-region",
+    "hidden-for-a-moment",
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SelfTestProfile:
+    """The TELLING scenarios, the ``others`` too if it says so, and then ``draws`` of each space."""
+
+    name: str
+    others: bool
+    draws: int
+
+
+QUICK = SelfTestProfile(name="quick", others=False, draws=2)
+NIGHTLY = SelfTestProfile(name="nightly", others=True, draws=30)
+PROFILES = (QUICK, NIGHTLY)
+
+
+def profile_named(name: str) -> SelfTestProfile:
+    """One of them; ScenarioError for any other name."""
+    profiles = {profile.name: profile for profile in PROFILES}
+    if name not in profiles:
+        hint = near_miss(name, profiles)
+        raise ScenarioError.of_option("--profile", " or ".join(profiles), repr(name), hint)
+    return profiles[name]
+
+
+@dataclass(frozen=True)
+class SelfTestPlan:
+    """What is tried, on what; ``avoider`` takes the place of those that the scenarios name."""
+
+    profile: SelfTestProfile
+    folder: Path
+    avoider: str | None
+
+    def episodes(self) -> tuple[Admitted, ...]:
+        """Admitted scenarios in the order in which they are tried, one at least.
+
+        The TELLING ones of ``folder`` before the others, then draws of its spaces.  Without others only the
+        telling ones are taken, if there are any.  What only PyBullet can run is left out.  InputError for
+        a file that cannot be used, or if nothing is left to try.
+        """
+        folder = located(self.folder)
+        if not folder.is_dir():
+            raise ScenarioError(
+                place=Place(field="--scenarios"),
+                expected="a folder with scenario files",
+                got=f"no such folder: {folder}",
+                hint="the shipped ones: shipped:scenarios",
+            )
+        gathered = gather([folder])
+        if gathered.errors:
+            raise gathered.errors[0]
+        ordered = sorted(gathered.scenarios, key=_rank)
+        telling = [one for one in ordered if one.name in TELLING]
+        episodes = list(_admitted(telling if telling and not self.profile.others else ordered, self.avoider))
+        spaces = [read_space(path) for path in sorted((folder / "spaces").glob("*.yaml"))]
+        for number, space in enumerate(spaces):
+            drawn = draw_admissible(space, seed(0, Branch.SELFTEST, 0, number), self.profile.draws)
+            episodes += _admitted(drawn.scenarios, self.avoider)
+        if not episodes:
+            raise ScenarioError(
+                place=Place(field="--scenarios"),
+                expected="a scenario that the kinematic world can run",
+                got=f"none of the {len(ordered)} in {self.folder}",
+            )
+        return tuple(episodes)
+
+
+def _rank(scenario: Scenario) -> tuple[int, float, str]:
+    place = TELLING.index(scenario.name) if scenario.name in TELLING else len(TELLING)
+    return place, max(scenario.duration_s, LONG_S), scenario.name
+
+
+def _admitted(scenarios: Iterable[Scenario], avoider: str | None) -> Iterator[Admitted]:
+    """Those that the kinematic world can run."""
+    for scenario in scenarios:
+        try:
+            KINEMATIC.refuse(scenario)
+        except InputError:
+            continue
+        yield admit(scenario if avoider is None else with_avoider(scenario, avoider))
+
+
+def claims_of(scenario: Scenario) -> tuple[Claim, ...]:
+    """The whole catalogue as its examples have it, and what the scenario itself claims to hold."""
+    examples = [Claim(sentence=entry.example, expected=Verdict.HOLDS) for entry in CATALOGUE]
+    known = {claim.sentence for claim in examples}
+    own = [c for c in scenario.claims if c.expected is Verdict.HOLDS and c.sentence not in known]
+    return (*examples, *own)

@@ -1,0 +1,115 @@
+"""The process of a user's file from our side: start it, talk to it within a time, end it for good."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import resource
+import signal
+import subprocess
+import sys
+import time
+import weakref
+from collections.abc import Callable, Sequence
+
+from safety_harness.seams.isolation.channel import Channel, GoneError
+from safety_harness.seams.isolation.frames import MEMORY_BYTES
+from safety_harness.seams.isolation.opened import environment
+
+BOOT = (
+    "import sys, json; sys.path[:] = json.loads(sys.argv[2]); from importlib import import_module; "
+    "import_module(sys.argv[1]).main(int(sys.argv[3]), int(sys.argv[4]))"
+)
+
+
+class Process:
+    """One process; ``hear`` is told what it writes to its output.
+
+    It is started as ``command``.  What we say it reads, and what it says it writes, at two descriptors whose
+    numbers are added to the command; its output is then what comes from standard output and error.  A program
+    that is spoken to ``by_stdio`` uses standard input and output for that, and its output is standard error.
+    """
+
+    def __init__(
+        self, command: Sequence[str], hear: Callable[[bytes], None], *, by_stdio: bool = False
+    ) -> None:
+        """OSError if it cannot be started."""
+        self._hear = hear
+        self.owner = os.getpid()
+        variables, journal = environment()
+        question_in, question = os.pipe()
+        answer, answer_out = os.pipe()
+        try:
+            self._child = subprocess.Popen(
+                [*command] if by_stdio else [*command, str(question_in), str(answer_out)],
+                stdin=question_in if by_stdio else subprocess.DEVNULL,
+                stdout=answer_out if by_stdio else subprocess.PIPE,
+                stderr=subprocess.PIPE if by_stdio else subprocess.STDOUT,
+                pass_fds=() if by_stdio else (question_in, answer_out, journal),
+                env=None if by_stdio else variables,
+                start_new_session=True,  # Ctrl-C is ours, and all that it forks is in its group
+            )
+        except OSError:
+            os.close(question)
+            os.close(answer)
+            raise
+        finally:
+            os.close(question_in)
+            os.close(answer_out)
+        output = self._child.stderr if by_stdio else self._child.stdout
+        assert output is not None
+        self.channel = Channel(question, answer, output.fileno(), hear, self._ended)
+        self._finish = weakref.finalize(self, _finish, self.owner, self._child, (question, answer))
+
+    @classmethod
+    def python(cls, module: str, hear: Callable[[bytes], None]) -> Process:
+        """A Python that runs ``main`` of a module of ours with the two descriptors, and limits itself."""
+        return cls([sys.executable, "-P", "-u", "-c", BOOT, module, json.dumps(sys.path)], hear)
+
+    @classmethod
+    def program(cls, command: Sequence[str], hear: Callable[[bytes], None]) -> Process:
+        """A user's program, spoken to by standard input and output; it has MEMORY_BYTES for its data."""
+        process = cls(command, hear, by_stdio=True)
+        for kind, most in ((resource.RLIMIT_DATA, MEMORY_BYTES), (resource.RLIMIT_CORE, 0)):
+            with contextlib.suppress(OSError):  # it has ended already
+                _, hard = resource.prlimit(process._child.pid, kind)
+                least = most if hard == resource.RLIM_INFINITY else min(most, hard)
+                resource.prlimit(process._child.pid, kind, (least, least))
+        return process
+
+    def end(self) -> None:
+        """Kill it and what it forked; hear its last words."""
+        if self._finish.alive and self.channel.drain():
+            self._hear(b"")
+        self._finish()
+
+    def _ended(self) -> GoneError:
+        """How; it is left unreaped, so that its group keeps its number until that is killed."""
+        until_s = time.monotonic() + 1.0
+        while time.monotonic() < until_s:
+            found = os.waitid(os.P_PID, self._child.pid, os.WEXITED | os.WNOWAIT | os.WNOHANG)
+            if found is None:
+                time.sleep(0.001)
+            elif found.si_code == os.CLD_EXITED:
+                return GoneError(f"its process ended with exit status {found.si_status}")
+            else:
+                return GoneError(f"its process was ended by {signal.Signals(found.si_status).name}")
+        return GoneError("its process closed the line to us")
+
+
+def _finish(owner: int, child: subprocess.Popen[bytes], fds: tuple[int, ...]) -> None:
+    """Kill the process and its group, once; a fork of ours that inherited it only lets go of it."""
+    if os.getpid() == owner:
+        for kill in (os.killpg, os.kill):  # it may have left its group
+            with contextlib.suppress(ProcessLookupError, PermissionError):
+                kill(child.pid, signal.SIGKILL)
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            child.wait(timeout=5.0)
+    else:
+        child.returncode = 0  # not ours to wait for
+    for fd in fds:
+        os.close(fd)
+    for output in (child.stdout, child.stderr):
+        if output is not None:
+            output.close()

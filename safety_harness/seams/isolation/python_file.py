@@ -1,0 +1,144 @@
+"""A user's own Python file: what its text defines, and what its execution gives.
+
+``refuse_undefined`` parses the text and executes nothing; ``made_by`` executes the file, with all that it
+imports.
+"""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import sys
+import warnings
+from collections.abc import Iterator, Sequence
+from importlib.util import module_from_spec, spec_from_file_location
+from pathlib import Path
+from types import ModuleType
+
+from safety_harness.base.exceptions import InadmissibleError, Place, described
+from safety_harness.scenario.files import read_bytes
+from safety_harness.seams.isolation.opened import DECLARED, declare, watch
+
+MOST_SOURCE = 10_000_000
+MOST_PARSED = 1_000_000  # a tree is a hundred times its text
+# What may define names that no text shows.
+_HIDDEN = frozenset({"exec", "eval", "globals", "locals", "setattr", "vars", "__getattr__"})
+_INNER = (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef, ast.Lambda)
+
+
+def source_of(path: Path, place: Place) -> bytes:
+    """The text of a Python file; InadmissibleError at ``place`` for none, or one that is too large."""
+    source = read_bytes(path, most=MOST_SOURCE, place=place, error=InadmissibleError)
+    if len(source) > MOST_SOURCE:
+        expected = f"a Python file of at most {MOST_SOURCE:,} bytes"
+        raise InadmissibleError(place=place, expected=expected, got="a larger one")
+    return source
+
+
+def refuse_undefined(path: Path, name: str, methods: Sequence[str], place: Place, hint: str) -> None:
+    """InadmissibleError at ``place`` unless the file is Python and seems to define ``name``.
+
+    A class without bases has to have the ``methods``.  What only the execution shows is for the run to meet,
+    and so is a very long text.  ``hint`` says where to read on.
+    """
+    source = source_of(path, place)
+    if len(source) > MOST_PARSED:
+        return
+    try:
+        with warnings.catch_warnings(action="ignore"):  # of the user's own code
+            tree = ast.parse(source, str(path))
+    except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
+        got = described(error, str(path))
+        raise InadmissibleError(place=place, expected=f"{path.name} to be a Python file", got=got) from None
+    found = [node for node in _top(tree) if name in _defined(node)]
+    if not found and not any(_hides(node) for node in ast.walk(tree)):
+        expected, got = f"something called {name!r} in {path.name}", "nothing of that name"
+        raise InadmissibleError(place=place, expected=expected, got=got, hint=hint)
+    for method in methods:
+        if found and _lacks(found[-1], method):
+            expected, got = f"{name} to have a method {method}", "a class without one"
+            raise InadmissibleError(place=place, expected=expected, got=got, hint=hint)
+
+
+def _lacks(node: ast.AST, method: str) -> bool:
+    """A class that has no such method and can have none from elsewhere."""
+    if not isinstance(node, ast.ClassDef) or node.bases or node.keywords or node.decorator_list:
+        return False
+    return not any(method in _defined(inner) or _hides(inner) for inner in _top(node))
+
+
+def _top(node: ast.AST) -> Iterator[ast.AST]:
+    """Everything below a module or a class but what is within a function or another class, in its order."""
+    waiting = [*ast.iter_child_nodes(node)][::-1]  # no recursion: the text decides how deep it is
+    while waiting:
+        child = waiting.pop()
+        yield child
+        if not isinstance(child, _INNER):
+            waiting += [*ast.iter_child_nodes(child)][::-1]
+
+
+def _defined(node: ast.AST) -> set[str]:
+    """The names that a statement, or a target within one, defines."""
+    if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
+        return {node.name}
+    if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+        return {node.id}
+    if isinstance(node, ast.alias):
+        return {node.asname or node.name.partition(".")[0]}
+    return set()
+
+
+def _hides(node: ast.AST) -> bool:
+    star = isinstance(node, ast.alias) and node.name == "*"
+    declared = isinstance(node, ast.Global)
+    return star or declared or bool({getattr(node, "id", ""), getattr(node, "name", "")} & _HIDDEN)
+
+
+def made_by(path: Path, source: bytes, name: str, what: str, place: Place, hint: str) -> object:
+    """What the file calls ``name``: an object, or an instance of a class without required arguments.
+
+    InadmissibleError at ``place`` if it has none; ``what`` it should be, "an avoider", and where to read on.
+    """
+    watch(path, source)
+    module = _module(path, source, place)
+    try:
+        for file in getattr(module, DECLARED, ()):
+            declare(path.parent / file)
+    except (OSError, TypeError) as error:
+        raise raised(path, place, f"{DECLARED} to be a list of files that can be read", error) from error
+    found = getattr(module, name, None)
+    if found is None:
+        expected, got = f"something called {name!r} in {path.name}", "nothing of that name"
+        raise InadmissibleError(place=place, expected=expected, got=got, hint=hint)
+    if isinstance(found, type):
+        try:
+            found = found()
+        except (Exception, SystemExit) as error:  # a user's code may raise anything
+            expected = f"{name}() to make {what} without any arguments"
+            raise raised(path, place, expected, error) from error
+    made: object = found
+    return made
+
+
+def _module(path: Path, source: bytes, place: Place) -> ModuleType:
+    """The file, executed afresh; its name is its own, so that it hides no module and none hides it.
+
+    Compiled from its text: Python's own cache takes an edit within a second for none.
+    """
+    digest = hashlib.sha256(str(path).encode()).hexdigest()[:12]
+    spec = spec_from_file_location(f"user_{digest}_{path.stem}", path)
+    assert spec is not None  # of a file that ends in .py
+    module = module_from_spec(spec)
+    sys.modules[module.__name__] = module  # dataclasses look their module up
+    try:
+        exec(compile(source, str(path), "exec"), module.__dict__)
+    except (Exception, SystemExit) as error:  # a user's code may raise anything
+        sys.modules.pop(module.__name__, None)
+        expected = f"{path.name} to be a Python file that can be imported"
+        raise raised(path, place, expected, error) from error
+    return module
+
+
+def raised(path: Path, place: Place, expected: str, error: BaseException) -> InadmissibleError:
+    """That the user's file raised an ``error`` in place of what was expected, and in which line."""
+    return InadmissibleError(place=place, expected=expected, got=described(error, str(path)))

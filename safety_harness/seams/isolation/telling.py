@@ -1,0 +1,53 @@
+"""What a command says of a user's file that it executes, and what it hears of it."""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import multiprocessing
+from pathlib import Path
+
+from safety_harness.base.exceptions import printable
+
+MOST_LINES, MOST_CHARACTERS = 5, 200
+
+executed: dict[tuple[Path, str], str] = {}  # the files that this process had executed, in words
+
+
+def say_it_is_executed(path: Path, source: bytes, logger: logging.Logger) -> None:
+    """Before a file is executed for the first time by this command; its workers do not say it again."""
+    key = path, hashlib.sha256(source).hexdigest()
+    if key in executed:
+        return
+    here = Path.cwd()
+    shown = printable(str(path.relative_to(here) if here in path.parents else path))
+    executed[key] = f"{shown} (sha256 {key[1][:12]}), in a process of its own, as you"
+    if multiprocessing.parent_process() is None:
+        logger.warning("executes %s", executed[key])
+
+
+class Heard:
+    """Says the first lines that a file called ``name`` writes, once.
+
+    Of a ``silent`` one nobody hears anything.
+    """
+
+    def __init__(self, name: str, logger: logging.Logger, *, silent: bool = False) -> None:
+        self._name, self._logger = name, logger
+        self._begun = b""
+        self._lines = MOST_LINES + 1 if silent else 0
+
+    def hear(self, written: bytes) -> None:
+        """The next bytes; none at the end."""
+        if self._lines > MOST_LINES:
+            return
+        *lines, self._begun = (self._begun + written[:65_536]).split(b"\n")
+        if len(self._begun) > MOST_CHARACTERS or (not written and self._begun):
+            lines, self._begun = [*lines, self._begun], b""
+        for line in lines:
+            self._lines += 1
+            if self._lines > MOST_LINES:
+                self._logger.warning("%s wrote more, which is not shown", self._name)
+                return
+            text = printable(line.decode(errors="replace")[:MOST_CHARACTERS])
+            self._logger.warning("%s wrote: %s", self._name, text)

@@ -1,0 +1,189 @@
+"""All that a controller may see at a tick as one row of numbers, and its fields made of that when touched.
+
+Nothing here waits for a compiler: the process of a user's file reads rows too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.seams.contract import (
+    HAND_BOXES,
+    HANDS,
+    IMAGE,
+    JOINTS,
+    OBJECT,
+    PREDICTED_HANDS,
+    HandBoxes,
+    PredictedHand,
+    Seen,
+    SeenHand,
+    SeenObject,
+)
+from safety_harness.trace.records import JOINTS as SHIPPED_JOINTS
+from safety_harness.trace.records import TRACKS_PER_HAND
+
+Row = NDArray[np.float64]  # of SEEN, as far as it is wanted
+Maker = Callable[[Row], Any]
+
+
+@lru_cache
+def seen_dtype(hands: int, joints: int = SHIPPED_JOINTS) -> np.dtype[Any]:
+    """SEEN: all that can be seen, whether or not it is, in float64 and int64 of 8 bytes alone.
+
+    In the order in which it is wanted most: what is copied for one who sees hands ends with them.
+    """
+    boxes = TRACKS_PER_HAND * hands
+    return np.dtype(
+        [
+            ("time_s", np.float64),
+            ("joint_position_rad", np.float64, (joints,)),
+            ("joint_velocity_radps", np.float64, (joints,)),
+            ("transform_tcp_to_base", np.float64, (4, 4)),
+            ("tcp_position_in_base_m", np.float64, (3,)),
+            ("hand_count", np.int64),
+            ("hands", np.float64, (boxes, 3)),
+            ("boxes_new", np.int64),
+            ("boxes_time_s", np.float64),
+            ("box_count", np.int64),
+            ("boxes", np.float64, (boxes, 5)),
+            ("transform_sensor_to_base", np.float64, (4, 4)),
+            ("object_new", np.int64),
+            ("object_visible", np.int64),
+            ("features", np.float64, (6,)),
+            ("feature_error", np.float64, (6,)),
+            ("tracked", np.int64, (boxes,)),  # 0, or the number of the track
+            ("last_seen_s", np.float64, (boxes,)),
+            ("predicted", np.float64, (boxes, 3)),
+            ("predicted_velocity", np.float64, (boxes, 3)),
+            ("predicted_covariance", np.float64, (boxes, 6, 6)),
+        ],
+        align=True,
+    )
+
+
+class SeenLayout(dict[str, Maker]):
+    """How each field of what is seen is made of a row, by its name.
+
+    ``hand_slots`` and ``joints`` are those of SEEN; ``wanted`` numbers of it are enough for those ``sees``.
+    """
+
+    def __init__(self, hand_slots: int, joints: int, sees: tuple[str, ...]) -> None:
+        dtype = seen_dtype(hand_slots, joints)
+        super().__init__(_makers(dtype, sees))
+        self.hand_slots, self.joints, self.sees = hand_slots, joints, sees
+        self.wanted = max([1, *(int(_part(dtype, _LAST[word])[0].stop) for word in sees)])
+
+
+PackedSeen = tuple[float, int, int, tuple[str, ...], bytes]  # period, hands, joints, sees, row
+
+
+def packed_seen(seen: Seen) -> PackedSeen:
+    """What is seen, as the harness made it, to be sent."""
+    own = seen.__dict__
+    layout: SeenLayout = own["_makers"]
+    return seen.period_s, layout.hand_slots, layout.joints, layout.sees, own["_row"].tobytes()
+
+
+def unpacked(sent: PackedSeen) -> Seen:
+    """As it was packed."""
+    period_s, hand_slots, joints, sees, numbers = sent
+    row = np.frombuffer(numbers)
+    return Seen.of_row(row.item(0), period_s, _layout(hand_slots, joints, sees), row)
+
+
+_layout = lru_cache(maxsize=64)(SeenLayout)
+_LAST = {
+    JOINTS: "tcp_position_in_base_m",
+    HANDS: "hands",
+    HAND_BOXES: "transform_sensor_to_base",
+    OBJECT: "feature_error",
+    PREDICTED_HANDS: "predicted_covariance",
+    IMAGE: "time_s",
+}
+
+
+def _part(dtype: np.dtype[Any], name: str) -> tuple[slice, tuple[int, ...]]:
+    """Where a field is among the numbers, and its shape."""
+    fields: Mapping[str, Any] = dtype.fields or {}
+    kind, offset = fields[name][:2]
+    return slice(offset // 8, (offset + kind.itemsize) // 8), kind.shape
+
+
+def _makers(dtype: np.dtype[Any], sees: tuple[str, ...]) -> Iterator[tuple[str, Maker]]:
+    """How each field of what is seen is made of a row, when it is touched."""
+
+    def array(name: str) -> Maker:
+        part, shape = _part(dtype, name)
+        if len(shape) == 1:
+            return lambda row: row[part]
+        return lambda row: row[part].reshape(shape)
+
+    def whole(name: str) -> Callable[[Row], NDArray[np.int64]]:
+        part, _ = _part(dtype, name)
+        return lambda row: row[part].view(np.int64)
+
+    if JOINTS in sees:
+        for name in (
+            "joint_position_rad",
+            "joint_velocity_radps",
+            "transform_tcp_to_base",
+            "tcp_position_in_base_m",
+        ):
+            yield name, array(name)
+    if HANDS in sees:
+        count, centres = whole("hand_count"), array("hands")
+        yield (
+            "hands",
+            lambda row: tuple(SeenHand(position_in_base_m=one) for one in centres(row)[: count(row)[0]]),
+        )
+    if HAND_BOXES in sees:
+        yield "hand_boxes", _boxes(array, whole)
+    if OBJECT in sees:
+        yield "object", _object(array, whole)
+    if PREDICTED_HANDS in sees:
+        yield "predicted_hands", _predicted(array, whole)
+
+
+def _boxes(array: Callable[[str], Maker], whole: Callable[[str], Maker]) -> Maker:
+    time_s, boxes, pose = array("boxes_time_s"), array("boxes"), array("transform_sensor_to_base")
+    new, count = whole("boxes_new"), whole("box_count")
+    return lambda row: HandBoxes(
+        time_s=float(time_s(row).item()),
+        new=bool(new(row)[0]),
+        boxes=boxes(row)[: count(row)[0]],
+        transform_sensor_to_base=pose(row),
+    )
+
+
+def _object(array: Callable[[str], Maker], whole: Callable[[str], Maker]) -> Maker:
+    features, error = array("features"), array("feature_error")
+    visible, new = whole("object_visible"), whole("object_new")
+    return lambda row: SeenObject(
+        visible=bool(visible(row)[0]), new=bool(new(row)[0]), features=features(row), feature_error=error(row)
+    )
+
+
+def _predicted(array: Callable[[str], Maker], whole: Callable[[str], Maker]) -> Maker:
+    number, last_seen = whole("tracked"), array("last_seen_s")
+    position, velocity = array("predicted"), array("predicted_velocity")
+    covariance = array("predicted_covariance")
+
+    def made(row: Row) -> tuple[PredictedHand, ...]:
+        return tuple(
+            PredictedHand(
+                position_in_base_m=position(row)[k],
+                velocity_in_base_mps=velocity(row)[k],
+                covariance=covariance(row)[k],
+                number=int(number(row)[k]),
+                last_seen_s=float(last_seen(row)[k]),
+            )
+            for k in np.flatnonzero(number(row))
+        )
+
+    return made

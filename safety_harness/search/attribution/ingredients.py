@@ -1,0 +1,403 @@
+"""What a run is made of, and how each ingredient is changed for the same run again.
+
+A change makes another system of an admitted one; the faults of the scenario's file that belong to its
+ingredient are taken out with it.  What changes nothing is not tried.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection
+from dataclasses import dataclass, fields, replace
+from enum import Enum
+from functools import reduce
+from types import UnionType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.admission.admit import Admitted, check
+from safety_harness.base.exceptions import InputError
+from safety_harness.base.settings import (
+    DEFAULTS,
+    Braking,
+    Camera,
+    DecisionCost,
+    DecisionTimes,
+    GateKind,
+    HandSensor,
+    ImageSource,
+    Settings,
+)
+from safety_harness.cell.avoidance.avoider import (
+    Avoider,
+    AvoiderAround,
+    Proposal,
+    Vector,
+    Vectors,
+    decision_time_of,
+)
+from safety_harness.cell.avoidance.measures import optimum_in_base_m
+from safety_harness.cell.avoidance.simple import AnswersNaN, NearestCandidate, OppositePose
+from safety_harness.cell.controller.controller import AvoidingServo
+from safety_harness.claims.properties.protective_separation import ProtectiveSeparation
+from safety_harness.scenario.faults import (
+    AvoiderLate,
+    AvoiderNaN,
+    AvoiderSilent,
+    CameraFault,
+    HandSensorFault,
+    JointStuck,
+)
+from safety_harness.scenario.model import HandTrajectory, MovingHand, RecordedHand, Scenario
+from safety_harness.scenario.moves import FollowTcp, HandMove, Wander
+from safety_harness.scenario.robots import OwnRobot
+from safety_harness.scenario.settings_keys import setting_keys
+from safety_harness.trace.trace import Trace
+
+FARTHEST_M = 3.0  # a critical distance that a scenario may have
+
+
+class Ingredient(Enum):
+    """What a run is made of.
+
+    In the order in which they are blamed where everything else is equal; the person comes last.
+    """
+
+    AVOIDER = "avoider"
+    DEADLINE = "deadline"
+    PERCEPTION = "perception"
+    SETTINGS = "settings"
+    DRIVES = "drives and brakes"
+    SERVOING = "servoing"
+    GATE = "gate"
+    PREDICTION = "prediction"
+    FALLBACK = "fallback"
+    DISTANCE = "critical distance"
+    HAND = "hand"
+
+
+OF_THE_SERVO = frozenset({Ingredient.AVOIDER, Ingredient.DEADLINE, Ingredient.GATE, Ingredient.FALLBACK})
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Altered(Admitted):
+    """An admitted scenario after some changes.  ``fallback`` None: the gate's own."""
+
+    fallback: Avoider | None = None
+    changes: tuple[Change, ...] = ()
+
+    @classmethod
+    def of(cls, admitted: Admitted) -> Altered:
+        """Nothing changed yet."""
+        return cls(**{field.name: getattr(admitted, field.name) for field in fields(admitted)})
+
+    def servo(self, recorded: Trace | None = None) -> AvoidingServo:
+        """As admitted, with the fallback that it has."""
+        pilot = super().servo(recorded)
+        if self.fallback is not None:
+            pilot.gate = replace(pilot.gate, fallback=self.fallback)
+        return pilot
+
+    def with_scenario(self, scenario: Scenario) -> Altered:
+        """With another scenario, checked as if it came from a file; InputError if it is refused."""
+        return self if scenario == self.scenario else replace(self, **vars(check(scenario)))
+
+    def without(self, *kinds: type[Any] | UnionType) -> Altered:
+        """Without the scenario's faults of these kinds."""
+        kept = tuple(fault for fault in self.scenario.faults if not isinstance(fault, kinds))
+        return self.with_scenario(replace(self.scenario, faults=kept))
+
+    def with_settings(self, alter: Callable[[Settings], Settings]) -> Altered:
+        """With other settings of controller, hand sensor or brakes: none of those below is refused."""
+        scenario = replace(self.scenario, settings=alter(self.scenario.settings))
+        return self if scenario == self.scenario else replace(self, scenario=scenario)
+
+
+@dataclass(frozen=True, eq=False)
+class Change:
+    """One way of changing an ingredient; ``alter`` gives back what it got if there is nothing to change.
+
+    ``chosen``: it undoes nothing that can be broken, but what a designer chose.
+    """
+
+    ingredient: Ingredient
+    words: str
+    alter: Callable[[Altered], Altered]
+    chosen: bool = False
+
+    def __str__(self) -> str:
+        return f"{self.ingredient.value} ({self.words})"
+
+    def on(self, system: Altered) -> Altered | None:
+        """The system changed; None if that changes nothing, or nobody could try it."""
+        if system.scenario.driven and self.ingredient in OF_THE_SERVO:
+            return None
+        try:
+            altered = self.alter(system)
+        except InputError:
+            return None
+        return None if altered is system else replace(altered, changes=(*system.changes, self))
+
+
+@dataclass(frozen=True, eq=False)
+class ExactOptimum(AvoiderAround):
+    """Proposes the closed form of what the networks learn, in the time that ``avoider`` takes."""
+
+    settings: Settings
+    name = "exact optimum"
+    spread_threshold_m = None
+    sees = ()
+
+    def propose(
+        self, *, hand_position_in_base_m: Vector, tcp_position_in_base_m: Vector, seed: int
+    ) -> Proposal:
+        """Eq. 13, exactly.  ``hand_position_in_base_m`` and ``tcp_position_in_base_m`` (3,)."""
+        hands, tcps = hand_position_in_base_m[None], tcp_position_in_base_m[None]
+        return Proposal(optimum_in_base_m(self.settings, hands, tcps)[0])
+
+    def propose_many(
+        self, hands_in_base_m: Vectors, tcps_in_base_m: Vectors, seeds: NDArray[np.uint64]
+    ) -> tuple[Vectors, Vectors]:
+        """Positions and no spreads (n, 3) [m] for hands (n, 3) and TCPs (n, 3).  ``seeds`` (n,)."""
+        return optimum_in_base_m(self.settings, hands_in_base_m, tcps_in_base_m), np.zeros_like(
+            tcps_in_base_m
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class InTheTimeOf(AvoiderAround):
+    """``quick`` in the time that ``avoider`` takes: what is swapped is what it says, not when."""
+
+    quick: OppositePose
+    name = "opposite pose"
+    spread_threshold_m = None
+    sees = ()
+
+    def propose(
+        self, *, hand_position_in_base_m: Vector, tcp_position_in_base_m: Vector, seed: int
+    ) -> Proposal:
+        """As ``quick``.  ``hand_position_in_base_m`` and ``tcp_position_in_base_m`` (3,)."""
+        return self.quick.propose(
+            hand_position_in_base_m=hand_position_in_base_m,
+            tcp_position_in_base_m=tcp_position_in_base_m,
+            seed=seed,
+        )
+
+    def propose_many(
+        self, hands_in_base_m: Vectors, tcps_in_base_m: Vectors, seeds: NDArray[np.uint64]
+    ) -> tuple[Vectors, Vectors]:
+        """As ``quick``.  ``seeds`` (n,)."""
+        return self.quick.propose_many(hands_in_base_m, tcps_in_base_m, seeds)
+
+
+def _optimum(system: Altered) -> Altered:
+    sound = system.without(AvoiderSilent, AvoiderNaN)
+    return replace(sound, avoider=ExactOptimum(system.avoider, system.scenario.settings))
+
+
+def _opposite(system: Altered) -> Altered:
+    sound = system.without(AvoiderSilent, AvoiderNaN)
+    opposite = OppositePose(system.scenario.settings.avoidance.radius_m)
+    if isinstance(system.avoider, OppositePose) and system.avoider == opposite:
+        return sound
+    return replace(sound, avoider=InTheTimeOf(system.avoider, opposite))
+
+
+def _in_a_tick(system: Altered) -> Altered:
+    """Answers within one control period where any took longer: no time at all exercises nothing."""
+    on_time, settings = system.without(AvoiderLate), system.scenario.settings
+    declared = settings.avoidance.decision_time is DecisionCost.AS_DECLARED
+    if on_time is system and declared and decision_time_of(system.avoider) == 0.0:
+        return system
+    tick = DecisionTimes(quantiles_s=(settings.clock.control_period_s,))
+    return on_time.with_settings(lambda s: replace(s, avoidance=replace(s.avoidance, decision_time=tick)))
+
+
+def _other_gate(system: Altered) -> Altered:
+    def alter(settings: Settings) -> Settings:
+        full = settings.avoidance.gate is GateKind.FULL
+        gate = GateKind.REACH if full else GateKind.FULL
+        return replace(settings, avoidance=replace(settings.avoidance, gate=gate))
+
+    return system.with_settings(alter)
+
+
+def _stops(system: Altered) -> Altered:
+    return replace(system, fallback=AnswersNaN("protective stop"))
+
+
+def _exact_hands(system: Altered) -> Altered:
+    """The hand sensor sees every hand, exactly and at once, and takes it for as large as it is."""
+
+    def alter(settings: Settings) -> Settings:
+        place = settings.hand_sensor.overhead_position_in_base_m
+        size = replace(settings.hand_filter, assumed_hand_radius_m=settings.hand.radius_m)
+        return replace(settings, hand_sensor=HandSensor(overhead_position_in_base_m=place), hand_filter=size)
+
+    return system.without(HandSensorFault).with_settings(alter)
+
+
+def _exact_camera(system: Altered) -> Altered:
+    """The servoing camera sees the object exactly and at once, and is where the controller takes it to be."""
+
+    def alter(settings: Settings) -> Settings:
+        zero = Camera()
+        camera = replace(
+            settings.camera,
+            source=ImageSource.EXACT,
+            rate_hz=None,
+            latency_s=0.0,
+            calibration_error_rotation_rad=zero.calibration_error_rotation_rad,
+            calibration_error_offset_m=zero.calibration_error_offset_m,
+        )
+        return replace(settings, camera=camera)
+
+    seen = system.without(CameraFault)
+    return seen.with_scenario(replace(seen.scenario, settings=alter(seen.scenario.settings)))
+
+
+def _predicting(horizon_s: Callable[[Settings], float]) -> Callable[[Altered], Altered]:
+    def alter(settings: Settings) -> Settings:
+        horizon = replace(settings.hand_filter, prediction_horizon_s=horizon_s(settings))
+        return replace(settings, hand_filter=horizon)
+
+    return lambda system: system.with_settings(alter)
+
+
+def _time_to_stop_s(settings: Settings) -> float:
+    """From the question to standstill, at the arm's full speed."""
+    braking, fastest_mps = settings.braking, fastest_tcp_mps(settings)
+    stop_s = braking.stop_time_base_s + braking.stop_time_per_speed_s2pm * fastest_mps
+    return min(settings.avoidance.decision_deadline_s + braking.reaction_time_s + stop_s, 2.0)
+
+
+def fastest_tcp_mps(settings: Settings) -> float:
+    """The speed that the controller never lets the TCP exceed."""
+    return max(settings.motion.max_tcp_speed_mps, settings.avoidance.repulsion_speed_mps)
+
+
+def _sound_drives(system: Altered) -> Altered:
+    """No joint sticks, the drives do at once what they are told, and the brakes act within one period."""
+
+    def alter(settings: Settings) -> Settings:
+        stop_s = settings.clock.control_period_s
+        brakes = Braking(reaction_time_s=0.0, stop_time_base_s=stop_s, stop_time_per_speed_s2pm=0.0)
+        return replace(settings, braking=brakes)
+
+    sound, robot = system.without(JointStuck), system.scenario.robot
+    if isinstance(robot, OwnRobot) and robot.drives is not None:
+        sound = sound.with_scenario(replace(sound.scenario, robot=replace(robot, drives=None)))
+    return sound.with_settings(alter)
+
+
+def _avoiding_from(distance_m: Callable[[Settings], float]) -> Callable[[Altered], Altered]:
+    """A larger critical distance; one that would be smaller changes nothing."""
+
+    def alter(settings: Settings) -> Settings:
+        before_m = settings.avoidance.critical_distance_m
+        after_m = max(before_m, min(distance_m(settings), FARTHEST_M))
+        return replace(settings, avoidance=replace(settings.avoidance, critical_distance_m=after_m))
+
+    return lambda system: system.with_settings(alter)
+
+
+def _at_default(group: str, name: str) -> Callable[[Altered], Altered]:
+    """A setting as it is where no file changes it; an avoider made of settings is made anew."""
+    default = getattr(getattr(DEFAULTS, group), name)
+
+    def alter(system: Altered) -> Altered:
+        before, avoider = system.scenario.settings, system.avoider
+        own = getattr(before, group)
+        if getattr(own, name) == default:
+            return system
+        settings = replace(before, **{group: replace(own, **{name: default})})
+        if isinstance(avoider, OppositePose):
+            avoider = OppositePose(settings.avoidance.radius_m)
+        elif isinstance(avoider, NearestCandidate):
+            avoider = NearestCandidate.of(settings)
+        return replace(system.with_scenario(replace(system.scenario, settings=settings)), avoider=avoider)
+
+    return alter
+
+
+def _without_gate_rule(system: Altered) -> Altered:
+    return system.with_scenario(replace(system.scenario, gate=None))
+
+
+def _all_at_default(system: Altered) -> Altered:
+    """Several at once; where only one was changed there is nothing left to try."""
+    changed = [change for change in AT_DEFAULT if change.on(system) is not None]
+    return reduce(lambda done, change: change.alter(done), changed, system) if len(changed) > 1 else system
+
+
+def _times(factor: float) -> Callable[[Settings], float]:
+    return lambda settings: factor * settings.avoidance.critical_distance_m
+
+
+def _separation_m(settings: Settings) -> float:
+    """The protective separation for an arm at its speed limit, from the TCP to the hand's centre."""
+    return ProtectiveSeparation().largest_m(settings) + settings.hand.radius_m
+
+
+def _half_as_fast(system: Altered) -> Altered:
+    """Hands along the same ways at half their speed, in a run of twice the duration."""
+    scenario = system.scenario
+    hands = tuple(map(_slower, scenario.hands))
+    if hands == scenario.hands:
+        return system
+    return system.with_scenario(replace(scenario, hands=hands, duration_s=2.0 * scenario.duration_s))
+
+
+def _slower(hand: HandTrajectory) -> HandTrajectory:
+    if isinstance(hand, MovingHand):
+        return replace(hand, moves=tuple(map(_slower_move, hand.moves)))
+    if isinstance(hand, RecordedHand):
+        motion = replace(hand.motion, time_s=2.0 * hand.motion.time_s)
+        return replace(hand, motion=motion, speed_factor=0.5 * hand.speed_factor)
+    return hand
+
+
+def _slower_move(move: HandMove) -> HandMove:
+    """What is done for a time, or given up after one, has twice as much; a wait stays as long."""
+    slower = {"speed_mps": 0.5, "at_most_s": 2.0}
+    if isinstance(move, FollowTcp | Wander):
+        slower["duration_s"] = 2.0
+    return replace(move, **{key: by * getattr(move, key) for key, by in slower.items() if hasattr(move, key)})
+
+
+# What describes arm, cell, person and sensors is no choice, and some have an ingredient of their own.
+ELSEWHERE = ("gate", "critical_distance_m", "decision_time", "decision_deadline_s")
+AT_DEFAULT = (
+    *(
+        Change(Ingredient.SETTINGS, f"{key.name} at its default", _at_default(group, key.attribute))
+        for group in ("hand_filter", "servo", "motion", "avoidance")
+        for key in setting_keys(type(getattr(DEFAULTS, group)))
+        if key.attribute not in ELSEWHERE
+    ),
+    Change(Ingredient.SETTINGS, "no rule for the gate", _without_gate_rule),
+)
+CHANGES: tuple[Change, ...] = (
+    Change(Ingredient.AVOIDER, "exact optimum", _optimum),
+    Change(Ingredient.AVOIDER, "opposite pose", _opposite),
+    Change(Ingredient.DEADLINE, "answers within a tick", _in_a_tick),
+    Change(Ingredient.PERCEPTION, "ideal", _exact_hands),
+    *AT_DEFAULT,
+    Change(Ingredient.SETTINGS, "all at their defaults", _all_at_default),
+    Change(Ingredient.DRIVES, "ideal", _sound_drives),
+    Change(Ingredient.SERVOING, "ideal camera", _exact_camera),
+    Change(Ingredient.GATE, "the other kind", _other_gate, True),
+    Change(Ingredient.PREDICTION, "none", _predicting(lambda settings: 0.0), True),
+    Change(Ingredient.PREDICTION, "as far as a stop takes", _predicting(_time_to_stop_s), True),
+    Change(Ingredient.FALLBACK, "protective stop", _stops, True),
+    Change(Ingredient.DISTANCE, "x 1.5", _avoiding_from(_times(1.5)), True),
+    Change(Ingredient.DISTANCE, "x 2", _avoiding_from(_times(2.0)), True),
+    Change(Ingredient.DISTANCE, "protective separation", _avoiding_from(_separation_m), True),
+    Change(Ingredient.HAND, "half as fast", _half_as_fast),
+)
+
+
+def changes_for(spoilt: Collection[Ingredient]) -> tuple[Change, ...]:
+    """Those to try: first whatever is spoilt beside the scenario, made sound."""
+    order = list(Ingredient)
+    return tuple(Change(one, "sound", replace) for one in sorted(spoilt, key=order.index)) + CHANGES

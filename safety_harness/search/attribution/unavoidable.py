@@ -1,0 +1,377 @@
+"""What no arm could have kept: a bound for the distance from hands, derived in docs/attribution.md.
+
+An arm is free that knows the whole run beforehand and keeps one limit of the system's alone: its TCP starts
+where it starts and is never faster than the controller, or where that does not bound it the joints' limits,
+let it be.  What no free arm keeps, no change of the system could have kept.  Each of the three bounds is a
+necessary condition; what none of them refutes may still be unavoidable.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from math import cos, exp, sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.admission.admit import Checked
+from safety_harness.base.compiled import compiled
+from safety_harness.base.geometry.arrays import Array3, ArrayNx3
+from safety_harness.base.settings import Hand
+from safety_harness.cell.robot.capsules import CapsuleSet
+from safety_harness.cell.robot.distance import chain_lengths, hand_distance
+from safety_harness.cell.robot.kinematics import links_in_base
+from safety_harness.cell.robot.robots import arm_capsules, drive_model
+from safety_harness.cell.simulation.hand_motion import HandRecords, MoveRecords, advance_hands
+from safety_harness.cell.simulation.hand_programs import hands_at_start
+from safety_harness.cell.simulation.truth import cell_capsules
+from safety_harness.claims.properties.base import Property
+from safety_harness.claims.properties.hand_distance import HandDistance
+from safety_harness.scenario.faults import JointStuck
+from safety_harness.scenario.model import HandTrajectory, MovingHand, Scenario
+from safety_harness.scenario.moves import FollowTcp, ReachForTcp
+from safety_harness.search.attribution.ingredients import fastest_tcp_mps
+
+SeeksTcp = ReachForTcp | FollowTcp
+STEPS = 200  # in which a hand that slows down is followed
+LEAST = 1.05  # times the TCP's speed: no slower does it come nearer
+NOWHERE = np.zeros(3)  # of the TCP, for hands that do not look at it
+
+
+def why_unavoidable(checked: Checked, prop: Property) -> str:
+    """Why no free arm could have kept ``prop`` in this scenario; empty if no bound says so."""
+    if not isinstance(prop, HandDistance) or not checked.scenario.hands:
+        return ""
+    free, radii = FreeArm.of(checked), checked.scenario.settings.hand
+    near_m = prop.minimum_m + radii.radius_m
+    for number, hand in enumerate(checked.scenario.hands):
+        way = SettledWay.of(checked.scenario, number)
+        why = (
+            _at_what_cannot_move(free, way, prop.minimum_m, radii)
+            or _before_it_can_leave(free, way, near_m)
+            or _pursued(free, way, near_m, checked.scenario, hand)
+        )
+        if why:
+            return f"{hand.name} {why}"
+    return ""
+
+
+@dataclass(frozen=True, eq=False)
+class FreeArm:
+    """What is the same of every free arm, in the base frame.
+
+    ``start_m`` and ``centre_m`` (3,): where the TCP starts, and the point that it is never farther from than
+    ``reach_m``.  ``tip_m``: a ball of this radius about the TCP is within the arm.  ``body`` is what no joint
+    moves, as capsules, with ``ends_m`` (n, 2, 3).
+    """
+
+    start_m: Array3
+    centre_m: Array3
+    reach_m: float
+    tip_m: float
+    fastest_mps: float
+    body: CapsuleSet
+    ends_m: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, checked: Checked) -> FreeArm:
+        """Those of the scenario's arm, from where it starts."""
+        transforms = links_in_base(checked.arm, checked.joint_position_rad)
+        places = transforms[:, :3, 3]
+        settings = checked.scenario.settings
+        capsules = cell_capsules(arm_capsules(checked.scenario.robot), settings)
+        tcp, tip_m = places[-1], 0.0
+        for k, link in enumerate(capsules.link_index):
+            if link >= len(places) - 2:  # rigidly at the TCP
+                start, end = (
+                    transforms[link, :3, :3] @ one[k] + places[link]
+                    for one in (capsules.start_in_link, capsules.end_in_link)
+                )
+                tip_m = max(tip_m, float(capsules.radius_m[k]) - _off_segment_m(tcp, start, end))
+        body, ends_m = _immovable(capsules, transforms, checked.arm.joint_axes[0])
+        return cls(
+            start_m=tcp.copy(),
+            centre_m=places[1].copy(),
+            reach_m=float(np.linalg.norm(np.diff(places[1:], axis=0), axis=1).sum()),
+            tip_m=tip_m,
+            fastest_mps=_fastest_mps(checked, capsules),
+            body=body,
+            ends_m=ends_m,
+        )
+
+    def farthest_m(self, from_m: ArrayNx3, time_s: NDArray[np.float64]) -> NDArray[np.float64]:  # (n,)
+        """(n,) how far the TCP can be from points (n, 3) at times (n,), at most."""
+        run_m = np.linalg.norm(from_m - self.start_m, axis=1) + self.fastest_mps * time_s
+        reached_m = np.linalg.norm(from_m - self.centre_m, axis=1) + self.reach_m
+        return np.asarray(np.minimum(run_m, reached_m))
+
+
+def _fastest_mps(checked: Checked, capsules: CapsuleSet) -> float:
+    """What the TCP cannot exceed: by the servo's own limits, where the drives do what it says.
+
+    Else by those of the joints, sum q'_j l_j with the chain of links l_j behind each: a user's controller may
+    command them, and drives that lag, or a joint that is stuck, may turn them otherwise than the servo says.
+    """
+    scenario = checked.scenario
+    stuck = any(isinstance(fault, JointStuck) for fault in scenario.faults)
+    if not (scenario.driven or stuck or drive_model(scenario.robot)):
+        return fastest_tcp_mps(scenario.settings)
+    lengths_m = chain_lengths(checked.arm.chain, capsules.records)
+    return float((checked.arm.velocity_limit_radps * lengths_m).sum())
+
+
+def _off_segment_m(point: Array3, start: Array3, end: Array3) -> float:
+    way = end - start
+    squared = float(way @ way)
+    along = min(max(float((point - start) @ way) / squared, 0.0), 1.0) if squared > 0.0 else 0.0
+    return float(np.linalg.norm(point - start - along * way))
+
+
+def _immovable(
+    capsules: CapsuleSet,
+    transforms: NDArray[np.float64],  # (n + 2, 4, 4)
+    axis_in_link: Array3,
+) -> tuple[CapsuleSet, NDArray[np.float64]]:
+    """The capsules of the base, and of the first link the balls about the axis that it turns about.
+
+    A ball about a point at the distance r from the axis has within it one about the point's foot on the axis,
+    smaller by r, wherever the joint is.
+    """
+    rows, starts, ends, radii = [], [], [], []
+    axis = transforms[1, :3, :3] @ axis_in_link
+    for k, link in enumerate(capsules.link_index):
+        if link == 0:
+            rows.append(k)
+            starts.append(capsules.start_in_link[k])
+            ends.append(capsules.end_in_link[k])
+            radii.append(float(capsules.radius_m[k]))
+        for inner in (capsules.start_in_link[k], capsules.end_in_link[k]) if link == 1 else ():
+            aside = transforms[1, :3, :3] @ inner
+            foot = (aside @ axis) * axis
+            radius_m = float(capsules.radius_m[k] - np.linalg.norm(aside - foot))
+            if radius_m > 0.0:
+                rows.append(k)
+                starts.append(transforms[1, :3, 3] + foot)
+                ends.append(transforms[1, :3, 3] + foot)
+                radii.append(radius_m)
+    body = CapsuleSet(
+        names=tuple(capsules.names[k] for k in rows),
+        link_index=np.zeros(len(rows), np.int64),
+        start_in_link=np.array(starts),
+        end_in_link=np.array(ends),
+        radius_m=np.array(radii),
+    )
+    return body, np.stack([body.start_in_link, body.end_in_link], axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class SettledWay:
+    """The way of a hand as far as it does not depend on the arm.
+
+    ``time_s`` (n,), ``hand_m`` and ``elbow_m`` (n, 3) in the base frame.  ``then`` is the move with which it
+    begins to head for the TCP, at the last of the times at the latest and no more than ``period_s`` before
+    it; None if it never does.  ``at_rest``: it begins that at rest.  ``steady_m`` (3,) is where.
+    """
+
+    time_s: NDArray[np.float64]
+    hand_m: NDArray[np.float64]
+    elbow_m: NDArray[np.float64]
+    then: SeeksTcp | None
+    at_rest: bool
+    steady_m: Array3
+
+    @classmethod
+    def of(cls, scenario: Scenario, number: int) -> SettledWay:
+        """That of one of the scenario's hands, or of who leads it."""
+        leader, settled = scenario.leader(scenario.hands[number]), scenario
+        moves = leader.moves if isinstance(leader, MovingHand) else ()
+        seeks = next((k for k, move in enumerate(moves) if isinstance(move, SeeksTcp)), None)
+        if isinstance(leader, MovingHand) and seeks is not None:
+            before = replace(leader, moves=moves[:seeks])
+            settled = replace(
+                scenario, hands=tuple(before if hand is leader else hand for hand in scenario.hands)
+            )
+        hands, count = hands_at_start(settled), scenario.ticks + 1
+        who = scenario.hands.index(leader) if leader is not None else number
+        own, period_s, ways_m = (
+            hands.state[who],
+            scenario.settings.clock.control_period_s,
+            np.empty((count, 2, 3)),
+        )
+        ends = who if seeks is not None else -1
+        ticks: int = _follow(hands.state, hands.moves, hands.samples, number, ends, period_s, ways_m)
+        reached = seeks is not None and own["current"] >= own["count"]
+        move = moves[seeks] if seeks is not None and reached else None
+        return cls(
+            time_s=np.arange(ticks, dtype=np.float64) * period_s,
+            hand_m=ways_m[:ticks, 0].copy(),
+            elbow_m=ways_m[:ticks, 1].copy(),
+            then=move if isinstance(move, SeeksTcp) and leader is scenario.hands[number] else None,
+            at_rest=not own["velocity_in_base_mps"].any(),
+            steady_m=own["steady_in_base_m"].copy(),
+        )
+
+
+@compiled
+def _follow(
+    hands: HandRecords,
+    moves: MoveRecords,
+    samples: NDArray[np.float64],  # (s, 7)
+    number: int,
+    ends: int,
+    period_s: float,
+    ways_m: NDArray[np.float64],  # (n, 2, 3), written
+) -> int:
+    """Hand and elbow of hand ``number`` at each tick, until the moves of hand ``ends`` are over; how many.
+
+    ``ends`` -1: to the end.
+    """
+    for tick in range(ways_m.shape[0]):
+        for i in range(3):
+            ways_m[tick, 0, i] = hands[number].position_in_base_m[i]
+            ways_m[tick, 1, i] = hands[number].elbow_in_base_m[i]
+        if ends >= 0 and hands[ends].current >= hands[ends].count:
+            return tick + 1
+        advance_hands(hands, moves, samples, NOWHERE, tick * period_s, period_s)
+    return len(ways_m)
+
+
+def _at_what_cannot_move(free: FreeArm, way: SettledWay, minimum_m: float, radii: Hand) -> str:
+    """The hand comes too near to a part that no joint moves."""
+    sizes_m = radii.radius_m, radii.forearm_radius_m
+    thick_m = max(sizes_m) + float(free.body.radius_m.max())
+    thick_m += float(np.linalg.norm(free.ends_m - free.centre_m, axis=2).max())
+    middle_m, half_m = (
+        (way.hand_m + way.elbow_m) / 2.0,
+        np.linalg.norm(way.hand_m - way.elbow_m, axis=1) / 2.0,
+    )
+    near = np.linalg.norm(middle_m - free.centre_m, axis=1) - half_m - thick_m < minimum_m
+    for time_s, hand, elbow in zip(way.time_s[near], way.hand_m[near], way.elbow_m[near], strict=True):
+        distance_m, which = hand_distance(free.body.records, free.ends_m, hand, elbow, *sizes_m)
+        if distance_m < minimum_m:
+            part = free.body.names[which].replace("_", " ")
+            return f"is {distance_m * 1e3:.0f} mm from {part} at {time_s:.2f} s, which no joint moves"
+    return ""
+
+
+def _before_it_can_leave(free: FreeArm, way: SettledWay, near_m: float) -> str:
+    """The hand is too near to every place where the TCP can be by then; ``near_m`` from its centre."""
+    farthest_m = free.farthest_m(way.hand_m, way.time_s)
+    late = np.flatnonzero(farthest_m < near_m + free.tip_m)
+    if not len(late):
+        return ""
+    k = int(late[0])
+    return f"is at most {farthest_m[k] * 1e3:.0f} mm from wherever the TCP can be at {way.time_s[k]:.2f} s"
+
+
+def _pursued(free: FreeArm, way: SettledWay, near_m: float, scenario: Scenario, hand: HandTrajectory) -> str:
+    """The hand heads for the TCP, faster than it can leave, until it is too near."""
+    move = way.then
+    if move is None or not way.at_rest or not isinstance(hand, MovingHand):
+        return ""
+    if isinstance(move, ReachForTcp) and move.hesitation is not None:
+        return ""
+    chase = Chase(
+        speed_mps=move.speed_mps,
+        acceleration_mps2=hand.max_acceleration_mps2,
+        until_m=move.until_distance_m if isinstance(move, ReachForTcp) else move.distance_m,
+        fleeing_mps=free.fastest_mps,
+        period_s=scenario.settings.clock.control_period_s,
+    )
+    begins_s = float(way.time_s[-1])
+    nearest_m = float(np.linalg.norm(way.steady_m - free.start_m)) - free.fastest_mps * begins_s
+    farthest_m = float(free.farthest_m(way.steady_m[None], way.time_s[-1:])[0])
+    caught = chase.caught(nearest_m, farthest_m)
+    if caught is None:
+        return ""
+    heading_s, after_s, distance_m = caught
+    tremor_m = hand.tremor.amplitude_m if hand.tremor is not None else 0.0
+    patience_s = move.at_most_s if isinstance(move, ReachForTcp) else move.duration_s
+    in_time = heading_s <= patience_s - chase.period_s
+    in_time &= begins_s + heading_s + after_s <= scenario.ticks * chase.period_s
+    if not in_time or not distance_m + tremor_m < near_m + free.tip_m:
+        return ""
+    return (
+        f"heads for the TCP at {chase.speed_mps:.2g} m/s, which leaves at {free.fastest_mps:.2g} m/s at "
+        f"most, and is within {distance_m * 1e3:.0f} mm of it {heading_s + after_s:.2f} s later at the latest"
+    )
+
+
+@dataclass(frozen=True)
+class Chase:
+    """A hand that begins at rest to head for a TCP, as ``pursue`` moves it."""
+
+    speed_mps: float
+    acceleration_mps2: float
+    until_m: float
+    fleeing_mps: float
+    period_s: float
+
+    def caught(self, nearest_m: float, farthest_m: float) -> tuple[float, float, float] | None:
+        """How long it heads for the TCP, how much later it is how near, all at most; None for no bound.
+
+        At the beginning the TCP is at least ``nearest_m`` and at most ``farthest_m`` away.
+        """
+        s, a, v, dt = self.speed_mps, self.acceleration_mps2, self.fleeing_mps, self.period_s
+        ending_m = self.until_m + s * s / (2.0 * a) + s * dt + (s + v) * dt
+        aside_rad = 2.0 * v * dt / ending_m
+        closing_mps = s * cos(aside_rad) - v
+        if closing_mps <= 0.0 or a <= 2.0 * s * v / ending_m:
+            return None
+        turned_s = self._turned_s(nearest_m, ending_m)
+        if turned_s is None:
+            return None
+        heading_s = turned_s + max(farthest_m + v * turned_s - ending_m, 0.0) / closing_mps + dt
+        flying_s = np.linspace(0.0, s / a, 101)
+        left_m = np.abs(ending_m - s * flying_s) + (v + s * aside_rad) * flying_s + a * flying_s**2 / 2.0
+        best = int(np.argmin(left_m))
+        flown = heading_s, float(flying_s[best]), float(left_m[best]) + (s + v) * dt
+        braking_s, braked_m = self._braked(ending_m)
+        return flown if flown[2] <= braked_m else (heading_s + braking_s, 0.0, braked_m)
+
+    def _braked(self, ending_m: float) -> tuple[float, float]:
+        """How long it takes, and how near it comes, while it slows down before the TCP, both at most."""
+        a, v, dt = self.acceleration_mps2, self.fleeing_mps, self.period_s
+        distance_m, took_s, turned, near_m = ending_m, 0.0, 0.0, ending_m
+        step_m = (ending_m - self.until_m) / STEPS
+        while distance_m - step_m > self.until_m:
+            distance_m -= step_m
+            gap_m = distance_m - self.until_m
+            wanted_mps = min(self.speed_mps, sqrt((a * dt) ** 2 + 2.0 * a * gap_m) - a * dt)
+            if wanted_mps <= LEAST * v:
+                break
+            step_s = step_m / (wanted_mps - v)
+            turned += (step_m + v * step_s) / distance_m
+            lateral_mps = v * (exp(turned) - 1.0)
+            if lateral_mps * (v + lateral_mps) / distance_m >= a * (1.0 - v / wanted_mps):
+                break
+            took_s += step_s
+            near_m = min(near_m, distance_m + 2.0 * (wanted_mps + v) * dt)
+        return took_s, near_m
+
+    def _turned_s(self, nearest_m: float, ending_m: float) -> float | None:
+        """After which time the hand moves straight at the TCP at its full speed, at most; None for no bound.
+
+        The least fixed point of the inequalities in the documents; the TCP is no nearer than ``ending_m``.
+        """
+        s, a, v = self.speed_mps, self.acceleration_mps2, self.fleeing_mps
+        lateral_mps, least_m = 0.0, nearest_m
+        for _ in range(100):
+            if least_m < ending_m:
+                return None
+            rate_mps2 = a - s * (v + lateral_mps) / least_m
+            if rate_mps2 <= 0.1 * a:
+                return None
+            turned_s = s / rate_mps2 + self.period_s
+            way_m = s * s / (2.0 * a) + s * (turned_s - s / a)
+            before = lateral_mps, least_m
+            least_m = nearest_m - way_m - v * turned_s
+            if least_m < ending_m:
+                return None
+            lateral_mps = v * (exp(way_m / least_m) - 1.0)
+            if abs(lateral_mps - before[0]) < 1e-9 and abs(least_m - before[1]) < 1e-9:
+                never_back = (
+                    a * s / (s * s + lateral_mps**2) ** 0.5 > lateral_mps * (v + lateral_mps) / least_m
+                )
+                return turned_s if never_back else None
+        return None

@@ -1,0 +1,295 @@
+"""The hooks.  Whatever is heavy is imported where it is first needed: most projects never need it.
+
+A session without a scenario file and without a test that uses ``safety_harness.testing`` is left alone.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import random
+import re
+import sys
+from collections.abc import Generator
+from fnmatch import fnmatch
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from safety_harness.base.compiling import CompilationLine, watchers
+from safety_harness.base.exceptions import InputError, Place, SafetyHarnessError, explanation
+from safety_harness.scenario.kinds import SUFFIXES, is_log
+from safety_harness.testing.session import (
+    FAILURES,
+    PROFILES,
+    QUICK,
+    Session,
+    TestRun,
+    begin,
+    session,
+)
+
+if TYPE_CHECKING:
+    from safety_harness.testing.plugin.collecting import LogFile, ScenarioFile
+    from safety_harness.testing.simulating import Simulate
+
+
+JUDGES_ITSELF = "judges_runs_itself"
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Options and ini values."""
+    names = [profile.name for profile in PROFILES]
+    sizes = ", ".join(f"{profile.name} {profile.examples}" for profile in PROFILES)
+    group = parser.getgroup("safety-harness", "safety properties of a hand-avoiding robot arm")
+    group.addoption(
+        "--avoider",
+        metavar="AVOIDER",
+        help="In place of what scenarios name: mc-dropout, 'opposite pose', FILE.py:NAME, FILE.onnx, ...",
+    )
+    group.addoption(
+        "--safety-against",
+        metavar="AVOIDER",
+        help="A reference: tests fail only for what it does not do in the same scenario.",
+    )
+    group.addoption(
+        "--safety-world",
+        metavar="WORLD",
+        help="PyBullet, the reference, or kinematic, which needs no PyBullet; in place of safety_world.",
+    )
+    group.addoption("--safety-profile", choices=names, help=f"Scenarios that a test draws: {sizes}.")
+    group.addoption(
+        "--safety-derandomize", action="store_true", help="Draw the same scenarios in every session."
+    )
+    group.addoption("--safety-report", metavar="FILE", help="Write an HTML report, and JSON beside it.")
+    parser.addini("safety_profile", f"one of {', '.join(names)}", default=QUICK.name)
+    parser.addini("safety_world", "PyBullet or kinematic", default="PyBullet")
+    parser.addini(
+        "safety_derandomize", "draw the same scenarios in every session", type="bool", default=False
+    )
+    parser.addini(
+        "safety_scenarios",
+        "patterns of the scenario files, from pytest's root; without it they are known by their keys",
+        type="args",
+        default=None,
+    )
+    parser.addini(
+        "safety_failures", "folder for the scenarios of failures, from pytest's root", default=str(FAILURES)
+    )
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Begin a session; an avoider that cannot be used ends it at once."""
+    config.addinivalue_line("markers", f"{JUDGES_ITSELF}: a test that looks at runs without assert_holds")
+    name = config.getoption("safety_profile") or config.getini("safety_profile")
+    profiles = {profile.name: profile for profile in PROFILES}
+    if name not in profiles:
+        raise pytest.UsageError(f"safety_profile: expected one of {', '.join(profiles)}; got {name!r}")
+    report = config.getoption("safety_report")  # as seen from where pytest was started
+    new = Session(
+        root=config.rootpath,
+        profile=profiles[name],
+        derandomize=config.getoption("safety_derandomize") or config.getini("safety_derandomize"),
+        seed=_seed(config),
+        avoider=config.getoption("avoider"),
+        against=config.getoption("safety_against"),
+        world=config.getoption("safety_world") or config.getini("safety_world"),
+        failures=config.rootpath / config.getini("safety_failures"),
+        report=None if report is None else config.invocation_params.dir / report,
+    )
+    if config.getoption("safety_world"):
+        _refuse_unknown_world(new.world)
+    config.add_cleanup(partial(_end, begin(new)))
+    if _is_worker(config):
+        config.workeroutput["safety_ignored"] = new.ignored  # type: ignore[attr-defined]
+    else:
+        from safety_harness.testing.plugin.ending import Ending
+
+        config.pluginmanager.register(Ending(config), "safety-harness-ending")
+        watchers.append(line := CompilationLine(_PastCapture(config)))
+        config.add_cleanup(lambda: watchers.remove(line))
+        if not config.option.help:
+            _refuse_unusable_avoiders(make=False)
+            _refuse_idle_patterns(config)
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_configure_node(node: Any) -> None:
+    """Every worker of xdist draws by the same seed."""
+    node.workerinput["safety_seed"] = session().seed
+
+
+def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> LogFile | ScenarioFile | None:
+    """Scenario files, spaces, suites, logs: those of ``safety_scenarios``, else those that are ours.
+
+    A file with a title of ours that somebody names is taken, so that its mistakes are told.
+    """
+    patterns = parent.config.getini("safety_scenarios")
+    if patterns is None and file_path.suffix.lower() not in SUFFIXES:
+        return None  # before anything is imported: most files are of other projects
+    from safety_harness.scenario.ours import is_ours, is_titled
+
+    if patterns is not None:
+        name = os.path.relpath(file_path, parent.config.rootpath)
+        ours = any(fnmatch(name, pattern) for pattern in patterns)
+    else:
+        ours = is_log(file_path) or is_ours(file_path)
+        if not ours and is_titled(file_path):
+            ours = parent.session.isinitpath(file_path)
+            session().ignored += [os.path.relpath(file_path)] * (not ours)
+    if not ours:
+        return None
+    from safety_harness.testing.plugin.collecting import LogFile, ScenarioFile
+
+    kind = LogFile if is_log(file_path) else ScenarioFile
+    return kind.from_parent(parent, path=file_path)
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtestloop(session: pytest.Session) -> None:
+    """Before the first test: an avoider of ``--avoider`` that cannot be made.  Collection executes none."""
+    config = session.config
+    elsewhere = config.pluginmanager.hasplugin("dsession")  # the workers of xdist have the tests
+    if config.option.collectonly or _is_worker(config) or not (session.testscollected or elsewhere):
+        return
+    _refuse_unusable_avoiders(make=True)
+
+
+@pytest.fixture(scope="session")
+def simulate() -> Simulate:
+    """A function from a scenario to the trace of its run."""
+    from safety_harness.testing.simulating import simulate as shared
+
+    return shared
+
+
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_runtest_call(item: pytest.Item) -> Generator[None, Any, Any]:
+    """Watch the tests that judge runs."""
+    if "safety_harness.testing.asserting" not in sys.modules:  # nobody can have judged anything
+        return (yield)
+    from safety_harness.testing.plugin.running import watch
+
+    with watch(item):
+        return (yield)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(
+    item: pytest.Item, call: pytest.CallInfo[None]
+) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    """What was judged travels with the report, to JUnit and from a worker of xdist to the session."""
+    report = yield
+    test = item.stash.get(TEST, None)
+    if test is not None and report.when == "call":
+        from safety_harness.testing.plugin.running import complete
+
+        complete(report, item, call, test)
+    return report
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_make_collect_report(
+    collector: pytest.Collector,
+) -> Generator[None, pytest.CollectReport, pytest.CollectReport]:
+    """A mistake in a scenario file or in what a test asks for is told without our frames."""
+    report = yield
+    call = getattr(report, "call", None)
+    if report.failed and call is not None and isinstance(call.excinfo.value, SafetyHarnessError):
+        report.longrepr = explained(call.excinfo.value)
+    return report
+
+
+class _PastCapture(io.StringIO):
+    """Lines on the terminal, in the midst of a test whose output is captured, by itself or by pytest."""
+
+    def __init__(self, config: pytest.Config) -> None:
+        super().__init__()
+        self._plugins = config.pluginmanager
+
+    def write(self, text: str) -> int:
+        """A whole line."""
+        capture, reporter = map(self._plugins.getplugin, ("capturemanager", "terminalreporter"))
+        if capture and reporter:
+            streams = sys.stdin, sys.stdout, sys.stderr  # of the test, perhaps
+            with capture.global_and_fixture_disabled():
+                reporter.write_line(text.rstrip("\n"))
+            sys.stdin, sys.stdout, sys.stderr = streams
+        return len(text)
+
+
+TEST: pytest.StashKey[TestRun] = pytest.StashKey()
+
+
+def _end(before: Session) -> None:
+    begin(before)
+
+
+def _is_worker(config: pytest.Config) -> bool:
+    return hasattr(config, "workerinput")
+
+
+def _seed(config: pytest.Config) -> int:
+    """That of ``--hypothesis-seed``, else one drawn now; a worker of xdist gets its session's."""
+    if _is_worker(config):
+        return int(config.workerinput["safety_seed"])  # type: ignore[attr-defined]
+    asked = config.getoption("--hypothesis-seed", default=None)
+    if asked is not None and asked.isdigit():
+        return int(asked)
+    return random.SystemRandom().randrange(2**32)
+
+
+def explained(error: BaseException) -> str:
+    """Where, what was expected, what came, the hint; and the line of the test that asked."""
+    lines = [explanation(error), *(f"  {note}" for note in getattr(error, "__notes__", []))]
+    return "\n".join(lines).replace(f"{Path.cwd()}{os.sep}", "")
+
+
+def _refuse_idle_patterns(config: pytest.Config) -> None:
+    """UsageError for a pattern of ``safety_scenarios`` that matches no file where pytest looks for tests."""
+    of_ini = config.args_source is pytest.Config.ArgsSource.TESTPATHS
+    for pattern in config.getini("safety_scenarios") or ():
+        literal = re.split(r"[*?[]", pattern)[0].rpartition("/")[0]
+        starts = [config.rootpath / literal] if not of_ini else map(Path, config.args)
+        names = (Path(at, file) for start in starts for at, _, files in os.walk(start) for file in files)
+        if not any(fnmatch(os.path.relpath(name, config.rootpath), pattern) for name in names):
+            where = f"below {' '.join(config.args)}, of testpaths" if of_ini else f"below {config.rootpath}"
+            raise pytest.UsageError(
+                f"safety_scenarios: expected a pattern of scenario files; got {pattern!r}, no file {where}"
+            )
+
+
+def _refuse_unusable_avoiders(*, make: bool) -> None:
+    now = session()
+    for reference, option in ((now.avoider, "--avoider"), (now.against, "--safety-against")):
+        if reference is not None:
+            refuse_unusable_avoider(reference, option, make=make)
+    if now.against is not None:
+        from safety_harness.admission.avoiders import refuse_itself
+
+        try:
+            refuse_itself(now.avoider, now.against, "--safety-against")
+        except InputError as error:
+            raise pytest.UsageError(explained(error)) from None
+
+
+def _refuse_unknown_world(label: str) -> None:
+    from safety_harness.cell.simulation.worlds import world_named
+
+    try:
+        world_named(label, "--safety-world")
+    except InputError as error:
+        raise pytest.UsageError(explained(error)) from None
+
+
+def refuse_unusable_avoider(reference: str, option: str, *, make: bool) -> None:
+    """UsageError for an avoider that there is not or that is none; only ``make`` executes a file."""
+    from safety_harness.admission.avoiders import refuse_unusable, resolve_avoider, scenario_of_avoider
+
+    try:
+        look = resolve_avoider if make else refuse_unusable
+        look(scenario_of_avoider(reference), Place(field=option))
+    except InputError as error:
+        raise pytest.UsageError(explained(error)) from None

@@ -1,0 +1,105 @@
+"""``--safety-report FILE``: the report of ``safety-harness run`` on the runs that tests judged.
+
+The process that made a run writes its trace to the folder FILE-traces; the session that gathers the
+results reads it there.  Of a test that draws its scenarios the worst run of each claim is shown.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import shlex
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from safety_harness.admission.avoiders import replay_command
+from safety_harness.base.exceptions import InputError
+from safety_harness.claims.properties.answered import AvoiderAnswered, with_expectation
+from safety_harness.claims.properties.base import Evaluation
+from safety_harness.claims.properties.tally import ClaimTally
+from safety_harness.report.evidence import JudgedRun, notes_of
+from safety_harness.report.html import write_report
+from safety_harness.report.machine import report_data, write_json
+from safety_harness.scenario.model import Claim, Verdict
+from safety_harness.testing.plugin.plugin import explained
+from safety_harness.testing.plugin.running import Payload, packed, unpacked
+from safety_harness.testing.session import TestRun, session
+from safety_harness.testing.simulating import digest_of
+from safety_harness.trace.store import load_trace, save_trace
+
+TITLE = "Safety properties of a hand-avoiding robot arm"
+
+
+def save_runs(test: TestRun, report: Path) -> list[list[Any]]:
+    """Write the traces of ``test``: [file, expected verdict, evaluation] of each claim, as plain data.
+
+    Raises OSError.
+    """
+    found = []
+    folder = report.with_name(f"{report.stem}-traces")
+    for sentence, trace in test.traces.items():
+        scenario, worst = trace.scenario, test.worst[sentence]
+        digest = digest_of(scenario)[:12]
+        if not trace.known.simulated:  # a log of the scenario is another trace than a run of it
+            digest += f"-{hashlib.sha256(trace.ticks.tobytes()).hexdigest()[:12]}"
+        file = folder / f"{scenario.name.partition('#')[0]}-{digest}.trace"
+        if file not in session().saved:  # what an earlier session wrote may be of other code
+            folder.mkdir(parents=True, exist_ok=True)
+            save_trace(trace, file, recordings=session().recordings)
+            session().saved.add(file)
+        found.append([str(file), worst.expected.value, packed(worst.evaluation)])
+    return found
+
+
+def write_reports(
+    file: Path, sent: Sequence[Payload], coverage: Sequence[ClaimTally], *, config: pytest.Config, whole: bool
+) -> str:
+    """Write ``file`` and its JSON; why it cannot be done, or nothing.  ``whole``: no test is missing."""
+    try:
+        runs = list(_runs(sent))
+        command = shlex.join(["pytest", *config.invocation_params.args])
+        write_report(
+            file,
+            runs,
+            title=TITLE,
+            command=command,
+            interrupted=not whole,
+            generated_at=datetime.now(UTC),
+            coverage=coverage,
+        )
+        write_json(file.with_suffix(".json"), report_data(runs, interrupted=not whole, coverage=coverage))
+    except OSError as error:
+        return f"no report: {error}"
+    except InputError as error:
+        return f"no report: {explained(error)}"
+    return ""
+
+
+def _runs(sent: Sequence[Payload]) -> Iterator[JudgedRun]:
+    """One judged run for each trace, with all the claims that were made of it."""
+    by_file: dict[str, list[tuple[str, Verdict, Evaluation]]] = {}
+    for one in sent:
+        for name, expected, evaluation in one["traces"]:
+            judged = one["test"], Verdict(expected), unpacked(evaluation)
+            by_file.setdefault(name, []).append(judged)
+    for name, said in by_file.items():
+        trace = load_trace(Path(name))
+        first: dict[str, tuple[Claim, Evaluation]] = {}  # of what several tests said of one claim
+        for _, expected, evaluation in said:
+            claim = Claim(sentence=evaluation.sentence, expected=expected)
+            first.setdefault(evaluation.sentence, (claim, evaluation))
+        claims = with_expectation(tuple(claim for claim, _ in first.values()), trace.scenario)
+        more = [AvoiderAnswered().evaluate(trace) for _ in claims[len(first) :]]
+        tests = dict.fromkeys(test for test, _, _ in said)
+        scenario = replace(trace.scenario, claims=claims)
+        yield JudgedRun(
+            trace=replace(trace, scenario=scenario),
+            evaluations=(*(evaluation for _, evaluation in first.values()), *more),
+            replay_command=replay_command(scenario, Path(name)) if trace.known.simulated else "",
+            trace_file=Path(name),
+            notes=(*notes_of(scenario), *(f"judged by {test}" for test in tests)),
+        )

@@ -1,0 +1,298 @@
+"""One test that judges runs: watched while it runs, and what came of it put into its report.
+
+There it is plain data: a report of xdist can carry nothing else.
+"""
+
+from __future__ import annotations
+
+import inspect
+import os
+import re
+import traceback
+from collections.abc import Iterable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import astuple, replace
+from pathlib import Path
+from types import CodeType
+from typing import Any
+
+import pytest
+
+from safety_harness.base.exceptions import FlakyAvoiderError, InputError, SafetyHarnessError
+from safety_harness.claims.properties.against import ClaimDifference, RunDifference
+from safety_harness.claims.properties.answered import ANSWERED
+from safety_harness.claims.properties.base import Evaluation, Unit
+from safety_harness.claims.properties.tally import ClaimTally, Judged, basis_of_tallies, tally_claims
+from safety_harness.report.words import count_words
+from safety_harness.scenario.model import Verdict
+from safety_harness.seams.isolation.telling import executed
+from safety_harness.testing.asserting import NotEstablished, SafetyViolation, refuse_fallback, run_of
+from safety_harness.testing.drawing import gives_scenarios
+from safety_harness.testing.failure_text import in_store
+from safety_harness.testing.plugin.collecting import FileItem, SpaceClaimItem
+from safety_harness.testing.plugin.plugin import JUDGES_ITSELF, TEST, explained
+from safety_harness.testing.session import Judgement, Run, TestRun, session
+from safety_harness.testing.watching import keep, watched
+from safety_harness.trace.overruling import Overruling
+
+Payload = dict[str, Any]
+_OF_TARGETS = re.compile(r"Highest target|\s*\S+\s+\(label=|\s*$")  # of Hypothesis, a note a line
+
+
+@contextmanager
+def watch(item: pytest.Item) -> Iterator[None]:
+    """A TestRun for ``item`` while it is called; NotEstablished if nothing that it asserts was tested."""
+    function = _hypothesis_function(item)
+    draws = function is not None or isinstance(item, SpaceClaimItem)
+    test = TestRun(item.nodeid, draws=draws, keep_traces=session().report is not None)
+    test.judges_itself = item.get_closest_marker(JUDGES_ITSELF) is not None
+    item.stash[TEST] = test
+    session().test = test
+    try:
+        with ExitStack() as stack:
+            about_scenarios = function is not None and _is_about_scenarios(item, function)
+            if about_scenarios:
+                stack.enter_context(watched(function, test))
+            yield
+        if about_scenarios and not test.judgements and _asserts(function.hypothesis.inner_test):
+            count = count_words(test.examples, "draw", "draws")
+            raise NotEstablished(f"assert_holds was never reached in {count}: nothing was put to the test")
+        if not (draws or test.judges_itself or test.asked) and "simulate" in _arguments(item):
+            raise NotEstablished(
+                "simulate was never called: no run was made, and nothing was put to the test"
+            )
+        refuse_untested(test)
+        if test.fallback is not None and ANSWERED.example not in test.worst:
+            refuse_fallback(test.fallback)
+        if test.shared:
+            pytest.skip("; ".join(dict.fromkeys(test.shared)))
+    except SafetyHarnessError as error:
+        _leave_hypothesis_out(error, function)
+        if isinstance(error, SafetyViolation):
+            _show(error, test)
+        raise
+    finally:
+        session().test = None
+        item.user_properties += junit_properties(test)
+
+
+def _show(violation: SafetyViolation, test: TestRun) -> None:
+    """Put the failing run, made smaller by now, in the place of the one that was found; keep its scenario."""
+    trace = violation.trace
+    test.show(Judgement(run_of(trace), violation.evaluation, violation.expected), trace)
+    if test.draws and trace.known.simulated and not in_store(violation.scenario):
+        test.kept = keep(test.id, violation)
+
+
+def _leave_hypothesis_out(error: SafetyHarnessError, function: Any) -> None:
+    """Let the traceback go straight to the test; of its notes only what a test draws besides a scenario."""
+    draws_more = function is not None and len(function.hypothesis._given_kwargs) > 1
+    notes = [note for note in getattr(error, "__notes__", []) if not _OF_TARGETS.match(note)]
+    error.__notes__ = [note for note in notes if draws_more or not note.startswith("Failing ")]
+    frames = []
+    step = error.__traceback__
+    while step is not None:
+        frames.append(step)
+        step = step.tb_next
+    files = [Path(one.tb_frame.f_code.co_filename) for one in frames]
+    within = [k for k, file in enumerate(files) if "hypothesis" in file.parts]
+    if within and within[-1] + 1 < len(frames):
+        # The frame before the first is the function that @given made, which looks like the test itself.
+        before = frames[max(within[0] - 2, 0)]
+        before.tb_next = frames[within[-1] + 1]
+
+
+def refuse_untested(test: TestRun) -> None:
+    """A test that draws its scenarios passes only if one of them decided something."""
+    if not test.draws or not test.judgements:
+        return
+    if all(j.evaluation.verdict is Verdict.INCONCLUSIVE is not j.expected for j in test.judgements):
+        sentences = "; ".join(dict.fromkeys(j.evaluation.sentence for j in test.judgements))
+        last = test.judgements[-1].evaluation.reason
+        runs = len(test.judgements)
+        raise NotEstablished(
+            f"{sentences}: inconclusive in {runs} of {runs} judgements (the last: {last})\n"
+            "  nothing was put to the test, and that is no pass: draw scenarios in which a hand comes near"
+        )
+
+
+def complete(
+    report: pytest.TestReport, item: pytest.Item, call: pytest.CallInfo[None], test: TestRun
+) -> None:
+    """Add what was judged to the report, and leave our own frames out of it."""
+    error = call.excinfo.value if call.excinfo is not None else None
+    plain = isinstance(error, NotEstablished | InputError | FlakyAvoiderError)
+    if error is not None and (
+        plain or (isinstance(error, SafetyHarnessError) and isinstance(item, FileItem))
+    ):
+        report.longrepr = "\n".join([explained(error), *_asked_at(error, item)])
+    swallowed = False
+    if report.passed and not test.draws:  # it expected the failures that did not fail it, or swallowed them
+        swallowed = any(j.evaluation.verdict is not j.expected for j in test.judgements)
+        test.judgements = [j for j in test.judgements if j.evaluation.verdict is j.expected]
+    now = session()
+    sent = payload(test) | {
+        "failed": report.failed,
+        "judged_runs": sorted(now.judged),
+        "swallowed": swallowed,
+    }
+    if not test.judges_itself and not isinstance(item, FileItem) and not (test.draws and test.judgements):
+        sent["simulated"] = sorted(now.simulated)
+    now.simulated, now.judged = set(), set()
+    file = session().report
+    if file is not None:
+        from safety_harness.testing.plugin.reporting import save_runs
+
+        sent["traces"] = save_runs(test, file)
+    vars(report)["safety_harness"] = sent
+    vars(item).pop("_hypothesis_failing_examples", None)  # a patch with a scenario's repr is of no use
+
+
+def _asked_at(error: BaseException, item: pytest.Item) -> list[str]:
+    """The line of the test in which a mistake came out, unless the mistake names it already."""
+    lines = [
+        step.lineno for step in traceback.extract_tb(error.__traceback__) if step.filename == str(item.path)
+    ]
+    named = isinstance(error, InputError) and error.place.file == item.path
+    near = os.path.relpath(item.path)
+    return [f"  asked for at {near}:{lines[-1]}"] if lines and not named else []
+
+
+def _hypothesis_function(item: pytest.Item) -> Any:
+    """The function with ``@given``, below a bound method; None for any other item."""
+    function = getattr(item, "obj", None)
+    function = getattr(function, "__func__", function)
+    return function if getattr(function, "is_hypothesis_test", False) else None
+
+
+def _arguments(item: pytest.Item) -> tuple[str, ...]:
+    """Return the names of the fixtures that the test's own function takes."""
+    info = getattr(item, "_fixtureinfo", None)
+    return () if info is None else info.argnames
+
+
+def _is_about_scenarios(item: pytest.Item, function: Any) -> bool:
+    """Does a test with ``@given`` take scenarios of ours, or simulate?"""
+    given = function.hypothesis._given_kwargs.values()
+    return "simulate" in getattr(item, "fixturenames", ()) or any(map(gives_scenarios, given))
+
+
+def _asserts(function: Any) -> bool:
+    """Does a test, or a function within it, name ``assert_holds``?"""
+    codes = [getattr(inspect.unwrap(function), "__code__", None)]
+    for code in codes:
+        if code is not None and "assert_holds" in code.co_names:
+            return True
+        codes += [one for one in getattr(code, "co_consts", ()) if isinstance(one, CodeType)]
+    return False
+
+
+def payload(test: TestRun) -> Payload:
+    """Everything that the end of the session needs of ``test``."""
+    return {
+        "test": test.id,
+        "judged": [[*astuple(j.run), j.expected.value, packed(j.evaluation)] for j in test.judgements],
+        "kept": None if test.kept is None else str(test.kept),
+        "replayed": [str(file) for file in test.replayed],
+        "as_kept": test.as_kept,
+        "draws": test.draws,
+        "computing": [list(astuple(one)) for one in test.computing_times],
+        "overruled": {run: list(one.counts) for run, one in test.overruled.items()},
+        "tried": {run: one.parts for run, one in test.tried.items()},
+        "against": [
+            [
+                digest,
+                run.run,
+                *([one.proposals, one.replaced, one.stopped] for one in (run.mine, run.reference)),
+                [[packed(one.mine), packed(one.reference)] for one in run.claims],
+            ]
+            for digest, run in test.differences.items()
+        ],
+        "not_taken": test.not_taken,
+        "of_another": [*dict.fromkeys(test.of_another)],
+        "simulated": [],
+        "judged_runs": [],
+        "swallowed": False,
+        "traces": [],
+        "executed": list(executed.values()),
+        "failed": False,
+    }
+
+
+def judgements(sent: Payload) -> list[Judgement]:
+    """The judgements of a payload."""
+    return [
+        Judgement(Run(*run), unpacked(evaluation), Verdict(expected))
+        for *run, expected, evaluation in sent["judged"]
+    ]
+
+
+def tallies_of(judged: Iterable[Judgement]) -> tuple[ClaimTally, ...]:
+    """How often each claim was put to the test."""
+    return tally_claims(Judged(run=j.run.name, evaluation=j.evaluation, expected=j.expected) for j in judged)
+
+
+def differences(every: Iterable[Payload]) -> list[RunDifference]:
+    """Of several payloads, each run once with all the claims that tests made of it."""
+    runs: dict[str, RunDifference] = {}
+    for sent in every:
+        for digest, name, mine, reference, pairs in sent["against"]:
+            found = [ClaimDifference(mine=unpacked(a), reference=unpacked(b)) for a, b in pairs]
+            new = RunDifference(run=name, claims=(), mine=Overruling(*mine), reference=Overruling(*reference))
+            run = runs.setdefault(digest, new)
+            claims = {one.mine.sentence: one for one in (*run.claims, *found)}
+            runs[digest] = replace(run, claims=tuple(claims.values()))
+    return list(runs.values())
+
+
+def packed(evaluation: Evaluation) -> dict[str, Any]:
+    """An evaluation as plain values."""
+    e = evaluation
+    return vars(e) | {
+        "verdict": e.verdict.value,
+        "unit": e.unit.name,
+        "margin": None if e.margin is None else float(e.margin),
+        "worst_time_s": None if e.worst_time_s is None else float(e.worst_time_s),
+        "exercised": int(e.exercised),
+        "parts": list(map(packed, e.parts)),
+    }
+
+
+def unpacked(values: dict[str, Any]) -> Evaluation:
+    """The evaluation of such values."""
+    parts = tuple(map(unpacked, values["parts"]))
+    typed = {"verdict": Verdict(values["verdict"]), "unit": Unit[values["unit"]], "parts": parts}
+    return Evaluation(**values | typed | {"unmeasured": tuple(values["unmeasured"])})
+
+
+def junit_properties(test: TestRun) -> list[tuple[str, object]]:
+    """For each claim its worst judgement; those of a second claim have names that end in 2, and so on."""
+    found: list[tuple[str, object]] = []
+    by_sentence: dict[str, list[Judgement]] = {}
+    for judgement in test.judgements:
+        by_sentence.setdefault(judgement.evaluation.sentence, []).append(judgement)
+    for number, (sentence, several) in enumerate(by_sentence.items(), start=1):
+        worst = test.worst[sentence]
+        evaluation, end = worst.evaluation, "" if number == 1 else f" {number}"
+        kind, _, name = worst.run.tested.partition(" ")
+        margin, when = evaluation.margin, evaluation.worst_time_s
+        values = {
+            "claim": sentence,
+            "verdict": evaluation.verdict.value,
+            "margin": "" if margin is None else f"{margin * evaluation.unit.per_si:.6g}",
+            "unit": evaluation.unit.symbol,
+            "worst time": "" if when is None else f"{when:.6g} s",
+            "exercised": sum(j.evaluation.exercised for j in several),
+            "runs": len(several),
+            "basis": basis_of_tallies((j.run.world for j in several), tallies_of(several)),
+            "scenario": worst.run.name,
+            kind: name,
+            "seed": worst.run.seed,
+        }
+        if worst.run.beside != worst.run.tested:
+            values["tested"] = worst.run.beside
+        if evaluation.unmeasured:
+            values["not measured"] = ", ".join(evaluation.unmeasured)
+        found += [(name + end, value) for name, value in values.items()]
+    found += [("expected of another than --avoider", one) for one in dict.fromkeys(test.of_another)]
+    return found

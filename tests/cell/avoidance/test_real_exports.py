@@ -1,0 +1,137 @@
+"""Files as the tools that people use write them, asked as avoiders; each answers as its own library does."""
+
+from __future__ import annotations
+
+import runpy
+import sys
+from pathlib import Path
+
+import numpy as np
+import onnx
+import pytest
+from random_models import random_model
+
+from safety_harness.base.exceptions import ModelError
+from safety_harness.cell.avoidance.learned import LearnedAvoider
+from safety_harness.cell.avoidance.model_file import Dropout
+from safety_harness.cell.avoidance.onnx_model import OnnxAvoider
+
+torch = pytest.importorskip("torch")
+pytestmark = pytest.mark.filterwarnings("ignore")  # of exporters about themselves
+
+HAND, TCP = np.array([0.8, -0.3, 0.1]), np.array([0.7, 0.0, 0.35])
+QUESTION = np.concatenate([HAND, TCP])[None].astype(np.float32)
+LAYOUT = "input=hand,tcp,output=position"
+EXPORTED = Path(__file__).parent / "exported"
+# What scikit-learn 1.9.1 predicts, as exported/make.py prints it.
+OF_SKLEARN = {
+    "linear": [0.7, 0.0, 0.45],
+    "mlp": [0.46415, -0.00581, 0.27047],
+    "forest": [0.6739, -0.29518, 0.64012],
+}
+
+
+def answered(path: Path, layout: str = "") -> np.ndarray:
+    avoider = OnnxAvoider.of(path, path.read_bytes(), hand=HAND, tcp=TCP, layout=layout)
+    asked = {"hand_position_in_base_m": HAND, "tcp_position_in_base_m": TCP, "seed": 1}
+    return np.asarray(avoider.propose(**asked).position_in_base_m, np.float64)  # type: ignore[arg-type]
+
+
+def network() -> object:
+    torch.manual_seed(0)
+    return torch.nn.Sequential(torch.nn.Linear(6, 8), torch.nn.ReLU(), torch.nn.Linear(8, 3)).eval()
+
+
+def write(path: Path, made: object, *, dynamo: bool, half: bool = False, external_data: bool = False) -> Path:
+    example = torch.zeros((1, 6), dtype=torch.float16 if half else torch.float32)
+    names = {"input_names": ["input"], "output_names": ["output"]}
+    torch.onnx.export(
+        made, (example,), path, dynamo=dynamo, external_data=external_data, verbose=False, **names
+    )
+    return path
+
+
+@pytest.mark.parametrize("dynamo", [True, False])
+def test_both_exporters_of_pytorch(tmp_path: Path, dynamo: bool) -> None:
+    made = network()
+    path = write(tmp_path / "mine.onnx", made, dynamo=dynamo)
+    with pytest.raises(ModelError, match=f"mine.onnx:{LAYOUT}:"):
+        answered(path)
+    own = made(torch.from_numpy(QUESTION)).detach().numpy()[0]  # type: ignore[operator]
+    assert answered(path, LAYOUT) == pytest.approx(own, abs=1e-6)
+
+
+def test_tensors_beside_the_file_name_the_option_that_keeps_them_in_it(tmp_path: Path) -> None:
+    made = torch.nn.Sequential(torch.nn.Linear(6, 400), torch.nn.ReLU(), torch.nn.Linear(400, 3)).eval()
+    path = write(tmp_path / "mine.onnx", made, dynamo=True, external_data=True)
+    assert (tmp_path / "mine.onnx.data").stat().st_size > 0
+    with pytest.raises(ModelError, match="external_data=False"):
+        answered(path, LAYOUT)
+    assert len(answered(write(path, made, dynamo=True), LAYOUT)) == 3
+
+
+def test_a_network_in_float16_answers_to_its_own_digits(tmp_path: Path) -> None:
+    made = network()
+    own = made(torch.from_numpy(QUESTION)).detach().numpy()[0]  # type: ignore[operator]
+    path = write(tmp_path / "half.onnx", made.half(), dynamo=True, half=True)  # type: ignore[attr-defined]
+    assert answered(path, LAYOUT) == pytest.approx(own, abs=2e-3)
+
+
+@pytest.mark.parametrize("ours", [True, False])
+def test_a_quantised_network_answers_to_its_own_digits(tmp_path: Path, ours: bool) -> None:
+    """Of ``export`` too, whose shapes agree with those that the quantiser infers."""
+    before = [*sys.path], {*sys.modules}
+    from onnxruntime.quantization import QuantType, quantize_dynamic
+
+    sys.path[:] = before[0]  # it adds a folder with modules of plain names, "onnx_model" among them
+    for name in {"onnx_model", "fusion_utils", "onnx_utils"} - before[1]:
+        sys.modules.pop(name, None)
+
+    from safety_harness.extensions.lab.learning.export import write_export
+
+    if ours:
+        model, layout, path = random_model(Dropout.INTER, seed=3), "", tmp_path / "ours.onnx"
+        write_export(model, b"a file", path, seed=0)
+        own = LearnedAvoider.of(model).propose(
+            hand_position_in_base_m=HAND, tcp_position_in_base_m=TCP, seed=1
+        )
+        wanted = own.position_in_base_m
+    else:
+        made, layout = network(), LAYOUT
+        path = write(tmp_path / "theirs.onnx", made, dynamo=False)
+        wanted = made(torch.from_numpy(QUESTION)).detach().numpy()[0]  # type: ignore[operator]
+    small = tmp_path / "int8.onnx"
+    quantize_dynamic(path, small, weight_type=QuantType.QInt8)
+    assert any(one.op_type == "MatMulInteger" for one in onnx.load(small).graph.node)
+    found = answered(small, layout)
+    assert found == pytest.approx(wanted, abs=0.05)
+    assert not np.array_equal(found, wanted)
+
+
+@pytest.mark.parametrize("name", ["linear", "forest"])
+def test_files_of_skl2onnx_with_a_layout(name: str) -> None:
+    found = answered(EXPORTED / f"{name}.onnx", "X=hand,tcp,variable=position")
+    assert found == pytest.approx(OF_SKLEARN[name], abs=1e-5)
+
+
+@pytest.mark.parametrize("name", OF_SKLEARN)
+def test_the_script_gives_files_of_skl2onnx_our_names(tmp_path: Path, name: str) -> None:
+    """That of the MLPRegressor has one column of three numbers, which no layout mends."""
+    script = runpy.run_path(str(Path(__file__).parents[3] / "examples/sklearn_to_onnx.py"))
+    made = script["with_our_names"](onnx.load(EXPORTED / f"{name}.onnx"))
+    path = tmp_path / "mine.onnx"
+    path.write_bytes(made.SerializeToString())
+    assert answered(path) == pytest.approx(OF_SKLEARN[name], abs=1e-5)
+
+
+def test_the_column_of_an_mlp_regressor_is_refused_as_it_is() -> None:
+    with pytest.raises(ModelError, match=r"expected a shape of \(1, 3\) .* got \(3, 1\)"):
+        answered(EXPORTED / "mlp.onnx", "X=hand,tcp,variable=position")
+
+
+def test_the_script_refuses_other_columns() -> None:
+    script = runpy.run_path(str(Path(__file__).parents[3] / "examples/sklearn_to_onnx.py"))
+    model = onnx.load(EXPORTED / "linear.onnx")
+    model.graph.input[0].type.tensor_type.shape.dim[1].dim_value = 7
+    with pytest.raises(SystemExit, match="expected six columns"):
+        script["with_our_names"](model)

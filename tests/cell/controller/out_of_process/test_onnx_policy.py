@@ -1,0 +1,159 @@
+"""An ONNX file as a controller: what it takes it sees, what it carries over is its own."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from safety_harness.base.exceptions import ModelError
+from safety_harness.base.settings import DEFAULTS
+from safety_harness.cell.controller.driven import arm_of
+from safety_harness.cell.controller.out_of_process.onnx_policy import OnnxPolicy
+from safety_harness.cell.robot.robots import arm_model
+from safety_harness.scenario.robots import Robot
+from safety_harness.seams.contract import Move, Seen, Stop
+from safety_harness.seams.rows import SeenLayout, seen_dtype
+from tests.cell.controller.out_of_process.programs import START
+
+onnx = pytest.importorskip("onnx")
+pytest.importorskip("onnxruntime")
+TCP, VELOCITY = "tcp_position_in_base_m", "tcp_velocity_mps"
+
+
+def policy(
+    nodes: list[tuple[Any, ...]],
+    inputs: dict[str, tuple[Any, ...]],
+    outputs: dict[str, tuple[Any, ...]],
+    metadata: dict[str, str] | None = None,
+) -> bytes:
+    """A file of operators (name, inputs, outputs), with the constants one and half."""
+    helper, double = onnx.helper, onnx.TensorProto.DOUBLE
+    constants = {"one": 1.0, "half": 0.5}
+    graph = helper.make_graph(
+        [helper.make_node(*node) for node in nodes],
+        "policy",
+        [helper.make_tensor_value_info(name, double, shape) for name, shape in inputs.items()],
+        [helper.make_tensor_value_info(name, double, shape) for name, shape in outputs.items()],
+        [helper.make_tensor(name, double, [1, 1], [value]) for name, value in constants.items()],
+    )
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
+    helper.set_model_props(model, metadata or {})
+    return bytes(model.SerializeToString())
+
+
+def halving(**more: str) -> bytes:
+    """Towards the base, by half of the way a second."""
+    return policy([("Mul", [TCP, "half"], [VELOCITY])], {TCP: (1, 3)}, {VELOCITY: (1, 3)}, more)
+
+
+def counting() -> bytes:
+    """Says how often it was asked since the beginning, and stops from the third time on."""
+    return policy(
+        [
+            ("Add", ["count", "one"], ["next_count"]),
+            ("Expand", ["next_count", "three"], [VELOCITY]),
+            ("Sub", ["next_count", "one"], ["less"]),
+            ("Mul", ["less", "half"], ["halved"]),
+            ("Sub", ["halved", "half"], ["stop"]),
+        ],
+        {"count": (1, 1), TCP: (1, 3)},
+        {"next_count": (1, 1), VELOCITY: (1, 3), "stop": (1, 1)},
+    )
+
+
+def seen(sees: tuple[str, ...], tcp: tuple[float, ...] = (0.7, -0.1, 0.3), hands: int = 1) -> Seen:
+    """As the harness makes it."""
+    whole = np.zeros(1, seen_dtype(hands))
+    whole["tcp_position_in_base_m"] = tcp
+    whole["hand_count"], whole["hands"][0, 0] = 1, (0.5, -0.2, 0.3)
+    layout = SeenLayout(hands, 6, sees)
+    return Seen.of_row(0.0, 0.008, layout, whole.view(np.float64)[: layout.wanted])
+
+
+def begun(data: bytes, layout: str = "") -> OnnxPolicy:
+    made = OnnxPolicy(Path("mine.onnx"), data, layout)
+    made.reset(settings=DEFAULTS, arm=arm_of(arm_model(Robot.UR10)), start=START, seed=1)
+    return made
+
+
+def moved(action: Any) -> list[float]:
+    assert isinstance(action, Move)
+    assert action.tcp_velocity_mps is not None
+    return [float(x) for x in action.tcp_velocity_mps]
+
+
+def test_it_sees_what_it_takes_and_moves_as_it_says() -> None:
+    made = begun(halving(name="halfway"))
+    assert (made.name, made.sees) == ("halfway", ("joints",))
+    assert moved(made.act(seen(made.sees))) == [0.35, -0.05, 0.15]
+
+
+def test_an_action_is_held_for_its_ticks() -> None:
+    made = begun(halving(ticks="2"))
+    places = [(0.2, 0.0, 0.0), (0.4, 0.0, 0.0), (0.6, 0.0, 0.0)]
+    assert [moved(made.act(seen(made.sees, tcp)))[0] for tcp in places] == [0.1, 0.1, 0.3]
+
+
+def test_hands_come_as_rows_with_flags() -> None:
+    first = [("Slice", ["hands", "zero", "one64", "one64"], ["first"])]
+    data = policy(
+        [*first, ("Squeeze", ["first", "one64"], [VELOCITY])], {"hands": (1, "n", 3)}, {VELOCITY: (1, 3)}
+    )
+    model = onnx.load_from_string(data)
+    for name, value in (("zero", 0), ("one64", 1)):
+        model.graph.initializer.append(onnx.helper.make_tensor(name, onnx.TensorProto.INT64, [1], [value]))
+    made = begun(model.SerializeToString())
+    assert made.sees == ("hands",)
+    for slots in (1, 3):
+        assert moved(made.act(seen(made.sees, hands=slots))) == [0.5, -0.2, 0.3]
+
+
+def with_shape(data: bytes) -> bytes:
+    """The constant that ``counting`` expands to."""
+    model = onnx.load_from_string(data)
+    model.graph.initializer.append(onnx.helper.make_tensor("three", onnx.TensorProto.INT64, [2], [1, 3]))
+    return bytes(model.SerializeToString())
+
+
+def test_what_it_carries_begins_with_zeros_in_each_episode() -> None:
+    made = begun(with_shape(counting()))
+    for _ in range(2):
+        assert moved(made.act(seen(made.sees))) == [1.0, 1.0, 1.0]
+        assert moved(made.act(seen(made.sees))) == [2.0, 2.0, 2.0]
+        assert isinstance(made.act(seen(made.sees)), Move)
+        assert isinstance(made.act(seen(made.sees)), Stop)
+        made.reset(settings=DEFAULTS, arm=arm_of(arm_model(Robot.UR10)), start=START, seed=1)
+
+
+@pytest.mark.parametrize(
+    ("data", "why"),
+    [
+        (b"no onnx", "an ONNX file that onnxruntime can load"),
+        (
+            lambda: policy([("Identity", ["speed"], [VELOCITY])], {"speed": (1, 3)}, {VELOCITY: (1, 3)}),
+            "onnx: speed: expected inputs image",
+        ),
+        (
+            lambda: policy([("Identity", [TCP], ["go"])], {TCP: (1, 3)}, {"go": (1, 3)}),
+            "onnx: go: expected inputs .*; outputs tcp_velocity_mps",
+        ),
+        (lambda: halving(ticks="many"), "a number of ticks from 1 to 1000"),
+        (
+            lambda: policy(
+                [("Identity", ["s"], ["next_s"]), ("Identity", [TCP], [VELOCITY])],
+                {"s": (1, "n"), TCP: (1, 3)},
+                {"next_s": (1, "n"), VELOCITY: (1, 3)},
+            ),
+            "a state of a fixed shape",
+        ),
+    ],
+    ids=["no file", "an unknown input", "no output", "ticks", "a state of any size"],
+)
+def test_what_is_no_policy_is_refused(data: Any, why: str) -> None:
+    with pytest.raises(ModelError) as caught:
+        OnnxPolicy(Path("mine.onnx"), data if isinstance(data, bytes) else data())
+    assert re.search(why, str(caught.value))

@@ -1,0 +1,150 @@
+"""Without PyBullet: what needs it says so in one line, the rest works and says what was not confirmed."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from examples import VISIT, scenario
+
+from safety_harness.admission.admit import admit
+from safety_harness.admission.trial import run_all, run_trial
+from safety_harness.base.exceptions import MissingPackageError
+from safety_harness.cell.simulation.worlds import KINEMATIC, PYBULLET
+from safety_harness.cli.attribute import attribute_runs
+from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, DIFFERS
+from safety_harness.cli.fuzz import fuzz
+from safety_harness.cli.scenario_commands import run, validate
+from safety_harness.extensions.assurance.campaign.episodes import EpisodeRunner
+from safety_harness.extensions.assurance.commands.campaign import run as run_campaign
+from safety_harness.report import search_attribution
+from safety_harness.search import session as search_session
+from safety_harness.search.session import NO_REFERENCE
+from safety_harness.testing.session import Session, begin
+from safety_harness.testing.simulating import Simulate
+from safety_harness.trace.provenance import provenance
+from tests.assurance.campaign.plans import PLAN, plan_in
+from tests.search.short_space import TEXT
+
+SHORT = """\
+scenario: a hand far away
+duration: 100 ms
+avoider: opposite pose
+tcp start:
+  offset: [0 mm, -20 mm, 20 mm]
+claims:
+  joint speeds within limits: holds
+"""
+NEEDS = "the world PyBullet: needs pybullet, which is not installed: "
+
+
+@pytest.fixture(autouse=True)
+def _without_pybullet(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    monkeypatch.setitem(sys.modules, "pybullet", None)
+    for name in ("pybullet_world", "cell", "engine"):
+        monkeypatch.delitem(sys.modules, f"safety_harness.cell.simulation.{name}", raising=False)
+    provenance.cache_clear()  # which was told of PyBullet, and is to forget that there is none
+    yield
+    provenance.cache_clear()
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    path = tmp_path / "short.yaml"
+    path.write_text(SHORT)
+    return path
+
+
+def test_run_names_it_and_the_world_that_does_without(
+    file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run([file], tmp_path / "out") == BAD_INPUT
+    (line,) = capsys.readouterr().err.splitlines()
+    assert NEEDS in line
+    assert "--world kinematic" in line
+    assert not (tmp_path / "out").exists()
+    assert run([file], tmp_path / "out", world="kinematic") == AS_EXPECTED
+    assert '"world": "kinematic"' in (tmp_path / "out" / "report.json").read_text()
+    assert "--world kinematic" in (tmp_path / "out" / "report.html").read_text()
+
+
+def test_a_world_that_is_asked_for_is_not_replaced(
+    file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run([file], tmp_path / "out", world="PyBullet") == BAD_INPUT
+    assert NEEDS in capsys.readouterr().err
+    assert run([file], tmp_path / "out", world="kinematik") == BAD_INPUT
+    assert 'did you mean "kinematic"' in capsys.readouterr().err
+
+
+def test_validate_needs_none(file: Path) -> None:
+    assert validate([file]) == AS_EXPECTED
+
+
+def test_a_world_that_is_missing_is_no_failure_of_a_run() -> None:
+    admitted = admit(scenario(VISIT, duration_s=0.1))
+    with pytest.raises(MissingPackageError, match=NEEDS):
+        run_trial(admitted)
+    with pytest.raises(MissingPackageError, match=NEEDS):
+        list(run_all([admitted], PYBULLET))
+
+
+def test_fuzz_works_and_says_everywhere_that_nothing_was_confirmed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(search_session, "SHRINKING_RUNS", 25)
+    monkeypatch.setattr(search_session, "MOST_SHRUNK", 1)
+    monkeypatch.setattr(search_attribution, "MOST_ATTRIBUTED", 1)
+    (tmp_path / "space.yaml").write_text(TEXT)
+    out = tmp_path / "out"
+    assert fuzz(tmp_path / "space.yaml", out=out, budget=12) == DIFFERS
+    said = capsys.readouterr().err
+    assert NO_REFERENCE in said
+    (found,) = out.glob("*.yaml")
+    assert f"run {found} --world kinematic" in said
+    assert NO_REFERENCE in found.read_text()
+    assert "world kinematic" in found.read_text()
+    assert json.loads((out / "findings.json").read_text())["confirmed_in_pybullet"] == 0
+    page = (out / "fuzz.html").read_text()
+    assert NO_REFERENCE in page
+    assert "confirmed in pybullet" not in page
+    assert "each confirmed in" not in page
+    assert run([found], tmp_path / "again", world="kinematic") == AS_EXPECTED
+
+
+def test_a_campaign_in_pybullet_is_refused_before_it_has_a_ledger(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plan = plan_in(tmp_path, PLAN.replace("world: kinematic\n", ""))
+    assert run_campaign(plan.file, ledger=tmp_path / "ledger.sqlite") == BAD_INPUT
+    assert NEEDS in capsys.readouterr().err
+    assert not (tmp_path / "ledger.sqlite").exists()
+
+
+def test_a_campaign_in_the_kinematic_world_needs_none(tmp_path: Path) -> None:
+    rows = list(EpisodeRunner(plan_in(tmp_path)).run(0, range(2)))
+    assert len(rows) == 2
+    assert not any(row.failure for row in rows)
+
+
+def test_attribute_confirms_only_where_it_can(
+    file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(MissingPackageError, match=NEEDS):
+        attribute_runs([file], None, None, confirm=True)
+    assert attribute_runs([file], None, None, confirm=False) == AS_EXPECTED
+
+
+def test_simulate_of_a_test_runs_in_the_world_of_its_session() -> None:
+    example = scenario(duration_s=0.1)
+    before = begin(Session(world="kinematic"))
+    try:
+        assert Simulate()(example).provenance.world == KINEMATIC.name
+        begin(Session())
+        with pytest.raises(MissingPackageError, match=NEEDS):
+            Simulate()(example)
+    finally:
+        begin(before)

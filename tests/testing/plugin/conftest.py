@@ -1,0 +1,153 @@
+"""A project of a user's: scenario files, an avoider, and pytest run on it in a process of its own."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from importlib.metadata import entry_points
+from pathlib import Path
+
+import pytest
+
+import safety_harness
+from safety_harness.base.compiled import cache_root
+
+PLUGIN = "safety_harness.testing.plugin.plugin"
+CACHE = cache_root().parent  # asked for now: pytester moves the home folder
+ROOT = Path(safety_harness.__file__).parents[1]
+
+HEAD = """\
+{title}
+duration: 1.2 s
+avoider: opposite pose
+tcp start:
+  offset: [0 mm, -60 mm, 20 mm]
+hands:
+  - hand: right hand
+    starts at: [1000 mm, -500 mm, 300 mm]
+    elbow towards: [1600 mm, -1200 mm, 300 mm]
+    moves:
+      - reach for tcp: {speed}
+        until: 20 mm
+        at most: 2 s
+claims:
+"""
+CLAIMS = "  hand distance never below 50 mm: {distance}\n  TCP speed never above 250 mm/s: holds\n"
+
+AVOIDERS = """\
+import numpy as np
+
+from safety_harness import Proposal
+
+
+class Upwards:
+    name = "upwards"
+
+    def propose(self, *, hand_position_in_base_m, tcp_position_in_base_m, seed):
+        return Proposal(tcp_position_in_base_m + [0.0, 0.0, 0.1])
+
+
+class Doubting(Upwards):
+    name = "doubting"
+    spread_threshold_m = 0.01
+
+    def propose(self, *, tcp_position_in_base_m, **question):
+        return Proposal(tcp_position_in_base_m + [0.0, 0.0, 0.1], np.full(3, 0.02))
+
+
+class Unseeded(Upwards):
+    name = "unseeded"
+
+    def propose(self, **question):
+        shake = np.random.default_rng().normal(0.0, 1e-3, 3)
+        return Proposal(question["tcp_position_in_base_m"] + [0.0, 0.0, 0.1] + shake)
+"""
+
+TEST = """\
+from hypothesis import given, settings
+from safety_harness.testing import assert_holds, hand_distance, mm, scenarios
+
+
+@settings(max_examples=6)
+@given(scenario=scenarios("reaches.yaml"))
+def test_keeps_its_distance(scenario, simulate):
+    assert_holds(hand_distance() > mm(50), simulate(scenario))
+
+
+@settings(max_examples=6)
+@given(scenario=scenarios("reaches.yaml"))
+def test_is_slow(scenario, simulate):
+    assert_holds("TCP speed never above 250 mm/s", simulate(scenario))
+"""
+
+Run = Callable[..., pytest.RunResult]
+
+
+@pytest.fixture(scope="session")
+def template(tmp_path_factory: pytest.TempPathFactory) -> Iterator[subprocess.Popen[str]]:
+    """See ``template.py``; it stands for all sessions that need no fresh process."""
+    scenario = tmp_path_factory.mktemp("template") / "fast.yaml"
+    scenario.write_text(
+        HEAD.format(title="scenario: a fast reach", speed="2 m/s") + CLAIMS.format(distance="holds")
+    )
+    environment = os.environ | {
+        "PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")]),
+        "SAFETY_HARNESS_CACHE": str(CACHE),
+    }
+    command = [sys.executable, str(Path(__file__).parent / "template.py"), str(scenario)]
+    pipe = subprocess.PIPE
+    with subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True, env=environment, cwd=ROOT) as process:
+        yield process
+        assert process.stdin is not None
+        process.stdin.close()
+
+
+@pytest.fixture
+def run(pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> Run:
+    """Pytest with the plug-in, whether it is installed or not, in a process of its own.
+
+    ``fresh`` starts that process from nothing, as a user does.
+    """
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")]))
+    monkeypatch.setenv("SAFETY_HARNESS_CACHE", str(CACHE))
+    pytester.makeini("[pytest]\nfilterwarnings = error\n")
+    installed = any(entry.value == PLUGIN for entry in entry_points(group="pytest11"))
+    outputs = [str(pytester.path.parent / f"{pytester.path.name}.{name}") for name in ("out", "err")]
+
+    def run_pytest(*args: str, fresh: bool = False) -> pytest.RunResult:
+        given = (*(() if installed else ("-p", PLUGIN)), "-p", "no:randomly", *args)
+        if fresh:
+            return pytester.runpytest_subprocess(*given)
+        started = time.monotonic()
+        asked = {"args": given, "folder": str(pytester.path), "environment": dict(os.environ)}
+        process = request.getfixturevalue("template")
+        print(
+            json.dumps(asked | dict(zip(("out", "err"), outputs, strict=True))),
+            file=process.stdin,
+            flush=True,
+        )
+        code = int(process.stdout.readline())
+        out, err = (Path(path).read_text() for path in outputs)
+        sys.stdout.write(out)
+        sys.stderr.write(err)
+        return pytest.RunResult(code, out.splitlines(), err.splitlines(), time.monotonic() - started)
+
+    return run_pytest
+
+
+@pytest.fixture
+def project(pytester: pytest.Pytester) -> Path:
+    """fast.yaml fails, fine.yaml says that it violates, reaches.yaml is a space; avoiders.py, test_it.py."""
+    folder = pytester.path
+    fast = HEAD.format(title="scenario: a fast reach", speed="2 m/s")
+    (folder / "fast.yaml").write_text(fast + CLAIMS.format(distance="holds"))
+    (folder / "fine.yaml").write_text(fast + CLAIMS.format(distance="violated"))
+    space = HEAD.format(title="scenario space: reaches", speed="from 0.2 m/s to 2 m/s")
+    (folder / "reaches.yaml").write_text(space + CLAIMS.format(distance="holds"))
+    (folder / "avoiders.py").write_text(AVOIDERS)
+    (folder / "test_it.py").write_text(TEST)
+    return folder

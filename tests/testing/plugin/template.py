@@ -1,0 +1,52 @@
+"""A process that has loaded what the plug-in's sessions need, and forks for each: seconds less a session.
+
+A line of standard input is a session: arguments, folder, environment and the files of its output; its exit
+code is the line that comes back.  The plug-in itself is left to the session.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import sys
+from pathlib import Path
+
+import hypothesis  # noqa: F401 (for its import)
+import pytest
+
+from safety_harness.admission.admit import admit
+from safety_harness.admission.trial import judge, run_kinematic
+from safety_harness.cell.simulation import pybullet_world  # noqa: F401 (for its import)
+from safety_harness.scenario.read import parse_scenario
+
+# That the package is there before pytest, which would rewrite its assertions if it had any.
+LOADED = ("-W", "ignore:Module already imported so cannot be rewritten:pytest.PytestAssertRewriteWarning")
+
+
+def session(args: list[str], folder: str, environment: dict[str, str], out: str, err: str) -> int:
+    """``python -m pytest`` with these arguments, in the process that calls it."""
+    random.seed()  # as a process that starts
+    os.chdir(folder)
+    os.environ.clear()
+    os.environ.update(environment)
+    for stream, path in ((1, out), (2, err)):
+        with open(path, "wb") as file:
+            os.dup2(file.fileno(), stream)
+    sys.path[0] = folder
+    sys.argv = ["pytest", *LOADED, *args]
+    return pytest.console_main()
+
+
+def main() -> None:
+    run = run_kinematic(admit(parse_scenario(Path(sys.argv[1]).read_text(), file=Path(sys.argv[1]))))
+    judge(run)  # loads machine code
+    while line := sys.stdin.readline():
+        child = os.fork()
+        if child == 0:
+            sys.exit(session(**json.loads(line)))
+        print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), flush=True)
+
+
+if __name__ == "__main__":
+    main()
