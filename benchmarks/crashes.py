@@ -7,7 +7,8 @@ worker     SIGKILL of the runner's workers, one after another, in one campaign
 runner     SIGKILL of ``safety-harness campaign run``, which is begun again each time
 scheduler  SIGKILL of a Dask scheduler; the campaign goes on with the next one
 
-Writers and workers have episodes that only wait (tests/assurance/campaign/benches.py), runner and scheduler real ones
+Writers and workers have episodes that only wait (tests/assurance/campaign/benches.py), runner and scheduler
+real ones
 of 0.4 s in the kinematic world.  A ledger that is damaged, an episode that is missing or there twice, or
 a fingerprint that differs from the undisturbed one ends the benchmark with an error.
 """

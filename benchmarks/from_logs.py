@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 ROOT = Path(__file__).parents[1]
-sys.path[:0] = [str(ROOT / "tests" / "recorded"), str(ROOT / "benchmarks")]
+sys.path[:0] = [str(ROOT / "tests" / "field" / "recorded"), str(ROOT / "benchmarks")]
 
 from cells_made import write_log  # noqa: E402
 from logs import RECORDINGS  # noqa: E402

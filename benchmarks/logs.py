@@ -1,7 +1,7 @@
 """Judging logs.  Run: python benchmarks/logs.py [verdicts|bag|recordings]: each prints a table.
 
-``verdicts``: N synthetic logs whose truth is known (``tests/field/logs``), judged by claims whose thresholds lie
-within 150 mm of the truth.  ``bag``: a ROS 2 bag of so many GB, most of it pictures, and the memory that
+``verdicts``: N synthetic logs whose truth is known (``tests/field/logs``), judged by claims whose thresholds
+lie within 150 mm of the truth.  ``bag``: a ROS 2 bag of so many GB, most of it pictures, and the memory that
 judging it takes.  ``recordings``: the six recorded hands beside the logged joints of a simulated arm, as
 their scenarios place them.
 """
@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 
 ROOT = Path(__file__).parents[1]
-sys.path[:0] = [str(ROOT / "tests" / "logs")]
+sys.path[:0] = [str(ROOT / "tests" / "field" / "logs")]
 
 from safety_harness.admission.admit import admit  # noqa: E402
 from safety_harness.admission.trial import judge, run_kinematic  # noqa: E402

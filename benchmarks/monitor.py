@@ -24,7 +24,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 ROOT = Path(__file__).parents[1]
-sys.path[:0] = [str(ROOT / "tests" / "logs"), str(ROOT / "tests" / "monitoring")]
+sys.path[:0] = [str(ROOT / "tests" / "field" / "logs"), str(ROOT / "tests" / "field" / "monitoring")]
 
 from cells import cell, recorded, said  # noqa: E402
 from stream_lines import lines  # noqa: E402

@@ -32,16 +32,16 @@ from mutation import PACKAGE, Mutant, by_lot
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "docs" / "mutants.json"
 FILES = [
-    *sorted((PACKAGE / "controller").glob("[!_]*.py")),
-    PACKAGE / "avoidance" / "gate.py",
-    PACKAGE / "robot" / "drive.py",
-    PACKAGE / "simulation" / "steps.py",
-    *sorted((PACKAGE / "perception").glob("[!_]*.py")),
+    *sorted((PACKAGE / "cell" / "controller").glob("[!_]*.py")),
+    PACKAGE / "cell" / "avoidance" / "gate.py",
+    PACKAGE / "cell" / "robot" / "drive.py",
+    PACKAGE / "cell" / "simulation" / "steps.py",
+    *sorted((PACKAGE / "cell" / "perception").glob("[!_]*.py")),
 ]
 COPIED = ("safety_harness", "tests", "scenarios", "examples", "benchmarks", "docs", "pyproject.toml")
 FIRST = {  # which tests look at a file first, where they are not called after it
-    "controller": ("test_stack", "test_state_table"),
-    "simulation": ("test_kinematic_world", "test_sensing", "test_faults"),
+    "cell/controller": ("test_stack", "test_state_table"),
+    "cell/simulation": ("test_kinematic_world", "test_sensing", "test_faults"),
 }
 OWN_TIMEOUT_S, REST_TIMEOUT_S = 600.0, 1800.0
 STILLBORN = re.compile(
@@ -53,7 +53,7 @@ Result = dict[str, Any]  # outcome, by, sources, mutant
 
 def tests_for(file: str) -> tuple[list[str], list[str]]:
     """The test files of a file's folder: its own, and the others."""
-    room, stem = file.removesuffix(".py").split("/")
+    room, _, stem = file.removesuffix(".py").rpartition("/")
     mine = [f"tests/{room}/{name}.py" for name in FIRST.get(room, (f"test_{stem}",))]
     rest = sorted(path.relative_to(ROOT).as_posix() for path in (ROOT / "tests" / room).glob("test_*.py"))
     own = [path for path in mine if path in rest]
@@ -160,7 +160,9 @@ def main() -> None:
                         done += 1
         _write(wanted.seed, tried)
         what, by = _tested(
-            folders.get(), sorted({f"tests/{path.parent.name}" for path in FILES}), REST_TIMEOUT_S
+            folders.get(),
+            sorted({f"tests/{path.parent.relative_to(PACKAGE)}" for path in FILES}),
+            REST_TIMEOUT_S,
         )
         if what != "survived":
             raise SystemExit(f"the tests fail without any fault: {what} {by}")

@@ -1,6 +1,7 @@
 """Is a bound an hour above the true rate as often as it says?  Run: python benchmarks/rates.py [--times N].
 
-Whole shifts with a known rate of violations (``tests/assurance/statistics/whole_shifts.py``), a thousand simulations
+Whole shifts with a known rate of violations (``tests/assurance/statistics/whole_shifts.py``), a thousand
+simulations
 of each kind, with the formula of the evidence report and with two wrong ones.  Writes benchmarks/RATES.md;
 the exit code is 1 if ours covers less often than it says, or if no kind of shift shows a wrong one.
 """
@@ -18,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "statistics"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "assurance" / "statistics"))
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from whole_shifts import BURSTS, CONFIDENCE, EVERY, ours, point_by_point, rate_as_counted

@@ -123,6 +123,8 @@ _HOMES = {
 }
 __all__ = sorted(name for names in _HOMES.values() for name in names)
 
+import_module(f"{__name__}.base.moved")  # which finds old import paths of documented names
+
 
 def __getattr__(name: str) -> object:
     for home, names in _HOMES.items():

@@ -25,8 +25,11 @@ TESTS = Path(__file__).parent
 # Where each of two workers starts (``--dist worksteal``), the second at the middle: with the worlds, and with
 # networks and what else they call.  So neither compiles what the other does, on a fresh machine two minutes'
 # work, and neither ends with what takes long.
-WORLDS = ("simulation", "admission", "controller", "campaign", "cli", "search", "certification")
-PARTS = ("learning", "avoidance", "perception", "servoing", "geometry", "robot", "docs", "pytest_plugin")
+WORLDS = ("cell/simulation", "admission", "cell/controller", "assurance", "cli", "search")
+PARTS = (
+    *("lab", "cell/avoidance", "cell/perception", "cell/servoing", "base/geometry", "cell/robot", "docs"),
+    "testing/plugin",
+)
 
 
 # Of one tree of commands, which takes longer to make than most of them to answer.
@@ -63,9 +66,14 @@ def pytest_sessionfinish(session: pytest.Session) -> None:
         disagreement.write(path)
 
 
+def room_of(path: Path) -> str:
+    """Return the folder of ``WORLDS`` or ``PARTS`` that a test file lies in; empty for any other file."""
+    return next((room for room in (*WORLDS, *PARTS) if TESTS / room in path.parents), "")
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """The worlds' tests at the beginning, those of the parts in the middle."""
-    rooms = [item.path.relative_to(TESTS).parts[0] if TESTS in item.path.parents else "" for item in items]
+    rooms = [room_of(item.path) for item in items]
     worlds, parts = (
         [item for room in first for item, its in zip(items, rooms, strict=True) if its == room]
         for first in (WORLDS, PARTS)

@@ -7,101 +7,148 @@ import re
 from collections import Counter
 from pathlib import Path
 
+import pytest
+
 import safety_harness
+from safety_harness.base import compiled
 
 PACKAGE = Path(safety_harness.__file__).parent
-ORDER = [
-    {"exceptions"},
-    {
-        "compiled",
-        "compiling",
-        "distribution",
-        "extras",
-        "geometry",
-        "interrupts",
-        "proportions",
-        "seeds",
-        "settings",
-        "shipped",
-        "whole_file",
-    },
-    {"scenario"},
-    {"trace"},
-    {"contract"},
-    {"isolation"},
-    {"robot"},
-    {"perception"},
-    {"servoing"},
-    {"avoidance"},
-    {"space"},
-    {"controller"},
-    {"learning"},
-    {"simulation"},
-    {"properties"},
-    {"formulas"},
-    {"logs"},
-    {"admission"},
-    {"monitoring"},
-    {"gym"},
-    {"search"},
-    {"statistics"},
-    {"scoring"},
-    {"proof"},
-    {"attribution"},
-    {"recorded"},
-    {"campaign"},
-    {"report"},
-    {"certification"},
-    {"selftest"},
-    {"testing"},
-    {"pytest_plugin"},
-    {"cli"},
-]
-RANK = {room: rank for rank, rooms in enumerate(ORDER) for room in rooms}
+# A package of the core imports those before it, and no wing.
+CORE = (
+    *("base", "scenario", "trace", "seams", "cell", "space", "claims", "admission", "search", "report"),
+    *("testing", "cli"),
+)
+CELL = (
+    "robot",
+    "perception",
+    "servoing",
+    "avoidance",
+    "controller",
+    "simulation",
+)  # likewise, within the cell
+# A wing imports the core, and the wings that stand here.
+WINGS = {
+    "arms": (),
+    "gym": (),
+    "lab": (),
+    "field": (),
+    "assurance": ("lab", "field"),
+    "selftest": ("assurance",),
+}
+ROOT = ("__init__", "__main__")
 FILES = sorted(PACKAGE.rglob("*.py"))
-CONTRACT = ("controller.contract", "controller.rows")  # what controllers and avoiders are shown: a part apart
 
 
-def room_of(file: Path) -> str:
-    parts = file.relative_to(PACKAGE).with_suffix("").parts
-    return "contract" if ".".join(parts) in CONTRACT else parts[0]
+def module_of(file: Path) -> str:
+    """Return the dotted name of a file below the package, such as ``cell.robot.inverse``."""
+    return ".".join(file.relative_to(PACKAGE).with_suffix("").parts)
 
 
-def rooms_imported_by(file: Path) -> set[str]:
-    rooms = set()
-    for node in ast.walk(ast.parse(file.read_text())):
-        names: list[str] = []
-        if isinstance(node, ast.Import):
-            names = [alias.name for alias in node.names]
-        elif isinstance(node, ast.ImportFrom) and node.module:
-            names = [node.module]
-            if node.module == "safety_harness":
-                names = [f"safety_harness.{alias.name}" for alias in node.names]
-        ours = [name.removeprefix("safety_harness.") for name in names if name.startswith("safety_harness.")]
-        rooms |= {"contract" if name in CONTRACT else name.split(".")[0] for name in ours}
-    return rooms
+def room_of(module: str) -> str:
+    """Return the package of the core, or ``extensions.WING``, that a module is in."""
+    first, *rest = module.split(".")
+    return f"extensions.{rest[0]}" if first == "extensions" and rest[0] != "__init__" else first
 
 
-def test_imports_point_leftwards() -> None:
-    backward = [
-        f"{file.relative_to(PACKAGE)} imports {imported}"
+def imports_of(file: Path) -> set[str]:
+    """Return the modules of this package that a file imports anywhere in it."""
+    found = set()
+    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith("safety_harness."):
+            found.add(node.module.removeprefix("safety_harness."))
+        elif isinstance(node, ast.ImportFrom) and node.module == "safety_harness":
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.Import):
+            names = (alias.name for alias in node.names)
+            found |= {
+                name.removeprefix("safety_harness.") for name in names if name.startswith("safety_harness.")
+            }
+    return found
+
+
+def is_allowed(importer: str, imported: str) -> bool:
+    """Return whether a file of the room ``importer`` may import from the room ``imported``."""
+    wing = importer.removeprefix("extensions.")
+    if imported.startswith("extensions."):
+        return imported == importer or (wing in WINGS and imported.removeprefix("extensions.") in WINGS[wing])
+    if wing in WINGS and importer != wing:
+        return imported in CORE
+    return importer in ROOT or CORE.index(imported) <= CORE.index(importer)
+
+
+def test_the_core_imports_no_wing_and_every_arrow_points_to_an_earlier_package() -> None:
+    rooms = {room_of(module_of(file)) for file in FILES}
+    assert rooms == {*CORE, *ROOT, "extensions", *(f"extensions.{wing}" for wing in WINGS)}
+    wrong = [
+        f"{module_of(file)} imports {imported}"
         for file in FILES
-        if (room := room_of(file)) not in ("__init__", "__main__")
-        for imported in rooms_imported_by(file)
-        if RANK[imported] > RANK[room]
+        for imported in imports_of(file)
+        if not is_allowed(room_of(module_of(file)), room_of(imported))
     ]
-    assert backward == []
+    assert wrong == []
 
 
-def test_the_import_test_sees_a_backward_arrow(tmp_path: Path) -> None:
+def test_within_the_cell_every_arrow_points_to_an_earlier_part() -> None:
+    wrong = [
+        f"{module_of(file)} imports {imported}"
+        for file in (PACKAGE / "cell").rglob("*/*.py")
+        for imported in imports_of(file)
+        if imported.startswith("cell.")
+        and CELL.index(imported.split(".")[1]) > CELL.index(module_of(file).split(".")[1])
+    ]
+    assert wrong == []
+
+
+@pytest.mark.parametrize(
+    ("importer", "imported"),
+    [
+        ("cli", "extensions.assurance"),
+        ("report", "cli"),
+        ("scenario", "trace"),
+        ("extensions.field", "extensions.assurance"),
+        ("extensions.lab", "extensions.gym"),
+    ],
+)
+def test_the_rule_sees_an_arrow_that_points_backward(importer: str, imported: str) -> None:
+    assert not is_allowed(importer, imported)
+
+
+def test_the_rule_sees_imports_of_every_form(tmp_path: Path) -> None:
     culprit = tmp_path / "culprit.py"
-    culprit.write_text("from safety_harness.report import html\nimport safety_harness.cli.main\n")
-    assert rooms_imported_by(culprit) == {"report", "cli"}
+    culprit.write_text(
+        "from safety_harness.report.html import x\n"
+        "import safety_harness.cli.main\n"
+        "def f():\n    from safety_harness import certify\n"
+    )
+    assert imports_of(culprit) == {"report.html", "cli.main", "certify"}
+
+
+def test_no_file_is_in_a_circle_of_imports() -> None:
+    """Files that import none of those left are taken away, again and again, until none is left."""
+    graph = {module_of(file): imports_of(file) for file in FILES if module_of(file) not in ROOT}
+    while free := [module for module, imported in graph.items() if not imported & {*graph}]:
+        for module in free:
+            del graph[module]
+    assert sorted(graph) == []
+
+
+@pytest.mark.parametrize("wing", WINGS)
+def test_the_hash_of_the_source_covers_every_file_of_a_wing(
+    wing: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    files = {*compiled._package_sources()}
+    ours = {*(PACKAGE / "extensions" / wing).rglob("*.py")}
+    assert ours
+    assert ours <= files
+    before, changed = compiled.source_hash(), min(ours)
+    read = compiled._content
+    monkeypatch.setattr(compiled, "_content", lambda file: read(file) + b"#" * (file == changed))
+    assert compiled._hash(files) != before
 
 
 def test_a_run_needs_no_torch() -> None:
     for file in FILES:
-        if room_of(file) == "learning":
+        if module_of(file).startswith("extensions.lab.learning"):
             continue  # which nothing but the command line imports, and that only when asked to learn
         assert "torch" not in {
             name.split(".")[0]
@@ -148,14 +195,14 @@ def test_no_two_public_classes_have_one_name() -> None:
     assert [name for name, count in classes.items() if count > 1] == []
 
 
-def test_only_the_command_line_imports_learning() -> None:
-    importers = {room_of(file) for file in FILES if "learning" in rooms_imported_by(file)}
-    assert importers <= {"learning", "cli"}
-
-
-def test_only_the_entry_point_imports_the_command_line() -> None:
-    importers = {room_of(file) for file in FILES if "cli" in rooms_imported_by(file)}
-    assert importers == {"cli", "__main__"}
+def test_only_commands_and_the_entry_point_import_the_command_line() -> None:
+    """Of a wing its commands do, and what the core calls of it: its inputs."""
+    importers = {
+        module_of(file) for file in FILES if any(imported.startswith("cli.") for imported in imports_of(file))
+    }
+    core = {module for module in importers if not module.startswith("extensions.")}
+    assert {room_of(module) for module in core} == {"cli", "__main__"}
+    assert all({"commands", "inputs"} & {*module.split(".")} for module in importers - core)
 
 
 def test_nothing_in_the_package_imports_the_paper() -> None:

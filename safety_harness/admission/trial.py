@@ -30,7 +30,7 @@ from safety_harness.claims.properties.true_motion import refuse_contradictions
 from safety_harness.scenario.decision_times import refuse_wall_clock
 from safety_harness.trace.trace import Trace
 
-LOGGER = logging.getLogger("safety_harness.cell.controller")
+LOGGER = logging.getLogger("safety_harness.controller")
 MOST_LANES = 64  # of a user's controller
 TICKS_AT_ONCE = 32_768  # of all episodes under way together: some 24 MB of trace
 

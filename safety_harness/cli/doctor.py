@@ -67,7 +67,7 @@ def _machine() -> Iterator[Examined]:
     words = python if good else f"{python}, which this package is not made for: {wanted}"
     yield Examined("Python", State.OK if good else State.PROBLEM, words)
     problem = cache_problem(cache_root())
-    warm = any(cache_folder(PACKAGE / "controller" / "stack.py").rglob("*.nbc"))
+    warm = any(cache_folder(PACKAGE / "cell" / "controller" / "stack.py").rglob("*.nbc"))
     words = "cold: the first run compiles, a minute or two; safety-harness warm does it now"
     words = f"warm{', read-only' if problem else ''}" if warm else problem or words
     words = f"{cache_root()}, {megabytes(machine_code_bytes())}, {words}"

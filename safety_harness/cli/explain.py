@@ -6,9 +6,11 @@ import re
 import sys
 import textwrap
 from collections.abc import Iterable, Iterator, Sequence
+from types import FunctionType
 from typing import TYPE_CHECKING
 
 from safety_harness.base.exceptions import Place, ScenarioError, near_miss
+from safety_harness.base.extension_points import ExtensionPoint, input_files, loaded
 from safety_harness.cli.console import AS_EXPECTED, NARROW, columns_of, document, result, say
 from safety_harness.scenario.codec import REQUIRED, Below, Key, KeyTable, QuantityValue, Several, Value
 from safety_harness.scenario.reference_tables import every_table
@@ -22,9 +24,8 @@ WIDTH = 110
 
 def explain_key(words: Sequence[str]) -> int:
     """Print what a key means, wherever it may stand, or which keys there are; returns the exit code."""
-    from safety_harness.extensions.assurance.campaign.plan_keys import TABLES
-
-    tables = (*every_table(), *TABLES)
+    added = (kind.tables() for kind in input_files().values() if kind.tables is not None)
+    tables = (*every_table(), *(table for tables in added for table in tables))
     asked = " ".join(" ".join(words).replace(":", " ").split())
     if not asked:
         result(*(f"{table.where}: {', '.join(table.names)}" for table in tables))
@@ -44,20 +45,19 @@ def explain_claims(words: Sequence[str]) -> int:
     """
     from safety_harness.claims.formulas.signals import SIGNALS
     from safety_harness.claims.properties.catalogue import CATALOGUE  # slow to import
-    from safety_harness.extensions.assurance.certification.standards import told_with_standards as told
 
     asked = " ".join(" ".join(words).split())
     examples = [entry.example for entry in CATALOGUE]
     if not asked:
         result(*examples)
-        document(claims=[{"claim": entry.example} | dict(told(entry)) for entry in CATALOGUE])
+        document(claims=[{"claim": entry.example} | dict(_described(entry)) for entry in CATALOGUE])
         signals = ", ".join(signal.words for signal in SIGNALS)
         say(f"or a formula (safety-harness docs formulas) over: {signals}")
         return AS_EXPECTED
     found = [entry for entry in CATALOGUE if entry.understands(asked)]
     wanted = set(asked.lower().split())
     found = found or [entry for entry in CATALOGUE if wanted <= set(entry.example.lower().split())]
-    document(claims=[{"claim": entry.example} | dict(told(entry)) for entry in found])
+    document(claims=[{"claim": entry.example} | dict(_described(entry)) for entry in found])
     expected = "words of a claim of the catalogue; without any, all claims are listed"
     return _explain("claims", asked, expected, examples, [_claim_lines(one) for one in found])
 
@@ -74,15 +74,22 @@ def _explain(
     return AS_EXPECTED
 
 
-def _claim_lines(entry: CatalogueEntry) -> Iterator[str]:
-    from safety_harness.extensions.assurance.certification.standards import told_with_standards as told
+def _described(entry: CatalogueEntry) -> Iterator[tuple[str, str]]:
+    """Yield (name, text) of all that an entry says for people, and of what packages add to it."""
+    from safety_harness.claims.properties.entry import told
 
+    yield from told(entry)
+    for _, note in loaded(ExtensionPoint.CLAIM_NOTES, FunctionType):
+        yield from note(entry)
+
+
+def _claim_lines(entry: CatalogueEntry) -> Iterator[str]:
     yield entry.example
     columns = min(columns_of(sys.stdout) or WIDTH, WIDTH)
     if columns < NARROW:
-        yield from (f"  {name}: {text}" for name, text in told(entry))
+        yield from (f"  {name}: {text}" for name, text in _described(entry))
         return
-    for name, text in told(entry):
+    for name, text in _described(entry):
         yield from textwrap.wrap(
             text, columns, initial_indent=f"  {name:<13}", subsequent_indent=" " * 15, break_on_hyphens=False
         )

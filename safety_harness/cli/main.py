@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import sys
-from importlib import import_module
-from importlib.util import find_spec
 from typing import Annotated
 
 import typer
 
 from safety_harness.base.compiling import CompilationLine, watchers
-from safety_harness.base.distribution import foreign_files, installed_version
-from safety_harness.base.exceptions import ModelError, SafetyHarnessError
+from safety_harness.base.distribution import DISTRIBUTION, foreign_files, installed_version
+from safety_harness.base.exceptions import MissingPackageError, Place, SafetyHarnessError
+from safety_harness.base.extension_points import ExtensionPoint, load, parts, warn
 from safety_harness.cli.console import (
     BAD_INPUT,
     NARROW,
@@ -27,20 +26,6 @@ from safety_harness.cli.machine import commands as of_machine
 from safety_harness.cli.new import commands as of_new
 from safety_harness.cli.scenario_commands import commands as of_scenarios
 from safety_harness.cli.shipped import commands as of_shipped
-from safety_harness.extensions.arms.commands import commands as of_robots
-from safety_harness.extensions.assurance.commands.campaign import commands as of_campaigns
-from safety_harness.extensions.assurance.commands.certify import commands as of_reports
-from safety_harness.extensions.assurance.commands.certify import of_certify
-from safety_harness.extensions.assurance.commands.history import commands as of_history
-from safety_harness.extensions.field.commands.hands import commands as of_hands
-from safety_harness.extensions.field.commands.log import commands as of_logs
-from safety_harness.extensions.field.commands.monitor import commands as of_monitor
-from safety_harness.extensions.field.commands.recorded import commands as of_recorded
-from safety_harness.extensions.field.commands.recorded import of_scenarios as of_scenario
-from safety_harness.extensions.lab.commands.evaluate import commands as of_scoring
-from safety_harness.extensions.lab.commands.learning import commands as of_learning
-from safety_harness.extensions.lab.commands.prove import commands as of_proofs
-from safety_harness.extensions.selftest.commands import commands as of_selftest
 
 NAME = "safety-harness"
 app = typer.Typer(
@@ -50,53 +35,61 @@ app = typer.Typer(
     help="Verify a hand-avoidance controller of a robot arm: run scenarios, judge them, search what breaks "
     "it, score an avoider, and certify; make the data of a learned avoider, train and export it.",
 )
-for group in (
-    of_new,
-    of_scenarios,
-    of_search,
-    of_scoring,
-    of_proofs,
-    of_reports,
-    of_history,
-    of_selftest,
-    of_recorded,
-    of_shipped,
-    of_machine,
-    of_monitor,
-):
-    app.add_typer(group)
-app.add_typer(of_certify, name="certify")
-app.add_typer(of_campaigns, name="campaign")
-app.add_typer(of_robots, name="robot")
-app.add_typer(of_logs, name="log")
-app.add_typer(of_scenario, name="scenario")
-app.add_typer(of_hands, name="hands")
-app.add_typer(of_learning)
-
-
-def of_the_paper() -> typer.Typer:
-    """The command of the package ``safety_harness_paper``, or one that says how to get it."""
-    if find_spec("safety_harness_paper"):
-        found: typer.Typer = import_module("safety_harness_paper.commands").commands
-        return found
-    commands = typer.Typer()
-
-    about = "Measure the paper's tables and figures again (needs the package safety_harness_paper)."
-
-    @commands.command(
-        help=about,
-        short_help=about,
-        context_settings={"ignore_unknown_options": True, "allow_extra_args": True},
+CORE = (of_new, of_scenarios, of_search, of_shipped, of_machine)
+NOT_HERE, REINSTALL = "Not installed.", f"pip install --force-reinstall {DISTRIBUTION}"
+# Commands of other packages: what somebody is told who has not got them.
+ELSEWHERE = {
+    "reproduce": (
+        "Measure the paper's tables and figures again (needs the package safety_harness_paper).",
+        "in a copy of the repository: pip install ./paper",
     )
-    def reproduce() -> None:
-        expected = "the package safety_harness_paper, which has the paper's tables and figures"
-        hint = "in a copy of the repository: pip install ./paper"
-        raise ModelError.of_option("reproduce", expected, "not installed", hint)
+}
+
+
+def add_commands(app: typer.Typer) -> None:
+    """Add the core's commands, and those of packages under names that are not taken."""
+    for group in CORE:
+        app.add_typer(group)
+    for part in parts(ExtensionPoint.COMMANDS):
+        if (found := load(part, typer.Typer)) is None:
+            found = None if part.package else _absent(part.name, NOT_HERE, REINSTALL)
+        if found is not None and (names := _names(found)) & _names(app):
+            warn(part, f"the command {', '.join(sorted(names & _names(app)))} is there already")
+        elif found is not None:
+            app.add_typer(found)
+    for name, (about, hint) in ELSEWHERE.items():
+        if name not in _names(app):
+            app.add_typer(_absent(name, about, hint))
+
+
+def _names(group: typer.Typer) -> set[str]:
+    """Return the names that a group adds: its own, or those of its commands and groups."""
+    if isinstance(group.info.name, str) and group is not app:
+        return {group.info.name}
+    commands = (
+        one.name or one.callback.__name__.replace("_", "-")
+        for one in group.registered_commands
+        if one.callback
+    )
+    groups = (one.typer_instance for one in group.registered_groups)
+    return {*commands}.union(*(_names(one) for one in groups if one is not None))
+
+
+def _absent(name: str, about: str, hint: str) -> typer.Typer:
+    """Return a command in place of one whose package is not installed, which says how to get it."""
+    commands = typer.Typer()
+    settings = {"ignore_unknown_options": True, "allow_extra_args": True}
+
+    @commands.command(name, help=about, short_help=about, context_settings=settings)
+    def absent() -> None:
+        raise MissingPackageError(
+            place=Place(field=name), expected="the package with this command", got="none", hint=hint
+        )
 
     return commands
 
 
-app.add_typer(of_the_paper())
+add_commands(app)
 
 
 def _say_version(asked: bool) -> None:

@@ -14,6 +14,7 @@ import typer
 from typer import Argument, Option, Typer
 
 from safety_harness.base.exceptions import InputError, OutputError, near_miss
+from safety_harness.base.extension_points import input_files
 from safety_harness.base.whole_file import writing
 from safety_harness.cli.console import AS_EXPECTED, document, result, say
 from safety_harness.cli.options import command
@@ -68,10 +69,9 @@ def new(
         document(templates=[{"name": name, "about": one.about} for name, one in TEMPLATES.items()])
         result(*_listed())
         return AS_EXPECTED
-    if template == "plan":
-        from safety_harness.extensions.assurance.commands.plans import draft_plan
-
-        return draft_plan(file, plan)
+    added = input_files().get(template or "")
+    if added is not None and added.draft is not None:
+        return added.draft(file, plan)
     if plan is not None:
         raise InputError.of_option("new", "one file, but for a plan", str(plan))
     if template is None:

@@ -22,9 +22,7 @@ from rich.text import Text
 from safety_harness.cli.console import no_escapes, say
 from safety_harness.scenario.model import Scenario
 
-if TYPE_CHECKING:  # searches and campaigns take a second to import
-    from safety_harness.extensions.assurance.campaign.plan import Plan
-    from safety_harness.extensions.assurance.campaign.runner import CampaignRunner
+if TYPE_CHECKING:  # searches take a second to import
     from safety_harness.search.findings import Findings
 
 EVERY_S = 10.0
@@ -70,7 +68,7 @@ def paced_lines() -> Iterator[Callable[[str], None]]:
 
 
 @contextmanager
-def _block() -> Iterator[Callable[[list[str]], None]]:
+def block() -> Iterator[Callable[[list[str]], None]]:
     """Yields what shows lines on a terminal; elsewhere the first of them, where that is due."""
     if is_live():
         with Live(**_shown(), refresh_per_second=4) as live:
@@ -83,7 +81,7 @@ def _block() -> Iterator[Callable[[list[str]], None]]:
 @contextmanager
 def one_line() -> Iterator[Callable[[str], None]]:
     """Yields what shows one line that changes."""
-    with _block() as show:
+    with block() as show:
         yield lambda line: show([line])
 
 
@@ -118,7 +116,7 @@ def where(done: float, total: float, begun_s: float) -> str:
         return ""
     if done >= total:
         return f", 100 %, {time_words(spent_s)}"
-    return f", {int(100 * done / total)} %, {_time_left(spent_s * (total / done - 1.0))}"
+    return f", {int(100 * done / total)} %, {time_left(spent_s * (total / done - 1.0))}"
 
 
 @dataclass
@@ -160,7 +158,7 @@ def watching_search(budget: int) -> Iterator[Callable[[Findings], None]]:
     from safety_harness.search.session import nearest_lines, summary
 
     begun_s = time.monotonic()
-    with _block() as show:
+    with block() as show:
         show([f"tried 0/{budget}"])
         yield lambda findings: show(
             [summary(findings, budget) + where(findings.tried, budget, begun_s), *nearest_lines(findings)]
@@ -170,7 +168,7 @@ def watching_search(budget: int) -> Iterator[Callable[[Findings], None]]:
 @contextmanager
 def watching_words() -> Iterator[Callable[[str], None]]:
     """Yields what is told in words what comes next, where nobody knows how much that is."""
-    with _block() as show:
+    with block() as show:
         yield lambda words: show([words])
 
 
@@ -178,49 +176,12 @@ def watching_words() -> Iterator[Callable[[str], None]]:
 def watching_steps() -> Iterator[Callable[[str, float], None]]:
     """Yields what is told which step comes next, and what share of all is done."""
     begun_s = time.monotonic()
-    with _block() as show:
+    with block() as show:
         yield lambda words, share: show([words + where(share, 1.0, begun_s)])
 
 
-@contextmanager
-def watching_campaign(plan: Plan) -> Iterator[Callable[[CampaignRunner], None]]:
-    """Yields what is told of the progress: rate, time left, worst margins, violations.
-
-    It warns, once each, of claims that the planned runs will not show, as far as the first of them tell.
-    """
-    from safety_harness.extensions.assurance.campaign.pilot import too_few
-    from safety_harness.extensions.assurance.commands.campaign_lines import worst_lines
-
-    claims = tuple(claim.sentence for claim in plan.claims)
-    units = tuple(claim.unit for claim in plan.claims)
-    told: set[str] = set()
-
-    def tell(progress: CampaignRunner) -> None:
-        show([_head(progress), *worst_lines(claims, units, progress.tally)])
-        for one in too_few(plan, progress.tally):
-            if (name := f"{one.stratum}: {one.sentence}") not in told:
-                told.add(name)
-                say(f"warning: after {one.tried} runs: {one.line}")
-
-    with _block() as show:
-        yield tell
-
-
-def _head(progress: CampaignRunner) -> str:
-    tally = progress.tally
-    (done, planned), (part, of) = progress.standing, progress.part
-    share = done / planned if planned else 1.0
-    episodes = "episodes" if of == 1 else f"episodes of part {part + 1}/{of}"
-    head = f"{done}/{planned} {episodes} ({int(100 * share)} %), {progress.rate:.1f} a second, "
-    head += _time_left(progress.left_s)
-    if not progress.crew.size:
-        head += "; NO WORKER IS THERE"
-    if progress.retried or progress.crew.replaced:
-        head += f"; {progress.crew.replaced} workers replaced, {progress.retried} episodes tried again"
-    return head + (f"; {tally.failed} FAILED TO RUN" if tally.failed else "")
-
-
-def _time_left(seconds: float) -> str:
+def time_left(seconds: float) -> str:
+    """Return words for the time that is left."""
     return f"{time_words(seconds)} left" if math.isfinite(seconds) else "time left unknown"
 
 

@@ -29,13 +29,12 @@ from safety_harness.cli.console import (
 )
 from safety_harness.cli.progress import watching_runs
 from safety_harness.cli.run import DATA, REPORT, TRACES, say_results
-from safety_harness.extensions.field.logs.judging import recorded
 from safety_harness.report.evidence import JudgedRun, basis_of
 from safety_harness.report.knowledge import measured_lines, unmeasured_words
 from safety_harness.report.machine import refused_data, run_data
 from safety_harness.scenario.fields import SENTENCE, is_sentence
 from safety_harness.scenario.files import told
-from safety_harness.scenario.kinds import is_log
+from safety_harness.scenario.kinds import is_log, recorded_run
 from safety_harness.scenario.model import VISUAL_SERVO, Claim, Scenario, Verdict
 from safety_harness.scenario.references import file_and_name
 from safety_harness.scenario.units import shown
@@ -197,7 +196,7 @@ def judged_run(path: Path, sentences: Sequence[str] = (), out: Path | None = Non
 
 
 def _of_log(path: Path, claims: Sequence[Claim], out: Path | None) -> JudgedRun:
-    found = recorded(path, claims)
+    found = recorded_run(path, claims)
     if not found.trace.scenario.claims:
         raise LogError(place=Place(file=path, field="claims"), expected=A_CLAIM, got="none")
     file = None

@@ -113,12 +113,11 @@ def explain(
     """
     from safety_harness.base.shipped.contents import located
     from safety_harness.cli.explain import explain_key
-    from safety_harness.scenario.kinds import FileKind, kind_of
+    from safety_harness.scenario.kinds import added_input
 
-    if key and len(key) == 1 and kind_of(located(Path(key[0]))) is FileKind.PLAN:
-        from safety_harness.extensions.assurance.commands.plans import explain_plan
-
-        return explain_plan(Path(key[0]))
+    added = added_input(located(Path(key[0]))) if key and len(key) == 1 else None
+    if key and added is not None and added.explain is not None:
+        return added.explain(Path(key[0]))
     return explain_key(key or [])
 
 
@@ -148,13 +147,15 @@ def schema(
     """
     import json
 
-    from safety_harness.scenario.schema import scenario_schema, table_schema
+    from safety_harness.base.exceptions import ScenarioError
+    from safety_harness.scenario.kinds import titled
+    from safety_harness.scenario.schema import scenario_schema
 
     found = scenario_schema()
     if plans:
-        from safety_harness.extensions.assurance.campaign.plan_keys import PLAN, TITLE
-
-        found = table_schema(PLAN, TITLE)
+        if (of_plans := titled("plan").schema) is None:
+            raise ScenarioError.of_option("--plan", "plans with a schema", "plans without one")
+        found = of_plans()
     verbatim(json.dumps(found, indent=1, ensure_ascii=False))
     return AS_EXPECTED
 

@@ -98,8 +98,7 @@ def _with_references(source: Path) -> dict[Path, Path]:
 
 def _references(path: Path) -> Iterator[Path]:
     """The files that a text in a YAML file names."""
-    from safety_harness.extensions.assurance.campaign.identity import references_in
-    from safety_harness.scenario.nodes import parse_tree
+    from safety_harness.scenario.nodes import parse_tree, references_in
     from safety_harness.scenario.references import file_and_name
 
     tree = parse_tree(path.read_text("utf-8"), path)

@@ -6,14 +6,13 @@ from collections.abc import Sequence
 from functools import partial
 from itertools import groupby
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from safety_harness.admission.admit import Checked, Looker
 from safety_harness.admission.avoiders import with_avoider
 from safety_harness.admission.claims import property_of
 from safety_harness.admission.spaces import draw_admissible
 from safety_harness.base.compiled import without_compiling
-from safety_harness.base.exceptions import StatisticsError
+from safety_harness.base.extension_points import CheckedFile, input_files
 from safety_harness.base.shipped.contents import located
 from safety_harness.cell.robot.kinematics import links_in_base
 from safety_harness.claims.properties.tried import TriedParts
@@ -29,24 +28,21 @@ from safety_harness.cli.console import (
 )
 from safety_harness.scenario.compose import Variant
 from safety_harness.scenario.expand import Gathered, gather
-from safety_harness.scenario.kinds import FileKind, kind_of
+from safety_harness.scenario.kinds import added_input
 from safety_harness.scenario.model import Scenario
 from safety_harness.scenario.ours import aside_lines
 from safety_harness.space.read import space_of
 from safety_harness.space.space import ScenarioSpace
 
-if TYPE_CHECKING:  # a plan takes a second to import
-    from safety_harness.extensions.assurance.campaign.plan import Plan
-
 
 def validate(paths: Sequence[Path], avoider: str | None = None) -> int:
     """A line for each file that can be used, the mistakes of the others; returns the exit code."""
-    plans = [path for path in paths if kind_of(located(path)) is FileKind.PLAN]
-    others = [path for path in paths if path not in plans]
+    added = [path for path in paths if _check_of(located(path))]
+    others = [path for path in paths if path not in added]
     try:
-        gathered = gather(others, spaces=True) if others or not plans else Gathered()
-        plans += [file for file in gathered.aside if kind_of(file) is FileKind.PLAN]
-        say(*aside_lines(file for file in gathered.aside if file not in plans))
+        gathered = gather(others, spaces=True) if others or not added else Gathered()
+        added += [file for file in gathered.aside if _check_of(file)]
+        say(*aside_lines(file for file in gathered.aside if file not in added))
         looker = Looker()  # which executes nothing
         checked, errors = usable(
             gathered.scenarios,
@@ -58,8 +54,8 @@ def validate(paths: Sequence[Path], avoider: str | None = None) -> int:
         spaces, errors_of_spaces = usable(
             gathered.spaces, lambda one: without_compiling(lambda: _tried_space(one))
         )
-        read, errors_of_plans = usable(
-            plans, lambda one: without_compiling(lambda: _checked_plan(one, looker))
+        read, errors_of_added = usable(
+            added, lambda one: without_compiling(lambda: _checked(located(one), looker))
         )
     except KeyboardInterrupt:
         say("interrupted")
@@ -67,7 +63,7 @@ def validate(paths: Sequence[Path], avoider: str | None = None) -> int:
     # Of every claim; admission stops at a scenario's first mistake.
     claims = [(claim, scenario) for scenario in gathered.scenarios for claim in scenario.claims]
     _, of_claims = usable(claims, lambda pair: property_of(*pair))
-    errors = [*gathered.errors, *errors, *of_claims, *errors_of_spaces, *errors_of_plans]
+    errors = [*gathered.errors, *errors, *of_claims, *errors_of_spaces, *errors_of_added]
     bad = {error.place.file for error in errors}
     usable_files: list[dict[str, object]] = []
     for file, scenarios in groupby(checked, key=lambda one: one.scenario.file):
@@ -78,36 +74,34 @@ def validate(paths: Sequence[Path], avoider: str | None = None) -> int:
     for space in spaces:
         result(f"ok {space.file}: a space, {_count(len(space.parameters), 'value')} that vary")
         usable_files.append({"file": space.file, "kind": "space", "parameters": len(space.parameters)})
-    for plan in read:
-        words = [_count(len(plan.strata), "stratum", "strata"), _count(plan.runs, "run")]
-        result(f"ok {plan.file}: a plan, {', '.join([*words, _count(len(plan.claims), 'claim')])}")
-        usable_files.append({"file": plan.file, "kind": "plan", "runs": plan.runs})
+    for title, one in read:
+        result(f"ok {one.file}: {input_files()[title].words}, {one.words}")
+        usable_files.append({"file": one.file, "kind": title} | one.data)
     document(usable=usable_files)
-    for space in (*spaces, *(one.space for plan in read for one in plan.strata)):
+    for space in (*spaces, *(space for _, one in read for space in one.spaces)):
         untried += without_compiling(partial(_untried_of, space))
     say(*(f"note: {line}" for line in untried))
     if errors:
         mistakes = _count(len(explain_each(errors)), "mistake")
         rest = f"{_count(len(checked), 'scenario')} and {_count(len(spaces), 'space')}"
-        rest += f" and {_count(len(read), 'plan')}" if plans else ""
+        for title in dict.fromkeys(title for title, _ in read):
+            rest += f" and {_count(sum(title == one for one, _ in read), title)}"
         say(f"{mistakes}; {rest} can be used")
     return BAD_INPUT if errors else AS_EXPECTED
 
 
-def _checked_plan(path: Path, looker: Looker) -> Plan:
-    """A plan of whose strata a draw can be tried; it is said if certify will refuse it."""
-    from safety_harness.extensions.assurance.campaign.plan import read_packable
-    from safety_harness.extensions.assurance.certification.results import refuse_hopeless
+def _check_of(path: Path) -> str:
+    """Return the title of a kind of file that a package adds and checks; empty for others."""
+    kind = added_input(path)
+    names = (title for title, one in input_files().items() if one is kind and one.check is not None)
+    return next(names, "")
 
-    plan = read_packable(path)
-    try:
-        refuse_hopeless(plan)
-    except StatisticsError as error:
-        say(f"warning: {error.place}: certify refuses it: {error.expected}, and not {error.got}")
-    for stratum in plan.strata:
-        draw_admissible(stratum.space, seed=0, count=1)
-        looker.look(plan.with_avoider(stratum.space.simplest))
-    return plan
+
+def _checked(path: Path, looker: Looker) -> tuple[str, CheckedFile]:
+    title = _check_of(path)
+    check = input_files()[title].check
+    assert check is not None
+    return title, check(path, looker.look)
 
 
 def _tried_space(found: tuple[Variant, Path]) -> ScenarioSpace:

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from types import FunctionType
 
 from safety_harness.admission.admit import admit
 from safety_harness.admission.trial import run_many, run_trial
 from safety_harness.base.compiled import cache_root, compilation, forget_old_machine_code, machine_code
 from safety_harness.base.exceptions import InstallationError
+from safety_harness.base.extension_points import ExtensionPoint, loaded
 from safety_harness.cell.simulation.worlds import KINEMATIC, WORLDS, WorldEntry
 from safety_harness.claims.properties.catalogue import CATALOGUE
 from safety_harness.cli.console import AS_EXPECTED, DIFFERS, document, result, say
-from safety_harness.extensions.field.monitoring.cell import cell_taken
-from safety_harness.extensions.field.monitoring.monitor import Monitor
-from safety_harness.extensions.field.monitoring.sample import HandSample, Sample, line_of
 from safety_harness.scenario.read import parse_scenario
 
 # A hand comes so near that the tool gives way; of the claims of the catalogue the first is known to hold.
@@ -35,7 +34,6 @@ hands:
 claims:
   trace finite and monotone: holds
 """
-WATCHED = "eventually always (within 80 ms hand distance > 50 mm)"
 WITH_A_SENSOR = """
 hand sensor:
   kind: overhead
@@ -54,17 +52,9 @@ def warm_up() -> int:
             for entry in CATALOGUE:
                 entry.prop.evaluate(trace)
         list(run_many([admitted], world=KINEMATIC))
-    _watch()
+    for _, make in loaded(ExtensionPoint.WARMING, FunctionType):
+        make()
     return _told()
-
-
-def _watch() -> None:
-    """What a monitor needs beside: an arm at a tick, operators without a window over ticks that are gone."""
-    own = Monitor(cell=cell_taken("UR10", ["hand"], "8 ms", [WATCHED]))
-    places = HandSample((0.9, 0.2, 0.4), (1.2, 0.2, 0.5))
-    for tick in range(60):
-        hands: dict[str, HandSample | None] = {"hand": places} if tick % 4 == 0 else {}
-        list(own.take(line_of(Sample(tick * 0.008, (0.0, -1.3, 2.0, -2.3, -1.6, 0.0), hands=hands))))
 
 
 def _installed_worlds() -> Iterator[WorldEntry]:

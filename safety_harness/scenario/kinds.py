@@ -10,9 +10,15 @@ import warnings
 from collections.abc import Sequence
 from enum import Enum
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-from safety_harness.base.exceptions import InputError, Place, ScenarioError
+from safety_harness.base.distribution import DISTRIBUTION
+from safety_harness.base.exceptions import InputError, MissingPackageError, Place, ScenarioError
+from safety_harness.base.extension_points import InputFile, input_files
 from safety_harness.scenario.files import TITLES, TOP_KEY
+
+if TYPE_CHECKING:  # pytest loads this file in every project, and the model is slow to import
+    from safety_harness.scenario.model import Claim
 
 SUFFIXES = (".yaml", ".yml")
 HEAD_BYTES = 1_000_000  # of a file, which is as much as a scenario has
@@ -65,6 +71,14 @@ class FileKind(Enum):
         """With its article."""
         return str(self.value[0])
 
+    @property
+    def command(self) -> str:
+        """What to type for it."""
+        return str(self.value[1])
+
+
+Kind = FileKind | InputFile  # of the core's own messages, or of a package that adds it
+
 
 _BY_FORMAT = {
     "report": FileKind.RUNS,
@@ -85,6 +99,7 @@ _BY_TITLE = {
     "plan": FileKind.PLAN,
     "proof": FileKind.PROOF,
 }
+_TITLES: dict[Kind | None, str] = {FileKind.LOG: "log", **{kind: title for title, kind in _BY_TITLE.items()}}
 _BY_SUFFIX = {".py": FileKind.PYTHON, ".onnx": FileKind.ONNX, ".csv": FileKind.TABLE}
 _IN_FOLDERS = (
     ("manifest.json", "manifest", FileKind.REPORT),
@@ -96,7 +111,7 @@ FOLDERS = frozenset({FileKind.REPORT, FileKind.DATASET, FileKind.RUN_FOLDER, Fil
 _BINARIES = frozenset({FileKind.TRACE, FileKind.LEDGER, FileKind.MODEL, FileKind.ONNX})
 
 
-def kind_of(path: Path) -> FileKind | None:
+def kind_of(path: Path) -> Kind | None:
     """What is at ``path``; None if there is nothing, or nothing that this package can tell.
 
     A file that extends another has the kind of that one, which is not looked at.
@@ -112,14 +127,46 @@ def kind_of(path: Path) -> FileKind | None:
     return _binary_kind(path, head) or _text_kind(path, head.decode("utf-8", "replace"))
 
 
+def added_input(path: Path) -> InputFile | None:
+    """Return what the package that adds a file's kind does with it; None for the core's own kinds."""
+    kind = kind_of(path)
+    return kind if isinstance(kind, InputFile) else input_files().get(_TITLES.get(kind, ""))
+
+
 def is_log(path: Path) -> bool:
-    """Does a file describe the log of a cell?"""
-    return kind_of(path) is FileKind.LOG
+    """Return whether a file describes the log of a cell, or another recorded run."""
+    if kind_of(path) is FileKind.LOG:
+        return True
+    added = added_input(path)
+    return added is not None and added.recorded is not None
+
+
+def recorded_run(path: Path, claims: Sequence[Claim] = ()) -> Any:
+    """Return the recorded run that a file describes, with ``claims`` in place of its own.
+
+    MissingPackageError where no package reads such a file; InputError for whatever of it cannot be used.
+    """
+    added = added_input(path) or titled("log")
+    if added.recorded is None:
+        raise ScenarioError(place=Place(file=path), expected="a recorded run", got=added.words)
+    return added.recorded(path, tuple(claims))
+
+
+def titled(title: str) -> InputFile:
+    """Return the kind of file of a title; MissingPackageError where no package adds it."""
+    if (added := input_files().get(title)) is None:
+        raise MissingPackageError(
+            place=Place(field=f'files with the key "{title}"'),
+            expected=f"a package that adds the entry point {title} to safety_harness.inputs",
+            got="none",
+            hint=f"pip install --force-reinstall {DISTRIBUTION}",
+        )
+    return added
 
 
 def refuse_other_kind(
     path: Path,
-    *wanted: FileKind,
+    *wanted: Kind,
     error: type[InputError] = ScenarioError,
     place: Place | None = None,
     expected: str = "",
@@ -143,7 +190,7 @@ def refuse_other_kind(
     )
 
 
-def command_for(path: Path, found: FileKind, *wanted: FileKind) -> str:
+def command_for(path: Path, found: Kind, *wanted: Kind) -> str:
     """What to type for a file of the kind ``found`` where ``wanted`` was asked for; empty for nothing."""
     if found is FileKind.FOLDER:
         inside = _first_in(path, {*wanted})
@@ -154,7 +201,7 @@ def command_for(path: Path, found: FileKind, *wanted: FileKind) -> str:
         beside = kind_of(path.parent)
         if beside in (FileKind.REPORT, FileKind.RUN_FOLDER):  # whose page or figures these are
             path, found = path.parent, beside
-    return str(found.value[1]).format(
+    return found.command.format(
         file=shlex.quote(str(path)),
         folder=shlex.quote(str(path.parent)),
         onnx=shlex.quote(f"{path.stem}.onnx"),
@@ -167,7 +214,7 @@ def _either(words: Sequence[str]) -> str:
     return " or ".join([", ".join(words[:-1])] * (len(words) > 1) + [words[-1]])
 
 
-def _first_in(folder: Path, wanted: set[FileKind]) -> Path | None:
+def _first_in(folder: Path, wanted: set[Kind]) -> Path | None:
     """The first file of a folder that is ``wanted``."""
     try:
         entries = sorted(folder.iterdir())[:MOST_ENTRIES]
@@ -214,7 +261,7 @@ def _zip_kind(path: Path) -> FileKind:
     return FileKind.TORCH if b"/data.pkl" in tail else FileKind.BINARY
 
 
-def _text_kind(path: Path, text: str) -> FileKind | None:
+def _text_kind(path: Path, text: str) -> Kind | None:
     if not text.strip():
         return FileKind.EMPTY
     if path.suffix in _BY_SUFFIX:
@@ -229,6 +276,9 @@ def _text_kind(path: Path, text: str) -> FileKind | None:
         return FileKind.LOG
     keys = {*TOP_KEY.findall(text)}
     titles = keys & {*TITLES, "plan", "proof"}
+    if not titles:
+        added = ((title, one) for title, one in input_files().items() if title not in _TITLES.values())
+        return next((one for title, one in added if re.search(rf"^{re.escape(title)}:", text, re.M)), None)
     return _BY_TITLE[titles.pop()] if len(titles) == 1 else None
 
 

@@ -181,3 +181,24 @@ def _error(
 
 def _line(event: Event) -> int:
     return int(event.start_mark.line) + 1
+
+
+REFERRING = ("avoider", "controller", "recording")  # keys whose values name files
+
+
+def references_in(node: Node, keys: tuple[str, ...] = REFERRING, *, within: bool = False) -> Iterator[str]:
+    """What a space says below ``keys``: plain values, and their alternatives.
+
+    No other text names a file: a hand that is called ``/etc/passwd`` brings that file into no ledger.
+    """
+    if isinstance(node, Scalar):
+        text = node.text
+        if within:
+            yield from text[7:].split(", ") if text.startswith("one of ") else [text]
+    elif isinstance(node, Mapping):
+        for key, value in node.entries:
+            if key.text != "chances":
+                yield from references_in(value, keys, within=within or key.text in keys)
+    else:
+        for item in node.items:
+            yield from references_in(item, keys, within=within)

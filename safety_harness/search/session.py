@@ -231,12 +231,14 @@ class SearchSession:
         if self.unwritable is not None:
             say(f"error: {explanation(self.unwritable)}")
 
+    def _search_again(self, searcher: str, trials: Trials) -> Findings:
+        return self.search(searcher_named(searcher), trials)
+
     def _draw_again(self) -> None:
         """Which differences from a reference are none?  Not after an interruption."""
         try:
             for one in filter(None, [self.findings, self.baseline] if not self.interrupted else []):
-                again = partial(self.search, searcher_named(one.searcher))
-                self.flips += keep_differences(self.trials, one, again)
+                self.flips += keep_differences(self.trials, one, partial(self._search_again, one.searcher))
         except KeyboardInterrupt:
             self.findings.interrupted = True
         for line in self.flips:

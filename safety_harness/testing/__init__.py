@@ -9,8 +9,8 @@
 
 A claim is a formula, a property of the catalogue or a sentence as in a scenario file.  ``simulate`` is a
 fixture of the pytest plug-in, which comes with the package.  Public are the names below and all of
-``claims.formulas.language``; they are imported when they are first used, so that nobody waits for a physics engine
-who does not need one.
+``claims.formulas.language``; they are imported when they are first used, so that nobody waits for a physics
+engine who does not need one.
 """
 
 # ruff: noqa: F403

@@ -1,6 +1,7 @@
 """What was proven about the decisions of a run afterwards, on request: part of its trace, and of no verdict.
 
-Made by ``extensions.lab.proof.decisions``.  It changes nothing else of a trace, and one without it is as it was.
+Made by ``extensions.lab.proof.decisions``.  It changes nothing else of a trace, and one without it is as it
+was.
 """
 
 from __future__ import annotations

@@ -12,16 +12,14 @@ from enum import Enum
 from functools import cached_property
 from math import inf, isfinite
 from types import MappingProxyType
-from typing import TYPE_CHECKING
+from typing import Any, ClassVar, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.base.exceptions import Place, TraceError
+from safety_harness.scenario.model import Scenario
 from safety_harness.trace.records import DECISION, TICK
-
-if TYPE_CHECKING:
-    from safety_harness.trace.trace import Trace
 
 OF_DECISIONS = "decision."
 TICK_COLUMNS = tuple(name for name in TICK.names or () if name != "time_s")  # which every trace has
@@ -237,7 +235,27 @@ def measurement(
     return Measurement(source=source, uncertainty=most, gaps=gaps, closer=spans, at_most_per_s=at_most_per_s)
 
 
-def knowing(trace: Trace, columns: Mapping[str, Measurement]) -> Trace:
+class _HasKnowledge(Protocol):
+    """A trace, as far as what is known of it goes; the class itself is built on ``Knowledge``."""
+
+    __dataclass_fields__: ClassVar[dict[str, Any]]
+
+    @property
+    def scenario(self) -> Scenario: ...
+    @property
+    def ticks(self) -> NDArray[np.void]: ...
+    @property
+    def decisions(self) -> NDArray[np.void]: ...
+    @property
+    def decision_latency_s(self) -> NDArray[np.float64]: ...
+    @property
+    def known(self) -> Knowledge: ...
+
+
+_Traced = TypeVar("_Traced", bound=_HasKnowledge)
+
+
+def knowing(trace: _Traced, columns: Mapping[str, Measurement]) -> _Traced:
     """``trace`` with this known of ``columns``, beside what is known of others; what is not is blanked.
 
     Numbers become NaN, indices -1, everything else zero or empty.  TraceError as for ``Knowledge`` and for
@@ -262,7 +280,7 @@ def knowing(trace: Trace, columns: Mapping[str, Measurement]) -> Trace:
 _INDICES = ("decision", "hand_distance_capsule")
 
 
-def until(trace: Trace, tick: int, why: str) -> Trace:
+def until(trace: _Traced, tick: int, why: str) -> _Traced:
     """The run before ``tick``, cut short for the reason ``why``."""
     before = trace.decisions["tick"] < tick
     columns = {

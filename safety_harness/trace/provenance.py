@@ -23,6 +23,7 @@ import numpy as np
 from safety_harness.base.compiled import PACKAGE, cache_root, source_hash
 from safety_harness.base.distribution import installed_version
 from safety_harness.base.exceptions import InstallationError, Place
+from safety_harness.base.extension_points import foreign_parts
 from safety_harness.base.whole_file import sha256_of, write_whole
 from safety_harness.trace.trace import Provenance
 
@@ -34,7 +35,10 @@ LIBRARIES = {
     "cv2": "cv2",
 }
 OF_EVERY_RUN = ("numpy", "numba")
-DATA, ROBOTS = "robot data", PACKAGE / "robot" / "data" / "ur_description"  # by a hash over the files
+DATA, ROBOTS = (
+    "robot data",
+    PACKAGE / "cell" / "robot" / "data" / "ur_description",
+)  # by a hash over the files
 ELSEWHERE = "onnxruntime"  # it is loaded in another process, for a stranger's file
 ONE_OWNER = (*LIBRARIES, ELSEWHERE, "scipy", "safetensors")
 _OWNED = re.compile(rf"\n({'|'.join(ONE_OWNER)})(?:/|\.[^,/\n]*(?:py|so|pyd),)")
@@ -51,13 +55,14 @@ def provenance(world: str, used: tuple[str, ...] = ()) -> Provenance:
     found = [_loaded(library, _imported(LIBRARIES[library])) for library in named]
     found += [(_by_metadata(library), None) for library in used if library == ELSEWHERE]
     data = DATA, hashlib.sha256("".join(map(_sha256, sorted(ROBOTS.rglob("*.*")))).encode()).hexdigest()
+    foreign = ((f"entry point {part}", part.value) for part in foreign_parts())
     return Provenance(
         package_version=installed_version(),
         source_hash=source_hash(),
         world=world,
         python=platform.python_version(),
         platform=f"{platform.system()} {platform.machine()}",
-        libraries=(*(named for named, _ in found), data),
+        libraries=(*(named for named, _ in found), data, *foreign),
         files=tuple(file for _, file in found if file is not None),
     )
 

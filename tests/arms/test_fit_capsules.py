@@ -13,8 +13,6 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
-from test_capsules import depth
-from urdfs import OTHERS, SMALL, small_arm_in
 
 from safety_harness.base.exceptions import InputError, MissingPackageError
 from safety_harness.cell.robot.capsules import CapsuleSet, load_capsules, read_capsules
@@ -29,6 +27,8 @@ from safety_harness.extensions.arms.fit_capsules import (
     link_surface,
     write_capsules,
 )
+from tests.cell.robot.test_capsules import depth
+from tests.cell.robot.urdfs import OTHERS, SMALL, small_arm_in
 
 PANDA = Path(__file__).with_name("panda.capsules.json")  # of ``safety-harness robot fit``
 POINTS = 2_000

@@ -29,7 +29,7 @@ def missing(monkeypatch: pytest.MonkeyPatch, *extras: Extra) -> None:
     for name in packages:
         monkeypatch.setitem(sys.modules, name, None)
     for name in ("learning.training", "learning.networks", "learning.export"):
-        monkeypatch.delitem(sys.modules, f"safety_harness.{name}", raising=False)
+        monkeypatch.delitem(sys.modules, f"safety_harness.extensions.lab.{name}", raising=False)
 
 
 def test_a_missing_package_is_one_line_with_what_needs_it_and_how_to_get_it(

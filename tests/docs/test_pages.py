@@ -7,8 +7,11 @@ import re
 from pathlib import Path
 from typing import Any
 
+import architecture_picture
 import numpy as np
 import pytest
+import tables
+from test_architecture import CORE, WINGS
 
 from safety_harness import Trace, Verdict
 
@@ -51,10 +54,14 @@ def test_every_page_is_in_the_site_s_contents() -> None:
 
 
 MADE_BY_A_RECIPE = {
-    "properties/decision_count.py",
-    "robot/ur5_joint_limited_capsules.json",
+    "cell/simulation/slow_world.py",
+    "claims/properties/NAME.py",
+    "claims/properties/decision_count.py",
+    "cli/count.py",
+    "extensions/assurance/statistics/mean_margin.py",
+    "extensions/height/commands.py",
     "scenarios/robot-ur5_joint_limited.yaml",
-    "simulation/slow_world.py",
+    "tests/assurance/statistics/test_mean_margin.py",
 }
 
 
@@ -62,5 +69,45 @@ MADE_BY_A_RECIPE = {
 def test_every_file_that_a_developer_is_sent_to_is_there(page: str) -> None:
     named = set(re.findall(r"`((?:\w+/)+[\w-]+\.(?:py|json|yaml|j2))", (ROOT / page).read_text()))
     assert len(named) > 10
-    for file in named - MADE_BY_A_RECIPE - {"properties/NAME.py"}:
+    for file in named - MADE_BY_A_RECIPE:
         assert (ROOT / file).is_file() or (ROOT / "safety_harness" / file).is_file(), file
+
+
+ARCHITECTURE = (DOCS / "architecture.md").read_text()
+
+
+@pytest.mark.parametrize("page", ["CONTRIBUTING.md", "docs/architecture.md"])
+def test_every_name_that_a_developer_is_sent_to_stands_in_its_file(page: str) -> None:
+    named = re.findall(r"`([\w/]+\.py)`, `(\w+)`", (ROOT / page).read_text())
+    assert len(named) > 10
+    for file, name in named:
+        (path,) = (one for one in (ROOT / "safety_harness" / file, ROOT / file) if one.is_file())
+        assert re.search(rf"^(?:def |class )?{name}\b", path.read_text(), re.MULTILINE), (file, name)
+
+
+def test_the_page_and_the_picture_have_the_packages_of_the_rule() -> None:
+    rings = ARCHITECTURE.partition("## Rings")[2].partition("## How")[0]
+    rows = [line.strip("| ").split(" | ") for line in rings.splitlines() if line.startswith("| `")]
+    named = {row[0].strip("`"): row for row in rows}
+    assert tuple(named)[: len(CORE)] == tuple(architecture_picture.CORE) == CORE
+    assert {*named} - {*CORE} == {*architecture_picture.WINGS} == {*WINGS}
+    for wing, others in WINGS.items():
+        assert tuple(re.findall(r"`(\w+)`", " ".join(named[wing][3:]))) == others
+
+
+def test_the_picture_and_the_table_of_extension_points_are_as_the_code_has_them() -> None:
+    """If not: python docs/tables.py."""
+    assert architecture_picture.picture() == (DOCS / "assets" / "architecture.svg").read_text()
+    assert tables.with_tables(ARCHITECTURE) == ARCHITECTURE
+
+
+def test_an_arrow_of_the_picture_is_left_out_only_if_others_lead_there(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    assert (drawn := architecture_picture.picture().count('<path d="M')) > len(CORE)
+    graph = architecture_picture.imports()
+    graph["gym"] -= {one for one in graph["gym"] if one != "base"}
+    monkeypatch.setattr(architecture_picture, "imports", lambda: graph)
+    assert architecture_picture.picture().count('<path d="M') == drawn  # gym to base in place of admission
+    graph["gym"].clear()
+    assert architecture_picture.picture().count('<path d="M') == drawn - 1

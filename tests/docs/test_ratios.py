@@ -86,7 +86,7 @@ def test_a_ratio_changed_if_none_of_its_turns_is_among_those_before(
 def test_every_script_is_run_by_bench_all_or_writes_a_page() -> None:
     (listed,) = re.findall(r"^LONG := ((?:.*\\\n)*.*)$", (BENCHMARKS.parent / "Makefile").read_text(), re.M)
     scripts = {file.stem for file in BENCHMARKS.glob("*.py") if "__main__" in file.read_text()}
-    asked_by_others = {"results", "overhead_of_others", "bits"}
+    asked_by_others = {"results", "overhead_of_others", "bits", "bits_items"}
     writers = {"gallery", "model_cards", "mutants", "sample_reports", "smallest_breaks"}
     of_hours = {"million", "fair_trial"}  # and told where to write, or what to measure
     of_other_software = {"drives", "accessibility"}  # MuJoCo and axe-core, which nothing else here needs

@@ -14,8 +14,8 @@ from safety_harness.claims.properties.measured import reads
 from safety_harness.scenario.model import Verdict
 from safety_harness.testing import SafetyViolation, assert_holds
 from safety_harness.testing.asserting import run_of
+from safety_harness.testing.plugin.payloads import judgements, junit_properties, payload
 from safety_harness.testing.plugin.reporting import save_runs
-from safety_harness.testing.plugin.running import judgements, junit_properties, payload
 from safety_harness.testing.session import Judgement, Session, TestRun, begin
 from safety_harness.trace.known import NOT_MEASURED, Gap, Measurement, knowing
 from safety_harness.trace.trace import Trace

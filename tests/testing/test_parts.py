@@ -21,7 +21,7 @@ from safety_harness.space.read import parse_space
 from safety_harness.testing import SafetyViolation, assert_holds, hand_distance, mm
 from safety_harness.testing.drawing import one_system
 from safety_harness.testing.failure_text import picture
-from safety_harness.testing.plugin.running import judgements, junit_properties, packed, payload, unpacked
+from safety_harness.testing.plugin.payloads import judgements, junit_properties, packed, payload, unpacked
 from safety_harness.testing.session import Judgement, Run, Session, TestRun, begin
 from safety_harness.testing.simulating import Simulate, digest_of
 from safety_harness.testing.watching import folder_of, keep, kept_for

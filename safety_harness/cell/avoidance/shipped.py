@@ -2,7 +2,13 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
+
+from safety_harness.base.shipped.contents import located
+from safety_harness.scenario.files import resolved
+from safety_harness.scenario.model import Scenario
+from safety_harness.scenario.references import MODEL_SUFFIX
 
 SHIPPED = (
     *("mc-dropout", "mc-dropout-full", "deterministic", "ensemble", "optimum"),
@@ -19,3 +25,13 @@ def shipped_model(name: str) -> Path:
 def model_file(reference: str) -> Path:
     """The shipped network's file if ``reference`` names one, else the file of that name."""
     return shipped_model(reference) if reference in SHIPPED else Path(reference)
+
+
+def network_file_of(scenario: Scenario) -> Path | None:
+    """Return the file of a scenario's network; None where its avoider is no network of ours."""
+    if scenario.avoider in SHIPPED:
+        return shipped_model(scenario.avoider)
+    if scenario.avoider.endswith(MODEL_SUFFIX):
+        folder = scenario.file.parent if scenario.file else Path()
+        return resolved(located(folder / os.path.expanduser(scenario.avoider)))
+    return None

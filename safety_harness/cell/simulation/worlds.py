@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Protocol
 
 from safety_harness.base.exceptions import InstallationError, Place, ScenarioError, TraceError, near_miss
+from safety_harness.base.extension_points import ExtensionPoint, Registry
 from safety_harness.base.extras import IMAGES
 from safety_harness.base.extras import PYBULLET as PYBULLET_EXTRA
 from safety_harness.base.geometry.arrays import ArrayN
@@ -144,8 +145,8 @@ KINEMATIC = WorldEntry(
 )
 """Joints do what the drives are told; many episodes run together."""
 REFERENCE = PYBULLET  # where no world is named
-WORLDS = [PYBULLET, KINEMATIC]
-"""Every world; another is a class and an entry here."""
+WORLDS = Registry([PYBULLET, KINEMATIC], ExtensionPoint.WORLDS, WorldEntry)
+"""Every world; another is a class and an entry here, or an entry point of a package."""
 
 
 def has_rendered_images(scenario: Scenario) -> bool:

@@ -27,6 +27,7 @@ from safety_harness.claims.formulas.formula import (
     unit_of,
 )
 from safety_harness.claims.formulas.measured import as_known, blanked, gaps_of
+from safety_harness.claims.formulas.measures import Measure
 from safety_harness.claims.formulas.semantics import (
     LEAST,
     OF_A_TICK,
@@ -41,7 +42,7 @@ from safety_harness.claims.formulas.semantics import (
     truth_bounds,
     witness,
 )
-from safety_harness.claims.formulas.signal import Interpolation, Measure, Sampled, Signal
+from safety_harness.claims.formulas.signal import Interpolation, Sampled, Signal
 from safety_harness.claims.formulas.signals import MODES
 from safety_harness.claims.properties.base import (
     MAY_SATURATE,

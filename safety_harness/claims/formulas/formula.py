@@ -21,10 +21,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import Enum
-from typing import TYPE_CHECKING
 
 from safety_harness.base.exceptions import FormulaError, Place
 from safety_harness.claims.formulas.quantities import Quantity, Span, Window, formula_error, span_of
+from safety_harness.claims.formulas.signal import Signal
 from safety_harness.claims.properties.base import Unit
 from safety_harness.scenario.model import Scenario
 from safety_harness.scenario.units import (
@@ -37,9 +37,6 @@ from safety_harness.scenario.units import (
     TIME,
     Dimension,
 )
-
-if TYPE_CHECKING:
-    from safety_harness.claims.formulas.signal import Signal
 
 
 class Relation(Enum):

@@ -13,10 +13,7 @@ from enum import Enum
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.claims.formulas.formula import Comparison, Formula, Relation, Truth
-from safety_harness.claims.formulas.quantities import Quantity, formula_error, plain
-from safety_harness.scenario.units import NUMBER, Dimension
-from safety_harness.trace.records import ENDLESS
+from safety_harness.scenario.units import Dimension
 from safety_harness.trace.trace import Trace
 
 Values = NDArray[np.float64]
@@ -92,86 +89,6 @@ class Signal:
 
     def __str__(self) -> str:
         return f'the signal "{self.words}" alone'
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Flag(Signal):
-    """Something that is true or false at each tick.  ``stopped()`` is the formula that it is true."""
-
-    dimension: None = None
-    between: Interpolation = Interpolation.HELD
-
-    def __call__(self) -> Formula:
-        """That it is true."""
-        return Truth(self)
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Measure(Signal):
-    """Something with a value of ``dimension`` at each tick, to be compared with a limit of that kind.
-
-    No run has a value below ``least``, nor one without end unless it is ``endless``.  No run comes near to a
-    limit below ``lowest``, or above what a limit of its dimension can be.
-    """
-
-    dimension: Dimension
-    least: float = 0.0
-    endless: bool = False
-    lowest: float = 0.0
-
-    @property
-    def limits(self) -> tuple[float, float]:
-        """Between which its limits (SI) lie."""
-        return self.lowest, self.dimension.most_of_limits
-
-    def impossible(self, sampled: Sampled) -> tuple[int, float] | None:
-        """The first tick with a value, or a bound of one, that no run has, and what it is; NaN is unknown.
-
-        So is what has no lower bound: motors that may saturate leave none between two ticks.
-        """
-        least, unbounded = self.least, np.isneginf(sampled.low)
-        for side, unknown in ((sampled.value, np.nan), (sampled.low, -np.inf), (sampled.high, np.inf)):
-            endless = (np.abs(side) >= ENDLESS) & ~(self.endless & np.isposinf(side))
-            endless &= ~(unbounded & (side == unknown))
-            wrong = (side < least) | endless
-            if wrong.any():
-                tick = int(np.argmax(wrong))
-                return tick, float(side[tick])
-            least = -np.inf  # a bound may be below what it bounds
-        return None
-
-    def __call__(self) -> Measure:
-        """Itself: ``tcp_speed() < mm_per_s(250)`` and ``tcp_speed < mm_per_s(250)`` are the same."""
-        return self
-
-    def __lt__(self, limit: Quantity | float) -> Comparison:
-        return self._compare(Relation.BELOW, limit)
-
-    def __le__(self, limit: Quantity | float) -> Comparison:
-        return self._compare(Relation.AT_MOST, limit)
-
-    def __gt__(self, limit: Quantity | float) -> Comparison:
-        return self._compare(Relation.ABOVE, limit)
-
-    def __ge__(self, limit: Quantity | float) -> Comparison:
-        return self._compare(Relation.AT_LEAST, limit)
-
-    def __eq__(self, other: object) -> bool:
-        if isinstance(other, Quantity | int | float):
-            raise formula_error(f"{self.words} beside a limit with <, <=, > or >=", f"== {other}")
-        return self is other
-
-    def __hash__(self) -> int:
-        return id(self)
-
-    def _compare(self, relation: Relation, limit: Quantity | float) -> Comparison:
-        if isinstance(limit, int | float) and self.dimension is NUMBER:
-            limit = plain(limit)
-        if not isinstance(limit, Quantity):
-            units = f"; allowed units: {', '.join(self.dimension.units)}" if self.dimension.units else ""
-            expected = f"{self.words} beside {self.dimension.expected}{units}"
-            raise formula_error(expected, str(limit), "quantities are written mm(50), deg_per_s(30), s(0.2)")
-        return Comparison(self, relation, limit)
 
 
 def at_ticks(value: Values) -> Sampled:

@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from safety_harness.base.extension_points import ExtensionPoint, Registry
 from safety_harness.claims.formulas.measured import (
     HANDS,
     TCP,
@@ -25,10 +26,9 @@ from safety_harness.claims.formulas.measured import (
     of_speed,
     or_next,
 )
+from safety_harness.claims.formulas.measures import Flag, Measure
 from safety_harness.claims.formulas.signal import (
-    Flag,
     Interpolation,
-    Measure,
     Sampled,
     Signal,
     absent,
@@ -60,7 +60,7 @@ from safety_harness.trace.trace import Trace
 
 Sample = Callable[[Trace], Sampled]
 Listed = TypeVar("Listed", bound=Signal)
-SIGNALS: list[Signal] = []  # in the order of the pages
+SIGNALS = Registry[Signal]((), ExtensionPoint.SIGNALS, Signal)  # in the order of the pages
 
 
 def measure(

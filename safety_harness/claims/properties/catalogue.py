@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from safety_harness.base.extension_points import ExtensionPoint, Registry
 from safety_harness.claims.properties.answered import ANSWERED, DECISION_TIME
 from safety_harness.claims.properties.clear_ways import CLEAR_WAYS
 from safety_harness.claims.properties.entry import CatalogueEntry
@@ -50,7 +51,7 @@ from safety_harness.claims.properties.servoing import (
 from safety_harness.claims.properties.touching import NO_MOVING_PART_TOUCHES
 from safety_harness.claims.properties.within_region import WITHIN_REGION
 
-CATALOGUE: tuple[CatalogueEntry, ...] = (
+_OWN = (
     HAND_DISTANCE,
     NO_MOVING_PART_TOUCHES,
     PROTECTIVE_SEPARATION,
@@ -94,3 +95,5 @@ CATALOGUE: tuple[CatalogueEntry, ...] = (
     KEEPS_ITS_PLACE,
     FINITE_TRACE,
 )
+CATALOGUE = Registry(_OWN, ExtensionPoint.CLAIMS, CatalogueEntry)
+"""Every claim; another is an entry here, or an entry point of a package."""

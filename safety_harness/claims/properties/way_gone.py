@@ -1,7 +1,8 @@
 """When a repulsion began, in which direction it went, how fast, and where it ended: each judged by itself.
 
 The resolution of each is the smallest that raises no alarm over the twelve harmless changes of
-``tests/claims/properties/harmless.py``, in both worlds.  Where the scenario states that its drives are late, their
+``tests/claims/properties/harmless.py``, in both worlds.  Where the scenario states that its drives are late,
+their
 dead time and lag count as cycles, and the cone of the direction is wider by the turn of the arm meanwhile.
 """
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from safety_harness.scenario.robots import AnyRobot
 
 _ABOUT = "Show an arm of a URDF, or fit capsules."
-commands = Typer(no_args_is_help=True, help=_ABOUT, short_help=_ABOUT)
+commands = Typer(name="robot", no_args_is_help=True, help=_ABOUT, short_help=_ABOUT)
 File = Annotated[
     Path, Argument(help="A URDF, or one of an installed package: pybullet/kuka_iiwa/model.", metavar="FILE")
 ]

@@ -1,6 +1,6 @@
 """Worlds as Gymnasium environments; importing this registers ``SafetyHarness-v0``, docs/environments.md.
 
-``gymnasium.make("safety_harness.extensions.gym:SafetyHarness-v0", space="unseen-both.yaml")`` imports it, too.
+``gymnasium.make("safety_harness.gym:SafetyHarness-v0", space="unseen-both.yaml")`` imports it, too.
 """
 
 from safety_harness.base.extras import GYM

@@ -138,7 +138,8 @@ class HarnessEnv(gymnasium.Env[dict[str, Any], NDArray[np.float64]]):
 
     A step is a control tick.  Without a seed several at a time have streams of their own.  ``sees`` are words
     of a controller's contract.  ``action`` is "tcp velocity" (3,) or "tcp twist" (6,) in the base frame, or
-    "joint velocity" (n,), in SI.  ``rewards`` gives weights to claims and to "progress" (``extensions.gym.rewards``).
+    "joint velocity" (n,), in SI.  ``rewards`` gives weights to claims and to "progress"
+    (``extensions.gym.rewards``).
     A violation of one of ``ends`` at a tick terminates an episode, the end of its scenario truncates it.
     InadmissibleError for what cannot be tried.
     """

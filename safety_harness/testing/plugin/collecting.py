@@ -21,15 +21,15 @@ from safety_harness.claims.properties.against import ClaimDifference
 from safety_harness.claims.properties.answered import AvoiderAnswered, by_default
 from safety_harness.claims.properties.base import Evaluation
 from safety_harness.claims.properties.true_motion import refuse_contradictions
-from safety_harness.extensions.field.logs.judging import recorded
 from safety_harness.scenario.expand import gather
+from safety_harness.scenario.kinds import recorded_run
 from safety_harness.scenario.model import Claim, Scenario, Verdict
 from safety_harness.space.read import space_of
 from safety_harness.space.space import ScenarioSpace
 from safety_harness.testing.against import against_reference, is_shared
 from safety_harness.testing.asserting import aim, refuse_fallback, require, run_of, settle, violation_of
 from safety_harness.testing.drawing import drawn, first_of, one_system
-from safety_harness.testing.plugin.plugin import TEST, explained
+from safety_harness.testing.plugin.explained import TEST, explained
 from safety_harness.testing.session import Judgement, Run, TestRun, session
 from safety_harness.testing.simulating import avoiders_asked, digest_of, looker, simulate
 from safety_harness.testing.watching import kept_for, under_profile, watching
@@ -105,7 +105,7 @@ class LogFile(pytest.File):
     def collect(self) -> Nodes:
         """An item a claim; CollectError for a log that cannot be used, or that claims nothing."""
         try:
-            found = recorded(self.path)
+            found = recorded_run(self.path)
         except InputError as error:
             raise self.CollectError(explained(error)) from None
         session().recordings.update(found.recordings)

@@ -109,7 +109,7 @@ class Ending:
         """What the reference does not do; tested only if no test drew its scenarios."""
         from safety_harness.admission.avoiders import told_avoider
         from safety_harness.claims.properties.against import Against
-        from safety_harness.testing.plugin.running import differences
+        from safety_harness.testing.plugin.payloads import differences
 
         now, runs = current(), differences(self._sent)
         if now.against is None or not runs:
@@ -181,7 +181,7 @@ class Ending:
         """Of the runs in which the avoider did not answer: in how many decisions the fallback stood in."""
         from safety_harness.claims.properties.answered import ANSWERED, fallback_words
         from safety_harness.report.words import count_words
-        from safety_harness.testing.plugin.running import judgements
+        from safety_harness.testing.plugin.payloads import judgements
 
         found = {
             j.run: j.evaluation
@@ -204,7 +204,7 @@ class Ending:
 
     def _tested(self) -> list[str]:
         """What the verdicts are about, where anything but the avoider or controller is not the default."""
-        from safety_harness.testing.plugin.running import judgements
+        from safety_harness.testing.plugin.payloads import judgements
 
         runs: dict[str, set[str]] = {}
         for run in (one.run for sent in self._sent for one in judgements(sent)):
@@ -212,14 +212,14 @@ class Ending:
         return [f"tested in {', '.join(sorted(names))}: {words}" for words, names in runs.items() if words]
 
     def _tallies(self) -> tuple[ClaimTally, ...]:
-        from safety_harness.testing.plugin.running import judgements, tallies_of
+        from safety_harness.testing.plugin.payloads import judgements, tallies_of
 
         return tallies_of(j for sent in self._sent for j in judgements(sent))
 
     def _basis(self) -> str:
         """What the verdicts of the session rest on."""
         from safety_harness.claims.properties.tally import basis_of_tallies
-        from safety_harness.testing.plugin.running import judgements
+        from safety_harness.testing.plugin.payloads import judgements
 
         worlds = (j.run.world for sent in self._sent for j in judgements(sent))
         return basis_of_tallies(worlds, self._tallies())

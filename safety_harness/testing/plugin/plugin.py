@@ -19,14 +19,14 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from safety_harness.base.compiling import CompilationLine, watchers
-from safety_harness.base.exceptions import InputError, Place, SafetyHarnessError, explanation
+from safety_harness.base.exceptions import InputError, Place, SafetyHarnessError
 from safety_harness.scenario.kinds import SUFFIXES, is_log
+from safety_harness.testing.plugin.explained import JUDGES_ITSELF, TEST, explained
 from safety_harness.testing.session import (
     FAILURES,
     PROFILES,
     QUICK,
     Session,
-    TestRun,
     begin,
     session,
 )
@@ -34,9 +34,6 @@ from safety_harness.testing.session import (
 if TYPE_CHECKING:
     from safety_harness.testing.plugin.collecting import LogFile, ScenarioFile
     from safety_harness.testing.simulating import Simulate
-
-
-JUDGES_ITSELF = "judges_runs_itself"
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -220,9 +217,6 @@ class _PastCapture(io.StringIO):
         return len(text)
 
 
-TEST: pytest.StashKey[TestRun] = pytest.StashKey()
-
-
 def _end(before: Session) -> None:
     begin(before)
 
@@ -239,12 +233,6 @@ def _seed(config: pytest.Config) -> int:
     if asked is not None and asked.isdigit():
         return int(asked)
     return random.SystemRandom().randrange(2**32)
-
-
-def explained(error: BaseException) -> str:
-    """Where, what was expected, what came, the hint; and the line of the test that asked."""
-    lines = [explanation(error), *(f"  {note}" for note in getattr(error, "__notes__", []))]
-    return "\n".join(lines).replace(f"{Path.cwd()}{os.sep}", "")
 
 
 def _refuse_idle_patterns(config: pytest.Config) -> None:

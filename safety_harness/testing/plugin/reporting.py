@@ -25,8 +25,8 @@ from safety_harness.report.evidence import JudgedRun, notes_of
 from safety_harness.report.html import write_report
 from safety_harness.report.machine import report_data, write_json
 from safety_harness.scenario.model import Claim, Verdict
-from safety_harness.testing.plugin.plugin import explained
-from safety_harness.testing.plugin.running import Payload, packed, unpacked
+from safety_harness.testing.plugin.explained import explained
+from safety_harness.testing.plugin.payloads import Payload, packed, unpacked
 from safety_harness.testing.session import TestRun, session
 from safety_harness.testing.simulating import digest_of
 from safety_harness.trace.store import load_trace, save_trace

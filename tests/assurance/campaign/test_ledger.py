@@ -252,7 +252,8 @@ def test_a_damaged_schema_is_refused_though_its_message_cannot_be_read(tmp_path:
 def test_only_one_runner_works_on_a_ledger(tmp_path: Path) -> None:
     path = tmp_path / "ledger.sqlite"
     code = (
-        "import sys; from pathlib import Path; from safety_harness.extensions.assurance.campaign.opening import only_runner\n"
+        "import sys; from pathlib import Path\n"
+        "from safety_harness.extensions.assurance.campaign.opening import only_runner\n"
         "with only_runner(Path(sys.argv[1])): print('locked', flush=True); sys.stdin.read()"
     )
     with subprocess.Popen(

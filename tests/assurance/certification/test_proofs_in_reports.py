@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from avoidance.random_models import random_perceptron
+from cell.avoidance.random_models import random_perceptron
 
 from safety_harness.base.exceptions import InputError
 from safety_harness.cell.avoidance.model_file import save_model

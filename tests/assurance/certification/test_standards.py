@@ -12,7 +12,7 @@ from safety_harness.extensions.assurance.certification.standards import (
     STANDARDS,
     TRACED,
     entry_of,
-    told_with_standards,
+    standards_of,
     traced,
 )
 
@@ -70,7 +70,7 @@ def test_the_words_of_a_claim_name_their_documents_from_the_table_alone() -> Non
     for entry in CATALOGUE:
         assert "ISO" not in entry.source
         terms = traced(entry.example).terms
-        assert dict(told_with_standards(entry))["standards"].count("ISO ") >= len(terms)
+        assert dict(standards_of(entry))["standards"].count("ISO ") >= len(terms)
 
 
 def test_law_and_standards_of_2026_have_their_rows() -> None:

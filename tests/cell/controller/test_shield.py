@@ -326,7 +326,7 @@ def test_runs_are_counted_by_broken_assumption() -> None:
     assert counts_words([(SHIELDED | 1 << NOT_KNOWN, 3)]).endswith("held in 0 of 3 runs, not known of 3")
 
 
-EARLIER = Path(__file__).parents[1] / "trace/earlier"
+EARLIER = Path(__file__).parents[2] / "trace/earlier"
 
 
 @pytest.mark.parametrize(

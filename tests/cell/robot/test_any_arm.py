@@ -8,8 +8,6 @@ from pathlib import Path
 import numpy as np
 import pybullet
 import pytest
-from arms import ARMS, pose_of_link
-from urdfs import OTHERS
 
 from safety_harness.base.exceptions import ArmModelError
 from safety_harness.base.geometry.rotations import rotation_about
@@ -22,6 +20,8 @@ from safety_harness.cell.robot.description import (
     resolved_urdf,
     urdf_file,
 )
+from tests.cell.robot.arms import ARMS, pose_of_link
+from tests.cell.robot.urdfs import OTHERS
 
 POSES = 20
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from urdfs import OTHERS
 
 from safety_harness.base.settings import DEFAULTS
 from safety_harness.cell.robot.capsules import Arm
@@ -22,6 +21,7 @@ from safety_harness.cell.robot.kinematics import (
     smallest_singular_value,
     tcp_velocity,
 )
+from tests.cell.robot.urdfs import OTHERS
 
 COUNTS = [3, 6, 7, 8]
 

@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from arms import ARMS, transforms_of
 
 from safety_harness.base.exceptions import ArmModelError
 from safety_harness.cell.robot import capsules as capsules_module
 from safety_harness.cell.robot.capsules import CapsuleSet, load_capsules
 from safety_harness.cell.robot.description import LinkShapes, Shape, load_arm
+from tests.cell.robot.arms import ARMS, transforms_of
 
 ALL_LINKS = [
     pytest.param(name, link, id=f"{name}-{link.link}") for name in ARMS for link in load_arm(name).links

@@ -7,7 +7,6 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from arms import ARMS, random_joints, transforms_of
 from disagreement import noted
 from eaik.IK_HP import HPRobot
 
@@ -18,6 +17,7 @@ from safety_harness.cell.robot.closed_form import arm_geometry
 from safety_harness.cell.robot.description import ArmModel, load_arm
 from safety_harness.cell.robot.inverse import EXACT_POSE, InverseKinematics
 from safety_harness.cell.robot.kinematics import geometric_jacobian
+from tests.cell.robot.arms import ARMS, random_joints, transforms_of
 
 POSES = 2000
 SAME_RAD = 1e-6  # but for rounding

@@ -5,11 +5,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from arms import ARMS, transforms_of
 
 from safety_harness.base.exceptions import ArmModelError
 from safety_harness.cell.robot import description
 from safety_harness.cell.robot.description import load_arm, resolved_urdf
+from tests.cell.robot.arms import ARMS, transforms_of
 
 
 @pytest.fixture

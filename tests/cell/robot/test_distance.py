@@ -2,13 +2,13 @@ import coal
 import numpy as np
 import pytest
 import trimesh
-from arms import random_joints, transforms_of
 from disagreement import noted
 
 from safety_harness.cell.robot.capsules import arm_with, load_capsules
 from safety_harness.cell.robot.closest_approach import MAX_BISECTIONS, closest_approach_between
 from safety_harness.cell.robot.description import load_arm
 from safety_harness.cell.robot.distance import hand_distance, hand_distance_from, place_capsules
+from tests.cell.robot.arms import random_joints, transforms_of
 
 ARM = load_arm("ur10")
 CAPSULES = load_capsules("ur10").with_capsule("camera", 7, (0.0, -0.045, 0.0), (0.0, -0.045, 0.02), 0.05)

@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import pybullet
 import pytest
-from urdfs import OTHERS, SMALL, small_arm_in
 
 from safety_harness.cell.robot.description import ArmModel, read_arm, resolved_urdf
 from safety_harness.cell.robot.dynamics import GRAVITY_MPS2, joint_torques, link_masses, torque_share
 from safety_harness.cell.robot.kinematics import forward_kinematics
 from safety_harness.cell.robot.urdf import ArmFileError
+from tests.cell.robot.urdfs import OTHERS, SMALL, small_arm_in
 
 ARMS = ["iiwa", "panda"]
 POSES = 50

@@ -8,7 +8,6 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
-from urdfs import small_arm_in
 
 from safety_harness.admission.admit import admit
 from safety_harness.admission.trial import judge
@@ -27,6 +26,7 @@ from safety_harness.scenario.model import Scenario, Verdict
 from safety_harness.scenario.read import parse_scenario, read_scenario
 from safety_harness.scenario.robots import EquippedArm, Robot, robot_named
 from safety_harness.scenario.write import write_scenario
+from tests.cell.robot.urdfs import small_arm_in
 
 PIECE = "{from: [0 mm, 0 mm, 0 mm], to: [0 mm, 0 mm, 250 mm], radius: 45 mm}"
 TOOL = f"tool: {{position: [0 mm, 0 mm, 250 mm], capsules: [{PIECE}]}}"

@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
-from arms import ARMS, random_joints, transforms_of
 
 from safety_harness.cell.robot.description import load_arm
 from safety_harness.cell.robot.inverse import InverseKinematics
 from safety_harness.cell.robot.kinematics import geometric_jacobian
+from tests.cell.robot.arms import ARMS, random_joints, transforms_of
 
 START = np.array([-0.22, -1.27, 1.98, -2.27, -1.57, -0.22])  # TCP over the table, looking down
 LEAST = 0.02

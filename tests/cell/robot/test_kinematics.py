@@ -1,6 +1,5 @@
 import numpy as np
 import pytest
-from arms import ARMS, bullet_arm, random_joints, transforms_of
 from disagreement import noted
 
 from safety_harness.base.geometry.rotations import vector_from_rotation
@@ -10,6 +9,7 @@ from safety_harness.cell.robot.kinematics import (
     is_well_conditioned,
     smallest_singular_value,
 )
+from tests.cell.robot.arms import ARMS, bullet_arm, random_joints, transforms_of
 
 FLOAT32 = 2e-6  # PyBullet hands out link frames in single precision
 

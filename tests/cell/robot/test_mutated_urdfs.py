@@ -10,11 +10,11 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 from test_urdf import NASTY
-from urdfs import SMALL, small_arm_in
 
 from safety_harness.cell.robot.description import ArmModel, read_arm, resolved_urdf
 from safety_harness.cell.robot.kinematics import links_in_base
 from safety_harness.cell.robot.urdf import ArmFileError
+from tests.cell.robot.urdfs import SMALL, small_arm_in
 
 ENDS = [("foot", "hand"), ("world", "hand"), (None, "hand"), (None, None), ("hand", "foot"), ("no", "hand")]
 TAGS = ["link", "joint", "origin", "axis", "limit", "parent", "child", "mesh", "box", "transmission", "mimic"]

@@ -7,15 +7,15 @@ from functools import lru_cache
 
 import numpy as np
 import pytest
-from arms import random_joints
 from scipy.spatial.transform import Rotation
 from test_any_joints import jacobian_at, made_up
-from urdfs import OTHERS
 
 from safety_harness.cell.robot.description import ArmModel, load_arm, read_arm
 from safety_harness.cell.robot.inverse import InverseKinematics
 from safety_harness.cell.robot.kinematics import links_in_base
 from safety_harness.cell.robot.numeric_inverse import all_found, nearest_found, starts_of
+from tests.cell.robot.arms import random_joints
+from tests.cell.robot.urdfs import OTHERS
 
 SIX, SEVEN = ["xarm6", "six", "six endless"], ["panda", "iiwa", "seven", "seven endless"]
 OTHER_COUNTS = ["three", "five", "eight"]

@@ -4,11 +4,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from urdfs import OTHERS, SMALL, WEDGE, small_arm_in
 
 from safety_harness.base.exceptions import ArmModelError, InputError
 from safety_harness.cell.robot.description import ArmModel, read_arm
 from safety_harness.cell.robot.urdf import ArmFileError
+from tests.cell.robot.urdfs import OTHERS, SMALL, WEDGE, small_arm_in
 
 MUTATIONS = 500
 NASTY = ["nan", "inf", "-inf", "1e400", "", "0", "-1", "1_0", "abc", "0 0 0", "1 2", "world", "hand", "fixed"]

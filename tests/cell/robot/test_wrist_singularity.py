@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from arms import ARMS, random_joints, transforms_of
 
 from safety_harness.cell.robot.closed_form import FREE
 from safety_harness.cell.robot.description import load_arm
 from safety_harness.cell.robot.inverse import InverseKinematics
+from tests.cell.robot.arms import ARMS, random_joints, transforms_of
 
 OFFSETS = (0.0, 1e-16, 1e-12, 1e-10, 4e-10, 6e-10, 1e-9, 1e-8, 1e-7, 1e-6, 1e-5, 0.99e-4, 1e-4, 1.01e-4)
 COUNT = 60  # poses of each kind

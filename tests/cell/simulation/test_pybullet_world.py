@@ -196,7 +196,7 @@ def test_a_fresh_process_makes_the_same_trace_bit_by_bit(tmp_path: Path) -> None
     program = f"""
         import sys
         import numpy as np
-        sys.path[:0] = {[str(Path(__file__).parents[1]), str(Path(__file__).parent)]!r}
+        sys.path[:0] = {[str(Path(__file__).parents[2]), str(Path(__file__).parent)]!r}
         from test_pybullet_world import noisy, run
         trace = run(noisy())
         np.save({str(tmp_path / "ticks.npy")!r}, trace.ticks)

@@ -25,6 +25,7 @@ from safety_harness.claims.formulas.formula import (
     disjunction,
 )
 from safety_harness.claims.formulas.language import mm, ms
+from safety_harness.claims.formulas.measures import Flag, Measure
 from safety_harness.claims.formulas.quantities import Span
 from safety_harness.claims.formulas.semantics import (
     LEAST,
@@ -34,7 +35,7 @@ from safety_harness.claims.formulas.semantics import (
     margins,
     truth_bounds,
 )
-from safety_harness.claims.formulas.signal import Flag, Interpolation, Measure, Sampled
+from safety_harness.claims.formulas.signal import Interpolation, Sampled
 from safety_harness.scenario.units import LENGTH
 from safety_harness.trace.trace import Trace
 

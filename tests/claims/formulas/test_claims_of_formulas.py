@@ -32,8 +32,8 @@ from safety_harness.claims.formulas.language import (
     tcp_speed,
     whenever,
 )
+from safety_harness.claims.formulas.measures import Measure
 from safety_harness.claims.formulas.quantities import quantity
-from safety_harness.claims.formulas.signal import Measure
 from safety_harness.claims.formulas.signals import SIGNALS
 from safety_harness.claims.properties.base import Evaluation, Unit
 from safety_harness.claims.properties.hand_distance import RESOLUTION_M

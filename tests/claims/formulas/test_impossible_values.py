@@ -14,8 +14,9 @@ from safety_harness.base.exceptions import TraceError
 from safety_harness.claims.formulas.claim import FormulaClaim
 from safety_harness.claims.formulas.formula import Comparison, Formula, Relation
 from safety_harness.claims.formulas.language import always, eventually, initially, s, stopped, whenever
+from safety_harness.claims.formulas.measures import Flag, Measure
 from safety_harness.claims.formulas.quantities import Quantity
-from safety_harness.claims.formulas.signal import Flag, Measure, Signal
+from safety_harness.claims.formulas.signal import Signal
 from safety_harness.claims.formulas.signals import SIGNALS, predicted_hand_distance, tcp_speed
 from safety_harness.claims.properties.base import Evaluation, Property
 from safety_harness.claims.properties.catalogue import CATALOGUE

@@ -36,8 +36,9 @@ from safety_harness.claims.formulas.language import (
     parse_formula,
 )
 from safety_harness.claims.formulas.measured import as_known
+from safety_harness.claims.formulas.measures import Flag, Measure
 from safety_harness.claims.formulas.quantities import Quantity, Span
-from safety_harness.claims.formulas.signal import Flag, Measure, Signal
+from safety_harness.claims.formulas.signal import Signal
 from safety_harness.claims.formulas.signals import SIGNALS
 from safety_harness.claims.properties.base import Evaluation
 from safety_harness.claims.properties.hand_distance import RESOLUTION_M, HandDistance

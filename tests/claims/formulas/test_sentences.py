@@ -44,9 +44,9 @@ from safety_harness.claims.formulas.language import (
     tcp_speed,
     whenever,
 )
+from safety_harness.claims.formulas.measures import Flag
 from safety_harness.claims.formulas.parse import looks_like_formula, parse_formula
 from safety_harness.claims.formulas.quantities import Span, quantity
-from safety_harness.claims.formulas.signal import Flag
 from safety_harness.claims.formulas.signals import SIGNALS
 from safety_harness.scenario.units import TIME
 

@@ -16,8 +16,9 @@ from safety_harness.admission.trial import run_kinematic
 from safety_harness.claims.formulas.claim import FormulaClaim
 from safety_harness.claims.formulas.formula import Comparison, Formula, Relation
 from safety_harness.claims.formulas.language import always, elapsed_time, eventually, s, whenever
+from safety_harness.claims.formulas.measures import Measure
 from safety_harness.claims.formulas.quantities import Quantity
-from safety_harness.claims.formulas.signal import Measure, Signal
+from safety_harness.claims.formulas.signal import Signal
 from safety_harness.claims.formulas.signals import SIGNALS
 from safety_harness.claims.properties.measured import columns_read_by
 from safety_harness.claims.properties.true_motion import true_motion

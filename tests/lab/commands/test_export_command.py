@@ -5,7 +5,7 @@ from functools import cache
 from pathlib import Path
 
 import pytest
-from avoidance.random_models import SEEN, random_model
+from cell.avoidance.random_models import SEEN, random_model
 
 from safety_harness.base.settings import DEFAULTS
 from safety_harness.cell.avoidance.isolation.isolated import isolated_onnx

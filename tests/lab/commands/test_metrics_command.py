@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from avoidance.random_models import random_model
+from cell.avoidance.random_models import random_model
 
 from safety_harness.base.settings import DEFAULTS
 from safety_harness.cell.avoidance.model_file import Calibration, Dropout, save_model

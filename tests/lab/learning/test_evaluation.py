@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from avoidance.random_models import random_model
+from cell.avoidance.random_models import random_model
 from disagreement import noted
 from uncertainty_toolbox import metrics_accuracy, metrics_calibration
 

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 import torch
-from avoidance.random_models import random_inputs, random_model
+from cell.avoidance.random_models import random_inputs, random_model
 from disagreement import noted
 
 from safety_harness.base.exceptions import AvoiderError, ModelError, OutputError

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from avoidance.random_models import SEEN
+from cell.avoidance.random_models import SEEN
 from numpy.typing import NDArray
 
 from safety_harness.extensions.lab.proof.plan import ProofRegion, seen_region

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from avoidance.random_models import random_perceptron
+from cell.avoidance.random_models import random_perceptron
 
 from safety_harness.cell.avoidance.learned import LearnedAvoider
 from safety_harness.cell.avoidance.model_file import Model, load_model

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from avoidance.random_models import SEEN, random_perceptron
+from cell.avoidance.random_models import SEEN, random_perceptron
 
 from safety_harness.base.exceptions import InputError
 from safety_harness.cell.avoidance.model_file import save_model

@@ -41,7 +41,7 @@ from safety_harness.seams.isolation.frames import framed
 from safety_harness.seams.isolation.process import Process
 from safety_harness.seams.isolation.telling import Heard, say_it_is_executed
 
-LOGGER = logging.getLogger("safety_harness.cell.controller")
+LOGGER = logging.getLogger("safety_harness.controller")
 PYTHON_S = 300.0  # to be imported
 BEGIN_S = 60.0  # to start, or to take the connection, and to say hello
 CHILD = "safety_harness.cell.controller.out_of_process.child"

@@ -23,7 +23,7 @@ from safety_harness.cell.simulation.worlds import libraries_of, worlds_by_label
 from safety_harness.scenario.compose import Library
 from safety_harness.scenario.files import read_bytes, resolved
 from safety_harness.scenario.model import EDITION
-from safety_harness.scenario.nodes import Mapping, Node, Scalar
+from safety_harness.scenario.nodes import references_in
 from safety_harness.scenario.references import file_and_name
 from safety_harness.scenario.robots import AnyRobot, OwnRobot
 from safety_harness.space.space import ScenarioSpace
@@ -122,7 +122,6 @@ def _libraries(spaces: Sequence[ScenarioSpace], world: str) -> tuple[str, ...]:
 
 
 MOST_BYTES = 200_000_000  # of all files together
-REFERRING = ("avoider", "controller", "recording")
 
 
 @dataclass(frozen=True)
@@ -237,24 +236,6 @@ def unpacked(files: Sequence[PlanFile], folder: Path) -> Path:
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_bytes(file.data)
     return (folder / files[0].name).resolve()
-
-
-def references_in(node: Node, keys: tuple[str, ...] = REFERRING, *, within: bool = False) -> Iterator[str]:
-    """What a space says below ``keys``: plain values, and their alternatives.
-
-    No other text names a file: a hand that is called ``/etc/passwd`` brings that file into no ledger.
-    """
-    if isinstance(node, Scalar):
-        text = node.text
-        if within:
-            yield from text[7:].split(", ") if text.startswith("one of ") else [text]
-    elif isinstance(node, Mapping):
-        for key, value in node.entries:
-            if key.text != "chances":
-                yield from references_in(value, keys, within=within or key.text in keys)
-    else:
-        for item in node.items:
-            yield from references_in(item, keys, within=within)
 
 
 def _existing(references: Iterable[str], folder: Path) -> Iterator[Path]:

@@ -1,7 +1,8 @@
 """A few runs before a plan's own: how many of those will test each claim, how many it takes, how long.
 
 The runs of a pilot have another seed than the plan's, so that nobody has seen a declared run before it is
-declared.  Numbers of runs come from the bounds themselves (``extensions.assurance.statistics.planning``).  Runs without a verdict,
+declared.  Numbers of runs come from the bounds themselves (``extensions.assurance.statistics.planning``).
+Runs without a verdict,
 or that could not be carried on, count as tested and as violations, as they do in the upper bounds.
 """
 

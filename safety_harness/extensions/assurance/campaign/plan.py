@@ -28,7 +28,6 @@ from safety_harness.extensions.assurance.campaign.identity import (
     PlanFile,
     files_of_plan,
     identity_of,
-    references_in,
     unpacked,
 )
 from safety_harness.extensions.assurance.campaign.plan_keys import (
@@ -53,7 +52,7 @@ from safety_harness.scenario.model import (
     Scenario,
     Verdict,
 )
-from safety_harness.scenario.nodes import Scalar
+from safety_harness.scenario.nodes import Scalar, references_in
 from safety_harness.scenario.references import file_and_name, portable
 from safety_harness.scenario.units import FRACTION
 from safety_harness.space.read import space_of

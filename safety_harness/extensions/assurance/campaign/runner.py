@@ -219,7 +219,8 @@ class Stopping:
     """Looks at the outcomes in the order of the episodes, so that the moment does not hang on who is quicker.
 
     A claim with a target is decided once its upper bound meets the target, or its lower bound is above it;
-    a stratum is when all of its claims are.  Bounds hold at every look (``extensions.assurance.statistics.sequential``).
+    a stratum is when all of its claims are.  Bounds hold at every look
+    (``extensions.assurance.statistics.sequential``).
     """
 
     def __init__(self, plan: Plan, ledger: Ledger) -> None:

@@ -9,8 +9,8 @@ from hashlib import sha256
 
 import numpy as np
 
+from safety_harness.cell.avoidance.shipped import network_file_of
 from safety_harness.extensions.assurance.campaign.plan import Plan, Stratum
-from safety_harness.extensions.assurance.certification.system import network_file_of
 from safety_harness.extensions.lab.proof.plan import ProofRegion
 from safety_harness.scenario.gate import AskedRegion
 

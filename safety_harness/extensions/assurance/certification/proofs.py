@@ -15,10 +15,10 @@ from pathlib import Path
 
 from safety_harness.base.exceptions import InputError, OutputError, Place
 from safety_harness.base.whole_file import replacing
+from safety_harness.cell.avoidance.shipped import network_file_of
 from safety_harness.extensions.assurance.campaign.plan import Plan
 from safety_harness.extensions.assurance.certification.evidence import CertifiedClaim, CertifiedProofs
 from safety_harness.extensions.assurance.certification.gated import gate_words
-from safety_harness.extensions.assurance.certification.system import network_file_of
 from safety_harness.extensions.lab.proof.certificate import FORMAT, read_proofs
 from safety_harness.extensions.lab.proof.check import check
 from safety_harness.extensions.lab.proof.maps import maps_of

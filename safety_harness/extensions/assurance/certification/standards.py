@@ -13,7 +13,7 @@ from pathlib import Path
 from ruamel.yaml import YAML
 
 from safety_harness.claims.properties.catalogue import CATALOGUE
-from safety_harness.claims.properties.entry import CatalogueEntry, told
+from safety_harness.claims.properties.entry import CatalogueEntry
 from safety_harness.extensions.assurance.certification.evidence import StandardTerm
 from safety_harness.scenario.typed_json import typed
 
@@ -192,10 +192,9 @@ TRACED = {  # by the example in the entry of the catalogue
 OWN = _traced("not stated by the plan: the claim is a formula of its author's")
 
 
-def told_with_standards(entry: CatalogueEntry) -> Iterator[tuple[str, str]]:
-    """(name, text) of everything that an entry says for people, and the standards that it is traced to."""
-    yield from told(entry)
-    terms = TRACED[entry.example].terms
+def standards_of(entry: CatalogueEntry) -> Iterator[tuple[str, str]]:
+    """Yield the line of a claim's description that names the standards it is traced to."""
+    terms = TRACED.get(entry.example, OWN).terms
     yield "standards", "; ".join(f"{one.standard}: {one.term}" for one in terms) or "none"
 
 
@@ -207,4 +206,4 @@ def entry_of(sentence: str) -> CatalogueEntry | None:
 def traced(sentence: str) -> Tracing:
     """The hazard and the terms of a claim."""
     entry = entry_of(sentence)
-    return OWN if entry is None else TRACED[entry.example]
+    return OWN if entry is None else TRACED.get(entry.example, OWN)

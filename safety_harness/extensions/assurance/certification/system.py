@@ -2,27 +2,22 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import fields, is_dataclass
-from pathlib import Path
 from typing import Any
 
 from safety_harness.admission.avoiders import NAMES
 from safety_harness.admission.driving import named_system
 from safety_harness.base.settings import DecisionCost, Settings
-from safety_harness.base.shipped.contents import located
 from safety_harness.cell.avoidance.model_file import Model, load_model
-from safety_harness.cell.avoidance.shipped import SHIPPED, shipped_model
+from safety_harness.cell.avoidance.shipped import network_file_of
 from safety_harness.claims.properties.answered import NOT_MODELLED
 from safety_harness.extensions.assurance.campaign.plan import Plan
 from safety_harness.extensions.assurance.certification.evidence import SystemDescription
 from safety_harness.report.decisions import cost_words
 from safety_harness.report.words import changed_settings, drives_as_modelled, setting_words, unknown_files
-from safety_harness.scenario.files import resolved
 from safety_harness.scenario.model import Scenario
-from safety_harness.scenario.references import MODEL_SUFFIX
 
 DATA, LEARNING = "Data: ", "Learning: "  # how names begin of the data set's sheet and of the log of learning
 CARD = {  # what is shown of a model's card
@@ -73,16 +68,6 @@ def model_of(scenario: Scenario) -> Model | None:
     """The network of a scenario's avoider; None for one that is no file of this package's format."""
     file = network_file_of(scenario)
     return None if file is None else load_model(file)
-
-
-def network_file_of(scenario: Scenario) -> Path | None:
-    """Its file."""
-    if scenario.avoider in SHIPPED:
-        return shipped_model(scenario.avoider)
-    if scenario.avoider.endswith(MODEL_SUFFIX):
-        folder = scenario.file.parent if scenario.file else Path()
-        return resolved(located(folder / os.path.expanduser(scenario.avoider)))
-    return None
 
 
 def card_of(model: Model) -> Iterator[tuple[str, str]]:

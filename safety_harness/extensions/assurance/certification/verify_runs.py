@@ -17,7 +17,6 @@ from safety_harness.base.seeds import Branch, generator
 from safety_harness.cell.simulation.worlds import world_of_trace
 from safety_harness.claims.properties.true_motion import refuse_contradictions
 from safety_harness.extensions.assurance.campaign.episodes import EpisodeRunner, trace_of
-from safety_harness.extensions.assurance.campaign.identity import references_in
 from safety_harness.extensions.assurance.campaign.ledger import Ledger
 from safety_harness.extensions.assurance.campaign.plan import Plan
 from safety_harness.extensions.assurance.campaign.rows import ClaimJudgement, Row
@@ -27,6 +26,7 @@ from safety_harness.extensions.assurance.certification.gather import GatheredEvi
 from safety_harness.extensions.assurance.certification.verdicts import percent
 from safety_harness.extensions.assurance.certification.verify_files import Examination, few, kept
 from safety_harness.extensions.assurance.statistics.sample import EpisodeOutcome
+from safety_harness.scenario.nodes import references_in
 from safety_harness.scenario.write import write_scenario
 from safety_harness.trace.compare import first_difference
 from safety_harness.trace.overruling import COUNTS as OVERRULED

@@ -58,7 +58,7 @@ class RareWay(StrEnum):
     SPLITTING = "splitting"
 
 
-commands = Typer(no_args_is_help=True, help=_ABOUT, short_help=_ABOUT)
+commands = Typer(name="campaign", no_args_is_help=True, help=_ABOUT, short_help=_ABOUT)
 _command = partial(
     command, commands, interrupted="interrupted; what was committed is in the ledger", failed=DIFFERS
 )
@@ -165,11 +165,11 @@ def _carry_on(
 ) -> int:
     from safety_harness.base.interrupts import one_more_ctrl_c
     from safety_harness.claims.properties.answered import is_claimed
-    from safety_harness.cli.progress import watching_campaign
     from safety_harness.extensions.assurance.campaign.ledger import Ledger
     from safety_harness.extensions.assurance.campaign.session import carry_on, processes
     from safety_harness.extensions.assurance.campaign.summary import fallback_of
     from safety_harness.extensions.assurance.commands.campaign_lines import tested_lines
+    from safety_harness.extensions.assurance.commands.progress import watching_campaign
     from safety_harness.extensions.assurance.statistics.sample import EpisodeOutcome
     from safety_harness.scenario.kinds import FileKind, kind_of
 

@@ -37,7 +37,7 @@ class _PlanOrCommand(TyperGroup):
 
 commands = Typer()
 _ABOUT = "Run a declared plan and write its evidence; declare, seal, delta."
-of_certify = Typer(cls=_PlanOrCommand, help=_ABOUT, short_help=_ABOUT)
+of_certify = Typer(name="certify", cls=_PlanOrCommand, help=_ABOUT, short_help=_ABOUT)
 
 
 @command(
@@ -100,7 +100,7 @@ def certify(
     from safety_harness.admission.claims import property_of
     from safety_harness.claims.properties.base import close_to, far_words
     from safety_harness.claims.properties.tried import UNTRIED
-    from safety_harness.cli.progress import watching_campaign, watching_search, watching_words
+    from safety_harness.cli.progress import watching_search, watching_words
     from safety_harness.extensions.assurance.campaign.against import plan_with
     from safety_harness.extensions.assurance.campaign.plan import read_plan
     from safety_harness.extensions.assurance.campaign.session import LEDGER
@@ -111,6 +111,7 @@ def certify(
     from safety_harness.extensions.assurance.certification.folder import PAGE
     from safety_harness.extensions.assurance.certification.verdicts import overruling_line, percent
     from safety_harness.extensions.assurance.commands.campaign_lines import tested_lines
+    from safety_harness.extensions.assurance.commands.progress import watching_campaign
     from safety_harness.scenario.files import told
     from safety_harness.scenario.model import Driver
     from safety_harness.scenario.typed_json import plain

@@ -11,7 +11,7 @@ from safety_harness.cli.console import AS_EXPECTED, document, result, say
 from safety_harness.cli.options import Seed, command
 
 _ABOUT = "Make a scenario space of recorded hands."
-commands = Typer(no_args_is_help=True, help=_ABOUT, short_help=_ABOUT)
+commands = Typer(name="hands", no_args_is_help=True, help=_ABOUT, short_help=_ABOUT)
 
 
 @commands.callback()

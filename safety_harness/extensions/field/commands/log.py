@@ -11,7 +11,7 @@ from safety_harness.cli.console import AS_EXPECTED, document, result, say
 from safety_harness.cli.options import command
 
 _ABOUT = "Check what a log leaves open: what nothing in it confirms, and how far its clocks are apart."
-commands = Typer(no_args_is_help=True, help=_ABOUT, short_help=_ABOUT)
+commands = Typer(name="log", no_args_is_help=True, help=_ABOUT, short_help=_ABOUT)
 
 
 @command(commands, "check")

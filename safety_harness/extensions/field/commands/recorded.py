@@ -34,7 +34,7 @@ class _Quantities(TyperGroup):
 
 
 _ABOUT = "Make a scenario, and a space around it, of the log of a cell."
-of_scenarios = Typer(cls=_Quantities, no_args_is_help=True, help=_ABOUT, short_help=_ABOUT)
+of_scenarios = Typer(name="scenario", cls=_Quantities, no_args_is_help=True, help=_ABOUT, short_help=_ABOUT)
 commands = Typer()
 Log = Annotated[Path, Argument(help="The description of a log.", metavar="LOG.yaml")]
 OfCell = Annotated[

@@ -1,6 +1,7 @@
 """From joints and hands at a tick to the signals, with bounds of what they can have been, as of a log.
 
-What ``claims.formulas.signals`` and ``claims.formulas.measured`` compute of a whole trace, here of the latest ticks and of
+What ``claims.formulas.signals`` and ``claims.formulas.measured`` compute of a whole trace, here of the
+latest ticks and of
 the ways between them, for each tick and hand with the uncertainty that it has then, in compiled code: a cell
 that runs has 8 ms for a tick.
 """

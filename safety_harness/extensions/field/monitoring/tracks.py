@@ -1,8 +1,9 @@
 """Samples of one thing as they come, straight between them, and within how much of that the true one was.
 
-The bounds are those of a log that ends now (``extensions.field.logs.certain``), sample by sample: between two samples by
-``extensions.field.logs.reach``, after the last one by the greatest speed, up to half of the longest gap.  Times are in
-nanoseconds since the first joints.
+The bounds are those of a log that ends now (``extensions.field.logs.certain``), sample by sample: between
+two samples by
+``extensions.field.logs.reach``, after the last one by the greatest speed, up to half of the longest gap.
+Times are in nanoseconds since the first joints.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ class Jump(ValueError):
 
 
 class WithinByTick:
-    """``extensions.field.logs.reach.over_ticks``, sample by sample: bounds at ticks, and ticks at which nothing is known."""
+    """As ``reach.over_ticks`` of logs, sample by sample: bounds at ticks, and where nothing is known."""
 
     def __init__(self, longest_ns: int, period_ns: int) -> None:
         self._longest_ns, self._period_ns = longest_ns, period_ns

@@ -199,8 +199,8 @@ def _decisions(file: Path, text: str, out: Path) -> int:
     from safety_harness.base.exceptions import InputError, Place
     from safety_harness.base.whole_file import writing
     from safety_harness.cell.avoidance.model_file import load_model
+    from safety_harness.cell.avoidance.shipped import network_file_of
     from safety_harness.claims.properties.tally import table
-    from safety_harness.extensions.assurance.certification.system import network_file_of
     from safety_harness.extensions.lab.proof.decisions import certified_decisions
     from safety_harness.scenario.typed_json import plain
     from safety_harness.scenario.units import LENGTH, parse_quantity

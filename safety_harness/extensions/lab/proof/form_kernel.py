@@ -8,7 +8,8 @@ multiplies by |W|, would grow beyond all bounds: there the ReLUs of every layer,
 ``network.gathers`` of them, make it symbols too.
 
 **Rounding.**  The bounds are of what the *program* computes: what that rounds is ``network.error``, or in
-float64 (``cell.avoidance.perceptron_kernel``) as little as here.  A sum of n products is off by gamma (|b| + sum
+float64 (``cell.avoidance.perceptron_kernel``) as little as here.  A sum of n products is off by gamma (|b| +
+sum
 |w| |x|) at most in any order, with or without fused operations, gamma = n u / (1 - n u), u = 2^-53 (Higham
 2002, 3.1).  The same holds of the centre computed here, and of the symbols and slacks, whose magnitudes are
 part of |x| <= size.  ``network.rounding`` is four times the sum of these, and goes into the slack; ``UP`` is

@@ -1,0 +1,67 @@
+"""Old import paths of documented names, for one release: they import the module at its new place."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from importlib import import_module
+from importlib.abc import Loader, MetaPathFinder
+from importlib.machinery import ModuleSpec
+from types import ModuleType
+
+PACKAGE = "safety_harness"
+MOVED = {
+    "attribution.attribute": "search.attribution.attribute",
+    "avoidance.avoider": "cell.avoidance.avoider",
+    "avoidance.model_file": "cell.avoidance.model_file",
+    "controller.contract": "seams.contract",
+    "exceptions": "base.exceptions",
+    "formulas.claim": "claims.formulas.claim",
+    "formulas.language": "claims.formulas.language",
+    "formulas.parse": "claims.formulas.parse",
+    "gym": "extensions.gym",
+    "gym.environment": "extensions.gym.environment",
+    "gym.stable_baselines": "extensions.gym.stable_baselines",
+    "gym.vector": "extensions.gym.vector",
+    "logs.model": "extensions.field.logs.model",
+    "logs.read": "extensions.field.logs.read",
+    "properties.base": "claims.properties.base",
+    "properties.spread_calibration": "claims.properties.spread_calibration",
+    "settings": "base.settings",
+    "simulation.worlds": "cell.simulation.worlds",
+}
+_TOPS = {name.partition(".")[0] for name in MOVED}
+
+
+class _FromNewPlace(Loader):
+    """Loads a module from where it is now; for a package that only led to moved modules an empty one."""
+
+    def __init__(self, new: str) -> None:
+        self._new = new
+
+    def create_module(self, spec: ModuleSpec) -> ModuleType | None:
+        return None
+
+    def exec_module(self, module: ModuleType) -> None:
+        if self._new:
+            sys.modules[module.__name__] = import_module(f"{PACKAGE}.{self._new}")
+
+
+class MovedModules(MetaPathFinder):
+    """Finds the modules of ``MOVED``, and nothing else below the packages that they were in."""
+
+    def find_spec(
+        self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:
+        """Return the spec of a moved module; ModuleNotFoundError for one that has no old path any more."""
+        package, _, old = fullname.partition(".")
+        if package != PACKAGE or old.partition(".")[0] not in _TOPS:
+            return None
+        if old not in MOVED and old not in _TOPS:
+            raise ModuleNotFoundError(
+                f"No module named {fullname!r}: CHANGELOG.md says where it is", name=fullname
+            )
+        return ModuleSpec(fullname, _FromNewPlace(MOVED.get(old, "")), is_package=old in _TOPS)
+
+
+sys.meta_path.insert(0, MovedModules())

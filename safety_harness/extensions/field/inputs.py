@@ -1,0 +1,22 @@
+"""Logs of a real cell as recorded runs, which ``judge``, ``view`` and pytest take."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from safety_harness.base.extension_points import InputFile
+from safety_harness.scenario.kinds import FileKind
+from safety_harness.scenario.model import Claim
+
+if TYPE_CHECKING:
+    from safety_harness.extensions.field.logs.certain import Recorded
+
+
+def _recorded(path: Path, claims: tuple[Claim, ...]) -> Recorded:
+    from safety_harness.extensions.field.logs.judging import recorded
+
+    return recorded(path, claims)
+
+
+LOGS = InputFile(words=FileKind.LOG.words, command=FileKind.LOG.command, recorded=_recorded)

@@ -1,0 +1,18 @@
+"""The machine code that a monitor needs beside that of runs and their judgement."""
+
+from __future__ import annotations
+
+from safety_harness.extensions.field.monitoring.cell import cell_taken
+from safety_harness.extensions.field.monitoring.monitor import Monitor
+from safety_harness.extensions.field.monitoring.sample import HandSample, Sample, line_of
+
+WATCHED = "eventually always (within 80 ms hand distance > 50 mm)"
+
+
+def warm_monitor() -> None:
+    """Watch a short run: an arm at a tick, operators without a window over ticks that are gone."""
+    own = Monitor(cell=cell_taken("UR10", ["hand"], "8 ms", [WATCHED]))
+    places = HandSample((0.9, 0.2, 0.4), (1.2, 0.2, 0.5))
+    for tick in range(60):
+        hands: dict[str, HandSample | None] = {"hand": places} if tick % 4 == 0 else {}
+        list(own.take(line_of(Sample(tick * 0.008, (0.0, -1.3, 2.0, -2.3, -1.6, 0.0), hands=hands))))
