@@ -11,7 +11,7 @@ from typing import Any
 
 import griffe
 
-ARRAYS = Path(__file__).parents[1] / "safety_harness" / "geometry" / "arrays.py"
+ARRAYS = Path(__file__).parents[1] / "safety_harness" / "base" / "geometry" / "arrays.py"
 SHAPES = dict(re.findall(r"^(\w+) = NDArray.*?# (\(.*?\))", ARRAYS.read_text(encoding="utf-8"), re.MULTILINE))
 
 

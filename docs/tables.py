@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import ast
 import json
 import re
 import sys
+from itertools import chain
 from pathlib import Path
 
+from architecture_picture import picture
+
+from safety_harness.base import extension_points
 from safety_harness.claims.formulas.signals import markdown_of_signals
 from safety_harness.claims.properties.catalogue import CATALOGUE
-from safety_harness.claims.properties.entry import markdown_of_claims
+from safety_harness.claims.properties.entry import markdown_of_claims, told
 from safety_harness.extensions.assurance.campaign.plan_keys import PLAN, TABLES, TITLE
 from safety_harness.extensions.assurance.certification.evidence import schema as evidence_schema
-from safety_harness.extensions.assurance.certification.standards import STANDARDS, told_with_standards
+from safety_harness.extensions.assurance.certification.standards import STANDARDS, standards_of
 from safety_harness.extensions.selftest.outcome import markdown as table_of
 from safety_harness.scenario.moves import MOVES
 from safety_harness.scenario.reference_tables import every_table, markdown, markdown_of_moves
@@ -20,6 +25,7 @@ from safety_harness.scenario.schema import scenario_schema, table_schema
 
 DOCS = Path(__file__).parent
 SCHEMA = DOCS / "schema" / "scenario.schema.json"
+PICTURE = DOCS / "assets" / "architecture.svg"
 EVIDENCE = DOCS / "schema" / "evidence.schema.json"
 PLANS = DOCS / "schema" / "plan.schema.json"
 KILLS = DOCS / "selftest-results.json"
@@ -35,8 +41,11 @@ def with_tables(text: str) -> str:
     """A page with every marked table as it should be; KeyError for a table that there is not."""
     tables = {table.name: markdown(table) for table in (*every_table(), *TABLES)}
     tables["moves"] = markdown_of_moves(MOVES)
-    tables["claims"] = markdown_of_claims(CATALOGUE, told_with_standards, smallest_breaks())
+    tables["claims"] = markdown_of_claims(
+        CATALOGUE, lambda entry: chain(told(entry), standards_of(entry)), smallest_breaks()
+    )
     tables["standards"] = markdown_of_standards()
+    tables["extension points"] = markdown_of_extension_points()
     tables["signals"] = markdown_of_signals()
     tables["oracles"] = markdown_of_oracles()
     tables["kills"], tables["harmless"] = markdown_of_kills()
@@ -69,6 +78,18 @@ def markdown_of_standards() -> str:
         + "\n".join(table_of(head, rows))
         + "\n"
     )
+
+
+def markdown_of_extension_points() -> str:
+    """Return a row for each group of entry points, as the docstrings of ``ExtensionPoint`` have it."""
+    tree = ast.parse(Path(extension_points.__file__).read_text("utf-8"))
+    (group,) = (one for one in tree.body if isinstance(one, ast.ClassDef) and one.name == "ExtensionPoint")
+    texts = [one.value.value for one in group.body if isinstance(one, ast.Expr | ast.Assign)]
+    rows = []
+    for name, text in zip(texts[1::2], texts[2::2], strict=True):
+        kind, _, use = " ".join(text.split()).removeprefix("``").partition("``: ")
+        rows.append((f"`{name}`", f"`{kind}`", use.replace("``", "`")))
+    return "\n".join(table_of(("group", "type of a part", "use"), rows)) + "\n"
 
 
 def markdown_of_kills() -> tuple[str, str]:
@@ -147,6 +168,7 @@ def main() -> None:
     """Bring every page and the schema up to date; say which ones changed."""
     SCHEMA.parent.mkdir(exist_ok=True)
     new = {page: with_tables(page.read_text()) for page in sorted(DOCS.glob("*.md"))}
+    new[PICTURE] = picture()
     new[SCHEMA] = schema_text()
     new[PLANS] = json.dumps(table_schema(PLAN, TITLE), indent=1, ensure_ascii=False) + "\n"
     new[EVIDENCE] = json.dumps(evidence_schema(), indent=1) + "\n"
