@@ -6,7 +6,7 @@ The shipped robot descriptions lie in ``data`` beside this file, which says wher
 from __future__ import annotations
 
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache, reduce
 from pathlib import Path
@@ -256,10 +256,20 @@ def read_arm(
         links=shapes.links(),
         left_out=tuple(shapes.left_out),
         without_inertia=tuple(shapes.without_inertia),
-        notes=(*(one.note for one in data if one.note), *shapes.notes),
+        notes=(*(one.note for one in data if one.note), *shapes.notes, *_below(urdf, base)),
         text=text,
         packages=packages or {},
     )
+
+
+def _below(urdf: Urdf, base: str) -> Iterator[str]:
+    """Yield a note for each joint that may move the base, which stands still here."""
+    link, passed = base, {base}
+    while (joint := urdf.above.get(link)) is not None and (link := urdf.parent(joint)) not in passed:
+        passed.add(link)
+        if joint.get("type") != "fixed":
+            kind, name = joint.get("type"), joint.get("name")
+            yield f"the {kind} joint {name} below {base} is left out: the base stands still"
 
 
 class _Shapes:

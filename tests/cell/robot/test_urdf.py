@@ -158,6 +158,17 @@ def test_what_is_not_between_base_and_tcp_may_be_anything(tmp_path: Path) -> Non
     assert read_arm(small_arm_in(tmp_path, text), base="world", tcp="hand").left_out == ("finger",)
 
 
+@pytest.mark.parametrize("kind", ["floating", "planar", "prismatic"])
+def test_a_joint_that_carries_the_base_is_left_out_with_a_note(kind: str, tmp_path: Path) -> None:
+    below = f'<link name="rail"/><joint name="carriage" type="{kind}"><parent link="rail"/>'
+    below += '<child link="world"/></joint>'
+    file = small_arm_in(tmp_path, SMALL.replace("</robot>", f"{below}</robot>"))
+    note = f"the {kind} joint carriage below world is left out: the base stands still"
+    assert note in read_arm(file, base="world", tcp="hand").notes
+    plain = read_arm(small_arm_in(tmp_path), base="world", tcp="hand")
+    assert not any("is left out" in one for one in plain.notes)
+
+
 @pytest.mark.parametrize(
     ("base", "tcp", "complaint"),
     [
