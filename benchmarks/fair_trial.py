@@ -52,33 +52,35 @@ COMMANDS = ("evaluate", "evaluate --against", "fuzz")
 CAUSES = """
 ## What was missed or flagged, and why
 
-- `homogeneous` (harmless) was flagged by `fuzz`, and is not now. Asked alone it answers 1.6e-13 mm elsewhere
-  than in a batch, for a matrix product rounds otherwise by its shape. Up to a nanometre *asked again* says
-  so and ends no command with 1.
+- `homogeneous` (harmless) was flagged by `fuzz`, and is not now. Asked alone it answers 1.6e-13 mm
+  elsewhere than in a batch, for a matrix product rounds otherwise by its shape. Up to a nanometre
+  *asked again* says so and ends no command with 1.
 - `onnx_int8`, `retrained` (harmless) were flagged by `fuzz`, and are not now. Int8 moves the student's
-  answers by 3 mm in the median, by up to 14 mm, another training by 2 and by up to 24 mm. They are no equals:
-  of 300 draws of the space int8 alone violates `proposals lead away to within 10 mm` in 19, the student alone
-  in 5; by more than the tolerance in 8 and 0. Redrawn pairs, near the point or not, show such differences as
-  they show a fault. What tells them apart is the same search the other way round. The factor 2 of that rule
-  was chosen with these two and `towards_by_seed`, `towards_by_place` in sight; the others were not looked at.
+  answers by 3 mm in the median, by up to 14 mm, another training by 2 and by up to 24 mm. They are no
+  equals: of 300 draws of the space int8 alone violates `proposals lead away to within 10 mm` in 19, the
+  student alone in 5; by more than the tolerance in 8 and 0. Redrawn pairs, near the point or not, show
+  such differences as they show a fault. What tells them apart is the same search the other way round.
+  The factor 2 of that rule was chosen with these two and `towards_by_seed`, `towards_by_place` in
+  sight; the others were not looked at.
 - `tcp_to_100_um`, `question_float16` (harmless) were flagged by `evaluate` for *jumps between near
-  questions*, and are not now. The network is steep in the TCP: one step of 0.1 mm moves the answer by up to
-  4.6 mm, one of half precision by up to 20 mm. A jump now does not count where the answers stay the same on both sides,
-  and move again within 1 mm by at least half as much.
+  questions*, and are not now. The network is steep in the TCP: one step of 0.1 mm moves the answer by
+  up to 4.6 mm, one of half precision by up to 20 mm. A jump now does not count where the answers stay
+  the same on both sides, and move again within 1 mm by at least half as much.
 - `x_and_y_swapped` moves answers by up to 35 mm and leads away as often as the reference, and
-  `sure_where_unseen` answers as well as before, without the doubt: `evaluate` alone has only likeness as
-  evidence against them, and `--against` decides. `fuzz` misses both with the claims of reaching-hands, of
-  which none is about doubt; it names the second with `--claim "proposals never sure and more than 60 mm
-  from the optimum"`.
-- `answers_after_96_ms` is within the deadline: `evaluate --against` names the longer time, `evaluate` alone
-  does not. `evaluate` shows two hands, and so finds `other_hand`.
-- `fuzz` lost power by the rule that asks the same search the other way round: `towards_by_place` is found
-  with seed 0 by one run, with seeds 1 and 2 by none; `into_the_table` and `x_and_y_swapped` are missed
-  (search and redrawing only, no row). Rows of `fuzz` are of the code before its rule was rewritten in fewer lines.
+  `sure_where_unseen` answers as well as before, without the doubt: `evaluate` alone has only likeness
+  as evidence against them, and `--against` decides. `fuzz` misses both with the claims of
+  reaching-hands, of which none is about doubt; it names the second with `--claim "proposals never sure
+  and more than 60 mm from the optimum"`.
+- `answers_after_96_ms` is within the deadline: `evaluate --against` names the longer time, `evaluate`
+  alone does not. `evaluate` shows two hands, and so finds `other_hand`.
+- `fuzz` lost power by the rule that asks the same search the other way round: `towards_by_place` is
+  found with seed 0 by one run, with seeds 1 and 2 by none; `into_the_table` and `x_and_y_swapped` are
+  missed (search and redrawing only, no row). Rows of `fuzz` are of the code before its rule was
+  rewritten in fewer lines.
 - Rows with `--region seen` are of 12 avoiders to a command, with the mean time of one.
-- The four rows of the opposite pose are a second measurement: at first these avoiders handed over a spread
-  of `None`, which is no answer in the kinematic world (flagged in 99 of 100 runs, *not confirmed in
-  PyBullet*). The documents say only that a spread may be left out.
+- The four rows of the opposite pose are a second measurement: at first these avoiders handed over a
+  spread of `None`, which is no answer in the kinematic world (flagged in 99 of 100 runs, *not confirmed
+  in PyBullet*). The documents say only that a spread may be left out.
 """
 
 
