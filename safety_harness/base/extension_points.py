@@ -24,6 +24,7 @@ from typing import Any, TypeVar
 from safety_harness.base.distribution import DISTRIBUTION, PYPROJECT
 
 _Part = TypeVar("_Part")
+OWN_TITLES = ("scenario", "scenario space", "suite")  # of files that the core reads itself
 
 
 class ExtensionPoint(StrEnum):
@@ -168,6 +169,12 @@ def loaded(
             yield part.name, found
 
 
+def _identities(part: object) -> set[str]:
+    """Return the texts by which files and commands choose a part, in lower case."""
+    texts = (getattr(part, name, None) for name in ("name", "label", "example", "words"))
+    return {text.casefold() for text in texts if isinstance(text, str)}
+
+
 class Registry(list[_Part]):
     """The core's own parts of a kind; those that packages add follow when somebody first looks.
 
@@ -182,7 +189,11 @@ class Registry(list[_Part]):
         if self._waiting is not None:
             (point, kind), self._waiting = self._waiting, None
             own = tuple(str(getattr(one, "name", "")) for one in list.__iter__(self))
-            self.extend(part for _, part in loaded(point, kind, taken=own))
+            for name, part in loaded(point, kind, taken=own):
+                if any(_identities(part) & _identities(one) for one in list.__iter__(self)):
+                    warn(RegisteredPart(point, name, ""), "its name is taken")
+                else:
+                    self.append(part)
 
     def __iter__(self) -> Iterator[_Part]:
         """Iterate over all parts."""
@@ -203,4 +214,4 @@ class Registry(list[_Part]):
 @lru_cache
 def input_files() -> dict[str, InputFile]:
     """Return the kinds of file that packages add, by the key that titles them."""
-    return dict(loaded(ExtensionPoint.INPUTS, InputFile))
+    return dict(loaded(ExtensionPoint.INPUTS, InputFile, taken=OWN_TITLES))

@@ -69,7 +69,7 @@ def new(
         document(templates=[{"name": name, "about": one.about} for name, one in TEMPLATES.items()])
         result(*_listed())
         return AS_EXPECTED
-    added = input_files().get(template or "")
+    added = None if template in TEMPLATES else input_files().get(template or "")
     if added is not None and added.draft is not None:
         return added.draft(file, plan)
     if plan is not None:

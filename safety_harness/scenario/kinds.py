@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from safety_harness.base.distribution import DISTRIBUTION
 from safety_harness.base.exceptions import InputError, MissingPackageError, Place, ScenarioError
-from safety_harness.base.extension_points import InputFile, input_files
+from safety_harness.base.extension_points import OWN_TITLES, ExtensionPoint, InputFile, input_files, parts
 from safety_harness.scenario.files import TITLES, TOP_KEY
 
 if TYPE_CHECKING:  # pytest loads this file in every project, and the model is slow to import
@@ -130,15 +130,21 @@ def kind_of(path: Path) -> Kind | None:
 def added_input(path: Path) -> InputFile | None:
     """Return what the package that adds a file's kind does with it; None for the core's own kinds."""
     kind = kind_of(path)
-    return kind if isinstance(kind, InputFile) else input_files().get(_TITLES.get(kind, ""))
+    if isinstance(kind, InputFile):
+        return kind
+    title = _TITLES.get(kind, "")
+    return input_files().get(title) if title in added_titles() else None
+
+
+def added_titles() -> set[str]:
+    """Return the titles of the kinds of file that packages add, without loading a package."""
+    return {part.name for part in parts(ExtensionPoint.INPUTS)} - {*OWN_TITLES}
 
 
 def is_log(path: Path) -> bool:
     """Return whether a file describes the log of a cell, or another recorded run."""
-    if kind_of(path) is FileKind.LOG:
-        return True
-    added = added_input(path)
-    return added is not None and added.recorded is not None
+    kind = kind_of(path)
+    return kind is FileKind.LOG or (isinstance(kind, InputFile) and kind.recorded is not None)
 
 
 def recorded_run(path: Path, claims: Sequence[Claim] = ()) -> Any:
@@ -277,8 +283,9 @@ def _text_kind(path: Path, text: str) -> Kind | None:
     keys = {*TOP_KEY.findall(text)}
     titles = keys & {*TITLES, "plan", "proof"}
     if not titles:
-        added = ((title, one) for title, one in input_files().items() if title not in _TITLES.values())
-        return next((one for title, one in added if re.search(rf"^{re.escape(title)}:", text, re.M)), None)
+        added = (title for title in added_titles() if title not in _TITLES.values())
+        title = next((one for one in added if re.search(rf"^{re.escape(one)}:", text, re.M)), "")
+        return input_files().get(title) if title else None
     return _BY_TITLE[titles.pop()] if len(titles) == 1 else None
 
 

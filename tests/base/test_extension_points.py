@@ -65,6 +65,7 @@ class ToyDistance(type(HAND_DISTANCE.prop)):
 ToyDistance.__name__ = "ToyDistance"
 CLAIM = replace(HAND_DISTANCE, prop=ToyDistance(**vars(HAND_DISTANCE.prop)), pattern="", make=None)
 TOY_WORLD = replace(KINEMATIC, name="toy", label="toy")
+FALSE_REFERENCE = replace(KINEMATIC, name="mine", label="PyBullet", confirmed_by=None)
 
 
 def note(entry):
@@ -106,6 +107,8 @@ gone = toy:no_such_name
 wrong = toy:TOYS
 [safety_harness.inputs]
 toy = toy:TOYS
+scenario = toy:TOYS
+reaching = toy:TOYS
 [safety_harness.claims]
 toy = toy:CLAIM
 [safety_harness.claim_notes]
@@ -115,6 +118,7 @@ toy = toy:HEIGHT
 [safety_harness.worlds]
 toy = toy:TOY_WORLD
 pybullet = toy:TOY_WORLD
+zz = toy:FALSE_REFERENCE
 [safety_harness.warming]
 toy = toy:note
 """
@@ -173,6 +177,15 @@ def test_the_toys_files_are_checked_explained_and_called_by_their_name(toy: Path
     assert "safety-harness toy mine.yaml" in run.stderr
 
 
+def test_no_package_takes_the_place_of_files_that_the_core_reads(toy: Path) -> None:
+    (toy / "own.yaml").write_text(
+        SHORT.partition("claims:")[0] + "claims:\n  trace finite and monotone: holds\n"
+    )
+    done = called(toy, "validate", "own.yaml")
+    assert "with two wheels" not in done.stdout
+    assert done.stdout.startswith("ok own.yaml: 1 hand")
+
+
 def test_the_toys_claim_signal_world_and_note_are_used_and_evidence_names_them(toy: Path) -> None:
     code = """
 from pathlib import Path
@@ -184,6 +197,8 @@ trace = run_trial(admit(read_scenario(Path("short.yaml"))), world=world)
 print(*(f"{one.sentence}: {one.verdict.value}" for one in judge(trace)), sep="\\n")
 print(*(name for name, _ in trace.provenance.libraries if "entry point" in name), sep="\\n")
 print([one.name for one in WORLDS])
+from safety_harness.cell.simulation.worlds import worlds_by_label
+print("the reference is", worlds_by_label()["PyBullet"].name)
 explain_claims(["toy", "distance"])
 """
     (toy / "short.yaml").write_text(SHORT)
@@ -194,6 +209,8 @@ explain_claims(["toy", "distance"])
     assert "entry point safety_harness.worlds toy of toy 1.0" in done.stdout
     assert "['pybullet', 'kinematic', 'toy']" in done.stdout
     assert "a note of the toy" in done.stdout
+    assert "the reference is pybullet" in done.stdout
+    assert "left out, safety_harness.worlds zz: its name is taken" in done.stderr
     assert "the name is taken" in done.stderr
 
 
