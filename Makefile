@@ -84,7 +84,7 @@ wheel: docs
 # The largest disagreement with each independent oracle, into plans/oracles.json and docs/selftest.md.
 oracles: $(VENV)/tested
 	$(BIN)/python -m pytest -q tests/cell/robot tests/cell/perception tests/cell/servoing tests/claims/formulas tests/lab/learning \
-		tests/cell/avoidance/test_resnet_kernel.py tests/base/test_proportions.py --oracles plans/oracles.json
+		tests/base/test_proportions.py --oracles plans/oracles.json
 	$(BIN)/python docs/tables.py
 
 # axe-core is not ours (MPL-2.0): npm install --prefix /tmp/axe axe-core

@@ -18,10 +18,3 @@ def test_an_old_path_of_documented_names_gives_the_module_of_today(old: str) -> 
 def test_another_old_path_stops_and_makes_no_second_copy_of_a_module(old: str) -> None:
     with pytest.raises(ModuleNotFoundError):
         import_module(f"safety_harness.{old}")
-
-
-def test_what_is_registered_with_gymnasium_by_the_old_name_is_one_environment() -> None:
-    gymnasium = pytest.importorskip("gymnasium")
-    old = import_module("safety_harness.gym")
-    assert old is import_module("safety_harness.extensions.gym")
-    assert old.ENVIRONMENT_ID in gymnasium.envs.registration.registry

@@ -9,11 +9,9 @@ from typer.testing import CliRunner
 
 from safety_harness.admission.admit import check
 from safety_harness.base.exceptions import InadmissibleError, ScenarioError
-from safety_harness.cell.simulation.worlds import KINEMATIC
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT
 from safety_harness.cli.main import app
 from safety_harness.cli.validate import validate
-from safety_harness.extensions.gym.episodes import Episodes
 from safety_harness.scenario.read import parse_scenario
 from safety_harness.scenario.shield import Shield
 from safety_harness.scenario.write import write_scenario
@@ -67,12 +65,6 @@ def test_a_sensor_in_the_hand_is_no_eye_for_it() -> None:
     blind = parse_scenario(TEXT + "shield: speed and separation\nhand sensor: {kind: eye in hand}\n")
     with pytest.raises(InadmissibleError, match=r":7: shield: expected a fixed hand sensor"):
         check(blind)
-
-
-def test_an_agent_learns_without_one() -> None:
-    shielded = parse_scenario(TEXT + "shield: speed and separation\n")
-    with pytest.raises(InadmissibleError, match=r":7: shield: expected no shield"):
-        Episodes(shielded, None, KINEMATIC)
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,6 @@ from safety_harness.base.geometry.regions import Box
 from safety_harness.base.settings import DEFAULTS
 from safety_harness.cell.avoidance.model_file import SeenSpace, load_model, save_model
 from safety_harness.cell.avoidance.shipped import SHIPPED, shipped_model
-from safety_harness.extensions.lab.learning.dataset import SPACES, space_named
 from safety_harness.space.distributions import InRegion
 from safety_harness.space.read import parse_space
 from safety_harness.space.regions import REGIONS, paper_seen, region_named, seen_by
@@ -76,16 +75,6 @@ def test_a_users_program_is_not_run_to_read_a_space(tmp_path: Path) -> None:
 def test_a_missing_network_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ModelError, match=r"none\.safetensors"):
         parse_space(TEXT.replace("AVOIDER", "none.safetensors"), tmp_path / "space.yaml")
-
-
-@pytest.mark.parametrize("name", SPACES)
-def test_data_sets_and_scenarios_mean_the_same_by_unseen(name: str) -> None:
-    seen = paper_seen(DEFAULTS)
-    space = space_named(name, DEFAULTS)
-    hand = "unseen hand" if name in ("unseen hand", "unseen both") else "seen hand"
-    tcp = "unseen tcp" if name in ("unseen tcp", "unseen both") else "seen tcp"
-    assert space.hand == region_named(hand, seen, DEFAULTS)
-    assert space.tcp == region_named(tcp, seen, DEFAULTS)
 
 
 def test_no_region_of_hands_reaches_below_the_table() -> None:

@@ -10,7 +10,6 @@ import pytest
 from safety_harness.base.shipped.contents import ShippedKind, located, shipped_files
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, answered_as_json
 from safety_harness.cli.shipped import copy, list_shipped
-from safety_harness.extensions.assurance.campaign.plan import read_plan
 from safety_harness.scenario.expand import gather, read_all_scenarios
 
 
@@ -39,18 +38,6 @@ def test_a_copied_file_can_be_read_where_it_is(kind: str, tmp_path: Path) -> Non
             assert not gather([file], spaces=True).errors
 
 
-def test_a_copied_plan_reads_the_copied_spaces(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    assert copy("shipped:quick") == AS_EXPECTED
-    first = Path(capsys.readouterr().out.splitlines()[0])
-    assert first == Path("plans/quick.yaml")
-    for stratum in read_plan(first).strata:
-        assert stratum.space.file is not None
-        assert tmp_path in stratum.space.file.resolve().parents
-
-
 def test_a_recording_comes_with_its_licence(tmp_path: Path) -> None:
     copy("recorded-handover", tmp_path)
     assert (tmp_path / "recordings/LICENSE").is_file()
@@ -61,21 +48,6 @@ def test_a_folder_is_copied_with_what_it_extends(tmp_path: Path) -> None:
     assert copy("shipped:own_avoider", tmp_path) == AS_EXPECTED
     assert read_all_scenarios(tmp_path / "own_avoider/one-visit.yaml")
     assert not list(tmp_path.rglob("__pycache__"))
-
-
-def test_what_is_there_is_not_overwritten_without_being_told(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    file = tmp_path / "scenarios/spaces/nominal.yaml"
-    file.parent.mkdir(parents=True)
-    file.write_text("mine")
-    assert copy("shipped:quick", tmp_path) == BAD_INPUT
-    assert "--overwrite" in capsys.readouterr().err
-    assert file.read_text() == "mine"
-    assert not (tmp_path / "plans").exists()
-    assert copy("shipped:quick", tmp_path, overwrite=True) == AS_EXPECTED
-    assert file.read_bytes() == located("shipped:nominal").read_bytes()
-    assert copy("shipped:quick", tmp_path) == AS_EXPECTED  # the same files are there
 
 
 def test_what_is_not_shipped_is_not_copied(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

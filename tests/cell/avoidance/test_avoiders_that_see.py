@@ -17,11 +17,8 @@ from safety_harness.base.exceptions import InadmissibleError, Place
 from safety_harness.cell.avoidance.asking import Question, ask, takes_many
 from safety_harness.cell.avoidance.avoider import Proposal
 from safety_harness.cell.avoidance.isolation.isolated import isolated_avoider
-from safety_harness.extensions.selftest.avoider_faults import FaultyAvoider
-from safety_harness.extensions.selftest.avoider_faults import asked as soundly
 from safety_harness.scenario.moves import MoveTo, Wait
 from safety_harness.seams.contract import Seen, UnseenError
-from safety_harness.search.confirm import OtherDraws
 from safety_harness.trace.trace import Trace
 
 OTHER = hand(
@@ -120,13 +117,6 @@ def test_it_answers_the_same_bits_in_a_process_of_its_own_and_in_a_batch(
     for trace in (run_kinematic(apart), *run_many([apart, apart])):
         assert trace.decisions.tobytes() == here.decisions.tobytes()
         np.testing.assert_array_equal(trace.ticks["joint_position_rad"], here.ticks["joint_position_rad"])
-
-
-def test_wrappers_of_ours_hand_on_what_is_seen() -> None:
-    for wrap in (lambda one: OtherDraws(one, 1), lambda one: FaultyAvoider(one, soundly)):
-        avoider = Watching()
-        run_kinematic(admit(TWO_HANDS, avoider=wrap(avoider)))  # type: ignore[no-untyped-call]
-        assert avoider.shown
 
 
 def test_outside_of_a_run_nothing_is_seen_and_that_is_its_fault_in_words() -> None:

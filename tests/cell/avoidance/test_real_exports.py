@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 import runpy
-import sys
 from pathlib import Path
 
 import numpy as np
 import onnx
 import pytest
-from random_models import random_model
 
 from safety_harness.base.exceptions import ModelError
-from safety_harness.cell.avoidance.learned import LearnedAvoider
-from safety_harness.cell.avoidance.model_file import Dropout
 from safety_harness.cell.avoidance.onnx_model import OnnxAvoider
 
 torch = pytest.importorskip("torch")
@@ -75,37 +71,6 @@ def test_a_network_in_float16_answers_to_its_own_digits(tmp_path: Path) -> None:
     own = made(torch.from_numpy(QUESTION)).detach().numpy()[0]  # type: ignore[operator]
     path = write(tmp_path / "half.onnx", made.half(), dynamo=True, half=True)  # type: ignore[attr-defined]
     assert answered(path, LAYOUT) == pytest.approx(own, abs=2e-3)
-
-
-@pytest.mark.parametrize("ours", [True, False])
-def test_a_quantised_network_answers_to_its_own_digits(tmp_path: Path, ours: bool) -> None:
-    """Of ``export`` too, whose shapes agree with those that the quantiser infers."""
-    before = [*sys.path], {*sys.modules}
-    from onnxruntime.quantization import QuantType, quantize_dynamic
-
-    sys.path[:] = before[0]  # it adds a folder with modules of plain names, "onnx_model" among them
-    for name in {"onnx_model", "fusion_utils", "onnx_utils"} - before[1]:
-        sys.modules.pop(name, None)
-
-    from safety_harness.extensions.lab.learning.export import write_export
-
-    if ours:
-        model, layout, path = random_model(Dropout.INTER, seed=3), "", tmp_path / "ours.onnx"
-        write_export(model, b"a file", path, seed=0)
-        own = LearnedAvoider.of(model).propose(
-            hand_position_in_base_m=HAND, tcp_position_in_base_m=TCP, seed=1
-        )
-        wanted = own.position_in_base_m
-    else:
-        made, layout = network(), LAYOUT
-        path = write(tmp_path / "theirs.onnx", made, dynamo=False)
-        wanted = made(torch.from_numpy(QUESTION)).detach().numpy()[0]  # type: ignore[operator]
-    small = tmp_path / "int8.onnx"
-    quantize_dynamic(path, small, weight_type=QuantType.QInt8)
-    assert any(one.op_type == "MatMulInteger" for one in onnx.load(small).graph.node)
-    found = answered(small, layout)
-    assert found == pytest.approx(wanted, abs=0.05)
-    assert not np.array_equal(found, wanted)
 
 
 @pytest.mark.parametrize("name", ["linear", "forest"])

@@ -15,8 +15,6 @@ from safety_harness.cell.robot.joint_data import Use
 from safety_harness.cell.robot.robots import arm_model, drive_model
 from safety_harness.cell.robot.urdf import ArmFileError
 from safety_harness.cell.simulation.cell import load_robot
-from safety_harness.cli.console import AS_EXPECTED
-from safety_harness.extensions.arms.commands import show
 from safety_harness.scenario.robots import AnyRobot, robot_named
 
 INERTIAL = '<inertial><mass value="1"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial>'
@@ -192,27 +190,3 @@ def test_limits_that_look_like_degrees_are_refused_by_a_run(
     assert arm_model(robot_in(tmp_path, change, f"{speeds}angles: rad\n")).position_upper_rad[1] == float(
         upper
     )
-
-
-def test_robot_show_says_what_the_urdf_lacks_and_for_which_use(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    text = urdf(*second(LIMIT.replace(' effort="50"', "")))
-    (tmp_path / "arm.urdf").write_text(text.replace("j1", "finance").replace("j3", "nan"))
-    assert show(tmp_path / "arm.urdf") == AS_EXPECTED
-    lines = capsys.readouterr().out.splitlines()
-    row = next(line for line in lines if "the effort of j2" in line)
-    assert "drives with a torque limit, PyBullet" in row
-    assert "`joint torque limits`" in row
-    cells = [line.split() for line in lines]
-    assert [row[0] for row in cells if row[-1:] == ["50"]] == ["finance", "nan"]  # names are no numbers
-    assert ["j2", "-114.6", "114.6", "114.6", "unknown"] in cells
-
-
-def test_a_file_for_xacro_is_refused_with_the_command_that_expands_it(tmp_path: Path) -> None:
-    for change in (
-        second(LIMIT.replace('"50"', '"${effort}"')),
-        ('<link name="c">', '<xacro:x/><link name="c">'),
-    ):
-        with pytest.raises(ArmFileError, match=r"xacro arm\.urdf > arm-expanded\.urdf"):
-            arm_in(tmp_path, change)

@@ -16,7 +16,6 @@ from safety_harness.cell.robot.robots import arm_model, transform_seat
 from safety_harness.cell.simulation.cell import load_robot
 from safety_harness.cell.simulation.engine import pybullet
 from safety_harness.cell.simulation.worlds import KINEMATIC, PYBULLET
-from safety_harness.extensions.selftest.geometry import Kept, PyBulletArm, hand_distance_kept
 from safety_harness.scenario.model import Scenario
 from safety_harness.scenario.robots import OwnRobot, Seat
 from safety_harness.trace.trace import Trace
@@ -37,16 +36,6 @@ def test_seven_joints_give_way_alike_in_both_worlds(panda: dict[str, Trace]) -> 
     assert len(np.unique(one["mode"])) > 1
     np.testing.assert_array_equal(one["mode"], other["mode"])
     np.testing.assert_allclose(one["joint_position_rad"], other["joint_position_rad"], atol=5e-4)
-
-
-def test_another_librarys_geometry_says_the_same_of_the_hand_distance(panda: dict[str, Trace]) -> None:
-    trace = panda[KINEMATIC.name]
-    least_m = float(trace.ticks["hand_distance_m"].min())
-    assert hand_distance_kept(trace, least_m - 0.03) is Kept.PROVEN
-    assert hand_distance_kept(trace, least_m + 0.005) is Kept.REFUTED
-    with PyBulletArm(trace) as cell:
-        for tick in trace.ticks[::100]:
-            assert cell.distance_m(tick) == pytest.approx(float(tick["hand_distance_m"].min()), abs=2e-4)
 
 
 def test_a_trace_is_judged_where_the_arms_files_are_not(tmp_path: Path) -> None:

@@ -18,15 +18,12 @@ from safety_harness.cli.attribute import attribute_runs
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, DIFFERS
 from safety_harness.cli.fuzz import fuzz
 from safety_harness.cli.scenario_commands import run, validate
-from safety_harness.extensions.assurance.campaign.episodes import EpisodeRunner
-from safety_harness.extensions.assurance.commands.campaign import run as run_campaign
 from safety_harness.report import search_attribution
 from safety_harness.search import session as search_session
 from safety_harness.search.session import NO_REFERENCE
 from safety_harness.testing.session import Session, begin
 from safety_harness.testing.simulating import Simulate
 from safety_harness.trace.provenance import provenance
-from tests.assurance.campaign.plans import PLAN, plan_in
 from tests.search.short_space import TEXT
 
 SHORT = """\
@@ -113,21 +110,6 @@ def test_fuzz_works_and_says_everywhere_that_nothing_was_confirmed(
     assert "confirmed in pybullet" not in page
     assert "each confirmed in" not in page
     assert run([found], tmp_path / "again", world="kinematic") == AS_EXPECTED
-
-
-def test_a_campaign_in_pybullet_is_refused_before_it_has_a_ledger(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    plan = plan_in(tmp_path, PLAN.replace("world: kinematic\n", ""))
-    assert run_campaign(plan.file, ledger=tmp_path / "ledger.sqlite") == BAD_INPUT
-    assert NEEDS in capsys.readouterr().err
-    assert not (tmp_path / "ledger.sqlite").exists()
-
-
-def test_a_campaign_in_the_kinematic_world_needs_none(tmp_path: Path) -> None:
-    rows = list(EpisodeRunner(plan_in(tmp_path)).run(0, range(2)))
-    assert len(rows) == 2
-    assert not any(row.failure for row in rows)
 
 
 def test_attribute_confirms_only_where_it_can(

@@ -12,17 +12,12 @@ from numpy.typing import NDArray
 
 from safety_harness.admission.admit import admit
 from safety_harness.admission.trial import run_all, run_trial
-from safety_harness.base.exceptions import InstallationError, ScenarioError, TraceError
+from safety_harness.base.exceptions import InstallationError, TraceError
 from safety_harness.cell.simulation.kinematic_world import KinematicWorld
 from safety_harness.cell.simulation.worlds import KINEMATIC, PYBULLET, WORLDS, WorldEntry, world_of_trace
 from safety_harness.cli.scenario_commands import replay, run
-from safety_harness.extensions.assurance.campaign.episodes import EpisodeRunner
-from safety_harness.extensions.assurance.certification.credibility import credibility_of
-from safety_harness.extensions.assurance.certification.stored import random_traces
-from safety_harness.extensions.assurance.certification.tools import NO_TRIALS
 from safety_harness.search.trials import InWorld, Trials
 from safety_harness.trace.store import save_trace
-from tests.assurance.campaign.plans import PLAN, ledger_in, plan_in
 from tests.search.short_space import SHORT
 
 SHORT_SCENARIO = """\
@@ -84,33 +79,10 @@ def test_another_world_is_named_on_the_command_line(half: WorldEntry, tmp_path: 
     assert '"world": "half"' in (tmp_path / "report.json").read_text()
 
 
-def test_another_world_runs_a_plan_whose_bounds_are_of_the_model(half: WorldEntry, tmp_path: Path) -> None:
-    plan = plan_in(tmp_path, PLAN.replace("world: kinematic", "world: half speed").replace("30", "2"))
-    assert plan.world is half
-    rows = list(EpisodeRunner(plan).run(0, range(2)))
-    assert not any(row.failure for row in rows)
-    assert sum(row.trace is not None for row in rows) == 2
-    with ledger_in(tmp_path, plan) as ledger:
-        ledger.record(rows)
-        declaration = ledger.sample("near", plan.claims[0].sentence).declaration
-        assert declaration.world is half
-        assert declaration.model_only
-        stored, damaged = random_traces(plan, ledger)
-        assert not damaged
-        again = credibility_of(stored, NO_TRIALS).reruns
-    assert [one.title for one in again] == [f"These runs in {world}" for world in WORLDS if world is not half]
-    assert again[0].how == "in PyBullet in place of the half speed world"
-
-
 def test_another_world_is_searched(half: WorldEntry) -> None:
     found = Trials(SHORT, InWorld(half), seed=3)(POINTS, 10)
     assert found.margins[1, 0] < 0.0 < found.margins[0, 0]
     assert (found.margins != Trials(SHORT, InWorld(KINEMATIC), seed=3)(POINTS, 10).margins).any()
-
-
-def test_a_plan_names_a_world_of_the_table(tmp_path: Path) -> None:
-    with pytest.raises(ScenarioError, match=f" or {WORLDS[-1].label}; got half speed"):
-        plan_in(tmp_path, PLAN.replace("world: kinematic", "world: half speed"))
 
 
 def test_a_trace_of_a_world_that_is_not_here_is_refused() -> None:

@@ -8,8 +8,6 @@ import pytest
 
 from safety_harness.admission.claims import property_of
 from safety_harness.claims.properties.protective_separation import ProtectiveSeparation
-from safety_harness.extensions.assurance.campaign.identity import CLAIMS, Identity, edition_of
-from safety_harness.extensions.assurance.campaign.plan import read_plan
 from safety_harness.scenario.model import EDITION, Claim, Scenario, Verdict
 from safety_harness.scenario.read import parse_scenario
 
@@ -39,12 +37,3 @@ def test_a_named_speed_means_the_same_in_every_edition(scenario: Scenario) -> No
         found = property_of(claim, scenario)
         assert isinstance(found, ProtectiveSeparation)
         assert found.assumed_mps == 0.8
-
-
-def test_a_ledger_that_tells_no_edition_is_of_the_first() -> None:
-    file = ROOT / "plans/certify-in-a-minute.yaml"
-    now, then = read_plan(file), read_plan(file, 1)
-    assert [edition_of(one.identity) for one in (now, then)] == [EDITION, 1]
-    assert {one.claim.edition for one in then.claims} == {1}
-    assert then.identity.changes(now.identity) == [f"{CLAIMS} is new"]
-    assert edition_of(Identity(((CLAIMS, "edition of a forger"),))) == EDITION

@@ -21,7 +21,7 @@ from safety_harness.extensions.assurance.commands.certify import certify
 from safety_harness.scenario.files import told
 from safety_harness.scenario.references import portable
 from safety_harness.trace.store import load_trace, save_trace
-from tests.cli.test_execution import OWN, SCENARIO, SMALL_PLAN, SPACE
+from tests.whole.test_execution import OWN, SCENARIO, SMALL_PLAN, SPACE
 
 MINE = """\
 from safety_harness import Proposal
@@ -80,7 +80,7 @@ def _bytes(value: object) -> bytes:
 
 
 def refuse_paths(folder: Path, project: Path) -> None:
-    forbidden = {f"{project}", f"{project.parent}", f"{Path.home()}/", f"{Path(__file__).parents[1]}/"}
+    forbidden = {f"{project}", f"{project.parent}", f"{Path.home()}/", f"{Path(__file__).parents[2]}/"}
     user = getpass.getuser()
     forbidden |= {f"/{user}/"}
     found = list(contents(folder))

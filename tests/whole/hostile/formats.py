@@ -44,11 +44,11 @@ from safety_harness.trace.store import load_trace, save_trace
 from tests.assurance.campaign.plans import PLAN, ledger_in, plan_in
 from tests.assurance.certification.made_up_comparison import cell
 from tests.assurance.certification.made_up_evidence import evidence
-from tests.hostile.readers import checkpoint_bytes, checkpoint_read, kept_read, onnx_read
 from tests.search.short_space import TEXT as SHORT
 from tests.selftest.made_up_faults import CAUGHT, LIMIT, SURVIVES, about
+from tests.whole.hostile.readers import checkpoint_bytes, checkpoint_read, kept_read, onnx_read
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 SCENARIO = """\
 scenario: a short run
 duration: 320 ms

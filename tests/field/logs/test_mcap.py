@@ -29,7 +29,7 @@ from safety_harness.seams.contract import Image
 from safety_harness.trace.store import save_trace
 from safety_harness.trace.trace import Trace
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 SHIPPED = {one.name: one for one in read_all_scenarios(ROOT / "scenarios")}
 QUICK = ("fast-reach", "recorded-handover-two-hands", "robot-panda", "overhead-camera", "box-beside-the-way")
 KINEMATIC = world_named("kinematic", "--world")

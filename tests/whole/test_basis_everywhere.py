@@ -34,9 +34,9 @@ from safety_harness.search import session as search_session
 from tests.assurance.campaign.plans import plan_in
 from tests.assurance.certification.made_up_evidence import evidence
 from tests.basis import rests_on
-from tests.cli.test_overruled_everywhere import PLAN
 from tests.cli.test_own_avoider import VISIT
 from tests.search.short_space import TEXT
+from tests.whole.test_overruled_everywhere import PLAN
 
 ROOT = Path(__file__).parents[2]
 

@@ -14,7 +14,7 @@ from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT
 from safety_harness.cli.scenario_commands import run
 from safety_harness.scenario.read import read_scenario
 from safety_harness.space.read import read_space
-from tests.hostile.formats import SCENARIO, SPACE
+from tests.whole.hostile.formats import SCENARIO, SPACE
 
 MARKUP = "<img src=x onerror=alert(1)>"
 BAD_NAMES = [

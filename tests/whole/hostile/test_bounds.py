@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from safety_harness.base.exceptions import InputError
-from tests.hostile.formats import FORMATS, Format, repacked, trace_bytes
+from tests.whole.hostile.formats import FORMATS, Format, repacked, trace_bytes
 
 ROOM_BYTES = 512 << 20
 SECONDS = 300  # far more than it takes, on however busy a machine
@@ -83,13 +83,13 @@ def try_all(folder: Path) -> None:
 @pytest.fixture(scope="module")
 def found(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     folder = tmp_path_factory.mktemp("bounds")
-    program = "from pathlib import Path; import sys; from tests.hostile.test_bounds import try_all; "
+    program = "from pathlib import Path; import sys; from tests.whole.hostile.test_bounds import try_all; "
     done = subprocess.run(
         [sys.executable, "-c", program + "try_all(Path(sys.argv[1]))", str(folder)],
         capture_output=True,
         text=True,
         timeout=SECONDS,
-        cwd=Path(__file__).parents[2],
+        cwd=Path(__file__).parents[3],
     )
     assert done.returncode == 0, done.stderr[-2_000:]
     lines = [line.split(": ", 1) for line in done.stdout.splitlines()]

@@ -15,7 +15,7 @@ from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT
 from safety_harness.cli.scenario_commands import judge as judge_again
 from safety_harness.trace.records import TICK
 from safety_harness.trace.store import load_trace
-from tests.hostile.formats import SCENARIO, npy, repacked, run_json, trace_bytes
+from tests.whole.hostile.formats import SCENARIO, npy, repacked, run_json, trace_bytes
 
 PROVENANCE = json.loads(run_json())["provenance"]
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from safety_harness.base.exceptions import InputError, ModelError
 from safety_harness.cell.avoidance.onnx_names import HAND
-from tests.hostile.formats import FORMATS, Format, onnx_bytes, onnx_read
+from tests.whole.hostile.formats import FORMATS, Format, onnx_bytes, onnx_read
 
 quick = hypothesis_settings(
     max_examples=30,

@@ -13,7 +13,8 @@ from safety_harness.cli.console import BAD_INPUT
 from safety_harness.cli.main import app
 from safety_harness.cli.run import run
 from safety_harness.scenario.kinds import FileKind, kind_of
-from tests.kinds_of_files import SCENARIO, WORDS, make_all
+from tests.kinds_of_files import SCENARIO
+from tests.whole.one_of_each_kind import WORDS, make_all
 
 # What to type for each file, as a message has it; none for what no command takes.
 RIGHT = {

@@ -15,7 +15,7 @@ import pytest
 from safety_harness.base.compiled import source_hash
 from safety_harness.base.shipped.contents import PREFIX, contents, shipped_files
 
-ROOT = Path(__file__).parents[3]
+ROOT = Path(__file__).parents[2]
 PARTS = ("safety_harness", "scenarios", "plans", "examples", "robots")
 FILES = ("pyproject.toml", "setup.py", "MANIFEST.in", "README.md", "LICENSE")
 

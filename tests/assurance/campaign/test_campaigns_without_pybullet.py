@@ -1,0 +1,42 @@
+"""Campaigns where PyBullet is not installed."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from safety_harness.cli.console import BAD_INPUT
+from safety_harness.extensions.assurance.campaign.episodes import EpisodeRunner
+from safety_harness.extensions.assurance.commands.campaign import run as run_campaign
+from safety_harness.trace.provenance import provenance
+from tests.assurance.campaign.plans import PLAN, plan_in
+
+NEEDS = "the world PyBullet: needs pybullet, which is not installed: "
+
+
+@pytest.fixture(autouse=True)
+def _without_pybullet(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    monkeypatch.setitem(sys.modules, "pybullet", None)
+    for name in ("pybullet_world", "cell", "engine"):
+        monkeypatch.delitem(sys.modules, f"safety_harness.cell.simulation.{name}", raising=False)
+    provenance.cache_clear()  # which was told of PyBullet, and is to forget that there is none
+    yield
+    provenance.cache_clear()
+
+
+def test_a_campaign_in_pybullet_is_refused_before_it_has_a_ledger(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plan = plan_in(tmp_path, PLAN.replace("world: kinematic\n", ""))
+    assert run_campaign(plan.file, ledger=tmp_path / "ledger.sqlite") == BAD_INPUT
+    assert NEEDS in capsys.readouterr().err
+    assert not (tmp_path / "ledger.sqlite").exists()
+
+
+def test_a_campaign_in_the_kinematic_world_needs_none(tmp_path: Path) -> None:
+    rows = list(EpisodeRunner(plan_in(tmp_path)).run(0, range(2)))
+    assert len(rows) == 2
+    assert not any(row.failure for row in rows)
