@@ -52,6 +52,10 @@ def _package_of(file: Path) -> Path:
     return packages[-1] if packages else file.parent
 
 
+def _in_no_package(file: Path) -> bool:
+    return PACKAGE not in file.parents and not (file.parent / "__init__.py").is_file()
+
+
 @cache
 def _name(file: Path) -> bytes:
     return file.relative_to(_package_of(file)).as_posix().encode()
@@ -98,7 +102,7 @@ def sources_of(file: Path, *, without: frozenset[Path] = frozenset()) -> frozens
     Files are those of this package and of the file's own.  A file in no package (a benchmark, say) may use
     anything: all of this one.
     """
-    if PACKAGE not in file.parents and not (file.parent / "__init__.py").is_file():
+    if _in_no_package(file):
         return frozenset(_package_sources())
     found: set[Path] = set()
     waiting = [file]
@@ -205,11 +209,25 @@ _kind: Any = CPUDispatcher  # theirs
 
 
 class _Locator(_cache_impl._locator_classes[0]):  # type: ignore[misc]
-    """The folder that is given, also where it can only be read: else numba looks for one of its own."""
+    """The folder that is given, also where it can only be read: else numba looks for one of its own.
+
+    What lies in it is of contents and names within a package, wherever that lies: another checkout of the
+    same sources, or one that was made later, finds it.
+    """
 
     @classmethod
     def from_function(cls, function: Any, file: str) -> _Locator | None:
         return cls(function, file) if os.path.exists(file) else None
+
+    @classmethod
+    def get_suitable_cache_subpath(cls, file: str) -> str:
+        path = Path(file)
+        if _in_no_package(path):
+            return str(super().get_suitable_cache_subpath(file))
+        return _name(path).decode().replace("/", "_")
+
+    def get_source_stamp(self) -> str:
+        return hashlib.sha256(_content(Path(self._py_file))).hexdigest()
 
 
 class _CacheImpl(_cache_impl):  # type: ignore[misc]

@@ -1,8 +1,10 @@
 from __future__ import annotations
 
+import importlib.util
 import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numba
 import numpy as np
@@ -160,6 +162,41 @@ def test_using_machine_code_keeps_it_fresh(package: Path, monkeypatch: pytest.Mo
     os.utime(folder, (0, 0))
     assert cache_folder.__wrapped__(package / "a.py") == folder
     assert folder.stat().st_mtime > 1e9
+
+
+HALF = """from safety_harness.base.compiled import compiled
+
+@compiled
+def half(x: float) -> float:
+    return x / 2.0
+"""
+
+
+def half_in(folder: Path, text: str = HALF) -> Any:
+    """``half`` of a module in ``folder``, called once."""
+    (folder / "of_a_user.py").write_text(text)
+    spec = importlib.util.spec_from_file_location("mine.of_a_user", folder / "of_a_user.py")
+    assert spec is not None
+    assert spec.loader is not None
+    loaded = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(loaded)
+    loaded.half(3.0)
+    return loaded.half
+
+
+def test_the_same_package_elsewhere_finds_its_machine_code_and_another_does_not(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("SAFETY_HARNESS_CACHE", str(tmp_path / "cache"))
+    texts = {"here": HALF, "there": HALF, "other": HALF.replace("2.0", "4.0"), "alone": HALF}
+    for place in texts:
+        (tmp_path / place / "mine").mkdir(parents=True)
+        if place != "alone":
+            (tmp_path / place / "mine" / "__init__.py").touch()
+    made = {place: half_in(tmp_path / place / "mine", text) for place, text in texts.items()}
+    hits = {place: sum(one.stats.cache_hits.values()) for place, one in made.items()}
+    assert hits == {"here": 0, "there": 1, "other": 0, "alone": 0}
+    assert made["other"](3.0) == 0.75
 
 
 def test_a_function_without_arrays_may_call_one_that_makes_them() -> None:
