@@ -1,30 +1,67 @@
 # Two commands do everything on a fresh machine with Python 3.11:
 #   make demo   sets up, runs every scenario in scenarios/ and writes reports/demo/report.html
-#   make test   sets up and runs the tests
+#   make test   sets up and runs linters, types, the core's tests and the quick ones of the wings
 PYTHON ?= python3.11
 VENV := .venv
 BIN := $(VENV)/bin
-INSTALL := -m pip install --quiet --disable-pip-version-check
+# Byte code is made of what is used, when it is.
+INSTALL := -m pip install --quiet --disable-pip-version-check --no-compile
 HERE := $(BIN)/python $(INSTALL) --constraint requirements.lock
 
-.PHONY: demo bits test suite long shield-all warm check accessibility sample paper bench bench-all others docs wheel oracles mutation mutants bounds release setup clean
+.PHONY: demo bits test test-all test-core rest slow light long shield-all warm check style types tables site-tests accessibility sample paper bench bench-all others docs wheel oracles mutation mutants bounds release setup clean
 
 demo: $(VENV)/installed
 	$(BIN)/safety-harness run scenarios --out reports/demo
 
-test: check suite
+# The core, where no wing is installed, and the quick tests of the wings.  What needs no machine code runs while it
+# is compiled.
+test: $(VENV)/tested
+	$(MAKE) --no-print-directory --jobs 2 style warm light types
+	$(call run,$(QUICK) $(CORE),$(ALONE))
+	$(call run,$(QUICK) $(OTHERS))
+
+# Everything but what is marked long.
+test-all: test slow
+
+# What tests/slow.txt names.
+slow: warm
+	$(call run,-m 'slow and not long' $(LESS) tests paper/tests)
+	$(BIN)/python $(SUITE) examples/suites --safety-derandomize
+
+# The core, quick and slow, where no wing is installed.
+test-core: warm
+	$(call run,$(LIGHT) $(CORE),$(ALONE))
+
+# Of documents, of packaging, of the paper, of this repository.
+rest: warm
+	$(call run,$(REST))
+
+# One wing, quick and slow: test-field, say; or test-whole, what spans core and wings.
+test-%: warm
+	$(call run,tests/$*)
 
 # Assertions as they are written: to explain each that might fail takes pytest 14 s a worker, so those that fail
 # are asked again.  One thread each: more would only wait for one another.  Byte code is kept, or each of the many
 # programs that the tests start makes its own.
-suite long: export OMP_NUM_THREADS := 1
-suite long: export PYTHONDONTWRITEBYTECODE :=
+export OMP_NUM_THREADS := 1
+export PYTHONDONTWRITEBYTECODE :=
 SUITE := -m pytest -n 2 --dist worksteal --assert=plain
-suite: warm
-	$(BIN)/python $(SUITE) || { $(BIN)/python -m pytest --last-failed --last-failed-no-failures none; exit 1; }
-	$(BIN)/python $(SUITE) examples/suites --safety-derandomize
+ALONE := PYTHONPATH=$(CURDIR)/.ci/alone
+QUICK := -m 'not long and not slow'
+LESS :=
+run = $(2) $(BIN)/python $(SUITE) $(1) || { $(2) $(BIN)/python -m pytest --last-failed --last-failed-no-failures none $(1); exit 1; }
+# The tests of the core that need little machine code, and the others; those of the wings and of the whole.
+LIGHT := $(addprefix tests/,scenario space trace base testing/test_parts.py testing/test_partly_measured.py test_public_names.py)
+CORE := $(addprefix tests/,cell cli claims search report admission testing/plugin test_shipped_scenarios.py)
+WINGS := assurance field lab selftest gym arms
+OTHERS = $(addprefix tests/,$(WINGS) whole) $(REST)
+REST := tests/docs tests/packaging $(addprefix tests/test_,architecture.py array_shapes.py collection_order.py \
+	readme.py release.py) paper/tests
 
-# What takes long; "make suite" has a quick sibling of each.
+light: $(VENV)/tested
+	$(ALONE) $(BIN)/python -m pytest --assert=plain $(QUICK) $(LIGHT)
+
+# What takes long and has a quick sibling.
 long: warm
 	$(BIN)/python $(INSTALL) --no-deps example-robot-data==6.0.0
 	$(BIN)/python $(SUITE) -m long
@@ -33,11 +70,19 @@ long: warm
 warm: $(VENV)/tested
 	$(BIN)/safety-harness warm
 
-check: $(VENV)/tested
+check: style types tables
+
+style: $(VENV)/tested
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/mypy
 	$(BIN)/hadolint Dockerfile
+
+types: $(VENV)/tested
+	$(BIN)/mypy
+
+# Generated tables, schemas and the picture are as the code has them; imports point one way.
+tables: $(VENV)/tested
+	$(BIN)/python -m pytest -q tests/docs/test_pages.py tests/docs/test_glossary.py tests/test_architecture.py
 
 # Ratios to RESULTS.md; others: what two of its rows compare with, each in an environment of its own
 bench: $(VENV)/benchmarks
@@ -76,6 +121,10 @@ paper: $(VENV)/installed
 
 docs: $(VENV)/documented
 	$(BIN)/python docs/build_site.py
+
+# What is asked of the site, of the one that is there.
+site-tests: docs $(VENV)/tested
+	SAFETY_HARNESS_SITE=$(CURDIR)/site $(BIN)/python -m pytest tests/docs/test_site.py
 
 # Into dist/, with scenarios, plans, examples (setup.py) and the site.
 wheel: docs
@@ -127,18 +176,19 @@ lock: .venv-lock/installed
 		requirements.lock
 
 # With the lowest and the newest versions of the ranges: what asks each dependency for something, and a run.
-QUICK := tests/assurance/statistics tests/trace tests/space tests/scenario/test_read_scenario.py tests/scenario/test_schema.py \
+ASKING := tests/assurance/statistics tests/trace tests/space tests/scenario/test_read_scenario.py tests/scenario/test_schema.py \
 	tests/scenario/test_write_scenario.py tests/search/test_searchers.py tests/cell/avoidance/test_model_file.py \
 	tests/cli/test_nearest.py tests/test_public_names.py
 oldest := lowest-direct
 newest := highest
-oldest newest: .venv-lock/installed
-	$(PYTHON) -m venv --clear .venv-$@
-	echo 'pytest>=8' | $(COMPILE) - --extra images --extra onnx --resolution $($@) --output-file .venv-$@/versions
-	.venv-$@/bin/python $(INSTALL) --constraint .venv-$@/versions --editable '.[images,onnx]' pytest jsonschema
+.venv-oldest/versions .venv-newest/versions: .venv-%/versions: pyproject.toml .venv-lock/installed
+	$(PYTHON) -m venv --clear .venv-$*
+	echo 'pytest>=8' | $(COMPILE) - --extra images --extra onnx --resolution $($*) --output-file $@
+	.venv-$*/bin/python $(INSTALL) --constraint $@ --editable '.[images,onnx]' pytest jsonschema
+oldest newest: %: .venv-%/versions
 	.venv-$@/bin/python -m pip check
 	.venv-$@/bin/safety-harness run scenarios/rendered-images.yaml --out reports/$@
-	.venv-$@/bin/python -m pytest -q --assert=plain -W ignore::DeprecationWarning -p no:cacheprovider $(QUICK) -k 'not type_check and not test_rare and not doc'
+	.venv-$@/bin/python -m pytest -q --assert=plain -W ignore::DeprecationWarning -p no:cacheprovider $(ASKING) -k 'not type_check and not test_rare and not doc'
 
 # Beside what other people install.
 CROWD := torch==2.13.0 stable-baselines3 gymnasium mujoco pin rosbags
@@ -171,7 +221,7 @@ $(VENV)/installed: pyproject.toml requirements.lock | $(VENV)/bin/python
 	touch $@
 
 $(VENV)/tested: pyproject.toml requirements.lock | $(VENV)/bin/python
-	$(HERE) --editable '.[test,learning]' --editable paper
+	$(HERE) --editable '.[test]' --editable paper
 	touch $(VENV)/installed $(VENV)/documented $@
 
 $(VENV)/benchmarks: $(VENV)/installed

@@ -26,6 +26,7 @@ ROOT = Path(__file__).parents[1]
 LINK = re.compile(r"\]\(([^)#\s:]+)(#[^)\s]*)?\)")
 LANGUAGES = {".py": "python", ".yaml": "yaml", ".json": "json", ".toml": "toml"}
 FETCHED = {"script": "src", "img": "src", "iframe": "src", "link": "href", "source": "src"}
+ARMS = "arms.html"  # a page of 3-D views, made where the site has it
 NO_PAGES = shutil.ignore_patterns("*.py", "*.json", "__pycache__")
 
 
@@ -41,9 +42,10 @@ def build(root: Path, out: Path, *, released: bool = False) -> None:
         work = Path(folder)
         shutil.copytree(root / "docs", work / "docs", ignore=NO_PAGES)
         _add_linked_files(root / "docs", work / "docs")
-        write_arm_page(
-            work / "docs" / "arms.html", shipped_robots(), title="The shipped arms and their capsules"
-        )
+        if ARMS in json.dumps(settings["nav"]):
+            write_arm_page(
+                work / "docs" / ARMS, shipped_robots(), title="The shipped arms and their capsules"
+            )
         python = next(one["mkdocstrings"] for one in settings["plugins"] if isinstance(one, dict))
         python["handlers"]["python"]["paths"] = [str(ROOT)]
         python["handlers"]["python"]["options"]["extensions"] = [str(ROOT / "docs" / "shapes.py")]

@@ -32,6 +32,9 @@ PARTS = (
 )
 
 
+# What "make test" leaves to "make slow"; .ci/slow.py writes the list from measured times.
+SLOW = frozenset((TESTS / "slow.txt").read_text().split())
+
 # Of one tree of commands, which takes longer to make than most of them to answer.
 typer.testing._get_command = lru_cache(typer.testing._get_command)  # type: ignore[attr-defined]
 NO_PYBULLET = find_spec("pybullet") is None
@@ -71,8 +74,12 @@ def room_of(path: Path) -> str:
     return next((room for room in (*WORLDS, *PARTS) if TESTS / room in path.parents), "")
 
 
+@pytest.hookimpl(tryfirst=True)  # before pytest deselects by markers
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """The worlds' tests at the beginning, those of the parts in the middle."""
+    """Slow tests marked; the worlds' tests at the beginning, those of the parts in the middle."""
+    for item in items:
+        if f"{item.path.name}::{getattr(item, 'originalname', item.name)}" in SLOW:
+            item.add_marker("slow")
     rooms = [room_of(item.path) for item in items]
     worlds, parts = (
         [item for room in first for item, its in zip(items, rooms, strict=True) if its == room]

@@ -7,14 +7,14 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-from tests.conftest import PARTS, WORLDS, pytest_collection_modifyitems
+from tests.conftest import PARTS, SLOW, WORLDS, pytest_collection_modifyitems
 
 TESTS = Path(__file__).parent
 
 
 def item(room: str, number: int) -> Any:
     path = TESTS / room / "test_it.py" if room else TESTS.parent / "paper" / "tests" / "test_it.py"
-    return SimpleNamespace(path=path, room=room, number=number)
+    return SimpleNamespace(path=path, room=room, number=number, name=f"test_{number}")
 
 
 def test_the_worlds_come_first_and_their_parts_in_the_middle_and_none_is_lost() -> None:
@@ -37,3 +37,20 @@ def test_any_part_of_the_tests_can_be_collected_alone() -> None:
             ordered = items.copy()
             pytest_collection_modifyitems(ordered)
             assert sorted(map(id, ordered)) == sorted(map(id, items))
+
+
+def test_every_slow_test_of_the_list_is_there() -> None:
+    folders = TESTS, TESTS.parent / "paper" / "tests"
+    for line in SLOW:
+        file, name = line.split("::")
+        (path,) = (path for folder in folders for path in folder.rglob(file))
+        assert f"def {name}(" in path.read_text(), line
+
+
+def test_a_test_of_the_list_is_marked_slow_and_another_is_not() -> None:
+    file, name = min(SLOW).split("::")
+    marked: list[str] = []
+    for one in (name, f"{name}_otherwise"):
+        stands_for = SimpleNamespace(path=TESTS / "cli" / file, name=one, add_marker=marked.append)
+        pytest_collection_modifyitems([stands_for])  # type: ignore[list-item]
+    assert marked == ["slow"]

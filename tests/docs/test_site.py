@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import threading
 import time
@@ -36,6 +37,9 @@ class Quiet(SimpleHTTPRequestHandler):
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The one that was built before, if we are told where ("make site-tests"); else built here."""
+    if built := os.environ.get("SAFETY_HARNESS_SITE"):
+        return Path(built)
     folder = tmp_path_factory.mktemp("site") / "site"
     build_site.main([str(folder)])
     return folder

@@ -32,7 +32,8 @@ OLDER = {"numpy": "1.26.4", "scipy": "1.16.0", "hypothesis": "6.149.0", "typer":
 
 def of_users() -> list[Requirement]:
     """Those of the package and of the extras that its messages name."""
-    return BASE + [one for extra in named() for one in EXTRAS[extra.name]]
+    asked = BASE + [one for extra in named() for one in EXTRAS[extra.name]]
+    return [one for one in asked if one.name != PROJECT["name"]]
 
 
 def named() -> list[Extra]:
@@ -64,6 +65,14 @@ def test_an_older_version_that_others_need_is_in_the_range(name: str) -> None:
 @pytest.mark.parametrize("extra", named(), ids=lambda one: one.name)
 def test_an_extra_that_a_message_names_can_be_installed(extra: Extra) -> None:
     assert extra.name in EXTRAS
+
+
+def test_each_range_stands_once_and_an_extra_that_is_named_is_there() -> None:
+    """PyBullet is a dependency only where there is a wheel, and an extra elsewhere."""
+    asked = [one for lines in EXTRAS.values() for one in lines]
+    ranges = [one.name for one in [*BASE, *asked] if one.specifier and not one.marker]
+    assert sorted(ranges) == sorted({*ranges})
+    assert {extra for one in asked if one.name == PROJECT["name"] for extra in one.extras} <= {*EXTRAS}
 
 
 def test_classifiers_and_the_check_of_the_wheel_have_every_python_that_is_allowed() -> None:
