@@ -25,7 +25,7 @@ test-all: test slow
 
 # What tests/slow.txt names.
 slow: warm
-	$(call run,-m 'slow and not long' $(LESS) tests paper/tests)
+	$(call run,-m 'slow and not long' $(LESS) $(shell cut -d: -f1 tests/slow.txt | sort -u | xargs -I% find tests paper/tests -name %))
 	$(BIN)/python $(SUITE) examples/suites --safety-derandomize
 
 # The core, quick and slow, where no wing is installed.

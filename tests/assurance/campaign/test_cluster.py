@@ -94,6 +94,7 @@ def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
             yield file
 
 
+@pytest.mark.long  # test_runner.py has the same of processes
 def test_workers_of_a_cluster_that_crash_hang_and_are_killed_cost_nothing(
     tmp_path: Path, plan: Plan, shared: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -130,6 +131,7 @@ class Hanging:
 """
 
 
+@pytest.mark.long  # test_episodes.py has the same without a cluster
 def test_a_user_s_avoider_that_hangs_does_the_same_by_the_command_line_on_a_cluster(
     tmp_path: Path, shared: str
 ) -> None:

@@ -108,14 +108,18 @@ def named(part: tuple[Any, str]) -> str:
     return f"{part[0].__name__.rpartition('.')[2]}.{part[1]}"
 
 
+def shrinks_little(patch: pytest.MonkeyPatch) -> None:
+    patch.setattr(search_session, "SHRINKING_RUNS", 5)
+    patch.setattr(search_session, "MOST_SHRUNK", 1)
+
+
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of a plan whose report was made once."""
     where = tmp_path_factory.mktemp("made")
     plan_in(where, UNTESTED)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(search_session, "SHRINKING_RUNS", 5)
-        patch.setattr(search_session, "MOST_SHRUNK", 1)
+        shrinks_little(patch)
         assert certify(where / "plan.yaml", out=where / "report", workers=1) == DIFFERS
     evidence = read_evidence(where / "report" / "evidence.json")
     assert not evidence.unmade
@@ -135,6 +139,7 @@ def again(made: Path, tmp_path: Path) -> Path:
 @pytest.fixture
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     """What takes its time is not made again: each of these has its own test."""
+    shrinks_little(monkeypatch)
     monkeypatch.setattr(Repeatability, "check", lambda _: RepeatabilityResult(questions=0))
     monkeypatch.setattr(credibility, "run_trial", broken)  # which is caught
     monkeypatch.setattr(SearchAttribution, "explain", lambda *_: ())
@@ -185,6 +190,7 @@ def test_ctrl_c_in_a_part_keeps_every_run(
     assert fingerprint(again) == before
 
 
+@pytest.mark.usefixtures("quick")
 @pytest.mark.parametrize("name", ["read_space", "search_space", "write_search"])
 def test_a_search_that_fails_is_an_open_finding(
     name: str, again: Path, monkeypatch: pytest.MonkeyPatch
