@@ -96,14 +96,3 @@ def test_fuzz_searches_for_what_only_the_controller_on_trial_violates() -> None:
     told = json.loads(Path("found/findings.json").read_text())["against"]
     assert told["reference"] == "mine.py:StopAndGo"
     assert "mine.py:Hurried violates a claim that mine.py:StopAndGo keeps in" in found.output
-
-
-def test_campaign_compare_runs_the_plan_with_the_reference_first() -> None:
-    assert command("campaign", "run", "plan.yaml", "--ledger", "mine.sqlite", "--workers", "1").exit_code == 0
-    found = command("campaign", "compare", "mine.sqlite", "--against", "mine.py:StopAndGo", "--workers", "1")
-    assert found.exit_code == 0, found.output
-    assert "controller: " in Path("mine-against-mine-py-stopandgo/plan.yaml").read_text()
-    refused = command("campaign", "compare", "mine.sqlite", "--against", "mine.py:Hurried", "--workers", "1")
-    assert refused.exit_code == 2
-    assert "comparison" in refused.output
-    assert "finds nothing" in refused.output

@@ -47,7 +47,6 @@ def test_a_mistyped_claim_gets_three_and_the_command_that_lists_all(tmp_path: Pa
     ("words", "nearest"),
     [
         (["fuzz", "SPACE", "--searcher", "cma"], "cma-es"),
-        (["evaluate", "optimm"], "optimum"),
         (["claims", "joint speed"], "joint speeds within limits"),
         (["explain", "critical distence"], "critical distance"),
     ],

@@ -206,18 +206,6 @@ def trace(folder: Path) -> Path:
     return folder / "out" / "traces" / "visit.trace"
 
 
-@pytest.fixture(scope="module")
-def ledgers(folder: Path) -> tuple[str, str]:
-    """Two campaigns over the same episodes, with another controller each."""
-    (folder / "other.yaml").write_text(PLAN.replace("mine.py:StopAndGo", "stop when near"))
-    for name in ("plan", "other"):
-        ledger = folder / f"{name}.sqlite"
-        plan = str(folder / f"{name}.yaml")
-        found = command("campaign", "run", plan, "--ledger", str(ledger), "--workers", "1")
-        assert found.exit_code == 0, found.output
-    return "plan.sqlite", "other.sqlite"
-
-
 def words_of(page: Path) -> str:
     """What a page says, without its pictures, styles, and the sentences that are on each of them."""
     text = re.sub(r"<(style|script|svg)\b.*?</\1>", "", page.read_text(), flags=re.S)
@@ -315,40 +303,6 @@ def test_attribute_leaves_out_what_it_does_not_have(trace: Path) -> None:
     assert "avoider" not in found.output
 
 
-def test_selftest_says_which_faults_do_not_apply(folder: Path) -> None:
-    (folder / "scenarios" / "visit.yaml").write_text(VISIT.replace("mine.py", "../mine.py"))
-    options = ("--scenarios", "scenarios", "--jobs", "1", "--out", "trial", *MINE_AS_OPTION)
-    for fault, applies in (("overspeed", True), ("sign flip", False)):
-        found = command("selftest", *options, "--fault", fault)
-        assert "no avoider and no gate" in found.output
-        assert ("does not apply" in found.output) is not applies, found.output
-        assert found.exit_code == (0 if applies else 1)
-
-
-def test_campaign_and_compare(ledgers: tuple[str, str]) -> None:
-    status = command("campaign", "status", ledgers[0])
-    assert status.exit_code == 0
-    assert "8/8" in status.output
-    assert "avoider" not in status.output
-    compared = command("campaign", "compare", *ledgers)
-    assert compared.exit_code == 0, compared.output
-    assert "overruled" not in compared.output
-
-
-def test_certify_and_verify(folder: Path) -> None:
-    made = command("certify", "plan.yaml", "--out", "report", "--workers", "1")
-    assert made.exit_code in (0, 1), made.output
-    said = words_of(folder / "report" / "evidence.html")
-    assert not re.findall(r".{40}avoider.{40}", said), re.findall(r".{40}avoider.{40}", said)
-    found = json.loads((folder / "report" / "evidence.json").read_text())
-    assert [one["controller"]["name"] for one in found["system"]["under_test"]] == ["mine.py:StopAndGo"]
-    refused = command("verify", "report", "--runs", "1")
-    assert refused.exit_code == 2
-    assert "mine.py:StopAndGo" in refused.output
-    stands = command("verify", "report", "--runs", "1", "--execute-programs")
-    assert stands.exit_code == 0, stands.output
-
-
 @pytest.mark.parametrize(
     ("name", "why"),
     [
@@ -365,14 +319,6 @@ def test_what_act_may_not_return_costs_the_run_with_a_reason(name: str, why: str
     assert found.exit_code == 1
     assert why in " ".join(found.output.split()), found.output
     assert "Traceback" not in found.output
-
-
-def test_a_campaign_in_which_nothing_could_be_run_tested_nothing() -> None:
-    Path("raises.yaml").write_text(PLAN.replace("StopAndGo", "NotANumber"))
-    found = command("campaign", "run", "raises.yaml", "--ledger", "raises.sqlite", "--workers", "1")
-    assert "violated in 0 of 0 tested, 8 could not be run" in found.output, found.output
-    assert "(0 runs tested it, 8 could not be run" in found.output
-    assert "the controller ended no run that could be driven again" in found.output
 
 
 def test_what_is_carried_over_from_episode_to_episode_is_named(folder: Path) -> None:

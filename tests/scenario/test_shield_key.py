@@ -16,7 +16,6 @@ from safety_harness.scenario.read import parse_scenario
 from safety_harness.scenario.shield import Shield
 from safety_harness.scenario.write import write_scenario
 
-ROOT = Path(__file__).parents[2]
 TEXT = """
 scenario: nobody is there
 duration: 1 s
@@ -128,7 +127,3 @@ def test_validate_and_run_refuse_such_drives_wherever_they_come_from(
     assert "expected a reaction time of at least" in done.output
     for form, file in files_in(tmp_path, drives, "shield: {reaction time: 150 ms}\n").items():
         assert validate([file]) == AS_EXPECTED, form
-
-
-def test_what_is_shipped_with_a_shield_is_not_refused() -> None:
-    assert validate([*(ROOT / "plans/shielded").glob("*.yaml"), *(ROOT / "plans").glob("shield*.yaml")]) == 0

@@ -6,39 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from safety_harness.cell.robot.description import ArmModel, read_arm
 from safety_harness.cell.robot.urdf import ArmFileError
 from safety_harness.cli.console import AS_EXPECTED
 from safety_harness.extensions.arms.commands import show
-
-INERTIAL = '<inertial><mass value="1"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial>'
-BOX = '<collision><geometry><box size="0.1 0.1 0.3"/></geometry></collision>'
-LIMIT = '<limit lower="-2" upper="2" velocity="2" effort="50"/>'
-JOINT = """\
-<joint name="j{n}" type="revolute"><parent link="{parent}"/><child link="{child}"/>
-<origin xyz="0 0 0.3"/><axis xyz="0 1 0"/>{limit}</joint>
-"""
-SECOND = '<child link="b"/>\n<origin xyz="0 0 0.3"/><axis xyz="0 1 0"/>' + LIMIT
-
-
-def urdf(old: str = "", new: str = "") -> str:
-    """Three joints of +-2 rad, 2 rad/s, 50 N m; ``old`` stands once in it and becomes ``new``."""
-    links = [f'<link name="{name}">{INERTIAL}{BOX}</link>' for name in ("base", "a", "b", "c")]
-    pairs = zip(("base", "a", "b"), ("a", "b", "c"), strict=True)
-    joints = [JOINT.format(n=n, parent=p, child=c, limit=LIMIT) for n, (p, c) in enumerate(pairs, start=1)]
-    text = f'<robot name="t">{"".join(links)}\n{"".join(joints)}</robot>'
-    assert not old or text.count(old) == 1
-    return text.replace(old, new) if old else text
-
-
-def second(limit: str) -> tuple[str, str]:
-    """The change of the second joint's <limit>."""
-    return SECOND, SECOND.replace(LIMIT, limit)
-
-
-def arm_in(folder: Path, change: tuple[str, str]) -> ArmModel:
-    (folder / "arm.urdf").write_text(urdf(*change))
-    return read_arm(folder / "arm.urdf", base="base", tcp="c")
+from tests.cell.robot.test_what_a_urdf_lacks import LIMIT, arm_in, second, urdf
 
 
 def test_robot_show_says_what_the_urdf_lacks_and_for_which_use(

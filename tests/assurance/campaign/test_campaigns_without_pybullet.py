@@ -13,8 +13,7 @@ from safety_harness.extensions.assurance.campaign.episodes import EpisodeRunner
 from safety_harness.extensions.assurance.commands.campaign import run as run_campaign
 from safety_harness.trace.provenance import provenance
 from tests.assurance.campaign.plans import PLAN, plan_in
-
-NEEDS = "the world PyBullet: needs pybullet, which is not installed: "
+from tests.cell.simulation.test_without_pybullet import NEEDS
 
 
 @pytest.fixture(autouse=True)

@@ -5,32 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from safety_harness.base.exceptions import ScenarioError
-from safety_harness.cell.simulation.kinematic_world import KinematicWorld
-from safety_harness.cell.simulation.worlds import PYBULLET, WORLDS, WorldEntry
+from safety_harness.cell.simulation.worlds import WORLDS, WorldEntry
 from safety_harness.extensions.assurance.campaign.episodes import EpisodeRunner
 from safety_harness.extensions.assurance.certification.credibility import credibility_of
 from safety_harness.extensions.assurance.certification.stored import random_traces
 from safety_harness.extensions.assurance.certification.tools import NO_TRIALS
 from tests.assurance.campaign.plans import PLAN, ledger_in, plan_in
-
-
-class HalfWorld(KinematicWorld):
-    """Joints turn at half of what they are told."""
-
-    name = "half"
-
-    def step(self, command: NDArray[np.void]) -> bool:
-        less = command.copy()
-        less["joint_velocity_radps"] *= 0.5
-        return super().step(less)
-
-
-HALF = WorldEntry(name="half", label="half speed", load=lambda: HalfWorld, confirmed_by=PYBULLET)
+from tests.cell.simulation.test_worlds import HALF
 
 
 @pytest.fixture

@@ -12,8 +12,8 @@ from safety_harness.cli.console import BAD_INPUT
 from safety_harness.cli.scenario_commands import run
 from safety_harness.extensions.assurance.campaign.identity import identity_of
 from safety_harness.extensions.assurance.commands.certify import certify
-from safety_harness.trace import provenance as software
 from safety_harness.trace.provenance import provenance
+from tests.trace.test_provenance import forget, installed
 
 REPOSITORY = Path(__file__).parents[3]
 
@@ -24,15 +24,6 @@ def forgetful() -> Iterator[None]:
     forget()
     yield
     forget()
-
-
-def installed(folder: Path, name: str, version: str, *, record: str = "", names: str = "") -> None:
-    """Metadata of a package, without the package."""
-    info = folder / f"{name.replace('-', '_')}-{version}.dist-info"
-    info.mkdir(parents=True)
-    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: {version}\n")
-    (info / "RECORD").write_text(record)
-    (info / "top_level.txt").write_text(names)
 
 
 def test_certify_refuses_two_owners_of_a_module_and_run_warns(
@@ -58,9 +49,3 @@ def test_a_campaign_s_identity_is_of_versions_and_not_of_a_machine_s_files() -> 
     files = provenance("PyBullet").files
     assert files
     assert not any(name in f"{parts}" or sha256 in f"{parts}" for name, sha256 in files)
-
-
-def forget() -> None:
-    for one in vars(software).values():
-        if hasattr(one, "cache_clear") and one.__module__ == software.__name__:
-            one.cache_clear()

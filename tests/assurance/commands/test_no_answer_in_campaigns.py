@@ -11,18 +11,9 @@ from safety_harness.extensions.assurance.certification.evidence import ClaimStat
 from safety_harness.extensions.assurance.commands import campaign
 from safety_harness.extensions.assurance.commands.certify import certify, verify
 from tests.assurance.campaign.plans import plan_in
+from tests.cli.test_avoiders_that_never_answer import IN_PLACE, LISTING, RAISING
 from tests.cli.test_own_avoider import VISIT
 
-IN_PLACE = "the avoider did not answer: with the fallback in its place in"
-RAISING = """\
-class Mine:
-    name = "raising"
-    def propose(self, *, hand_position_in_base_m, tcp_position_in_base_m, seed):
-        raise ZeroDivisionError(f"at {hand_position_in_base_m[0]}")
-"""
-LISTING = RAISING.replace("raising", "listing").replace(
-    'raise ZeroDivisionError(f"at {hand_position_in_base_m[0]}")', "return list(tcp_position_in_base_m)"
-)
 PLAN = """\
 plan: a hand nearby
 avoider: mine.py:Mine

@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from random_models import normalised_input, one_pass, random_inputs, random_model
 
 from safety_harness.cell.avoidance.masks import masks
 from safety_harness.cell.avoidance.model_file import PLACES, WIDTH, Dropout, Model
 from safety_harness.cell.avoidance.resnet_kernel import FULL_PLACES, decide, fold
+from tests.cell.avoidance.random_models import normalised_input, one_pass, random_inputs, random_model
 
 KINDS = [(Dropout.NONE, 1), (Dropout.NONE, 5), (Dropout.INTER, 1), (Dropout.FULL, 1)]
 every_kind = pytest.mark.parametrize(("dropout", "members"), KINDS, ids=lambda value: str(value))

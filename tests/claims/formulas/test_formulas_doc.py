@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import re
 from pathlib import Path
 
@@ -43,16 +42,6 @@ def test_the_words_of_the_table_are_what_python_says() -> None:
     for sentence, python in forms.items():
         assert python.replace("stopped()", "a") in PAGE or python in PAGE
         assert parse_formula(sentence) == eval(python, vars(language))
-
-
-def test_the_table_of_signals_is_written_from_them() -> None:
-    """If not: python docs/tables.py."""
-    spec = importlib.util.spec_from_file_location("tables", DOCS / "tables.py")
-    assert spec is not None
-    assert spec.loader is not None
-    tables = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(tables)
-    assert tables.with_tables(PAGE) == PAGE
 
 
 def test_python_has_every_signal_by_the_name_on_the_page() -> None:

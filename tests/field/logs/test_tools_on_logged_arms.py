@@ -10,16 +10,13 @@ import pytest
 from safety_harness.admission.admit import admit
 from safety_harness.admission.trial import judge
 from safety_harness.base.exceptions import InadmissibleError, InputError
-from safety_harness.base.shipped.contents import located
 from safety_harness.cell.robot.description import load_arm
 from safety_harness.cell.robot.kinematics import links_in_base
 from safety_harness.cell.robot.robots import refuse_unenclosed
 from safety_harness.extensions.field.logs.judging import recorded as judged_log
-from safety_harness.scenario.model import Scenario, Verdict
-from safety_harness.scenario.read import parse_scenario
+from safety_harness.scenario.model import Verdict
+from tests.cell.robot.test_enclosed import TOOL, scenario
 
-PIECE = "{from: [0 mm, 0 mm, 0 mm], to: [0 mm, 0 mm, 250 mm], radius: 45 mm}"
-TOOL = f"tool: {{position: [0 mm, 0 mm, 250 mm], capsules: [{PIECE}]}}"
 SHORT = TOOL.replace("250 mm], radius", "80 mm], radius")
 JOINTS_RAD = np.array([-0.22, -1.27, 1.98, -2.27, -1.57, -0.22])
 CLAIM = "hand distance never below 50 mm"
@@ -46,10 +43,6 @@ def log_with(robot: str, folder: Path) -> Path:
         f"robot: {robot}\nclaims:\n  - {CLAIM}\n"
     )
     return folder / "LOG.yaml"
-
-
-def scenario(robot: str) -> Scenario:
-    return parse_scenario(f"{located('shipped:fast-reach').read_text()}robot: {robot}\n")
 
 
 def test_a_hand_inside_of_the_tool_of_a_named_arm_is_a_violation(tmp_path: Path) -> None:

@@ -254,3 +254,9 @@ def test_an_avoider_that_often_leads_towards_the_hand_is_never_green(tmp_path: P
         assert f'class="banner {colour}" role="note"><strong>mc-dropout: no finding.' in page
         assert ("are too many for green." in page) == (colour == "doubt")
         assert ("<h1>No finding beyond the yardsticks on mc-dropout" in page) == (colour == "doubt")
+
+
+def test_a_mistyped_avoider_gets_the_nearest() -> None:
+    found = CliRunner().invoke(app, ["evaluate", "optimm"])
+    assert found.exit_code == BAD_INPUT
+    assert 'did you mean "optimum"' in found.output

@@ -2,40 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
-
-import numpy as np
 import pytest
 from disagreement import noted
-from numpy.typing import NDArray
 
-from safety_harness.cell.avoidance.masks import masks
-from safety_harness.cell.avoidance.model_file import PLACES, WIDTH, Dropout, Model
-from safety_harness.cell.avoidance.resnet_kernel import decide, fold
+from safety_harness.cell.avoidance.model_file import Dropout
 from tests.cell.avoidance.random_models import normalised_input, random_inputs, random_model
-
-KINDS = [(Dropout.NONE, 1), (Dropout.NONE, 5), (Dropout.INTER, 1), (Dropout.FULL, 1)]
-every_kind = pytest.mark.parametrize(("dropout", "members"), KINDS, ids=lambda value: str(value))
-
-# Some thirty layers of float32 (6e-8 relative) with targets of 34 to 75 mm standard deviation.
-ROUNDING_M = 2e-6
-
-
-def decided(model: Model, hands: Any, tcps: Any, seeds: Any) -> tuple[NDArray[np.float64], ...]:
-    positions, spreads = np.empty(hands.shape), np.empty(hands.shape)
-    decide(fold(model), hands, tcps, seeds, positions, spreads)
-    return positions, spreads
-
-
-def masks_of(model: Model, seed: np.uint64) -> NDArray[np.bool_]:
-    passes = model.passes if PLACES[model.dropout] else 1
-    return masks(seed, passes, PLACES[model.dropout], WIDTH, model.dropout_probability)
-
-
-def summary(model: Model, answers: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Mean and standard deviation of normalised answers (n, 3), in metres."""
-    positions = np.array(model.target_mean) + np.array(model.target_std) * np.asarray(answers, np.float64)
-    return positions.mean(axis=0), positions.std(axis=0)
+from tests.cell.avoidance.test_resnet_kernel import ROUNDING_M, decided, every_kind, masks_of, summary
 
 
 @every_kind

@@ -11,35 +11,17 @@ import pytest
 
 from safety_harness.cell.avoidance.learned import LearnedAvoider
 from safety_harness.cell.avoidance.model_file import Dropout
-from safety_harness.cell.avoidance.onnx_model import OnnxAvoider
 from tests.cell.avoidance.random_models import random_model
-
-torch = pytest.importorskip("torch")
-pytestmark = pytest.mark.filterwarnings("ignore")  # of exporters about themselves
-
-HAND, TCP = np.array([0.8, -0.3, 0.1]), np.array([0.7, 0.0, 0.35])
-QUESTION = np.concatenate([HAND, TCP])[None].astype(np.float32)
-LAYOUT = "input=hand,tcp,output=position"
-
-
-def answered(path: Path, layout: str = "") -> np.ndarray:
-    avoider = OnnxAvoider.of(path, path.read_bytes(), hand=HAND, tcp=TCP, layout=layout)
-    asked = {"hand_position_in_base_m": HAND, "tcp_position_in_base_m": TCP, "seed": 1}
-    return np.asarray(avoider.propose(**asked).position_in_base_m, np.float64)  # type: ignore[arg-type]
-
-
-def network() -> object:
-    torch.manual_seed(0)
-    return torch.nn.Sequential(torch.nn.Linear(6, 8), torch.nn.ReLU(), torch.nn.Linear(8, 3)).eval()
-
-
-def write(path: Path, made: object, *, dynamo: bool, half: bool = False, external_data: bool = False) -> Path:
-    example = torch.zeros((1, 6), dtype=torch.float16 if half else torch.float32)
-    names = {"input_names": ["input"], "output_names": ["output"]}
-    torch.onnx.export(
-        made, (example,), path, dynamo=dynamo, external_data=external_data, verbose=False, **names
-    )
-    return path
+from tests.cell.avoidance.test_real_exports import (
+    HAND,
+    LAYOUT,
+    QUESTION,
+    TCP,
+    answered,
+    network,
+    torch,
+    write,
+)
 
 
 @pytest.mark.parametrize("ours", [True, False])
