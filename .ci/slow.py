@@ -18,6 +18,11 @@ TESTS = Path(__file__).parents[1] / "tests"
 PACKAGE = TESTS.parent / "safety_harness"
 
 
+def shares(name: str) -> bool:
+    """Whether a file of tests has a fixture for all of them."""
+    return any('scope="module"' in path.read_text() for path in TESTS.rglob(name))
+
+
 def main(file: str, seconds: str = "600") -> None:
     """Read the times and write the list."""
     times: Counter[str] = Counter()
@@ -28,14 +33,16 @@ def main(file: str, seconds: str = "600") -> None:
             name = f"{path.name}.py::{case.get('name', '').partition('[')[0]}"
             times[name] += float(case.get("time", 0.0))
             weights[name] = 0.5 if (PACKAGE / path.parts[1]).is_dir() else 1.0
-    left, slow = times.total(), []
+    taken, slow = times.total(), set[str]()
     for name in sorted(times, key=lambda one: -times[one] * weights[one]):
-        if left <= float(seconds):
+        if taken - sum(times[one] for one in slow) <= float(seconds):
             break
-        slow.append(name)
-        left -= times[name]
+        of_file = {one for one in times if one.partition("::")[0] == name.partition("::")[0]}
+        # What a module's tests share is made for the first of them: the others go with it.
+        shared = times[name] > 0.5 * sum(times[one] for one in of_file) and shares(name.partition("::")[0])
+        slow |= of_file if shared else {name}
+    left = taken - sum(times[one] for one in slow)
     (TESTS / "slow.txt").write_text("\n".join(sorted(slow)) + "\n")
-    taken = times.total()
     print(f"{len(slow)} of {len(times)} functions are slow: {taken - left:.0f} of {taken:.0f} s")
 
 
