@@ -23,6 +23,8 @@ from tests.cell.avoidance.test_real_exports import (
     write,
 )
 
+pytestmark = pytest.mark.filterwarnings("ignore")  # of exporters about themselves
+
 
 @pytest.mark.parametrize("ours", [True, False])
 def test_a_quantised_network_answers_to_its_own_digits(tmp_path: Path, ours: bool) -> None:
