@@ -31,7 +31,7 @@ class ExtensionPoint(StrEnum):
     """The groups, each with the type of its parts and what the core does with them."""
 
     COMMANDS = "safety_harness.commands"
-    """``typer.Typer``: a command of ``safety-harness``, or with a name a group of commands."""
+    """``typer.Typer``: has a command, or is a group of commands, with the name of this part."""
     INPUTS = "safety_harness.inputs"
     """``InputFile``: a kind of file that commands take, by the key that titles it, which is its name."""
     CLAIMS = "safety_harness.claims"

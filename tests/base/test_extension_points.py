@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -11,6 +12,7 @@ import pytest
 import typer
 
 from safety_harness.base.extension_points import ExtensionPoint, InputFile, load, parts
+from safety_harness.cli.main import CORE, TASKS, commands_of
 
 TOY = '''
 from dataclasses import replace
@@ -103,6 +105,7 @@ ENTRY_POINTS = """
 [safety_harness.commands]
 toy = toy:commands
 greedy = toy:greedy
+run = toy:greedy
 gone = toy:no_such_name
 wrong = toy:TOYS
 [safety_harness.inputs]
@@ -144,22 +147,58 @@ def called(toy: Path, *args: str, code: str = "") -> subprocess.CompletedProcess
     )
 
 
-def test_the_toys_command_is_there_and_those_that_cannot_be_used_are_named_and_stop_nothing(
-    toy: Path,
-) -> None:
+def test_the_toys_command_is_there_and_nothing_else_is_loaded(toy: Path) -> None:
     done = called(toy, "toy")
-    assert (done.returncode, done.stdout) == (0, "the toy is there\n")
+    assert (done.returncode, done.stdout, done.stderr) == (0, "the toy is there\n", "")
+
+
+def test_the_help_has_the_toys_command_and_names_those_that_cannot_be_used(toy: Path) -> None:
+    done = called(toy, "--help")
+    assert done.returncode == 0
+    assert re.search(r"─ Toy 1.0 ─.*\n. toy  +Say that the toy is there", done.stdout)
     warnings = [line for line in done.stderr.splitlines() if line.startswith("warning: left out")]
-    assert [line.partition(" of ")[0].rpartition(" ")[2] for line in warnings] == ["gone", "greedy", "wrong"]
-    assert "no_such_name" in warnings[0]
-    assert "the command run is there already" in warnings[1]
-    assert "expected Typer, got InputFile" in warnings[2]
+    found = {line.partition(" of ")[0].rpartition(" ")[2]: line for line in warnings}
+    assert {*found} == {"gone", "greedy", "run", "wrong"}
+    assert "no_such_name" in found["gone"]
+    assert "it has no command greedy" in found["greedy"]
+    assert "the command run is there already" in found["run"]
+    assert "expected Typer, got InputFile" in found["wrong"]
+
+
+def test_the_help_groups_commands_by_task_and_by_wing() -> None:
+    text = called(Path.cwd(), "--help").stdout
+    panels = [*re.findall(r"╭─ (.+?) ─", text)]
+    assert panels[1:5] == [*TASKS]
+    assert {"Assurance", "Field", "Lab", "Arms", "Selftest"} < {*panels[5:]}
+    assert {name for names in TASKS.values() for name in names} == {
+        name for group in CORE for name in commands_of(group)
+    }
+
+
+@pytest.mark.parametrize("command", ["gone", "greedy", "wrong"])
+def test_a_command_that_cannot_be_loaded_is_no_command(toy: Path, command: str) -> None:
+    done = called(toy, command)
+    assert done.returncode == 2
+    assert f"left out, safety_harness.commands {command} of toy 1.0" in done.stderr
+    assert "No such command" in done.stderr
 
 
 def test_no_part_replaces_a_command(toy: Path) -> None:
     done = called(toy, "run", "--help")
     assert "Run scenario files" in done.stdout
     assert "taken over" not in done.stdout
+
+
+def test_the_version_loads_no_wing(toy: Path) -> None:
+    code = """
+import sys
+from safety_harness.__main__ import main
+try:
+    main()
+finally:
+    print([one for one in sys.modules if one.startswith("safety_harness.extensions.") or one == "toy"])
+"""
+    assert called(toy, "--version", code=code).stdout.endswith("\n[]\n")
 
 
 def test_the_toys_files_are_checked_explained_and_called_by_their_name(toy: Path) -> None:
@@ -266,6 +305,12 @@ def test_every_part_of_ours_can_be_loaded_and_is_of_its_type() -> None:
         ours = [part for part in parts(group) if not part.package]
         assert [part for part in ours if load(part, kinds.get(group, object)) is None] == []
     assert {part.name for part in parts(ExtensionPoint.INPUTS) if not part.package} == {"plan", "log"}
+
+
+def test_every_command_of_a_wing_has_an_entry_point_of_its_name() -> None:
+    ours = [part for part in parts(ExtensionPoint.COMMANDS) if not part.package]
+    groups = [group for part in ours if (group := load(part, typer.Typer)) is not None]
+    assert {part.name for part in ours} == {name for group in groups for name in commands_of(group)}
 
 
 def test_a_part_is_named_with_its_group_and_its_distribution() -> None:
