@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from safety_harness.base.distribution import DISTRIBUTION, PYPROJECT
+from safety_harness.base.exceptions import MissingPackageError, Place
 
 _Part = TypeVar("_Part")
 OWN_TITLES = ("scenario", "scenario space", "suite")  # of files that the core reads itself
@@ -42,6 +43,17 @@ class ExtensionPoint(StrEnum):
     """``Callable[[CatalogueEntry], Iterator[tuple[str, str]]]``: lines that ``claims`` adds to an entry's."""
     WORLDS = "safety_harness.worlds"
     """``cell.simulation.worlds.WorldEntry``: a world for ``--world`` and ``world:``."""
+    SCENARIO_KEYS = "safety_harness.scenario_keys"
+    """``scenario.codec.Key``: a key of scenario files, below ``extensions:``, by its name."""
+    CONTROLLERS = "safety_harness.controllers"
+    """``seams.contract.ControllerOpener``: a way to a controller, for ``controller: NAME:REST``."""
+    RUN_FORMATS = "safety_harness.run_formats"
+    """``Callable[[Trace, Sequence[Evaluation], Path], Sequence[Path]]``: writes a run, for ``export --out
+    FILE.NAME``, and returns its files."""
+    LEDGER_COLUMNS = "safety_harness.ledger_columns"
+    """``Callable[[Trace], float]``: a number of an episode, which a campaign's ledger keeps in a column."""
+    PAGE_SECTIONS = "safety_harness.page_sections"
+    """``report.page_parts.PageSection``: a table on the page of runs or of evidence."""
     WARMING = "safety_harness.warming"
     """``Callable[[], None]``: makes the machine code that a package needs, for ``warm``."""
 
@@ -167,6 +179,26 @@ def loaded(
         elif (found := load(part, kind)) is not None:
             names.add(part.name)
             yield part.name, found
+
+
+@lru_cache
+def names_of(point: ExtensionPoint) -> frozenset[str]:
+    """Return the names of the parts of a kind, which are not loaded."""
+    return frozenset(part.name for part in parts(point))
+
+
+@lru_cache
+def part_named(point: ExtensionPoint, name: str, kind: type[_Part]) -> _Part:
+    """Return the part of a name; MissingPackageError where no package adds one that can be used."""
+    for part in parts(point):
+        if part.name == name and (found := load(part, kind)) is not None:
+            return found
+    raise MissingPackageError(
+        place=Place(field=name),
+        expected=f"a package that adds the entry point {name} to {point}",
+        got="none that can be loaded" if name in names_of(point) else "none",
+        hint=f"pip install --force-reinstall {DISTRIBUTION}, or the package that added it",
+    )
 
 
 def _identities(part: object) -> set[str]:
