@@ -14,7 +14,7 @@ from __future__ import annotations
 import sys
 import tomllib
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import lru_cache
 from importlib.metadata import EntryPoint, entry_points
@@ -84,6 +84,7 @@ class InputFile:
         schema: Return its JSON Schema, for ``schema``.
         recorded: Read the file at a path as a recorded run, with claims in place of its own.  For ``judge``,
             ``view`` and pytest.
+        title: The key that titles such files: the name of the entry point, which fills it in.
 
     """
 
@@ -95,6 +96,7 @@ class InputFile:
     tables: Callable[[], tuple[Any, ...]] | None = None
     schema: Callable[[], dict[str, Any]] | None = None
     recorded: Callable[[Path, tuple[Any, ...]], Any] | None = None
+    title: str = ""
 
 
 @dataclass(frozen=True)
@@ -246,4 +248,5 @@ class Registry(list[_Part]):
 @lru_cache
 def input_files() -> dict[str, InputFile]:
     """Return the kinds of file that packages add, by the key that titles them."""
-    return dict(loaded(ExtensionPoint.INPUTS, InputFile, taken=OWN_TITLES))
+    found = loaded(ExtensionPoint.INPUTS, InputFile, taken=OWN_TITLES)
+    return {title: replace(one, title=title) for title, one in found}

@@ -50,7 +50,7 @@ def test_the_toys_column_is_in_the_ledger_and_one_that_fails_is_empty(folder: Pa
 
 
 def test_the_toys_column_is_exported(folder: Path) -> None:
-    done = called(folder, "campaign", "export", "out/ledger.sqlite", "--out", "out.csv")
+    done = called(folder, "campaign", "export", "out/ledger.sqlite", "out.csv")
     assert done.returncode == 0, done.stderr
     with (folder / "out.csv").open(newline="") as file:
         (*_, row) = csv.DictReader(file)

@@ -258,8 +258,8 @@ def time_avoider(
     decision costs in simulated time from it.  A Python file is executed.
     Exit code 0; 2: bad input, or an avoider that does not answer; 130: interrupted.
     """
-    from safety_harness.admission.measured_times import measured_times
     from safety_harness.base.whole_file import write_text
+    from safety_harness.extensions.lab.measured_times import measured_times
     from safety_harness.report.words import milliseconds_words
     from safety_harness.scenario.decision_times import profile_text
 
