@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from functools import partial
 from itertools import groupby
@@ -74,9 +75,9 @@ def validate(paths: Sequence[Path], avoider: str | None = None) -> int:
     for space in spaces:
         result(f"ok {space.file}: a space, {_count(len(space.parameters), 'value')} that vary")
         usable_files.append({"file": space.file, "kind": "space", "parameters": len(space.parameters)})
-    for added_kind, one in read:
-        result(f"ok {one.file}: {added_kind.words}, {one.words}")
-        usable_files.append({"file": one.file, "kind": added_kind.title} | one.data)
+    for kind, one in read:
+        result(f"ok {one.file}: {kind.words}, {one.words}")
+        usable_files.append({"file": one.file, "kind": kind.title} | one.data)
     document(usable=usable_files)
     for space in (*spaces, *(space for _, one in read for space in one.spaces)):
         untried += without_compiling(partial(_untried_of, space))
@@ -84,8 +85,8 @@ def validate(paths: Sequence[Path], avoider: str | None = None) -> int:
     if errors:
         mistakes = _count(len(explain_each(errors)), "mistake")
         rest = f"{_count(len(checked), 'scenario')} and {_count(len(spaces), 'space')}"
-        for title in dict.fromkeys(title for title, _ in read):
-            rest += f" and {_count(sum(title == one for one, _ in read), title)}"
+        for title, count in Counter(kind.title for kind, _ in read).items():
+            rest += f" and {_count(count, title)}"
         say(f"{mistakes}; {rest} can be used")
     return BAD_INPUT if errors else AS_EXPECTED
 
