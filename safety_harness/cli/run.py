@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from itertools import count
 from pathlib import Path
+from types import FunctionType
 from typing import Any
 
 from safety_harness.admission.admit import Admitted, admit
@@ -26,6 +27,7 @@ from safety_harness.admission.repeatability import Repeatability, RepeatabilityR
 from safety_harness.admission.taking import NotTaken, made_equal, not_taken_words, taken
 from safety_harness.admission.trial import run_trial
 from safety_harness.base.exceptions import InputError, OutputError, SafetyHarnessError
+from safety_harness.base.extension_points import ExtensionPoint, part_named
 from safety_harness.base.extras import LOGS
 from safety_harness.base.interrupts import one_more_ctrl_c
 from safety_harness.base.whole_file import writing
@@ -120,6 +122,7 @@ def run(
     say_shared_modules()
     if mcap:
         LOGS.require("--mcap")
+        part_named(ExtensionPoint.RUN_FORMATS, "mcap", FunctionType)
     try:
         admitted, skipped, errors = read_all(paths, avoider, against, world)
     except KeyboardInterrupt:
@@ -209,8 +212,7 @@ class RunSession:
         self.written.add(file)
         evaluations = tuple(prop.evaluate(trace) for prop in one.properties)
         if self.mcap:
-            from safety_harness.report.mcap import write_mcap
-
+            write_mcap = part_named(ExtensionPoint.RUN_FORMATS, "mcap", FunctionType)
             write_mcap(trace, evaluations, file.with_name(one.scenario.name) / "run.mcap")
             self.written.add(file.with_name(one.scenario.name))
         return JudgedRun(

@@ -25,7 +25,6 @@ from safety_harness.claims.formulas.formula import (
     unit_of,
 )
 from safety_harness.claims.formulas.parse import parse_formula
-from safety_harness.claims.formulas.prefix import Prefix, is_endless
 from safety_harness.claims.formulas.quantities import formula_error
 from safety_harness.claims.formulas.signal import Signal
 from safety_harness.claims.formulas.signals import hand_distance, nearest_hand_to_tcp
@@ -33,6 +32,7 @@ from safety_harness.claims.properties.base import Unit
 from safety_harness.claims.properties.catalogue import CATALOGUE
 from safety_harness.claims.properties.hand_distance import HAND_DISTANCE
 from safety_harness.claims.properties.limits import TCP_SPEED as TCP_SPEED_LIMIT
+from safety_harness.extensions.field.monitoring.prefix import Prefix, is_endless
 from safety_harness.extensions.field.monitoring.sensing import (
     CELL_HIGH,
     CELL_LOW,

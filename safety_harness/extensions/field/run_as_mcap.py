@@ -50,11 +50,11 @@ FROM_SCENARIO = ("about", "robot", "obstacles", "camera", "settings", "claims")
 Message = tuple[int, str, str, Any]  # when [ns], topic, type, content
 
 
-def write_mcap(trace: Trace, evaluations: Sequence[Evaluation], path: Path) -> None:
+def write_mcap(trace: Trace, evaluations: Sequence[Evaluation], path: Path) -> tuple[Path, Path]:
     """Write ``trace`` and the ``evaluations`` of its claims to ``path``, and LOG.yaml beside it.
 
-    TraceError for a trace that was not simulated, MissingPackageError without the extra "logs", OutputError
-    if a file cannot be written, or LOG.yaml is there and describes another file.
+    Return both files.  TraceError for a trace that was not simulated, MissingPackageError without the extra
+    "logs", OutputError if a file cannot be written, or LOG.yaml is there and describes another file.
     """
     log = path.with_name(LOG_FILE)
     if not trace.known.simulated:
@@ -74,6 +74,7 @@ def write_mcap(trace: Trace, evaluations: Sequence[Evaluation], path: Path) -> N
                 bag.write(topics[topic], at_ns, messages.store.serialize_cdr(content, kind))
         Path(folder, "run", "run.mcap").replace(part)
     write_text(log, _log_text(trace, path))
+    return path, log
 
 
 def _stamps(at_s: Any) -> Any:
