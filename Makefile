@@ -77,8 +77,10 @@ paper: $(VENV)/installed
 docs: $(VENV)/documented
 	$(BIN)/python docs/build_site.py
 
-# Into dist/, with scenarios, plans, examples (setup.py) and the site.
+# Into dist/, with scenarios, plans, examples (setup.py), the site, and machine code for each Python of CODE_FOR.
+CODE_FOR :=
 wheel: docs
+	.ci/machine_code.py $(CODE_FOR)
 	$(BIN)/python -m pip wheel --quiet --disable-pip-version-check --no-deps --wheel-dir dist .
 
 # The largest disagreement with each independent oracle, into plans/oracles.json and docs/selftest.md.
