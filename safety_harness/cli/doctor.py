@@ -77,7 +77,7 @@ def _machine() -> Iterator[Examined]:
     problem = cache_problem(cache_root())
     stack = PACKAGE / "cell" / "controller" / "stack.py"
     warm = installed_folder(stack).is_dir() or any(cache_folder(stack).rglob("*.nbc"))
-    words = "cold: the first run compiles, a minute or two; safety-harness warm does it now"
+    words = "cold: the first run compiles, some 75 s on a quiet machine; safety-harness warm does it now"
     words = f"{code_in_use()}{', read-only' if problem else ''}" if warm else problem or words
     words = f"{cache_root()}, {megabytes(machine_code_bytes())}, {words}"
     yield Examined("machine code", State.PROBLEM if problem and not warm else State.OK, words)
