@@ -13,8 +13,8 @@ from safety_harness.extensions.assurance.certification.argument import (
     STATE,
     UNDEVELOPED,
     argument_of,
-    argument_svg,
 )
+from safety_harness.extensions.assurance.certification.argument_picture import argument_svg
 from safety_harness.extensions.assurance.certification.evidence import (
     SEVERITY,
     CertifiedClaim,

@@ -89,8 +89,8 @@ def train(
     recipe: Annotated[
         str,
         Argument(
-            help="mc-dropout, mc-dropout-full, deterministic, ensemble or optimum; "
-            "also with paper- or trial- before it."
+            help="mc-dropout, mc-dropout-full, deterministic or ensemble, each also with paper- or trial- "
+            "before it; optimum, student or student-ensemble."
         ),
     ] = "mc-dropout",
     robot: Cell = None,
