@@ -47,6 +47,22 @@ ABOUT = {name: (one.about, one.of) for name, one in (FAULTS | HARMLESS).items()}
 ABOUT |= {name: (about, of) for name, (about, of, _) in FILES.items()}
 CLEAN = [*HARMLESS, *FILES]
 COMMANDS = ("evaluate", "evaluate --against", "fuzz")
+SAYS = {  # the words of a finding of evaluate that names the fault, and not only notices it
+    "towards_by_seed": "towards the hand",
+    "towards_by_place": "towards the hand",
+    "stays_by_place": "far off in places",
+    "nan_by_place": "no answer",
+    "raises_by_place": "no answer",
+    "one_answer_behind": "does not repeat",
+    "noise_without_seed": "does not repeat",
+    "sure_where_unseen": "too sure",
+    "stale_normalisation": "biased",
+    "x_and_y_swapped": "follows the hand wrongly",
+    "into_the_table": "out of reach or into the table",
+    "too_far": "out of reach or into the table",
+    "answers_after_96_ms": "slow",
+    "other_hand": "towards the hand",
+}
 
 
 CAUSES = """
@@ -195,6 +211,19 @@ def flagged(row: dict[str, Any], references: dict[str, set[tuple[str, str]]]) ->
     )
 
 
+def is_named(row: dict[str, Any], told: list[str]) -> bool:
+    """Say whether what counts against a fault says what is wrong, or whose fault it is."""
+    if row["command"] == "fuzz":
+        return "avoider" in " ".join([row.get("attribution") or "", *told])
+    return any(SAYS[row["name"]] in one for one in told)
+
+
+def seconds(rows: list[dict[str, Any]]) -> str:
+    """Write the processor seconds of a command: the median, and all together."""
+    spent = sorted(row["cpu_s"] for row in rows)
+    return f"{spent[len(spent) // 2]} s, {sum(spent):.0f} s" if spent else "–"
+
+
 def table(rows: list[dict[str, Any]]) -> str:
     """Write the whole page."""
     references = {
@@ -210,24 +239,45 @@ def table(rows: list[dict[str, Any]]) -> str:
         "*Flagged* is a finding of `evaluate`'s unsafe list that the unchanged reference has not, one of",
         "`evaluate --against`, a counted difference of `fuzz --against`, or its exit code 1. A dash was not",
         "measured, and is not counted.",
-        "Faults are scored with 1,000 questions first; three that this missed with the default, one region.",
-        "Processor time is that of a fork that has imported everything, but for the first 14 of `evaluate`.",
+        "A harmless change of which `evaluate --against` says nothing counts for `evaluate` without a row:",
+        "on the same questions it has no unsafe finding that the reference has not.",
+        "Processor time (CPU: the median of all avoiders, and all together) is that of a fork that has",
+        "imported everything, but for the first 14 of `evaluate`.",
         "",
-        "| command | faults noticed | missed | not measured | harmless flagged | at most | CPU |",
-        "|---|---|---|---|---|---|---|",
+        "*Named*: a finding of `evaluate` has the words that were written down for the fault (`SAYS` in the",
+        "script, after the findings were known); `fuzz` says whose fault it is, and says the avoider's.",
+        "",
+        "| command | faults named | noticed | missed | not measured | harmless flagged | at most | CPU |",
+        "|---|---|---|---|---|---|---|---|",
     ]
     for command in COMMANDS:
         told = {n: flagged(by[command, n], references) for n in ABOUT if (command, n) in by}
         told = {name: one for name, one in told.items() if one is not None}
-        named = [name for name in FAULTS if told.get(name)]
+        measured = [by[command, name] for name in told]
+        if command == "evaluate":  # --against adds to its list, and takes off only what the reference has too
+            beside = {n: flagged(by[COMMANDS[1], n], references) for n in CLEAN if (COMMANDS[1], n) in by}
+            told = {name: [] for name, one in beside.items() if one == []} | told
+        noticed = [name for name in FAULTS if told.get(name)]
+        named = [name for name in noticed if is_named(by[command, name], told[name])]
         missed = [name for name in FAULTS if name in told and not told[name]]
         clean, wrong = [n for n in CLEAN if n in told], [n for n in CLEAN if told.get(n)]
         bound = beta.ppf(0.95, len(wrong) + 1, len(clean) - len(wrong)) if len(wrong) < len(clean) else 1.0
-        seconds = sorted(by[command, name]["cpu_s"] for name in told)
+        scored = len(noticed) + len(missed)
         text.append(
-            f"| {command} | {len(named)} of {len(named) + len(missed)} | {', '.join(missed) or 'none'} | "
-            f"{14 - len(named) - len(missed)} | {len(wrong)} of {len(clean)} | {bound:.1%} | "
-            f"{seconds[len(seconds) // 2] if seconds else '–'} s |"
+            f"| {command} | {len(named)} of {scored} | {len(noticed)} | {', '.join(missed) or 'none'} | "
+            f"{len(FAULTS) - scored} | {len(wrong)} of {len(clean)} | {bound:.1%} | "
+            f"{seconds(measured)} |"
+        )
+    for command in ("run", "fuzz"):
+        told = {
+            one.__name__: flagged(by[command, one.__name__], references)
+            for one in CONTROLLERS
+            if (command, one.__name__) in by
+        }
+        missed = [name for name, one in told.items() if not one]
+        text.append(
+            f"| {command}, controllers | – | {len(told) - len(missed)} | {', '.join(missed) or 'none'} | "
+            f"{len(CONTROLLERS) - len(told)} | – | – | {seconds([by[command, name] for name in told])} |"
         )
     for title, names in (("Faults", list(FAULTS)), ("Harmless changes", CLEAN)):
         text += [
@@ -280,12 +330,12 @@ def jobs(arguments: argparse.Namespace) -> list[tuple[str, str, list[str], float
     runs, few = ["--budget", str(arguments.budget)], ["--search", "0"]
     few += ["--questions", str(arguments.questions)] if arguments.questions else []
     few += [word for one in arguments.region for word in ("--region", one)]
-    every = [("evaluate", name, few, 300.0) for name in FAULTS]
-    every += [("evaluate --against", name, few, 300.0) for name in [*FAULTS, *CLEAN]]
-    every += [("fuzz", name, runs, 300.0) for name in [*CLEAN, *FAULTS]]
-    every += [(command, one.__name__, [], 300.0) for one in CONTROLLERS for command in ("run",)]
-    every += [("fuzz", one.__name__, runs, 300.0) for one in CONTROLLERS]
-    every += [("evaluate", name, few, 300.0) for name in (*sorted({of for _, of in ABOUT.values()}), *CLEAN)]
+    every = [("evaluate", name, few, 3600.0) for name in FAULTS]
+    every += [("evaluate --against", name, few, 3600.0) for name in [*FAULTS, *CLEAN]]
+    every += [("fuzz", name, runs, 3600.0) for name in [*CLEAN, *FAULTS]]
+    every += [(command, one.__name__, [], 3600.0) for one in CONTROLLERS for command in ("run",)]
+    every += [("fuzz", one.__name__, runs, 3600.0) for one in CONTROLLERS]
+    every += [("evaluate", name, few, 3600.0) for name in (*sorted({of for _, of in ABOUT.values()}), *CLEAN)]
     return [
         one
         for one in every

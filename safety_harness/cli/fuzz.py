@@ -52,7 +52,7 @@ def fuzz(
 
     With --against it searches for what the avoider or controller violates and the reference keeps, on the
     same draws.
-    Each such difference is drawn again; what is none then is listed as a flip near the limit.
+    Each such difference is drawn again; what is not clearly worse then is listed as a flip near the limit.
     Counterexamples are shrunk, confirmed in PyBullet and attributed (whose fault they are, as attribute says
     it), and so are all violations together.  A page, fuzz.html, is about them, with a map of what was
     covered, coverage.svg; Ctrl-C keeps what was found so far.

@@ -19,6 +19,8 @@ import numpy as np
 from safety_harness.admission.avoiders import as_seen_from
 from safety_harness.admission.repeatability import RepeatabilityResult
 from safety_harness.base.exceptions import OutputError, explanation
+from safety_harness.base.seeds import Branch
+from safety_harness.base.seeds import seed as leaf
 from safety_harness.base.whole_file import write_text, writing
 from safety_harness.cell.simulation.worlds import KINEMATIC, PYBULLET
 from safety_harness.claims.properties.against import Against
@@ -42,7 +44,7 @@ from safety_harness.search.findings import RUN_FAILED, Findings, Group, TriedPoi
 from safety_harness.search.redrawn import keep_differences
 from safety_harness.search.sampling import UniformSampling
 from safety_harness.search.search import find_violations
-from safety_harness.search.searchers import MakesSearcher, searcher_named
+from safety_harness.search.searchers import MakesSearcher
 from safety_harness.search.trials import ScenarioRunner, Trials, in_kinematic, in_pybullet
 from safety_harness.trace.store import save_trace
 from safety_harness.trace.trace import Trace
@@ -160,22 +162,18 @@ class SearchSession:
         unknown |= not self.findings.evidence[applicable].all()  # of a claim that no run put to the test
         return unknown or bool(self.not_found) or not all(one.expected for one in self.written)
 
-    def search(self, make: MakesSearcher, trials: Trials, folder: str = "") -> Findings:
-        """Until the budget is spent, Ctrl-C, or a disk that takes no more."""
+    def search(self, make: MakesSearcher, trials: Trials, folder: str | None = "") -> Findings:
+        """Until the budget is spent, Ctrl-C, or a disk that takes no more; without a folder none is saved."""
         cube = Cube.of(trials.space)
-        saved = _MOST_AS_FOUND if trials.reverse else 0
+        saved = _MOST_AS_FOUND if folder is None else 0
 
         def keep(findings: Findings) -> None:
             nonlocal saved
             for group in findings.groups[saved:_MOST_AS_FOUND]:
-                self._save_as_found(group, self.out / AS_FOUND / folder, saved, findings)
+                self._save_as_found(group, self.out / AS_FOUND / (folder or ""), saved, findings)
                 saved += 1
             show(findings)
 
-        if trials.reverse:
-            self.output.say(
-                f"the same search, the other way round: what {trials.goals[0].against} alone violates"
-            )
         with self.output.watch(self.budget) as show:
             return find_violations(
                 cube,
@@ -231,14 +229,20 @@ class SearchSession:
         if self.unwritable is not None:
             say(f"error: {explanation(self.unwritable)}")
 
-    def _search_again(self, searcher: str, trials: Trials) -> Findings:
-        return self.search(searcher_named(searcher), trials)
+    def _draw(self) -> Trials:
+        """Run as many pairs of the space as the search, which nobody chose."""
+        self.output.say("as many runs anywhere in the space with both, to hold what was found against")
+        own = leaf(self.trials.seed, Branch.SEARCH, 6)
+        drawn = replace(self.trials, seed=own, coverage=Coverage(), violations=Coverage())
+        if self.search(UniformSampling, drawn, folder=None).interrupted:
+            raise KeyboardInterrupt
+        return drawn
 
     def _draw_again(self) -> None:
         """Which differences from a reference are none?  Not after an interruption."""
         try:
             for one in filter(None, [self.findings, self.baseline] if not self.interrupted else []):
-                self.flips += keep_differences(self.trials, one, partial(self._search_again, one.searcher))
+                self.flips += keep_differences(self.trials, one, self._draw)
         except KeyboardInterrupt:
             self.findings.interrupted = True
         for line in self.flips:
