@@ -199,3 +199,18 @@ def called(toy: Path, *args: str, code: str = "") -> subprocess.CompletedProcess
     return subprocess.run(
         command, cwd=toy, env=os.environ | {"PYTHONPATH": path}, capture_output=True, text=True, check=False
     )
+
+
+WITHOUT_WINGS = """
+import sys
+
+class NoWings:
+    def find_spec(self, name, path=None, target=None):
+        if name.startswith("safety_harness.extensions"):
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+
+sys.meta_path.insert(0, NoWings())
+from safety_harness.__main__ import main
+sys.argv[0] = "safety-harness"
+main()
+"""

@@ -6,11 +6,7 @@ import re
 from pathlib import Path
 
 import pytest
-import typer
-from toy_package import SHORT, called, install
-
-from safety_harness.base.extension_points import ExtensionPoint, InputFile, load, parts
-from safety_harness.cli.main import CORE, TASKS, commands_of
+from toy_package import SHORT, WITHOUT_WINGS, called, install
 
 
 @pytest.fixture(scope="module")
@@ -35,16 +31,6 @@ def test_the_help_has_the_toys_command_and_names_those_that_cannot_be_used(toy: 
     assert "it has no command greedy" in found["greedy"]
     assert "the command run is there already" in found["run"]
     assert "expected Typer, got InputFile" in found["wrong"]
-
-
-def test_the_help_groups_commands_by_task_and_by_wing() -> None:
-    text = called(Path.cwd(), "--help").stdout
-    panels = [*re.findall(r"╭─ (.+?) ─", text)]
-    assert panels[1:5] == [*TASKS]
-    assert {"Assurance", "Field", "Lab", "Arms", "Selftest"} < {*panels[5:]}
-    assert {name for names in TASKS.values() for name in names} == {
-        name for group in CORE for name in commands_of(group)
-    }
 
 
 @pytest.mark.parametrize("command", ["gone", "greedy", "wrong"])
@@ -248,21 +234,6 @@ def test_the_toys_section_is_on_the_page_of_a_run_and_one_that_fails_is_left_out
     assert "left out, safety_harness.page_sections failing: RuntimeError: no wheels" in done.stderr
 
 
-WITHOUT_WINGS = """
-import sys
-
-class NoWings:
-    def find_spec(self, name, path=None, target=None):
-        if name.startswith("safety_harness.extensions"):
-            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
-
-sys.meta_path.insert(0, NoWings())
-from safety_harness.__main__ import main
-sys.argv[0] = "safety-harness"
-main()
-"""
-
-
 @pytest.mark.parametrize(
     "command",
     [
@@ -284,32 +255,3 @@ def test_the_core_works_where_no_wing_is_installed(command: tuple[str, ...], tmp
         False,
         False,
     ), done.stderr
-
-
-def test_a_command_of_a_wing_that_is_not_installed_says_how_to_get_it(tmp_path: Path) -> None:
-    for command in ("certify", "judge"):
-        (tmp_path / "LOG.yaml").write_text("log: a log\nclock: {}\nclaims: {}\n")
-        done = called(tmp_path, command, "LOG.yaml", code=WITHOUT_WINGS)
-        assert done.returncode == 2
-        assert "pip install --force-reinstall hand-safety-harness" in done.stderr
-
-
-def test_every_part_of_ours_can_be_loaded_and_is_of_its_type() -> None:
-    kinds = {ExtensionPoint.COMMANDS: typer.Typer, ExtensionPoint.INPUTS: InputFile}
-    for group in ExtensionPoint:
-        ours = [part for part in parts(group) if not part.package]
-        assert [part for part in ours if load(part, kinds.get(group, object)) is None] == []
-    assert {part.name for part in parts(ExtensionPoint.INPUTS) if not part.package} == {"plan", "log"}
-
-
-def test_every_command_of_a_wing_has_an_entry_point_of_its_name() -> None:
-    ours = [part for part in parts(ExtensionPoint.COMMANDS) if not part.package]
-    groups = [group for part in ours if (group := load(part, typer.Typer)) is not None]
-    assert {part.name for part in ours} == {name for group in groups for name in commands_of(group)}
-
-
-def test_a_part_is_named_with_its_group_and_its_distribution() -> None:
-    assert [str(part) for part in parts(ExtensionPoint.INPUTS) if not part.package] == [
-        "safety_harness.inputs log",
-        "safety_harness.inputs plan",
-    ]
