@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from safety_harness.claims.properties.base import Evaluation, Unit, inconclusive, judged, time_left_s
 from safety_harness.claims.properties.entry import CatalogueEntry, quantity
-from safety_harness.claims.properties.measured import reads
-from safety_harness.claims.properties.unexercised import no_decision, unexercised
+from safety_harness.claims.properties.measured import reads, unexercised
+from safety_harness.claims.signals.occasions import no_decision
 from safety_harness.scenario.fault_table import TIME_EPS_S
 from safety_harness.scenario.faults import AvoiderLate, AvoiderNaN, AvoiderSilent
 from safety_harness.scenario.model import Claim, Scenario, Verdict

@@ -28,9 +28,6 @@ from safety_harness.trace.records import ENDLESS, as_numbers, columns
 from safety_harness.trace.trace import Trace, once_a_trace
 
 HORIZON_M = 1e3
-# A hand nearer than this puts a claim to the test: the claims' own number.  Were it a setting of the tested
-# system, whoever changes that setting would change how many runs count.
-NEAR_M = 0.4
 MAY_SATURATE = "between the ticks nothing is known, as motors may saturate"
 OF_HANDS = ("hand_position_in_base_m", "elbow_position_in_base_m", "hand_distance_m")
 
@@ -267,11 +264,6 @@ def runs_of(state: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int
 def times_begun(state: NDArray[np.bool_]) -> int:
     """How often a state (n,) begins."""
     return int(np.count_nonzero(begins_at(state)))
-
-
-def occasion_m(limit_m: float = 0.0) -> float:
-    """How near a hand has to come to put a limit of its distance to the test: twice the limit, or NEAR_M."""
-    return max(NEAR_M, 2.0 * limit_m)
 
 
 def time_left_s(trace: Trace, limit_s: float, ticks: int) -> float:

@@ -17,16 +17,11 @@ from safety_harness.cell.avoidance.flaky import question_of
 from safety_harness.claims.properties.base import Evaluation, Unit, inconclusive, is_somewhere, judged
 from safety_harness.claims.properties.entry import CatalogueEntry, count
 from safety_harness.claims.properties.giving_way import LEAST_WAY_M, Finding, worst_of
-from safety_harness.claims.properties.measured import reads
+from safety_harness.claims.properties.measured import reads, unexercised
 from safety_harness.claims.properties.positions import opposite_position, reach_m, spare_m, stopped_m
 from safety_harness.claims.properties.proposals import PROPOSAL
-from safety_harness.claims.properties.unexercised import (
-    millimetres,
-    no_decision,
-    spread_beside_threshold,
-    unexercised,
-)
 from safety_harness.claims.properties.way_gone import OFF_RAD, PACE, SHORT_M, way_gone
+from safety_harness.claims.signals.occasions import millimetres, no_decision, spread_beside_threshold
 from safety_harness.trace.known import OF_DECISIONS
 from safety_harness.trace.records import Check, DecisionOutcome, Mode
 from safety_harness.trace.trace import Trace

@@ -13,13 +13,14 @@ from safety_harness.base.compiled import compiled
 from safety_harness.cell.robot.capsules import Arm
 from safety_harness.cell.robot.kinematics import forward_kinematics, tcp_velocity
 from safety_harness.cell.robot.robots import arm_model
-from safety_harness.cell.simulation.worlds import PYBULLET, WORLDS
+from safety_harness.cell.simulation.worlds import PYBULLET
 from safety_harness.claims.properties.base import Evaluation, Unit, inconclusive, judged
 from safety_harness.claims.properties.entry import CatalogueEntry, quantity
 from safety_harness.claims.properties.measured import Ends, reads
 from safety_harness.claims.properties.separation import faster_mps
-from safety_harness.claims.properties.true_motion import arm_of, tcp_velocity_moved_mps, true_motion
-from safety_harness.claims.properties.unexercised import MOVES, joints_stood, tcp_stood, went
+from safety_harness.claims.signals.occasions import MOVES, joints_stood, tcp_stood, went
+from safety_harness.claims.signals.speeds import known_to_radps
+from safety_harness.claims.signals.true_motion import arm_of, tcp_velocity_moved_mps, true_motion
 from safety_harness.scenario.units import ACCELERATION, ANGULAR_ACCELERATION, SPEED
 from safety_harness.trace.trace import Trace
 
@@ -118,11 +119,6 @@ class JointSpeedLimits:
             most=left_radps + known_to_radps(trace),
             unsure="it is above the limit by no more than the world's motors may miss a commanded speed",
         )
-
-
-def known_to_radps(trace: Trace) -> float:
-    """By how much [rad/s] the recorded speed of a joint may miss the commanded one in the trace's world."""
-    return sum(world.known_to_radps for world in WORLDS if world.name == trace.provenance.world)
 
 
 @dataclass(frozen=True, kw_only=True)

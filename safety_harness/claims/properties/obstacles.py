@@ -10,10 +10,9 @@ from safety_harness.cell.robot.obstacles import box_records, distances_m
 from safety_harness.claims.properties.base import Evaluation, Unit, judged
 from safety_harness.claims.properties.clear_ways import least_along
 from safety_harness.claims.properties.entry import CatalogueEntry, quantity
-from safety_harness.claims.properties.hand_distance import joint_bend_m
-from safety_harness.claims.properties.measured import reads
-from safety_harness.claims.properties.true_motion import arm_of
-from safety_harness.claims.properties.unexercised import unexercised
+from safety_harness.claims.properties.measured import reads, unexercised
+from safety_harness.claims.signals.hand_distance import joint_bend_m
+from safety_harness.claims.signals.true_motion import arm_of
 from safety_harness.scenario.units import LENGTH
 from safety_harness.trace.trace import Trace
 

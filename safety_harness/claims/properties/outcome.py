@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 
 from safety_harness.claims.properties.base import Evaluation, Unit, inconclusive, judged, runs_of, time_left_s
 from safety_harness.claims.properties.entry import CatalogueEntry, quantity, time_within
-from safety_harness.claims.properties.measured import reads
+from safety_harness.claims.properties.measured import reads, unexercised
 from safety_harness.claims.properties.reaction import NoFalseAlarms, nearest_off_m
-from safety_harness.claims.properties.servoing import position_errors_m, retreat_s
-from safety_harness.claims.properties.true_motion import nearest_hand_m, true_motion
-from safety_harness.claims.properties.unexercised import MOVES, no_near_hand, unexercised
+from safety_harness.claims.properties.servoing import retreat_s
+from safety_harness.claims.signals.occasions import MOVES, no_near_hand
+from safety_harness.claims.signals.poses import position_errors_m
+from safety_harness.claims.signals.true_motion import nearest_hand_m, true_motion
 from safety_harness.scenario.model import Verdict
 from safety_harness.scenario.units import LENGTH
 from safety_harness.trace.records import Limit

@@ -22,8 +22,8 @@ from safety_harness.claims.properties.base import (
     judged,
 )
 from safety_harness.claims.properties.entry import CatalogueEntry, quantity, share
-from safety_harness.claims.properties.measured import reads
-from safety_harness.claims.properties.unexercised import no_answer, spread_beside_threshold, unexercised
+from safety_harness.claims.properties.measured import reads, unexercised
+from safety_harness.claims.signals.occasions import no_answer, spread_beside_threshold
 from safety_harness.scenario.units import LENGTH, NUMBER
 from safety_harness.trace.known import OF_DECISIONS
 from safety_harness.trace.overruling import Overruling, answered, overruled

@@ -21,7 +21,7 @@ from safety_harness.claims.properties.base import (
     times_begun,
 )
 from safety_harness.claims.properties.entry import CatalogueEntry, quantity
-from safety_harness.claims.properties.measured import reads
+from safety_harness.claims.properties.measured import reads, unexercised
 from safety_harness.claims.properties.separation import (
     REACHING_MPS,
     Separation,
@@ -30,8 +30,8 @@ from safety_harness.claims.properties.separation import (
     least_separation,
     lengths,
 )
-from safety_harness.claims.properties.true_motion import JOINTS, arm_of, capsules_of, true_motion
-from safety_harness.claims.properties.unexercised import OFF_THE_GOAL, nearest_of, no_hand, unexercised
+from safety_harness.claims.signals.occasions import OFF_THE_GOAL, nearest_of, no_hand
+from safety_harness.claims.signals.true_motion import JOINTS, arm_of, capsules_of, true_motion
 from safety_harness.scenario.units import SPEED
 from safety_harness.trace.known import UNMEASURED
 from safety_harness.trace.records import Limit

@@ -16,7 +16,6 @@ from safety_harness.base.compiled import compiled
 from safety_harness.base.settings import Settings
 from safety_harness.claims.properties.base import (
     HORIZON_M,
-    NEAR_M,
     Evaluation,
     Unit,
     begins_at,
@@ -27,15 +26,15 @@ from safety_harness.claims.properties.base import (
     times_begun,
 )
 from safety_harness.claims.properties.entry import CatalogueEntry, count, quantity, time_within
-from safety_harness.claims.properties.measured import reads
-from safety_harness.claims.properties.true_motion import nearest_hand_m, true_motion
-from safety_harness.claims.properties.unexercised import (
+from safety_harness.claims.properties.measured import reads, unexercised
+from safety_harness.claims.signals.occasions import (
+    NEAR_M,
     millimetres,
     no_decision,
     no_near_hand,
     no_predicted_hand,
-    unexercised,
 )
+from safety_harness.claims.signals.true_motion import nearest_hand_m, true_motion
 from safety_harness.scenario.model import Verdict
 from safety_harness.scenario.moves import REACHING_MPS
 from safety_harness.scenario.units import LENGTH

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from safety_harness.base.compiled import compiled
 from safety_harness.base.settings import CONVERGED_ANGLE_RAD, CONVERGED_POSITION_M
-from safety_harness.cell.controller.desired import desired_transform_tcp_to_base
 from safety_harness.claims.properties.base import (
     Evaluation,
     Unit,
@@ -26,16 +25,11 @@ from safety_harness.claims.properties.base import (
     time_left_s,
 )
 from safety_harness.claims.properties.entry import CatalogueEntry, count, quantity
-from safety_harness.claims.properties.measured import columns_read_by, reads
+from safety_harness.claims.properties.measured import columns_read_by, only_whole, reads
 from safety_harness.claims.properties.reaction import nearest_off_m
-from safety_harness.claims.properties.true_motion import nearest_hand_m, true_motion
-from safety_harness.claims.properties.unexercised import (
-    MOVES,
-    OFF_THE_GOAL,
-    millimetres,
-    only_whole,
-    tcp_stood,
-)
+from safety_harness.claims.signals.occasions import MOVES, OFF_THE_GOAL, millimetres, tcp_stood
+from safety_harness.claims.signals.poses import pose_errors, position_errors_m
+from safety_harness.claims.signals.true_motion import nearest_hand_m
 from safety_harness.scenario.model import Verdict
 from safety_harness.scenario.units import TIME
 from safety_harness.trace.records import Mode
@@ -84,25 +78,6 @@ def busy_to_the_end(trace: Trace) -> str:
     near = f"a hand is near to the end: {millimetres(left_m, critical_m)} from the TCP"
     beyond_m = critical_m if left_m < critical_m else ABOUT * critical_m  # from where the arm still goes away
     return f"{near}; beyond {beyond_m * 1e3:g} mm, or a longer duration, exercises it"
-
-
-@once_a_trace
-def pose_errors(trace: Trace) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """(n,) distance [m] and angle [rad] of the TCP from the desired pose at each tick."""
-    desired = desired_transform_tcp_to_base(trace.scenario.settings)
-    turns = desired[:3, :3].T @ trace.ticks["transform_tcp_to_base"][:, :3, :3]
-    axis = np.stack(
-        [turns[:, 2, 1] - turns[:, 1, 2], turns[:, 0, 2] - turns[:, 2, 0], turns[:, 1, 0] - turns[:, 0, 1]]
-    )
-    cosine = np.trace(turns, axis1=1, axis2=2) - 1.0
-    return position_errors_m(trace), np.arctan2(np.linalg.norm(axis, axis=0), cosine)
-
-
-@once_a_trace
-def position_errors_m(trace: Trace) -> NDArray[np.float64]:
-    """(n,) distance of the TCP from the desired position at each tick."""
-    desired = desired_transform_tcp_to_base(trace.scenario.settings)
-    return np.asarray(np.linalg.norm(true_motion(trace).tcp_m - desired[:3, 3], axis=1))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,9 +11,11 @@ from numpy.typing import NDArray
 from safety_harness.base.compiled import compiled
 from safety_harness.cell.controller.stack import STANDSTILL_RADPS
 from safety_harness.cell.robot.capsules import Arm
-from safety_harness.claims.properties.base import NEAR_M, Evaluation, Unit, inconclusive, judged, times_begun
+from safety_harness.claims.properties.base import Evaluation, Unit, inconclusive, judged, times_begun
 from safety_harness.claims.properties.entry import CatalogueEntry
-from safety_harness.claims.properties.hand_distance import (
+from safety_harness.claims.properties.measured import reads, unexercised
+from safety_harness.claims.properties.shield_theorem import NOT_KNOWN, REFUTED, SHIELDED, broken_assumptions
+from safety_harness.claims.signals.hand_distance import (
     Nearest,
     closest_approach,
     closest_between,
@@ -23,9 +25,8 @@ from safety_harness.claims.properties.hand_distance import (
     instants,
     known_to,
 )
-from safety_harness.claims.properties.measured import reads
-from safety_harness.claims.properties.shield_theorem import NOT_KNOWN, REFUTED, SHIELDED, broken_assumptions
-from safety_harness.claims.properties.true_motion import (
+from safety_harness.claims.signals.occasions import NEAR_M, OFF_THE_GOAL, nearest_of
+from safety_harness.claims.signals.true_motion import (
     RESOLUTION_M,
     HandPaths,
     arm_of,
@@ -33,7 +34,6 @@ from safety_harness.claims.properties.true_motion import (
     hand_paths,
     true_motion,
 )
-from safety_harness.claims.properties.unexercised import OFF_THE_GOAL, nearest_of, unexercised
 from safety_harness.scenario.model import Verdict
 from safety_harness.trace.trace import Trace, once_a_trace
 

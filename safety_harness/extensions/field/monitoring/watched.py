@@ -27,12 +27,12 @@ from safety_harness.claims.formulas.formula import (
 from safety_harness.claims.formulas.parse import parse_formula
 from safety_harness.claims.formulas.prefix import Prefix, is_endless
 from safety_harness.claims.formulas.quantities import formula_error
-from safety_harness.claims.formulas.signal import Signal
 from safety_harness.claims.formulas.signals import hand_distance, nearest_hand_to_tcp
 from safety_harness.claims.properties.base import Unit
 from safety_harness.claims.properties.catalogue import CATALOGUE
 from safety_harness.claims.properties.hand_distance import HAND_DISTANCE
 from safety_harness.claims.properties.limits import TCP_SPEED as TCP_SPEED_LIMIT
+from safety_harness.claims.signals.signal import Signal
 from safety_harness.extensions.field.monitoring.sensing import (
     CELL_HIGH,
     CELL_LOW,

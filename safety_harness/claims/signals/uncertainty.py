@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.claims.formulas.signal import Interpolation, Sampled, Signal
-from safety_harness.claims.properties.hand_distance import distance_moved_m
-from safety_harness.claims.properties.true_motion import follows_unknown, tcp_of
+from safety_harness.claims.signals.hand_distance import distance_moved_m
+from safety_harness.claims.signals.signal import Interpolation, Sampled, Signal
+from safety_harness.claims.signals.true_motion import follows_unknown, tcp_of
 from safety_harness.trace.trace import Trace, once_a_trace
 from safety_harness.trace.unmeasured import as_measured
 
