@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 
 from safety_harness.base.extension_points import ExtensionPoint, Registry
 from safety_harness.claims.formulas.measures import Flag, Measure
+from safety_harness.claims.signals.bounds import tent
 from safety_harness.claims.signals.hand_distance import ends_between, followed_hands, joint_bend_m
 from safety_harness.claims.signals.occasions import NEAR_M, no_decision, no_hand, no_predicted_hand
 from safety_harness.claims.signals.poses import pose_errors
-from safety_harness.claims.signals.predictions import prediction_errors_m
+from safety_harness.claims.signals.predictions import tracked_errors_m
 from safety_harness.claims.signals.signal import (
     Interpolation,
     Sampled,
@@ -24,7 +25,6 @@ from safety_harness.claims.signals.signal import (
     absent,
     at_ticks,
     bounded,
-    tent,
 )
 from safety_harness.claims.signals.speeds import sample_joint_speed, sample_tcp_speed, tcp_way_m, turned_rad
 from safety_harness.claims.signals.true_motion import (
@@ -183,7 +183,7 @@ def _from_hands(trace: Trace, *, from_tcp: bool = False, finely: bool = False) -
         for side, least_m in zip((low, surely), ends_m, strict=True):
             side[:-1, hand] = np.minimum(side[:-1, hand], least_m)
         way_m, slack_m = _ways(trace, paths, hand, from_tcp=from_tcp)
-        high[:-1, hand] = tent(value[:, hand], way_m, slack_m)[1]
+        high[:-1, hand] = tent(value[:-1, hand], value[1:, hand], way_m, slack_m)[1]
     signal, what = (nearest_hand_to_tcp, "the TCP") if from_tcp else (hand_distance, "the arm's surface")
     return replace(_nearest(signal, trace, value, low, high, what), surely=surely.min(axis=1))
 
@@ -312,10 +312,8 @@ def prediction_error(trace: Trace) -> Sampled:
     valid, hands = trace.ticks["track_valid"], len(trace.scenario.hands)
     if hands == 0 or not valid.any():
         return _untried(trace, no_predicted_hand if hands else no_hand, "no hand was predicted")
-    errors_m = prediction_errors_m(trace)
-    tracked = valid[: len(errors_m)]
-    value = np.full(len(valid), np.nan)
-    value[: len(errors_m)] = np.where(tracked, errors_m, -np.inf).max(axis=1)
+    errors_m, value = tracked_errors_m(trace), np.full(len(valid), np.nan)
+    value[: len(errors_m)] = errors_m.max(axis=1)
     value[np.isneginf(value)] = np.nan  # nothing is tracked
     gone, then = lost(trace, ["track_valid", "predicted_hand_in_base_m"]), lost(trace, [HANDS, PRESENCE])
     if then.any():

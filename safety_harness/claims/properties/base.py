@@ -9,12 +9,13 @@ truncation is still a violation.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from math import isclose, isfinite
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -147,6 +148,31 @@ def far_words(close: float | None, least_margin: float | None) -> str:
     """That no run came within half of a limit; empty if one did, or if there is no limit."""
     far = close and least_margin is not None and least_margin > close
     return "no run came within half of its limit; is it in the unit that is meant?" if far else ""
+
+
+FIELD = re.compile(r"\{(\w+):([^}]*)\}")
+PER_SI = {"mm": 1e3, "mm/s": 1e3, "m/s2": 1.0, "deg/s2": 180.0 / np.pi, "s": 1.0, "ms": 1e3}
+
+
+class Worded:
+    """A property whose sentence is ``words``, with fields of its own as "within {within_m:mm}".
+
+    After the colon: a unit of ``PER_SI``, "%" for a share, or nothing for a count.
+    """
+
+    words: ClassVar[str]
+
+    @cached_property
+    def sentence(self) -> str:
+        """The words with the values of the fields, as the catalogue writes it."""
+        return FIELD.sub(lambda found: shown_limit(getattr(self, found[1]), found[2]), self.words)
+
+
+def shown_limit(value: float, unit: str) -> str:
+    """Return a limit (SI) as a sentence has it, in ``unit``."""
+    if unit in PER_SI:
+        return f"{value * PER_SI[unit]:g} {unit}"
+    return f"{value * 100.0:.12g} %" if unit == "%" else str(value)
 
 
 class Property(Said, Protocol):

@@ -3,13 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
+from typing import ClassVar
 
 import numpy as np
 
-from safety_harness.claims.properties.base import Evaluation, Unit, inconclusive, judged, times_begun
-from safety_harness.claims.properties.entry import CatalogueEntry, quantity
+from safety_harness.claims.properties.base import (
+    OF_HANDS,
+    Evaluation,
+    Property,
+    Unit,
+    Worded,
+    inconclusive,
+    judged,
+    times_begun,
+)
+from safety_harness.claims.properties.entry import CatalogueEntry
 from safety_harness.claims.properties.measured import reads
 from safety_harness.claims.signals.hand_distance import (
+    Nearest,
     capsule_name,
     closest_approach,
     distance_moved_m,
@@ -17,9 +29,10 @@ from safety_harness.claims.signals.hand_distance import (
     known_to,
 )
 from safety_harness.claims.signals.occasions import nearest_of, occasion_m
-from safety_harness.claims.signals.true_motion import RESOLUTION_M, hand_paths, true_motion
-from safety_harness.scenario.units import LENGTH
+from safety_harness.claims.signals.true_motion import JOINTS, RESOLUTION_M, hand_paths, true_motion
 from safety_harness.trace.trace import Trace
+
+OF_DISTANCES = (*JOINTS, "transform_tcp_to_base", *OF_HANDS)
 
 
 def _ends(prop: HandDistance, trace: Trace, margin_m: float) -> tuple[float, float, bool]:
@@ -33,11 +46,11 @@ def _ends(prop: HandDistance, trace: Trace, margin_m: float) -> tuple[float, flo
     if off_m.min() < off_m.max():
         low_m = max(low_m, closest_approach(trace, hand_paths(trace), off_m).low_m - prop.minimum_m)
     nearest_m = float(surely_m.min())
-    return low_m - RESOLUTION_M, nearest_m - prop.minimum_m, nearest_m < prop.near_m
+    return low_m - RESOLUTION_M, nearest_m - prop.minimum_m, nearest_m < prop.occasion_m
 
 
 @dataclass(frozen=True, kw_only=True)
-class HandDistance:
+class HandDistance(Worded):
     """min over time of d(t) - ``minimum_m``, d from any hand or forearm to any link, surface to surface.
 
     Between two ticks the margin is a guaranteed lower bound of the distance: hands turn where their
@@ -52,58 +65,48 @@ class HandDistance:
     """
 
     minimum_m: float
-    near_m: float
+    near_m: float | None = None
     unit: Unit = Unit.LENGTH
+    words: ClassVar[str] = "hand distance never below {minimum_m:mm}"
 
     @property
-    def sentence(self) -> str:
-        """As the catalogue writes it."""
-        return f"hand distance never below {self.minimum_m * 1e3:g} mm"
+    def occasion_m(self) -> float:
+        """How near a hand has to come."""
+        return occasion_m(self.minimum_m) if self.near_m is None else self.near_m
 
-    @reads(
-        "joint_position_rad",
-        "joint_velocity_radps",
-        "transform_tcp_to_base",
-        "hand_position_in_base_m",
-        "elbow_position_in_base_m",
-        "hand_distance_m",
-        also=["hand_distance_capsule"],
-        of_each_hand=True,
-        ends=_ends,
-    )
+    @reads(*OF_DISTANCES, also=["hand_distance_capsule"], of_each_hand=True, ends=_ends)
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge the closest approach, between ticks too."""
         paths, why = followed_hands(trace)
         if paths is None:
             return inconclusive(self, why)
         found = known_to(self.minimum_m, closest_approach, trace, paths)
-        nearest_m = true_motion(trace).nearest_m
-        name = trace.scenario.hands[found.hand].name
         part = capsule_name(trace, int(np.argmin(trace.ticks["hand_distance_m"][:, found.hand])), found.hand)
-        reason = f"{name}: {_words(found.low_m if found.low_m > -np.inf else found.high_m)} {part}"
-        margin_m, times = found.low_m - self.minimum_m, times_begun(nearest_m < self.near_m)
-        most_m = found.high_m - self.minimum_m
-
-        def lacked() -> str:
-            return nearest_of(trace, nearest_m, self.near_m, "hand", "the arm's surface")
-
-        return judged(self, trace, margin_m, found.time_s, reason, times, lacked, most=most_m)
+        return judged_nearest(self, trace, found, self.minimum_m, self.occasion_m, part)
 
 
-def _words(distance_m: float) -> str:
-    if distance_m < 0.0:
-        return f"{-distance_m * 1e3:.1f} mm inside"
-    return f"{distance_m * 1e3:.1f} mm from"
-
-
-def _at_least(minimum_m: float) -> HandDistance:
-    return HandDistance(minimum_m=minimum_m, near_m=occasion_m(minimum_m))
+def judged_nearest(
+    prop: Property, trace: Trace, found: Nearest, limit_m: float, near_m: float, part: str
+) -> Evaluation:
+    """Judge the least distance of a hand from ``part`` of the arm; a hand within ``near_m`` exercises it."""
+    nearest_m = true_motion(trace).nearest_m
+    distance_m = found.low_m if found.low_m > -np.inf else found.high_m
+    side = f"{-distance_m * 1e3:.1f} mm inside" if distance_m < 0.0 else f"{distance_m * 1e3:.1f} mm from"
+    return judged(
+        prop,
+        trace,
+        found.low_m - limit_m,
+        found.time_s,
+        f"{trace.scenario.hands[found.hand].name}: {side} {part}",
+        times_begun(nearest_m < near_m),
+        partial(nearest_of, trace, nearest_m, near_m, "hand", "the arm's surface"),
+        most=found.high_m - limit_m,
+    )
 
 
 HAND_DISTANCE = CatalogueEntry(
-    prop=_at_least(0.05),
-    pattern=r"hand distance never below (.+)",
-    make=lambda match, _, place: _at_least(quantity(match[1], LENGTH, place)),
+    prop=HandDistance(minimum_m=0.05),
+    formula="always hand distance >= {}",
     rationale="contact with a moving robot is the hazard itself",
     source="the protective separation distance as a constant",
     margin="least distance, surface to surface, of any hand or forearm from any link, less the limit; a "

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from math import floor
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,12 +20,13 @@ from safety_harness.base.settings import CONVERGED_ANGLE_RAD, CONVERGED_POSITION
 from safety_harness.claims.properties.base import (
     Evaluation,
     Unit,
+    Worded,
     inconclusive,
     judged,
     runs_of,
     time_left_s,
 )
-from safety_harness.claims.properties.entry import CatalogueEntry, count, quantity
+from safety_harness.claims.properties.entry import CatalogueEntry, quantity
 from safety_harness.claims.properties.measured import columns_read_by, only_whole, reads
 from safety_harness.claims.properties.reaction import nearest_off_m
 from safety_harness.claims.signals.occasions import MOVES, OFF_THE_GOAL, millimetres, tcp_stood
@@ -248,16 +250,12 @@ CONVERGED = CatalogueEntry(
 
 
 @dataclass(frozen=True, kw_only=True)
-class GainSwitchIterations:
+class GainSwitchIterations(Worded):
     """``GainSwitchReached`` with its time counted in control ticks after the last hand has left."""
 
     within: int
     unit: Unit = Unit.COUNT
-
-    @property
-    def sentence(self) -> str:
-        """As the catalogue writes it."""
-        return f"gain switch reached within {self.within} iterations"
+    words: ClassVar[str] = "gain switch reached within {within:} iterations"
 
     @property
     def reads(self) -> tuple[str, ...] | None:
@@ -283,8 +281,6 @@ class GainSwitchIterations:
 GAIN_SWITCH_ITERATIONS = replace(
     GAIN_SWITCH,
     prop=GainSwitchIterations(within=600),
-    pattern=r"gain switch reached within (\S+) iterations",
-    make=lambda match, _, place: GainSwitchIterations(within=count(match[1], place)),
     rationale="the same in the paper's measure, which does not depend on the control period",
     source="the paper, eq. 15 and section 5: iterations until |f - f*|^2 is below the threshold",
     margin="iterations left of those allowed, counted in control ticks from when the last hand has left",
@@ -294,7 +290,7 @@ GAIN_SWITCH_ITERATIONS = replace(
 
 
 @dataclass(frozen=True, kw_only=True)
-class NeverStarved:
+class NeverStarved(Worded):
     """``longest_s`` less the longest time that the task was starved.
 
     The error is eq. 15's for the true pose, (distance^2 + angle^2)^(1/2) in metres and radians; below the
@@ -306,11 +302,7 @@ class NeverStarved:
 
     longest_s: float
     unit: Unit = Unit.TIME
-
-    @property
-    def sentence(self) -> str:
-        """As the catalogue writes it."""
-        return f"task never starved longer than {self.longest_s:g} s"
+    words: ClassVar[str] = "task never starved longer than {longest_s:s}"
 
     @reads("transform_tcp_to_base", also=["mode"])
     def evaluate(self, trace: Trace) -> Evaluation:
@@ -368,8 +360,6 @@ def _lost(
 
 NEVER_STARVED = CatalogueEntry(
     prop=NeverStarved(longest_s=10.0),
-    pattern=r"task never starved longer than (.+)",
-    make=lambda match, _, place: NeverStarved(longest_s=quantity(match[1], TIME, place)),
     rationale="an arm that stays away for good is of no use, and people will switch its safety off",
     source="the paper, section 5: servoing is taken up again and converges after giving way",
     margin="the limit less the longest time lost, above eq. 15's threshold, without servoing towards the "
@@ -382,7 +372,7 @@ NEVER_STARVED = CatalogueEntry(
 
 
 @dataclass(frozen=True, kw_only=True)
-class ObjectInView:
+class ObjectInView(Worded):
     """``within_s`` less the longest time in which the last image did not show the whole object.
 
     Before the first image it is not in view.  A run that is no longer than the limit could not violate it,
@@ -392,11 +382,7 @@ class ObjectInView:
 
     within_s: float
     unit: Unit = Unit.TIME
-
-    @property
-    def sentence(self) -> str:
-        """As the catalogue writes it."""
-        return f"object in view or recovered within {self.within_s:g} s"
+    words: ClassVar[str] = "object in view or recovered within {within_s:s}"
 
     @reads("tcp_speed_mps", also=["object_visible"])
     def evaluate(self, trace: Trace) -> Evaluation:
@@ -425,8 +411,6 @@ class ObjectInView:
 
 OBJECT_IN_VIEW = CatalogueEntry(
     prop=ObjectInView(within_s=2.0),
-    pattern=r"object in view or recovered within (.+)",
-    make=lambda match, _, place: ObjectInView(within_s=quantity(match[1], TIME, place)),
     rationale="servoing is blind without the object: giving way must not end the task",
     source="the paper, section 3: the features are of an object that is seen whole",
     margin="the limit less the longest time from the image that lost the object to one that shows it whole",

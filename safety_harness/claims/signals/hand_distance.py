@@ -10,17 +10,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.base.compiled import compiled, inlined
-from safety_harness.base.geometry.arrays import ArrayNx6
 from safety_harness.base.settings import Hand
 from safety_harness.cell.robot.capsules import Arm
 from safety_harness.cell.robot.closest_approach import MAX_BISECTIONS, closest_approach_between
 from safety_harness.cell.robot.distance import hand_distance, place_capsules
 from safety_harness.cell.robot.kinematics import forward_kinematics
 from safety_harness.cell.simulation.worlds import WORLDS
+from safety_harness.claims.signals.bounds import apart_between
 from safety_harness.claims.signals.occasions import no_hand
 from safety_harness.claims.signals.true_motion import (
+    JOINTS,
     HandPaths,
-    apart_moved_m,
     arm_of,
     capsules_of,
     finer_paths,
@@ -31,7 +31,7 @@ from safety_harness.claims.signals.true_motion import (
     tcp_of,
     true_motion,
 )
-from safety_harness.trace.trace import Trace
+from safety_harness.trace.trace import Trace, history
 
 NONE_M = np.empty((2, 0))
 FASTEST_RADPS = 1e4  # no joint turns so fast: such a speed says nothing
@@ -48,9 +48,11 @@ def distance_moved_m(trace: Trace) -> tuple[NDArray[np.float64], NDArray[np.floa
     known, count = trace.known, len(trace.ticks)
     if follows_unknown(trace):
         return np.full(count, np.inf), np.full(count, np.inf)
-    bend_s = trace.scenario.settings.clock.control_period_s / 2.0
-    bend_m = bend_s * known.within("joint_velocity_radps", count) * float(arm_of(trace).reach_m.sum())
-    return known.within("hand_distance_m", count), apart_moved_m(trace) + bend_m
+    reach_m, period_s = float(arm_of(trace).reach_m.sum()), trace.scenario.settings.clock.control_period_s
+    columns = ("hand_position_in_base_m", "elbow_position_in_base_m", *JOINTS)
+    hand_m, elbow_m, turned_rad, faster_radps = (known.within(name, count) for name in columns)
+    between_m = apart_between(hand_m, elbow_m, turned_rad * reach_m, faster_radps * reach_m, period_s)
+    return known.within("hand_distance_m", count), between_m
 
 
 class Nearest(NamedTuple):
@@ -79,22 +81,12 @@ def followed_hands(trace: Trace) -> tuple[HandPaths | None, str]:
     """The ways of the hands, or why no distance from them can be judged in this trace."""
     if not trace.scenario.hands:
         return None, f"never exercised: {no_hand(trace)}"
-    if _farthest_turn_rad(true_motion(trace).joints_rad) > TURNED_RAD:
+    if (np.abs(history(trace, "joint_position_rad")) > TURNED_RAD).any():
         return None, "a joint has turned further than any arm can"
     stray = first_stray(trace)
     if stray is not None:
         return None, f"at tick {stray} a hand is not where the scenario moves it"
     return hand_paths(trace), ""
-
-
-@compiled
-def _farthest_turn_rad(joints_rad: ArrayNx6) -> float:
-    """The largest angle of any joint from zero."""
-    farthest = 0.0
-    for k in range(joints_rad.shape[0]):
-        for joint in range(joints_rad.shape[1]):
-            farthest = max(farthest, abs(joints_rad[k, joint]))
-    return farthest
 
 
 def capsule_name(trace: Trace, tick: int, hand: int) -> str:

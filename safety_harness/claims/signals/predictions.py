@@ -28,6 +28,12 @@ def prediction_errors_m(trace: Trace) -> NDArray[np.float64]:
     return errors_m
 
 
+def tracked_errors_m(trace: Trace) -> NDArray[np.float64]:
+    """(k, tracks) the same; minus infinity where a slot tracks nothing."""
+    errors_m = prediction_errors_m(trace)
+    return np.where(trace.ticks["track_valid"][: len(errors_m)], errors_m, -np.inf)
+
+
 @compiled
 def _errors(
     predicted_m: NDArray[np.float64],  # (k or more, tracks, 3)

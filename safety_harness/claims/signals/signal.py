@@ -13,6 +13,7 @@ from enum import Enum
 import numpy as np
 from numpy.typing import NDArray
 
+from safety_harness.claims.signals.bounds import tent
 from safety_harness.scenario.units import Dimension
 from safety_harness.trace.trace import Trace
 
@@ -104,19 +105,5 @@ def absent(trace: Trace, why: str) -> Sampled:
 def bounded(value: Values, way: Values) -> Sampled:
     """A signal ``value`` (n,) that changes by at most ``way`` (n-1,) within each cell."""
     low, high = value.copy(), value.copy()
-    low[:-1], high[:-1] = tent(value, way, 0.0)
+    low[:-1], high[:-1] = tent(value[:-1], value[1:], way, 0.0)
     return Sampled(value=value, low=low, high=high)
-
-
-def tent(value: Values, way: Values, slack: Values | float) -> tuple[Values, Values]:
-    """(n-1,) bounds of a signal that has ``value`` (n,) at the ticks and between them goes ``way`` (n-1,).
-
-    After a part x of the way it has left the one end by at most x and is at most way - x from the
-    other; ``slack`` is what it may be off by beside that.
-
-    ``slack`` (n-1,).
-    """
-    first, second = value[:-1], value[1:]
-    low = np.minimum(0.5 * (first + second - way), np.minimum(first, second)) - slack
-    high = np.maximum(0.5 * (first + second + way), np.maximum(first, second)) + slack
-    return low, high

@@ -5,11 +5,17 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
+from safety_harness.base.compiled import compiled
+from safety_harness.cell.robot.capsules import Arm
+from safety_harness.cell.robot.distance import place_capsules
+from safety_harness.cell.robot.kinematics import fastest_end, forward_kinematics, link_twists, tcp_velocity
 from safety_harness.cell.simulation.worlds import WORLDS
 from safety_harness.claims.signals.occasions import MOVES
 from safety_harness.claims.signals.signal import Sampled, Values
-from safety_harness.trace.trace import Trace
+from safety_harness.claims.signals.true_motion import arm_of, true_motion
+from safety_harness.trace.trace import Trace, history, once_a_trace
 
 
 def speeds(at_tick: Values, mean: Values, *, of: str) -> Sampled:
@@ -52,19 +58,66 @@ def known_to_radps(trace: Trace) -> float:
     return sum(world.known_to_radps for world in WORLDS if world.name == trace.provenance.world)
 
 
+def tcp_speeds_mps(trace: Trace) -> tuple[Values, Values]:
+    """(n,) of the TCP at the ticks, and (n-1,) the mean ones from tick to tick."""
+    steps = np.linalg.norm(np.diff(trace.ticks["transform_tcp_to_base"][:, :3, 3], axis=0), axis=1)
+    return history(trace, "tcp_speed_mps"), steps / np.diff(trace.time_s)
+
+
+def joint_speeds_radps(trace: Trace) -> tuple[Values, Values]:
+    """(n, joints) of the joints at the ticks, and (n-1, joints) the mean ones from tick to tick."""
+    steps = np.abs(np.diff(history(trace, "joint_position_rad"), axis=0))
+    return np.abs(history(trace, "joint_velocity_radps")), steps / np.diff(trace.time_s)[:, None]
+
+
+def larger(at_tick: Values, mean: Values) -> Values:
+    """(n, ...) the speed at each tick, or the mean one to the next where that is larger."""
+    found = at_tick.copy()
+    found[:-1] = np.maximum(found[:-1], mean)
+    return found
+
+
 def sample_tcp_speed(trace: Trace) -> Sampled:
     """Of the TCP; between ticks the mean speed counts too."""
-    at_tick = trace.ticks["tcp_speed_mps"]
-    steps = np.linalg.norm(np.diff(trace.ticks["transform_tcp_to_base"][:, :3, 3], axis=0), axis=1)
-    mean = steps / np.diff(trace.time_s)
-    return speeds(at_tick, mean, of="the TCP")
+    return speeds(*tcp_speeds_mps(trace), of="the TCP")
 
 
 def sample_joint_speed(trace: Trace) -> Sampled:
     """Of the fastest joint, likewise; it may be lower by what motors miss (``known_to_radps``)."""
-    at_tick = np.abs(trace.ticks["joint_velocity_radps"])
-    mean = np.abs(np.diff(trace.ticks["joint_position_rad"], axis=0)) / np.diff(trace.time_s)[:, None]
-    found, off_radps = speeds(at_tick, mean, of="the arm"), known_to_radps(trace)
+    found, off_radps = speeds(*joint_speeds_radps(trace), of="the arm"), known_to_radps(trace)
     return replace(
         found, low=found.low - off_radps, value_low=found.value - off_radps, value_high=found.value
     )
+
+
+@once_a_trace
+def arm_speeds_mps(trace: Trace) -> Values:
+    """(n, 4) speed of the fastest end of any capsule's axis, and the TCP's velocity in base, at each tick.
+
+    No point of an axis is faster than an end.
+    """
+    true = true_motion(trace)
+    return _arm_speeds_mps(arm_of(trace), true.joints_rad, true.rates_radps)
+
+
+@compiled
+def _arm_speeds_mps(
+    arm: Arm,
+    joints_rad: NDArray[np.float64],  # (n, joints)
+    rates_radps: NDArray[np.float64],  # (n, joints)
+) -> NDArray[np.float64]:
+    """(n, 4) of ``arm_speeds_mps``."""
+    n, joints, capsules = joints_rad.shape[0], arm.chain[0].joint_axes.shape[0], arm.capsules.shape[0]
+    transforms, ends = np.empty((joints + 2, 4, 4)), np.empty((capsules, 2, 3))
+    twists, found = np.empty((joints + 1, 6)), np.zeros((n, 4))
+    for k in range(n):
+        forward_kinematics(arm.chain[0], joints_rad[k], transforms)
+        place_capsules(arm.capsules, transforms, ends)
+        link_twists(arm.chain[0].joint_axes, transforms, rates_radps[k], twists)
+        x, y, z = tcp_velocity(arm.chain[0].joint_axes, transforms, rates_radps[k])
+        found[k, 1], found[k, 2], found[k, 3] = x, y, z
+        for capsule in range(capsules):
+            speed = fastest_end(twists[min(arm.capsules[capsule].link_index, joints)], ends[capsule])
+            if not speed <= found[k, 0]:
+                found[k, 0] = speed
+    return found
