@@ -38,7 +38,7 @@ class ExtensionPoint(StrEnum):
     CLAIMS = "safety_harness.claims"
     """``claims.properties.entry.CatalogueEntry``: a claim of the catalogue."""
     SIGNALS = "safety_harness.signals"
-    """``claims.formulas.signal.Signal``: a signal of formulas."""
+    """``claims.signals.signal.Signal``: a signal of formulas."""
     CLAIM_NOTES = "safety_harness.claim_notes"
     """``Callable[[CatalogueEntry], Iterator[tuple[str, str]]]``: lines that ``claims`` adds to an entry's."""
     WORLDS = "safety_harness.worlds"

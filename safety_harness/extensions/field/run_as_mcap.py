@@ -28,7 +28,7 @@ from safety_harness.cell.robot.robots import arm_model
 from safety_harness.claims.properties.base import SI_UNITS, Evaluation
 from safety_harness.claims.properties.hand_distance import HandDistance
 from safety_harness.claims.properties.limits import TcpSpeedLimit
-from safety_harness.claims.properties.true_motion import capsules_of, finer_paths, true_motion
+from safety_harness.claims.signals.true_motion import capsules_of, finer_paths, true_motion
 from safety_harness.scenario.model import Verdict
 from safety_harness.scenario.write import text_of, tree_of
 from safety_harness.trace.records import DecisionOutcome, Limit, Mode, Trigger

@@ -18,7 +18,7 @@ from safety_harness.base.exceptions import OutputError, TraceError
 from safety_harness.cell.simulation.pybullet_world import PyBulletWorld
 from safety_harness.cell.simulation.worlds import world_named
 from safety_harness.claims.properties.base import Unit
-from safety_harness.claims.properties.true_motion import true_motion
+from safety_harness.claims.signals.true_motion import true_motion
 from safety_harness.cli.main import app
 from safety_harness.extensions.field import run_as_mcap
 from safety_harness.extensions.field.logs.judging import recorded
