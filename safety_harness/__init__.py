@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from safety_harness.admission.trial import run_trial as run_trial
     from safety_harness.base.exceptions import InputError as InputError
     from safety_harness.base.exceptions import SafetyHarnessError as SafetyHarnessError
+    from safety_harness.base.output import Output as Output
     from safety_harness.base.settings import DEFAULTS as DEFAULTS
     from safety_harness.base.settings import Settings as Settings
     from safety_harness.cell.avoidance.avoider import Avoider as Avoider
@@ -43,6 +44,8 @@ if TYPE_CHECKING:
     from safety_harness.claims.properties.base import Property as Property
     from safety_harness.report.evidence import JudgedRun as JudgedRun
     from safety_harness.report.html import write_report as write_report
+    from safety_harness.report.run_job import RunResult as RunResult
+    from safety_harness.report.run_job import run as run
     from safety_harness.scenario.model import Scenario as Scenario
     from safety_harness.scenario.model import Verdict as Verdict
     from safety_harness.scenario.read import parse_scenario as parse_scenario
@@ -94,11 +97,13 @@ _HOMES = {
     "cell.avoidance.avoider": ("Avoider", "AvoiderAround", "Proposal"),
     "seams.contract": ("Move", "Moves", "Report", "Seen", "Stop", "UserController"),
     "base.exceptions": ("InputError", "SafetyHarnessError"),
+    "base.output": ("Output",),
     "claims.formulas.claim": ("FormulaClaim",),
     "claims.formulas.parse": ("parse_formula",),
     "claims.properties.base": ("Evaluation", "Property"),
     "report.evidence": ("JudgedRun",),
     "report.html": ("write_report",),
+    "report.run_job": ("RunResult", "run"),
     "scenario.model": ("Scenario", "Verdict"),
     "scenario.read": ("parse_scenario", "read_scenario"),
     "scenario.write": ("write_scenario",),

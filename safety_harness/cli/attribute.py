@@ -11,6 +11,7 @@ from safety_harness.admission.admit import Admitted, Admitter
 from safety_harness.admission.avoiders import is_a_program, option_of, with_avoider
 from safety_harness.admission.trial import judge
 from safety_harness.base.exceptions import InputError, Place, ScenarioError, TraceError, described
+from safety_harness.base.input_errors import usable
 from safety_harness.base.shipped.contents import located
 from safety_harness.base.whole_file import write_text
 from safety_harness.cell.simulation.worlds import PYBULLET
@@ -23,7 +24,6 @@ from safety_harness.cli.console import (
     explain_each,
     result,
     say,
-    usable,
 )
 from safety_harness.cli.progress import counting
 from safety_harness.report.attribution_picture import draw_attributions

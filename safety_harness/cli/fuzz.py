@@ -15,7 +15,6 @@ from safety_harness.cli.console import (
     DIFFERS,
     INTERRUPTED,
     document,
-    result,
     say,
     say_shared_modules,
 )
@@ -63,14 +62,14 @@ def fuzz(
     """
     from safety_harness.admission.avoiders import one_of, reference_for, with_avoider
     from safety_harness.admission.driving import named_system
-    from safety_harness.cli.progress import watching_search, watching_words
+    from safety_harness.cli.progress import TERMINAL
     from safety_harness.report.search_attribution import SearchAttribution
     from safety_harness.report.search_files import write_search
     from safety_harness.report.words import tested_words
     from safety_harness.search.against import Reference
     from safety_harness.search.sampling import UniformSampling
     from safety_harness.search.searchers import searcher_named
-    from safety_harness.search.session import SearchOutput, search_space
+    from safety_harness.search.session import search_space
     from safety_harness.search.trials import Trials, in_kinematic
     from safety_harness.space.read import read_space
 
@@ -97,7 +96,7 @@ def fuzz(
         make,
         out=out,
         budget=budget,
-        output=SearchOutput(say, result, watching_search, watching_words),
+        output=TERMINAL,
         write_page=partial(write_search, attribution=attribution, on_data=document),
         baseline=baseline,
         explain=attribution.explain,

@@ -27,11 +27,11 @@ from safety_harness.cli.console import (
     result,
     say,
 )
-from safety_harness.cli.progress import watching_runs
-from safety_harness.cli.run import DATA, REPORT, TRACES, say_results
+from safety_harness.cli.progress import TERMINAL
 from safety_harness.report.evidence import JudgedRun, basis_of
 from safety_harness.report.knowledge import measured_lines, unmeasured_words
 from safety_harness.report.machine import refused_data, run_data
+from safety_harness.report.run_job import DATA, REPORT, TRACES, result_lines, tested_line, watching_runs
 from safety_harness.scenario.fields import SENTENCE, is_sentence
 from safety_harness.scenario.files import told
 from safety_harness.scenario.kinds import is_log, recorded_run
@@ -56,7 +56,7 @@ def replay(path: Path, avoider: str | None = None) -> int:
     world = world_of_trace(stored.provenance.world)
     admitted = admit(_with_program(stored, path, avoider))
     _refuse_other(stored, admitted, path)
-    with watching_runs([stored.scenario]) as progress:
+    with watching_runs([stored.scenario], TERMINAL) as progress:
         progress.begin(0)
         fresh = run_trial(admitted, world=world, recorded=stored, on_tick=progress.tick)
     if not fresh.complete and stored.complete:
@@ -167,7 +167,8 @@ def judge_again(
                 raise
             refused.append(error)
             continue
-        say_results(run)
+        result(*result_lines(run))
+        say(tested_line(run))
         result(*measured_lines(run.trace))
         say(*(f"note: {run.trace.scenario.name}: {note}" for note in run.notes if run.trace.known.recorded))
         runs.append(run)

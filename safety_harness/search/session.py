@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import re
 import shlex
-from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager, nullcontext
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -19,6 +20,7 @@ import numpy as np
 from safety_harness.admission.avoiders import as_seen_from
 from safety_harness.admission.repeatability import RepeatabilityResult
 from safety_harness.base.exceptions import OutputError, explanation
+from safety_harness.base.output import Output, where
 from safety_harness.base.whole_file import write_text, writing
 from safety_harness.cell.simulation.worlds import KINEMATIC, PYBULLET
 from safety_harness.claims.properties.against import Against
@@ -68,23 +70,6 @@ def _tell(tell: Callable[[str], None], where: str, what: str) -> None:
     tell(f"{where}: {what}")
 
 
-def _unwatched() -> AbstractContextManager[Callable[[str], None]]:
-    return nullcontext(lambda words: None)
-
-
-@dataclass(frozen=True)
-class SearchOutput:
-    """Where the words of a search go: remarks, results, and its findings after every batch of a budget.
-
-    ``steps`` is for what comes after the search, and takes its time: in words what is done next.
-    """
-
-    say: Callable[[str], None]
-    result: Callable[[str], None]
-    watch: Callable[[int], AbstractContextManager[Callable[[Findings], None]]]
-    steps: Callable[[], AbstractContextManager[Callable[[str], None]]] = _unwatched
-
-
 @dataclass(frozen=True, eq=False)
 class WrittenCounterexample:
     """A counterexample, the groups of runs that shrank to it, the searcher of its first, and its files.
@@ -127,7 +112,7 @@ class SearchSession:
     trials: Trials
     out: Path
     budget: int
-    output: SearchOutput
+    output: Output
     confirming: ScenarioRunner = in_pybullet
     reference: bool = True
     explain: Explain = unexplained
@@ -176,7 +161,7 @@ class SearchSession:
             self.output.say(
                 f"the same search, the other way round: what {trials.goals[0].against} alone violates"
             )
-        with self.output.watch(self.budget) as show:
+        with watching_search(self.budget, self.output) as show:
             return find_violations(
                 cube,
                 trials.goals,
@@ -267,7 +252,7 @@ class SearchSession:
         groups = _one_of_each_kind_first(findings.of_claim(claim))
         told: list[WrittenCounterexample] = []
         tried = shrunk = 0
-        with self.output.steps() as tell:
+        with self.output.words() as tell:
             for group in groups:
                 if len(told) == MOST_SHRUNK or shrunk == 2 * MOST_SHRUNK or self.findings.interrupted:
                     break
@@ -379,7 +364,7 @@ def search_space(
     *,
     out: Path,
     budget: int,
-    output: SearchOutput,
+    output: Output,
     write_page: Callable[[SearchSession], None],
     baseline: bool = False,
     explain: Explain = unexplained,
@@ -405,6 +390,17 @@ def search_space(
         session.findings.interrupted = session.baseline.interrupted
     session.conclude(write_page)
     return session
+
+
+@contextmanager
+def watching_search(budget: int, output: Output) -> Iterator[Callable[[Findings], None]]:
+    """Yield what takes the findings after every batch, and shows how far the search is."""
+    begun_s = time.monotonic()
+    with output.block() as show:
+        show([f"tried 0/{budget}"])
+        yield lambda findings: show(
+            [summary(findings, budget) + where(findings.tried, budget, begun_s), *nearest_lines(findings)]
+        )
 
 
 def complaint_of(trials: Trials, group: Group) -> Complaint:

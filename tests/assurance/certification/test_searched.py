@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ import pytest
 from partly_measured import partly_measured
 
 from safety_harness.base.exceptions import InputError, OutputError, SimulationError
+from safety_harness.base.output import Output
 from safety_harness.cli.console import INTERRUPTED
 from safety_harness.extensions.assurance.certification import certify as certify_module
 from safety_harness.extensions.assurance.certification import folder as folder_module
@@ -31,7 +31,6 @@ from safety_harness.extensions.assurance.certification.tools import HarnessTrial
 from safety_harness.extensions.assurance.commands.certify import certify
 from safety_harness.scenario.model import Claim, Verdict
 from safety_harness.scenario.write import write_scenario
-from safety_harness.search.session import SearchOutput
 from safety_harness.trace.store import save_trace
 from safety_harness.trace.trace import Trace
 from tests.assurance.campaign.plans import PLAN, plan_in
@@ -163,7 +162,7 @@ def test_a_search_that_fails_or_was_interrupted_is_made_anew_and_the_others_are_
     answers = [fails, lambda: Made(interrupted=True), lambda: Made(unwritable=full), Made]
     monkeypatch.setattr(certify_module, "search_space", searching(answers, asked))
     job = Certification(plan, tmp_path, HarnessTrials(), "certify")
-    output = SearchOutput(print, print, nullcontext)  # type: ignore[arg-type]
+    output = Output(say=print, result=print)
     guard = ReportGuard()
     assert not job.search(output, guard)  # the first fails, the second is interrupted
     stale = asked[1] / "as-found.yaml"

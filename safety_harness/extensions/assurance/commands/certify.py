@@ -95,12 +95,13 @@ def certify(
     target that the plan's runs cannot meet; 130: interrupted.
     """
     import shlex
+    from dataclasses import replace
 
     from safety_harness.admission.avoiders import told_avoider
     from safety_harness.admission.claims import property_of
     from safety_harness.claims.properties.base import close_to, far_words
     from safety_harness.claims.properties.tried import UNTRIED
-    from safety_harness.cli.progress import watching_search, watching_words
+    from safety_harness.cli.progress import TERMINAL
     from safety_harness.extensions.assurance.campaign.against import plan_with
     from safety_harness.extensions.assurance.campaign.plan import read_plan
     from safety_harness.extensions.assurance.campaign.session import LEDGER
@@ -115,7 +116,6 @@ def certify(
     from safety_harness.scenario.files import told
     from safety_harness.scenario.model import Driver
     from safety_harness.scenario.typed_json import plain
-    from safety_harness.search.session import SearchOutput
     from safety_harness.trace.answer_times import UNHEEDED
 
     words = ["safety-harness", "certify", str(told(plan))]
@@ -148,9 +148,7 @@ def certify(
         proof=proof,
     )
     # Standard output is kept for the verdicts.
-    evidence, complete = job.run(
-        workers, watching_campaign, SearchOutput(say, say, watching_search, watching_words)
-    )
+    evidence, complete = job.run(workers, watching_campaign, replace(TERMINAL, result=say))
     document(**plain(evidence), page=job.folder / PAGE)
     say(*(f"error: {text}" for text in evidence.unmade))
     result(*tested_lines(job.plan), *_shielded_lines(job.plan, job.folder / LEDGER))

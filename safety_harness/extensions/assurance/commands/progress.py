@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
+from safety_harness.base.output import time_left
 from safety_harness.cli.console import say
-from safety_harness.cli.progress import block, time_left
+from safety_harness.cli.progress import block
 from safety_harness.extensions.assurance.campaign.pilot import too_few
 from safety_harness.extensions.assurance.campaign.plan import Plan
 from safety_harness.extensions.assurance.campaign.runner import CampaignRunner

@@ -79,12 +79,12 @@ def evaluate(
     """
     from safety_harness.admission.avoiders import told_avoider
     from safety_harness.claims.properties.tally import BASIS_OF_ANSWERS
-    from safety_harness.cli.progress import watching_steps
+    from safety_harness.cli.progress import TERMINAL
     from safety_harness.extensions.lab.pages.score_tables import most_towards
     from safety_harness.extensions.lab.scoring.session import ScoringSession
     from safety_harness.scenario.files import told
 
-    with watching_steps() as on_step:
+    with TERMINAL.steps() as on_step:
         session = ScoringSession(
             avoiders,
             out,

@@ -70,7 +70,7 @@ def prove(
     from safety_harness.base.pool import pool
     from safety_harness.base.whole_file import write_text
     from safety_harness.claims.properties.tally import BASIS_OF_ANSWERS
-    from safety_harness.cli.progress import watching_steps
+    from safety_harness.cli.progress import TERMINAL
     from safety_harness.extensions.lab.pages.proof_page import ProofEvidence, render
     from safety_harness.extensions.lab.proof.certificate import taken_up, write_certificate
     from safety_harness.extensions.lab.proof.plan import read_proof_plan
@@ -84,7 +84,7 @@ def prove(
     remark = "interrupted: finishing the batch"
     with ExitStack() as closing:
         stopped = closing.enter_context(one_more_ctrl_c(say, remark))
-        on_step = closing.enter_context(watching_steps())
+        on_step = closing.enter_context(TERMINAL.steps())
         over = map if jobs == 1 else closing.enter_context(pool(jobs)).map
         effort = Effort(
             seconds=60.0 * minutes, halvings=halvings, over=over, at_once=jobs, stopped=stopped, told=on_step
