@@ -42,10 +42,14 @@ if TYPE_CHECKING:
     from safety_harness.claims.formulas.parse import parse_formula as parse_formula
     from safety_harness.claims.properties.base import Evaluation as Evaluation
     from safety_harness.claims.properties.base import Property as Property
+    from safety_harness.report.attribution_job import AttributionResult as AttributionResult
+    from safety_harness.report.attribution_job import attribute as attribute
     from safety_harness.report.evidence import JudgedRun as JudgedRun
     from safety_harness.report.html import write_report as write_report
     from safety_harness.report.run_job import RunResult as RunResult
     from safety_harness.report.run_job import run as run
+    from safety_harness.report.search_job import SearchResult as SearchResult
+    from safety_harness.report.search_job import fuzz as fuzz
     from safety_harness.scenario.model import Scenario as Scenario
     from safety_harness.scenario.model import Verdict as Verdict
     from safety_harness.scenario.read import parse_scenario as parse_scenario
@@ -103,7 +107,9 @@ _HOMES = {
     "claims.properties.base": ("Evaluation", "Property"),
     "report.evidence": ("JudgedRun",),
     "report.html": ("write_report",),
+    "report.attribution_job": ("AttributionResult", "attribute"),
     "report.run_job": ("RunResult", "run"),
+    "report.search_job": ("SearchResult", "fuzz"),
     "scenario.model": ("Scenario", "Verdict"),
     "scenario.read": ("parse_scenario", "read_scenario"),
     "scenario.write": ("write_scenario",),

@@ -41,11 +41,7 @@ from safety_harness.extensions.assurance.certification.tools import (
     read_oracles,
     read_selftest,
 )
-from safety_harness.report.search_attribution import SearchAttribution
-from safety_harness.report.search_files import write_search
-from safety_harness.search.default import Default
-from safety_harness.search.session import SearchSession, search_space
-from safety_harness.search.trials import Trials, in_kinematic
+from safety_harness.report.search_job import SearchResult, fuzz
 from safety_harness.space.read import read_space
 from safety_harness.trace.provenance import refuse_shared_modules
 
@@ -153,21 +149,14 @@ class Certification:
                 return False
         return True
 
-    def _searched(self, space: Path, one: Searched, output: Output) -> SearchSession:
-        trials = Trials(
+    def _searched(self, space: Path, one: Searched, output: Output) -> SearchResult:
+        found = fuzz(
             read_space(space),
-            in_kinematic,
-            seed=self.plan.seed,
             avoider=self.plan.avoider_here,
-            sentences=tuple(claim.sentence for claim in self.plan.claims),
-        )
-        attribution = SearchAttribution()
-        return search_space(
-            trials,
-            Default,
-            out=one.folder,
             budget=one.asked,
+            seed=self.plan.seed,
+            claims=[claim.sentence for claim in self.plan.claims],
+            out=one.folder,
             output=output,
-            write_page=partial(write_search, attribution=attribution),
-            explain=attribution.explain,
         )
+        return found.kept(one.folder, output)
