@@ -42,6 +42,14 @@ if TYPE_CHECKING:
     from safety_harness.claims.formulas.parse import parse_formula as parse_formula
     from safety_harness.claims.properties.base import Evaluation as Evaluation
     from safety_harness.claims.properties.base import Property as Property
+    from safety_harness.extensions.assurance.certify_job import CertificationResult as CertificationResult
+    from safety_harness.extensions.assurance.certify_job import certify as certify
+    from safety_harness.extensions.field.read_log_job import LogResult as LogResult
+    from safety_harness.extensions.field.read_log_job import read_log as read_log
+    from safety_harness.extensions.lab.evaluate_job import EvaluationResult as EvaluationResult
+    from safety_harness.extensions.lab.evaluate_job import evaluate as evaluate
+    from safety_harness.extensions.lab.prove_job import ProofResult as ProofResult
+    from safety_harness.extensions.lab.prove_job import prove as prove
     from safety_harness.report.attribution_job import AttributionResult as AttributionResult
     from safety_harness.report.attribution_job import attribute as attribute
     from safety_harness.report.evidence import JudgedRun as JudgedRun
@@ -132,13 +140,39 @@ _HOMES = {
     "trace.store": ("load_trace", "save_trace"),
     "trace.trace": ("Trace",),
 }
-__all__ = sorted(name for names in _HOMES.values() for name in names)
+# The only place where the core names a wing; a name's wing is imported when it is first used.
+_WINGS = {
+    # docs/tables.py writes these lines.
+    "extensions.assurance.certify_job": ("CertificationResult", "certify"),
+    "extensions.field.read_log_job": ("LogResult", "read_log"),
+    "extensions.lab.evaluate_job": ("EvaluationResult", "evaluate"),
+    "extensions.lab.prove_job": ("ProofResult", "prove"),
+    # end
+}
+__all__ = sorted(name for names in (_HOMES | _WINGS).values() for name in names)
 
 import_module(f"{__name__}.base.moved")  # which finds old import paths of documented names
 
 
 def __getattr__(name: str) -> object:
-    for home, names in _HOMES.items():
+    for home, names in (_HOMES | _WINGS).items():
         if name in names:
-            return getattr(import_module(f"{__name__}.{home}"), name)
+            try:
+                return getattr(import_module(f"{__name__}.{home}"), name)
+            except ModuleNotFoundError as error:
+                if home in _WINGS and error.name and f"{__name__}.{home}".startswith(error.name):
+                    raise _absent(name, home) from error
+                raise
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def _absent(name: str, home: str) -> InputError:
+    """Return the error for a name whose wing is not installed."""
+    errors, distribution = (import_module(f"{__name__}.base.{one}") for one in ("exceptions", "distribution"))
+    missing: InputError = errors.MissingPackageError(
+        place=errors.Place(field=f"{__name__}.{name}"),
+        expected=f"the package {__name__}.{home.rpartition('.')[0]}",
+        got="no such package",
+        hint=f"pip install --force-reinstall {distribution.DISTRIBUTION}",
+    )
+    return missing

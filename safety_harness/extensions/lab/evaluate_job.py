@@ -55,6 +55,7 @@ def evaluate(
 
     Raises:
         InputError: An avoider, region or space cannot be used.
+
     """
     given = [avoiders] if isinstance(avoiders, str | Path) else list(avoiders)
     references, areas, files = [str(one) for one in given], list(regions), [Path(one) for one in spaces]
@@ -88,6 +89,7 @@ class EvaluationResult:
         scored: Each avoider's card, findings, and worst questions.
         command: The command that scores them again, without its folder.
         folder: Where the worst questions are; None: nowhere.
+
     """
 
     scored: Scored
@@ -125,11 +127,14 @@ class EvaluationResult:
 
         Raises:
             OutputError: The folder cannot be written.
+
         """
         out = Path(folder)
         scored = self.scored
         if self.folder != out:
-            moved = [replace(one, worst=[_moved(shown, out) for shown in one.worst]) for one in scored.avoiders]
+            moved = [
+                replace(one, worst=[_moved(shown, out) for shown in one.worst]) for one in scored.avoiders
+            ]
             scored = replace(scored, avoiders=moved)
         made = replace(self, scored=scored, folder=out)
         write_text(out / DATA, made.data())

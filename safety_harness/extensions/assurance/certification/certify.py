@@ -45,7 +45,7 @@ from safety_harness.report.search_job import SearchResult, fuzz
 from safety_harness.space.read import read_space
 from safety_harness.trace.provenance import refuse_shared_modules
 
-WatchCampaign = Callable[[Plan], AbstractContextManager[Callable[[CampaignRunner], None]]]
+WatchCampaign = Callable[[Plan, Output], AbstractContextManager[Callable[[CampaignRunner], None]]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,7 +101,7 @@ class Certification:
     def run(self, workers: int | None, watch: WatchCampaign, output: Output) -> tuple[Evidence, bool]:
         """All of it; what is there already is not made again.  The evidence, and whether it is complete."""
         remark = "what is under way is finished and kept; Ctrl-C again drops it"
-        with one_more_ctrl_c(output.say, remark) as interrupted, watch(self.plan) as show:
+        with one_more_ctrl_c(output.say, remark) as interrupted, watch(self.plan, output) as show:
             path, crew = self.folder / LEDGER, processes(workers)
             complete = carry_on(self.plan, path, crew, on_progress=show, enough=interrupted, say=output.say)
         guard = ReportGuard()

@@ -166,6 +166,7 @@ def _carry_on(
 ) -> int:
     from safety_harness.base.interrupts import one_more_ctrl_c
     from safety_harness.claims.properties.answered import is_claimed
+    from safety_harness.cli.progress import TERMINAL
     from safety_harness.extensions.assurance.campaign.ledger import Ledger
     from safety_harness.extensions.assurance.campaign.session import carry_on, processes
     from safety_harness.extensions.assurance.campaign.summary import fallback_of
@@ -182,7 +183,7 @@ def _carry_on(
     numbers = _numbers(part, plan)
     say_shared_modules()
     remark = "what is under way is finished and kept; Ctrl-C again drops it"
-    with one_more_ctrl_c(say, remark) as interrupted, watching_campaign(plan) as show:
+    with one_more_ctrl_c(say, remark) as interrupted, watching_campaign(plan, TERMINAL) as show:
         carry_on(plan, path, make_crew, on_progress=show, enough=interrupted, part=numbers, say=say)
         stopped = interrupted()
     result(*tested_lines(plan))
