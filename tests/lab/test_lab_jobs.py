@@ -20,6 +20,8 @@ import numpy as np
 from safety_harness.cell.avoidance.avoider import Proposal
 
 class Towards:
+    name = "towards"
+
     def propose(self, *, hand_position_in_base_m, tcp_position_in_base_m, seed):
         way = hand_position_in_base_m - tcp_position_in_base_m
         return Proposal(tcp_position_in_base_m + 0.1 * way / max(np.linalg.norm(way), 1e-9))
