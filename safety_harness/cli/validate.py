@@ -14,6 +14,7 @@ from safety_harness.admission.claims import property_of
 from safety_harness.admission.spaces import draw_admissible
 from safety_harness.base.compiled import without_compiling
 from safety_harness.base.extension_points import CheckedFile, InputFile
+from safety_harness.base.input_errors import usable
 from safety_harness.base.shipped.contents import located
 from safety_harness.cell.robot.kinematics import links_in_base
 from safety_harness.claims.properties.tried import TriedParts
@@ -25,7 +26,6 @@ from safety_harness.cli.console import (
     explain_each,
     result,
     say,
-    usable,
 )
 from safety_harness.scenario.compose import Variant
 from safety_harness.scenario.expand import Gathered, gather
