@@ -126,8 +126,10 @@ docs: $(VENV)/documented
 site-tests: docs $(VENV)/tested
 	SAFETY_HARNESS_SITE=$(CURDIR)/site $(BIN)/python -m pytest tests/docs/test_site.py
 
-# Into dist/, with scenarios, plans, examples (setup.py) and the site.
+# Into dist/, with scenarios, plans, examples (setup.py), the site, and machine code for each Python of CODE_FOR.
+CODE_FOR :=
 wheel: docs
+	.ci/machine_code.py $(CODE_FOR)
 	$(BIN)/python -m pip wheel --quiet --disable-pip-version-check --no-deps --wheel-dir dist .
 
 # The largest disagreement with each independent oracle, into plans/oracles.json and docs/selftest.md.

@@ -2,7 +2,7 @@
 
 Scenarios, plans, robots and examples lie beside the package in the repository, where tests and documents name
 them; a mapping of packages to these folders would cost the editable install its plain path.  ``site`` is what
-``make docs`` built, if it did.
+``make docs`` built, if it did, and ``machine_code`` what ``.ci/machine_code.py`` compiled.
 """
 
 import shutil
@@ -12,6 +12,7 @@ from setuptools import setup
 from setuptools.command.build_py import build_py
 
 FOLDERS = ("scenarios", "plans", "examples", "robots", "site")
+CODE = "machine_code"
 
 
 class BuildWithContents(build_py):
@@ -22,8 +23,9 @@ class BuildWithContents(build_py):
         super().run()
         if self.editable_mode:
             return
-        for folder in FOLDERS:
-            copy = Path(self.build_lib, "safety_harness", "base", "shipped", folder)
+        package = Path(self.build_lib, "safety_harness")
+        copies = {folder: package / "base" / "shipped" / folder for folder in FOLDERS}
+        for folder, copy in (copies | {CODE: package / CODE}).items():
             shutil.rmtree(copy, ignore_errors=True)
             if Path(folder).is_dir():
                 shutil.copytree(folder, copy, ignore=shutil.ignore_patterns("__pycache__", ".*"))

@@ -13,6 +13,7 @@ import subprocess
 import sys
 import tempfile
 import time
+import zipfile
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -90,7 +91,23 @@ def installed(python: str, wheel: Path) -> bool:
         pybullet = subprocess.run(has_it, cwd=folder, env=environment, capture_output=True).returncode == 0
         megabytes = sum(file.lstat().st_size for file in (folder / "venv").rglob("*") if file.is_file()) / 1e6
         print(f"{python}: {'with' if pybullet else 'no'} PyBullet, {megabytes:.0f} MB", flush=True)
-        return all([ends_with(step, code) for step, code in first_steps(pybullet)])
+        good = [ends_with(step, code) for step, code in first_steps(pybullet)]
+        return all(good) and compiled_nothing(python, wheel, folder)
+
+
+def compiled_nothing(python: str, wheel: Path, folder: Path) -> bool:
+    """Whether the steps compiled no function that the wheel has for this Python; says how many they did."""
+    tag = subprocess.check_output(
+        [python, "-c", "import sys; print(sys.implementation.cache_tag)"], text=True
+    )
+    code = f"-{tag.strip()}/"
+    with zipfile.ZipFile(wheel) as archive:
+        brought = {Path(name).name for name in archive.namelist() if code in name}
+    compiled = {file.name for file in (folder / "cache").rglob("*.nbi")}
+    print(f"{python}: {len(compiled)} functions compiled, the wheel has {len(brought)} files", flush=True)
+    if twice := sorted(compiled & brought):
+        print(f"compiled, though the wheel has them: {', '.join(twice)}", flush=True)
+    return not twice
 
 
 def main(pythons: list[str]) -> int:

@@ -14,7 +14,8 @@ from dataclasses import replace
 import numpy as np
 
 from safety_harness import Scenario, Verdict, admit, run_trial
-from safety_harness.claims.properties.servoing import Converged, GainSwitchReached, pose_errors
+from safety_harness.claims.properties.servoing import Converged, GainSwitchReached
+from safety_harness.claims.signals.poses import pose_errors
 from safety_harness.scenario.model import OffsetStart
 
 SEED = 20240612

@@ -26,10 +26,9 @@ from scipy.special import ndtri
 
 from safety_harness.base.proportions import lower_bound, upper_bound
 from safety_harness.extensions.assurance.statistics.binomial import Sides, bounds_of, ends_of
-from safety_harness.extensions.assurance.statistics.distances import distribution_of, tolerance_bound
+from safety_harness.extensions.assurance.statistics.distances import tolerance_bound
 from safety_harness.extensions.assurance.statistics.importance import Importance, weigh
-from safety_harness.extensions.assurance.statistics.model_gap import bridged_bound
-from safety_harness.extensions.assurance.statistics.paired import compare, compare_margins
+from safety_harness.extensions.assurance.statistics.paired import compare
 from safety_harness.extensions.assurance.statistics.rare import Splitting, split
 from safety_harness.extensions.assurance.statistics.sample import (
     Declaration,
@@ -37,7 +36,6 @@ from safety_harness.extensions.assurance.statistics.sample import (
     IndependentSample,
 )
 from safety_harness.extensions.assurance.statistics.sequential import evidence_apart, evidence_below
-from safety_harness.extensions.assurance.statistics.variance import NestedSample, variance_split
 
 Floats = NDArray[np.float64]
 HELD, VIOLATED = int(EpisodeOutcome.HOLDS), int(EpisodeOutcome.VIOLATED)
@@ -288,7 +286,7 @@ def nearest_face(beyond: float, points: Floats) -> Floats:
 
 
 def pairs(times: int) -> Iterator[Row]:
-    """Differences of violation probabilities and of margins."""
+    """Differences of violation probabilities."""
     for first, second in ((0.01, 0.01), (0.05, 0.01), (0.2, 0.1), (0.002, 0.0)):
         rng, held, rejected = np.random.default_rng(3), 0, 0
         for _ in range(times):
@@ -301,98 +299,16 @@ def pairs(times: int) -> Iterator[Row]:
         yield Row("difference in violations", where, 0.95, held / times, times)
         if first == second:
             yield Row("McNemar, no false alarm", where, 0.95, 1.0 - rejected / times, times)
-    shapes: dict[str, Callable[[np.random.Generator, int], Floats]] = {
-        "normal": lambda rng, n: rng.normal(size=n),
-        "exponential": lambda rng, n: rng.exponential(size=n) - 1.0,
-        "lognormal": lambda rng, n: rng.lognormal(size=n) - np.exp(0.5),
-        "mostly equal, 5 % far": lambda rng, n: np.where(rng.random(n) < 0.05, 1.0, 0.0) - 0.05,
-    }
-    runs = max(times // 2, 50)
-    for n in (30, 300):
-        for name, draw in shapes.items():
-            rng, held = np.random.default_rng(4), np.zeros(3, np.int64)
-            true_median = float(np.median(draw(np.random.default_rng(5), 10**6)))
-            for _ in range(runs):
-                drawn = draw(rng, n)
-                each = compare_margins(with_margins(drawn), with_margins(np.zeros(n)))
-                half = stats.t.isf(0.025, n - 1) * drawn.std(ddof=1) / np.sqrt(n)
-                held += [
-                    each.mean_low <= 0.0 <= each.mean_high,
-                    abs(drawn.mean()) <= half,
-                    each.median_low <= true_median <= each.median_high,
-                ]
-            where = f"n = {n}, {name}"
-            yield Row("mean difference of margins", where, 0.95, held[0] / runs, runs, exact=False)
-            yield Row("the same by Student's t (not used)", where, 0.95, held[1] / runs, runs, exact=False)
-            yield Row("median difference of margins", where, 0.95, held[2] / runs, runs)
-    rng, inside = np.random.default_rng(10), 0
-    for _ in range(times):
-        drawn = shapes["mostly equal, 5 % far"](rng, 30)
-        each = compare_margins(with_margins(drawn), with_margins(np.zeros(30)), limit=1.0)
-        inside += each.mean_low <= 0.0 <= each.mean_high
-    yield Row("mean difference, with a limit", "n = 30, mostly equal, 5 % far", 0.95, inside / times, times)
 
 
 def margins(times: int) -> Iterator[Row]:
-    """Tolerance bounds and the band."""
+    """Tolerance bounds."""
     for n, content in ((300, 0.99), (3000, 0.99), (300, 0.9)):
         rng, held = np.random.default_rng(6), 0
         for _ in range(times):
             found = tolerance_bound(with_margins(rng.lognormal(size=n)), content)
             held += found.at_least <= stats.lognorm.ppf(1.0 - content, 1.0)
         yield Row("tolerance bound", f"n = {n}, content {content:.0%}", 0.95, held / times, times)
-    for n in (50, 500):
-        rng, held = np.random.default_rng(7), 0
-        for _ in range(times):
-            found = distribution_of(with_margins(rng.random(n)))
-            half = float(np.max(found.high[: n // 2] - found.share[: n // 2]))
-            gap = np.maximum(found.share - found.margins, found.margins - (found.share - 1.0 / n))
-            held += bool(gap.max() <= half)
-        yield Row("band of the distribution", f"n = {n}", 0.95, held / times, times)
-
-
-def variances(times: int) -> Iterator[Row]:
-    """The scenarios' share of the variance."""
-    runs = max(times // 2, 50)
-    shapes: dict[str, Callable[[np.random.Generator, tuple[int, int]], Floats]] = {
-        "normal": lambda rng, shape: rng.normal(size=shape),
-        "Laplace": lambda rng, shape: rng.laplace(size=shape) / np.sqrt(2.0),
-        "exponential": lambda rng, shape: rng.exponential(size=shape) - 1.0,
-    }
-    for name, draw in shapes.items():
-        for m, k, share in ((20, 5, 0.2), (20, 5, 0.8), (100, 5, 0.2), (100, 5, 0.8)):
-            rng, f, bootstrap = np.random.default_rng(8), 0, 0
-            for _ in range(runs):
-                drawn = np.sqrt(share) * draw(rng, (m, 1)) + np.sqrt(1.0 - share) * draw(rng, (m, k))
-                codes = np.where(drawn < 0.0, VIOLATED, HELD)
-                design = NestedSample.of_design(declared(m), np.arange(m), codes, drawn, **told(codes))
-                found = variance_split(design)
-                f += found.low <= share <= found.high
-                bootstrap += found.bootstrap_low <= share <= found.bootstrap_high
-            where = f"{m} scenarios x {k}, share {share:g}, {name}"
-            yield Row("variance share, F", where, 0.95, f / runs, runs, exact=name == "normal")
-            yield Row("variance share, bootstrap", where, 0.95, bootstrap / runs, runs, exact=False)
-
-
-def gaps(times: int) -> Iterator[Row]:
-    """Worlds that disagree: half of the violations of the reference world are unseen in the kinematic one."""
-    for scale in (1.0, 0.1):
-        rng, bridged, alone = np.random.default_rng(9), 0, 0
-        for _ in range(times):
-            codes = []
-            for n in (3000, 600):
-                u = rng.random(n)
-                there = np.where(
-                    u < 0.04 * scale, VIOLATED, np.where(u < 0.8, HELD, int(EpisodeOutcome.UNTESTED))
-                )
-                codes += [np.where(u < 0.02 * scale, VIOLATED, HELD), there]
-            samples = [sample_of(code, world="kinematic") for code in (codes[0], codes[2])]
-            found = bridged_bound(samples[0], samples[1], sample_of(codes[3]))
-            bridged += found.high >= 0.05 * scale
-            alone += upper_bound(samples[0].violations, 3000, 0.05) >= 0.05 * scale
-        where = f"p = {0.05 * scale:g}, 3,000 kinematic runs, 600 in both"
-        yield Row("kinematic bound and gap", where, 0.95, bridged / times, times)
-        yield Row("kinematic bound alone (broken)", where, 0.95, alone / times, times, exact=False)
 
 
 def main() -> int:
@@ -402,7 +318,7 @@ def main() -> int:
     times = 200 if parser.parse_args().quick else 2000
     print("| interval | setting | nominal | measured | by |\n|---|---|---|---|---|")
     broken = []
-    for part in (binomials, shown, families, sequences, margins, pairs, variances, gaps, rare):
+    for part in (binomials, shown, families, sequences, margins, pairs, rare):
         start = time.perf_counter()
         for row in part(times):
             print(row.markdown(), flush=True)

@@ -16,12 +16,12 @@ from typing import Any
 import numpy as np
 
 from safety_harness.admission.admit import answers_at_first, first_question
-from safety_harness.admission.measured_times import answer_times_s, machine
 from safety_harness.base.settings import DEFAULTS
 from safety_harness.cell.avoidance.learned import LearnedAvoider
 from safety_harness.cell.avoidance.model_file import Model, load_model
 from safety_harness.cell.avoidance.shipped import SHIPPED, shipped_model
 from safety_harness.extensions.lab.commands.learning import metrics
+from safety_harness.extensions.lab.measured_times import answer_times_s, machine
 from safety_harness.report.words import milliseconds_words
 
 PAGE = Path(__file__).parents[1] / "docs" / "models.md"

@@ -34,6 +34,7 @@ MUTANTS = DOCS / "mutants.json"
 BREAKS = DOCS / "smallest-breaks.json"
 KILL_HEAD = ("part", "fault", "slightest caught", "by", "in", "after episodes", "survives")
 KILL_FIELDS = ("part", "fault", "slightest_caught", "caught_by", "scenario", "after_episodes", "survives")
+ROOT = Path(extension_points.__file__).parents[1] / "__init__.py"
 _MARKED = re.compile(r"(<!-- table: (.*?) -->\n).*?(<!-- end -->\n)", re.DOTALL)
 
 
@@ -51,6 +52,27 @@ def with_tables(text: str) -> str:
     tables["kills"], tables["harmless"] = markdown_of_kills()
     tables["mutants"], tables["mutants that survived"] = markdown_of_mutants()
     return _MARKED.sub(lambda found: found[1] + tables[found[2]] + found[3], text)
+
+
+def names_of_wings() -> dict[str, tuple[str, ...]]:
+    """By module the names that wings give to the root of the package: the ``__all__`` of a file of a wing."""
+    found: dict[str, tuple[str, ...]] = {}
+    for file in sorted((ROOT.parent / "extensions").glob("*/*.py")):
+        for node in ast.parse(file.read_text("utf-8")).body:
+            if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "__all__":
+                module = ".".join(file.relative_to(ROOT.parent).with_suffix("").parts)
+                found[module] = tuple(sorted(ast.literal_eval(node.value)))
+    return found
+
+
+def with_names_of_wings(text: str) -> str:
+    """The package's ``__init__.py`` with the names that wings give to it."""
+    table = "".join(
+        f'    "{home}": ({", ".join(json.dumps(one) for one in own)}),\n'
+        for home, own in names_of_wings().items()
+    )
+    marked = re.compile(r"( *# docs/tables\.py writes these lines\.\n).*?( *# end\n)", re.DOTALL)
+    return marked.sub(lambda found: found[1] + table + found[2], text)
 
 
 def smallest_breaks() -> dict[str, str]:
@@ -172,6 +194,7 @@ def main() -> None:
     new[SCHEMA] = schema_text()
     new[PLANS] = json.dumps(table_schema(PLAN, TITLE), indent=1, ensure_ascii=False) + "\n"
     new[EVIDENCE] = json.dumps(evidence_schema(), indent=1) + "\n"
+    new[ROOT] = with_names_of_wings(ROOT.read_text("utf-8"))
     for path, text in new.items():
         if not path.exists() or path.read_text() != text:
             path.write_text(text)

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from safety_harness.admission.trial import run_trial as run_trial
     from safety_harness.base.exceptions import InputError as InputError
     from safety_harness.base.exceptions import SafetyHarnessError as SafetyHarnessError
+    from safety_harness.base.output import Output as Output
     from safety_harness.base.settings import DEFAULTS as DEFAULTS
     from safety_harness.base.settings import Settings as Settings
     from safety_harness.cell.avoidance.avoider import Avoider as Avoider
@@ -41,8 +42,22 @@ if TYPE_CHECKING:
     from safety_harness.claims.formulas.parse import parse_formula as parse_formula
     from safety_harness.claims.properties.base import Evaluation as Evaluation
     from safety_harness.claims.properties.base import Property as Property
+    from safety_harness.extensions.assurance.certify_job import CertificationResult as CertificationResult
+    from safety_harness.extensions.assurance.certify_job import certify as certify
+    from safety_harness.extensions.field.read_log_job import LogResult as LogResult
+    from safety_harness.extensions.field.read_log_job import read_log as read_log
+    from safety_harness.extensions.lab.evaluate_job import EvaluationResult as EvaluationResult
+    from safety_harness.extensions.lab.evaluate_job import evaluate as evaluate
+    from safety_harness.extensions.lab.prove_job import ProofResult as ProofResult
+    from safety_harness.extensions.lab.prove_job import prove as prove
+    from safety_harness.report.attribution_job import AttributionResult as AttributionResult
+    from safety_harness.report.attribution_job import attribute as attribute
     from safety_harness.report.evidence import JudgedRun as JudgedRun
     from safety_harness.report.html import write_report as write_report
+    from safety_harness.report.run_job import RunResult as RunResult
+    from safety_harness.report.run_job import run as run
+    from safety_harness.report.search_job import SearchResult as SearchResult
+    from safety_harness.report.search_job import fuzz as fuzz
     from safety_harness.scenario.model import Scenario as Scenario
     from safety_harness.scenario.model import Verdict as Verdict
     from safety_harness.scenario.read import parse_scenario as parse_scenario
@@ -94,11 +109,15 @@ _HOMES = {
     "cell.avoidance.avoider": ("Avoider", "AvoiderAround", "Proposal"),
     "seams.contract": ("Move", "Moves", "Report", "Seen", "Stop", "UserController"),
     "base.exceptions": ("InputError", "SafetyHarnessError"),
+    "base.output": ("Output",),
     "claims.formulas.claim": ("FormulaClaim",),
     "claims.formulas.parse": ("parse_formula",),
     "claims.properties.base": ("Evaluation", "Property"),
     "report.evidence": ("JudgedRun",),
     "report.html": ("write_report",),
+    "report.attribution_job": ("AttributionResult", "attribute"),
+    "report.run_job": ("RunResult", "run"),
+    "report.search_job": ("SearchResult", "fuzz"),
     "scenario.model": ("Scenario", "Verdict"),
     "scenario.read": ("parse_scenario", "read_scenario"),
     "scenario.write": ("write_scenario",),
@@ -121,13 +140,39 @@ _HOMES = {
     "trace.store": ("load_trace", "save_trace"),
     "trace.trace": ("Trace",),
 }
-__all__ = sorted(name for names in _HOMES.values() for name in names)
+# The only place where the core names a wing; a name's wing is imported when it is first used.
+_WINGS = {
+    # docs/tables.py writes these lines.
+    "extensions.assurance.certify_job": ("CertificationResult", "certify"),
+    "extensions.field.read_log_job": ("LogResult", "read_log"),
+    "extensions.lab.evaluate_job": ("EvaluationResult", "evaluate"),
+    "extensions.lab.prove_job": ("ProofResult", "prove"),
+    # end
+}
+__all__ = sorted(name for names in (_HOMES | _WINGS).values() for name in names)
 
 import_module(f"{__name__}.base.moved")  # which finds old import paths of documented names
 
 
 def __getattr__(name: str) -> object:
-    for home, names in _HOMES.items():
+    for home, names in (_HOMES | _WINGS).items():
         if name in names:
-            return getattr(import_module(f"{__name__}.{home}"), name)
+            try:
+                return getattr(import_module(f"{__name__}.{home}"), name)
+            except ModuleNotFoundError as error:
+                if home in _WINGS and error.name and f"{__name__}.{home}".startswith(error.name):
+                    raise _absent(name, home) from error
+                raise
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def _absent(name: str, home: str) -> InputError:
+    """Return the error for a name whose wing is not installed."""
+    errors, distribution = (import_module(f"{__name__}.base.{one}") for one in ("exceptions", "distribution"))
+    missing: InputError = errors.MissingPackageError(
+        place=errors.Place(field=f"{__name__}.{name}"),
+        expected=f"the package {__name__}.{home.rpartition('.')[0]}",
+        got="no such package",
+        hint=f"pip install --force-reinstall {distribution.DISTRIBUTION}",
+    )
+    return missing

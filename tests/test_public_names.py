@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 import subprocess
 import sys
 from importlib import import_module
@@ -11,6 +12,9 @@ from pathlib import Path
 import pytest
 
 import safety_harness
+from safety_harness.base.exceptions import MissingPackageError
+
+PACKAGE = Path(safety_harness.__file__).parent
 
 
 def test_every_public_name_can_be_imported() -> None:
@@ -34,6 +38,24 @@ def test_a_type_checker_sees_each_public_name_at_the_home_that_it_is_imported_fr
 def test_an_unknown_name_is_an_attribute_error() -> None:
     with pytest.raises(AttributeError, match="no attribute 'amdit'"):
         safety_harness.amdit  # noqa: B018
+
+
+def test_the_names_of_wings_are_as_the_wings_have_them() -> None:
+    """If not: python docs/tables.py."""
+    named = {}
+    for file in sorted((PACKAGE / "extensions").glob("*/*.py")):
+        found = re.search(r"^__all__ = (\[.*?\])", file.read_text(encoding="utf-8"), re.M | re.S)
+        if found:
+            module = ".".join(file.relative_to(PACKAGE).with_suffix("").parts)
+            named[module] = tuple(sorted(ast.literal_eval(found[1])))
+    assert named == safety_harness._WINGS
+
+
+def test_a_wing_that_is_absent_is_named_with_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "safety_harness.extensions.lab", None)
+    monkeypatch.delitem(sys.modules, "safety_harness.extensions.lab.prove_job", raising=False)
+    with pytest.raises(MissingPackageError, match=r"safety_harness\.prove: needs .*lab.*pip install"):
+        safety_harness.prove  # noqa: B018
 
 
 def test_importing_the_package_loads_neither_numba_nor_pybullet() -> None:

@@ -23,7 +23,7 @@ def reproduce(
         ),
     ],
     scale: Annotated[
-        str, typer.Option(help="quick: minutes, to see it run; default: an hour or so; paper: days.")
+        str, typer.Option(help="quick: minutes, to see it run; default: an hour or so; paper: weeks.")
     ] = "default",
     out: Annotated[
         Path, typer.Option(help="Folder for reproduction.html, reproduction.json and work/.")

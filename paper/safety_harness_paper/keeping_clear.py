@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from safety_harness.base.settings import DEFAULTS
-from safety_harness.claims.properties.separation import REACHING_MPS
+from safety_harness.claims.signals.separation import REACHING_MPS
 from safety_harness_paper.avoiders import BAYESIAN, OPPOSITE
 from safety_harness_paper.intervals import Estimate, Paired, mean_of, share_of
 from safety_harness_paper.measurements import in_seeds, systems

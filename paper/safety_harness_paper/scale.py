@@ -4,7 +4,7 @@ The *default* is cut to two cores and 90 minutes; its training recipe is the pac
 (``extensions.lab.learning.recipes``: 20 epochs, step 0.002 falling to zero, batches of 2,000, normalised
 variables, split by
 TCP), with 200,000 in place of 300,000 samples an epoch.  The *paper*'s takes the paper's recipes as they
-stand (4,000,000 samples, 200 epochs, 1,200 for DO-full, raw millimetres, split by sample): days.  *quick*
+stand (4,000,000 samples, 200 epochs, 1,200 for DO-full, raw millimetres, split by sample): weeks.  *quick*
 exists to see that everything runs; nothing follows from its numbers.  No number here was chosen by what the
 tables show.
 """

@@ -15,7 +15,7 @@ from safety_harness.claims.properties.base import SI_UNITS, Property
 from safety_harness.claims.properties.catalogue import CATALOGUE
 from safety_harness.claims.properties.entry import CatalogueEntry
 from safety_harness.claims.properties.protective_separation import ProtectiveSeparation
-from safety_harness.claims.properties.separation import WALKING_MPS
+from safety_harness.claims.signals.separation import WALKING_MPS
 from safety_harness.scenario.model import BY_AT_MOST, EDITION, Claim, Scenario
 
 

@@ -26,7 +26,7 @@ from safety_harness.cell.simulation.simulate import Episode, simulate, simulate_
 from safety_harness.cell.simulation.world import BatchWorld
 from safety_harness.cell.simulation.worlds import KINEMATIC, REFERENCE, WorldEntry
 from safety_harness.claims.properties.base import Evaluations
-from safety_harness.claims.properties.true_motion import refuse_contradictions
+from safety_harness.claims.signals.true_motion import refuse_contradictions
 from safety_harness.scenario.decision_times import refuse_wall_clock
 from safety_harness.trace.trace import Trace
 

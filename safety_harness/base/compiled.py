@@ -4,8 +4,9 @@ Numba's own file cache notices a change of the file that *defines* a function, n
 whose functions it calls: after an edit in ``geometry`` an old ``controller`` would go on running.
 For a tool that gives evidence that is not acceptable, so the machine code of a file lies in a
 folder named by a hash over that file and every file of the package that it imports, directly or
-not (and the versions of numba and numpy): a change in any of them compiles afresh, a change
-elsewhere does not.
+not (and the versions of Python, numba and numpy): a change in any of them compiles afresh, a
+change elsewhere does not.  A function is looked for in the user's cache, then in the folder that
+a wheel brings (``machine_code``), and is compiled if it is in neither.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import hashlib
 import os
 import re
 import shutil
+import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator
@@ -29,6 +31,7 @@ from numba.core.caching import CompileResultCacheImpl, FunctionCache
 from numba.core.registry import CPUDispatcher
 
 from safety_harness.base.compiling import Compilation, watchers
+from safety_harness.base.machine_code import FOLDER, STAMP, InstalledCode
 
 F = TypeVar("F", bound=Callable[..., Any])
 _Made = TypeVar("_Made")
@@ -149,10 +152,22 @@ def _cannot_keep(root: Path, error: OSError) -> str:
 @cache
 def cache_folder(file: Path) -> Path:
     """The folder for the machine code of ``file``; marked as used today if it is there, where it can be."""
-    folder = cache_root() / _hash(sources_of(file))
+    folder = cache_root() / f"{_hash(sources_of(file))}-{sys.implementation.cache_tag}"
     with suppress(OSError):
         os.utime(folder)
     return folder
+
+
+def installed_folder(file: Path) -> Path:
+    """Return the folder in which a wheel brings the machine code of ``file``, whether it is there or not."""
+    return PACKAGE / FOLDER / cache_folder(file).name
+
+
+def code_in_use() -> str:
+    """Return in words which machine code of the control stack runs here; results are the same with each."""
+    stack = PACKAGE / "cell" / "controller" / "stack.py"
+    compiled_here = any(cache_folder(stack).rglob("*.nbc")) or not installed_folder(stack).is_dir()
+    return "machine code compiled here" if compiled_here else "machine code as installed, for any x86-64"
 
 
 def forget_old_machine_code(days: float = 30.0) -> int:
@@ -196,7 +211,7 @@ def _compiled(function: F, **options: bool) -> F:
     numba_config.CACHE_DIR = str(cache_folder(Path(function.__code__.co_filename)))
     try:
         made = njit(error_model="numpy", **options)(function)
-        made._cache = _Cache(function)  # type: ignore[no-untyped-call]
+        made._cache = _Cache(function)
     finally:
         numba_config.CACHE_DIR = before
     made.__class__ = _kind
@@ -211,23 +226,20 @@ _kind: Any = CPUDispatcher  # theirs
 class _Locator(_cache_impl._locator_classes[0]):  # type: ignore[misc]
     """The folder that is given, also where it can only be read: else numba looks for one of its own.
 
-    What lies in it is of contents and names within a package, wherever that lies: another checkout of the
-    same sources, or one that was made later, finds it.
+    The folder's name covers the content of a package's file, so that another checkout of the same sources, a
+    later one and an installation find it.  A file in no package has a folder below it, by its path and time.
     """
 
     @classmethod
     def from_function(cls, function: Any, file: str) -> _Locator | None:
         return cls(function, file) if os.path.exists(file) else None
 
-    @classmethod
-    def get_suitable_cache_subpath(cls, file: str) -> str:
-        path = Path(file)
-        if _in_no_package(path):
-            return str(super().get_suitable_cache_subpath(file))
-        return _name(path).decode().replace("/", "_")
+    def get_cache_path(self) -> str:
+        alone = _in_no_package(Path(self._py_file))
+        return str(self._cache_path if alone else os.path.dirname(self._cache_path))
 
-    def get_source_stamp(self) -> str:
-        return hashlib.sha256(_content(Path(self._py_file))).hexdigest()
+    def get_source_stamp(self) -> Any:
+        return super().get_source_stamp() if _in_no_package(Path(self._py_file)) else STAMP
 
 
 class _CacheImpl(_cache_impl):  # type: ignore[misc]
@@ -235,13 +247,27 @@ class _CacheImpl(_cache_impl):  # type: ignore[misc]
 
 
 class _Cache(FunctionCache):
-    """Numba's own; a place that is read-only or full costs no more than that a process compiles again."""
+    """Numba's own, and then the machine code that a wheel brings.
+
+    A place that is read-only or full costs no more than that a process compiles again.
+    """
 
     _impl_class = _CacheImpl
 
+    def __init__(self, function: Any) -> None:
+        super().__init__(function)  # type: ignore[no-untyped-call]
+        folder = installed_folder(Path(function.__code__.co_filename))
+        self._installed = InstalledCode(folder, self._impl.filename_base) if folder.is_dir() else None
+
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         with suppress(OSError):
-            return super().load_overload(sig, target_context)  # type: ignore[no-untyped-call]
+            found = super().load_overload(sig, target_context)  # type: ignore[no-untyped-call]
+            if found is not None or self._installed is None:
+                return found
+            data = self._installed.load_generic(self._index_key(sig, target_context.codegen()))  # type: ignore[no-untyped-call]
+            if data is not None:
+                _progress.installed += 1
+                return self._impl.rebuild(target_context, data)
         return None
 
     def save_overload(self, sig: Any, data: Any) -> None:
@@ -256,6 +282,7 @@ class _Progress(event.Listener):
     """Tells the ``watchers`` after each function that numba compiles, and of none that it only loads."""
 
     depth, began_s, seconds, unwritable = 0, 0.0, 0.0, ""
+    installed = 0  # functions whose code came with the package
 
     def on_start(self, event: Any) -> None:
         if not self.seconds:

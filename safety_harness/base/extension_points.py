@@ -14,7 +14,7 @@ from __future__ import annotations
 import sys
 import tomllib
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import lru_cache
 from importlib.metadata import EntryPoint, entry_points
@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from safety_harness.base.distribution import DISTRIBUTION, PYPROJECT
+from safety_harness.base.exceptions import MissingPackageError, Place
 
 _Part = TypeVar("_Part")
 OWN_TITLES = ("scenario", "scenario space", "suite")  # of files that the core reads itself
@@ -31,17 +32,28 @@ class ExtensionPoint(StrEnum):
     """The groups, each with the type of its parts and what the core does with them."""
 
     COMMANDS = "safety_harness.commands"
-    """``typer.Typer``: a command of ``safety-harness``, or with a name a group of commands."""
+    """``typer.Typer``: has a command, or is a group of commands, with the name of this part."""
     INPUTS = "safety_harness.inputs"
     """``InputFile``: a kind of file that commands take, by the key that titles it, which is its name."""
     CLAIMS = "safety_harness.claims"
     """``claims.properties.entry.CatalogueEntry``: a claim of the catalogue."""
     SIGNALS = "safety_harness.signals"
-    """``claims.formulas.signal.Signal``: a signal of formulas."""
+    """``claims.signals.signal.Signal``: a signal of formulas."""
     CLAIM_NOTES = "safety_harness.claim_notes"
     """``Callable[[CatalogueEntry], Iterator[tuple[str, str]]]``: lines that ``claims`` adds to an entry's."""
     WORLDS = "safety_harness.worlds"
     """``cell.simulation.worlds.WorldEntry``: a world for ``--world`` and ``world:``."""
+    SCENARIO_KEYS = "safety_harness.scenario_keys"
+    """``scenario.codec.Key``: a key of scenario files, below ``extensions:``, by its name."""
+    CONTROLLERS = "safety_harness.controllers"
+    """``seams.contract.ControllerOpener``: a way to a controller, for ``controller: NAME:REST``."""
+    RUN_FORMATS = "safety_harness.run_formats"
+    """``Callable[[Trace, Sequence[Evaluation], Path], Sequence[Path]]``: writes a run, for ``export --out
+    FILE.NAME``, and returns its files."""
+    LEDGER_COLUMNS = "safety_harness.ledger_columns"
+    """``Callable[[Trace], float]``: a number of an episode, which a campaign's ledger keeps in a column."""
+    PAGE_SECTIONS = "safety_harness.page_sections"
+    """``report.page_parts.PageSection``: a table on the page of runs or of evidence."""
     WARMING = "safety_harness.warming"
     """``Callable[[], None]``: makes the machine code that a package needs, for ``warm``."""
 
@@ -72,6 +84,7 @@ class InputFile:
         schema: Return its JSON Schema, for ``schema``.
         recorded: Read the file at a path as a recorded run, with claims in place of its own.  For ``judge``,
             ``view`` and pytest.
+        title: The key that titles such files: the name of the entry point, which fills it in.
 
     """
 
@@ -83,6 +96,7 @@ class InputFile:
     tables: Callable[[], tuple[Any, ...]] | None = None
     schema: Callable[[], dict[str, Any]] | None = None
     recorded: Callable[[Path, tuple[Any, ...]], Any] | None = None
+    title: str = ""
 
 
 @dataclass(frozen=True)
@@ -169,6 +183,26 @@ def loaded(
             yield part.name, found
 
 
+@lru_cache
+def names_of(point: ExtensionPoint) -> frozenset[str]:
+    """Return the names of the parts of a kind, which are not loaded."""
+    return frozenset(part.name for part in parts(point))
+
+
+@lru_cache
+def part_named(point: ExtensionPoint, name: str, kind: type[_Part]) -> _Part:
+    """Return the part of a name; MissingPackageError where no package adds one that can be used."""
+    for part in parts(point):
+        if part.name == name and (found := load(part, kind)) is not None:
+            return found
+    raise MissingPackageError(
+        place=Place(field=name),
+        expected=f"a package that adds the entry point {name} to {point}",
+        got="none that can be loaded" if name in names_of(point) else "none",
+        hint=f"pip install --force-reinstall {DISTRIBUTION}, or the package that added it",
+    )
+
+
 def _identities(part: object) -> set[str]:
     """Return the texts by which files and commands choose a part, in lower case."""
     texts = (getattr(part, name, None) for name in ("name", "label", "example", "words"))
@@ -214,4 +248,5 @@ class Registry(list[_Part]):
 @lru_cache
 def input_files() -> dict[str, InputFile]:
     """Return the kinds of file that packages add, by the key that titles them."""
-    return dict(loaded(ExtensionPoint.INPUTS, InputFile, taken=OWN_TITLES))
+    found = loaded(ExtensionPoint.INPUTS, InputFile, taken=OWN_TITLES)
+    return {title: replace(one, title=title) for title, one in found}

@@ -15,6 +15,7 @@ MOVED = {
     "avoidance.avoider": "cell.avoidance.avoider",
     "avoidance.model_file": "cell.avoidance.model_file",
     "controller.contract": "seams.contract",
+    "claims.formulas.signal": "claims.signals.signal",
     "exceptions": "base.exceptions",
     "formulas.claim": "claims.formulas.claim",
     "formulas.language": "claims.formulas.language",
@@ -30,7 +31,7 @@ MOVED = {
     "settings": "base.settings",
     "simulation.worlds": "cell.simulation.worlds",
 }
-_TOPS = {name.partition(".")[0] for name in MOVED}
+_TOPS = {name.partition(".")[0] for name in MOVED} - {"claims"}  # that package is there
 
 
 class _FromNewPlace(Loader):
@@ -55,7 +56,7 @@ class MovedModules(MetaPathFinder):
     ) -> ModuleSpec | None:
         """Return the spec of a moved module; ModuleNotFoundError for one that has no old path any more."""
         package, _, old = fullname.partition(".")
-        if package != PACKAGE or old.partition(".")[0] not in _TOPS:
+        if package != PACKAGE or (old not in MOVED and old.partition(".")[0] not in _TOPS):
             return None
         if old not in MOVED and old not in _TOPS:
             raise ModuleNotFoundError(

@@ -11,18 +11,20 @@ import os
 import re
 import sys
 import textwrap
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from contextvars import ContextVar
 from dataclasses import dataclass, field
 from math import isfinite
-from typing import Any, TextIO, TypeVar
+from typing import Any, TextIO
 
 from safety_harness.base.distribution import installed_version
 from safety_harness.base.exceptions import InputError, OutputError, SafetyHarnessError, explanation
+from safety_harness.base.input_errors import each_once
+from safety_harness.base.output import AS_EXPECTED as AS_EXPECTED
+from safety_harness.base.output import BAD_INPUT as BAD_INPUT
+from safety_harness.base.output import DIFFERS as DIFFERS
+from safety_harness.base.output import INTERRUPTED as INTERRUPTED
 
-_Item = TypeVar("_Item")
-_Made = TypeVar("_Made")
-AS_EXPECTED, DIFFERS, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 JSON_FORMAT = "safety-harness answer 1"
 NARROW = 70  # columns; below, columns of blanks are closed, and help has no boxes
 _NARROWEST = 20
@@ -207,21 +209,9 @@ def _told(error: Exception) -> dict[str, object]:
     return told
 
 
-def usable(items: Iterable[_Item], make: Callable[[_Item], _Made]) -> tuple[list[_Made], list[InputError]]:
-    """What is made of each item, and the mistakes in those of which nothing can be made."""
-    made: list[_Made] = []
-    errors: list[InputError] = []
-    for item in items:
-        try:
-            made.append(make(item))
-        except InputError as error:
-            errors.append(error)
-    return made, errors
-
-
 def explain_each(errors: Sequence[InputError]) -> list[InputError]:
     """Each once, and which: what is wrong in a file that others extend is the same mistake for all."""
-    once = list({str(error): error for error in errors}.values())
+    once = each_once(errors)
     for error in once:
         explain(error)
     return once

@@ -16,7 +16,15 @@ from operator import eq, ge, gt, le, lt, ne
 
 from safety_harness.admission.admit import admit
 from safety_harness.admission.trial import judge, run_kinematic
-from safety_harness.base.compiled import PACKAGE, cache_folder, cache_problem, cache_root, without_compiling
+from safety_harness.base.compiled import (
+    PACKAGE,
+    cache_folder,
+    cache_problem,
+    cache_root,
+    code_in_use,
+    installed_folder,
+    without_compiling,
+)
 from safety_harness.base.distribution import DISTRIBUTION, foreign_files
 from safety_harness.base.extras import EXTRAS
 from safety_harness.claims.properties.base import Evaluation
@@ -67,9 +75,10 @@ def _machine() -> Iterator[Examined]:
     words = python if good else f"{python}, which this package is not made for: {wanted}"
     yield Examined("Python", State.OK if good else State.PROBLEM, words)
     problem = cache_problem(cache_root())
-    warm = any(cache_folder(PACKAGE / "cell" / "controller" / "stack.py").rglob("*.nbc"))
-    words = "cold: the first run compiles, a minute or two; safety-harness warm does it now"
-    words = f"warm{', read-only' if problem else ''}" if warm else problem or words
+    stack = PACKAGE / "cell" / "controller" / "stack.py"
+    warm = installed_folder(stack).is_dir() or any(cache_folder(stack).rglob("*.nbc"))
+    words = "cold: the first run compiles, some 75 s on a quiet machine; safety-harness warm does it now"
+    words = f"{code_in_use()}{', read-only' if problem else ''}" if warm else problem or words
     words = f"{cache_root()}, {megabytes(machine_code_bytes())}, {words}"
     yield Examined("machine code", State.PROBLEM if problem and not warm else State.OK, words)
 

@@ -2,23 +2,12 @@
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
 from typing import Annotated
 
 from typer import Option, Typer
 
-from safety_harness.base.exceptions import ScenarioError
-from safety_harness.cli.console import (
-    AS_EXPECTED,
-    BAD_INPUT,
-    DIFFERS,
-    INTERRUPTED,
-    document,
-    result,
-    say,
-    say_shared_modules,
-)
+from safety_harness.cli.console import document, say, say_shared_modules
 from safety_harness.cli.options import OfAvoider, OfController, OfReference, OfSpace, Seed, command
 
 commands = Typer()
@@ -52,7 +41,7 @@ def fuzz(
 
     With --against it searches for what the avoider or controller violates and the reference keeps, on the
     same draws.
-    Each such difference is drawn again; what is none then is listed as a flip near the limit.
+    Each such difference is drawn again; what is not clearly worse then is listed as a flip near the limit.
     Counterexamples are shrunk, confirmed in PyBullet and attributed (whose fault they are, as attribute says
     it), and so are all violations together.  A page, fuzz.html, is about them, with a map of what was
     covered, coverage.svg; Ctrl-C keeps what was found so far.
@@ -61,52 +50,28 @@ def fuzz(
     none of what it does, a claim that no run put to the test, or an avoider that gave no answer, or answered
     otherwise when asked again; 2: bad input, or a place that cannot be written; 130: interrupted.
     """
-    from safety_harness.admission.avoiders import one_of, reference_for, with_avoider
+    from safety_harness.admission.avoiders import one_of, with_avoider
     from safety_harness.admission.driving import named_system
-    from safety_harness.cli.progress import watching_search, watching_words
-    from safety_harness.report.search_attribution import SearchAttribution
-    from safety_harness.report.search_files import write_search
+    from safety_harness.cli.progress import TERMINAL
+    from safety_harness.report.search_job import fuzz as fuzz_space
     from safety_harness.report.words import tested_words
-    from safety_harness.search.against import Reference
-    from safety_harness.search.sampling import UniformSampling
-    from safety_harness.search.searchers import searcher_named
-    from safety_harness.search.session import SearchOutput, search_space
-    from safety_harness.search.trials import Trials, in_kinematic
-    from safety_harness.space.read import read_space
 
     say_shared_modules()
-    if budget < 1:
-        raise ScenarioError.of_option("--budget", "at least 1 run", str(budget))
-    make = searcher_named(searcher)
-    if baseline and make is UniformSampling:
-        expected = "another searcher, to compare with uniform sampling"
-        raise ScenarioError.of_option("--baseline", expected, "--searcher uniform")
-    attribution = SearchAttribution()
-    asked = one_of(avoider, controller)
-    reference = reference_for(asked, against)
-    read = read_space(space)
-    made = search_space(
-        Trials(
-            read,
-            in_kinematic,
-            seed=seed,
-            avoider=asked,
-            sentences=tuple(claims or ()),
-            reference=None if reference is None else Reference(reference),
-        ),
-        make,
-        out=out,
+    found = fuzz_space(
+        space,
+        avoider=avoider,
+        controller=controller,
+        against=against,
         budget=budget,
-        output=SearchOutput(say, result, watching_search, watching_words),
-        write_page=partial(write_search, attribution=attribution, on_data=document),
+        seed=seed,
+        searcher=searcher,
+        claims=claims or (),
         baseline=baseline,
-        explain=attribution.explain,
-    )
+        out=out,
+        output=TERMINAL,
+    ).kept(out, TERMINAL)
+    document(**found.data())
+    read, asked = found.session.trials.space, one_of(avoider, controller)
     tested = read.simplest if asked is None else with_avoider(read.simplest, asked)
     say(f"tested in {read.name}: {tested_words(tested, named_system(tested))}")
-    if made.unwritable is not None:
-        return BAD_INPUT
-    if made.interrupted:
-        return INTERRUPTED
-    alike = made.repeated is None or not made.repeated.problem
-    return DIFFERS if made.differs or not alike else AS_EXPECTED
+    return found.exit_code

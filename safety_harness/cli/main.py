@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import sys
-from typing import Annotated
+from collections.abc import Iterator, MutableMapping
+from typing import Annotated, Any
 
 import typer
+from typer.core import TyperGroup
 
 from safety_harness.base.compiling import CompilationLine, watchers
 from safety_harness.base.distribution import DISTRIBUTION, foreign_files, installed_version
 from safety_harness.base.exceptions import MissingPackageError, Place, SafetyHarnessError
-from safety_harness.base.extension_points import ExtensionPoint, load, parts, warn
+from safety_harness.base.extension_points import ExtensionPoint, RegisteredPart, load, parts, warn
 from safety_harness.cli.console import (
     BAD_INPUT,
     NARROW,
@@ -28,15 +30,15 @@ from safety_harness.cli.scenario_commands import commands as of_scenarios
 from safety_harness.cli.shipped import commands as of_shipped
 
 NAME = "safety-harness"
-app = typer.Typer(
-    no_args_is_help=True,
-    pretty_exceptions_enable=False,
-    context_settings={"help_option_names": ["-h", "--help"]},
-    help="Verify a hand-avoidance controller of a robot arm: run scenarios, judge them, search what breaks "
-    "it, score an avoider, and certify; make the data of a learned avoider, train and export it.",
-)
 CORE = (of_new, of_scenarios, of_search, of_shipped, of_machine)
-NOT_HERE, REINSTALL = "Not installed.", f"pip install --force-reinstall {DISTRIBUTION}"
+# The core's commands by task, in the order of the help.
+TASKS = {
+    "Run and judge": ("run", "judge", "replay", "view"),
+    "Search": ("fuzz", "attribute", "sample"),
+    "Write scenarios": ("new", "validate", "explain", "claims", "show", "fmt", "schema"),
+    "This installation": ("list", "copy", "docs", "warm", "doctor"),
+}
+REINSTALL = f"pip install --force-reinstall {DISTRIBUTION}"
 # Commands of other packages: what somebody is told who has not got them.
 ELSEWHERE = {
     "reproduce": (
@@ -46,36 +48,84 @@ ELSEWHERE = {
 }
 
 
-def add_commands(app: typer.Typer) -> None:
-    """Add the core's commands, and those of packages under names that are not taken."""
-    for group in CORE:
-        app.add_typer(group)
-    for part in parts(ExtensionPoint.COMMANDS):
-        if (found := load(part, typer.Typer)) is None:
-            found = None if part.package else _absent(part.name, NOT_HERE, REINSTALL)
-        if found is not None and (names := _names(found)) & _names(app):
-            warn(part, f"the command {', '.join(sorted(names & _names(app)))} is there already")
-        elif found is not None:
-            app.add_typer(found)
-    for name, (about, hint) in ELSEWHERE.items():
-        if name not in _names(app):
-            app.add_typer(_absent(name, about, hint))
+class _Commands(MutableMapping[str, Any]):
+    """The core's commands and those of packages by their names; a package's is loaded when it is asked for.
+
+    A name that cannot be loaded is listed and has no value.
+    """
+
+    def __init__(self, core: MutableMapping[str, Any]) -> None:
+        ordered = (name for names in TASKS.values() for name in names if name in core)
+        self._made = {name: core[name] for name in (*ordered, *core)}
+        for panel, names in TASKS.items():
+            for name in {*names} & {*core}:
+                core[name].rich_help_panel = panel
+        self._parts: dict[str, RegisteredPart] = {}
+        self._hidden: list[RegisteredPart] = []  # whose names are taken
+        for part in parts(ExtensionPoint.COMMANDS):
+            if part.name in (*self._made, *self._parts):
+                self._hidden.append(part)
+            else:
+                self._parts[part.name] = part
+
+    def __getitem__(self, name: str) -> Any:
+        if name not in self._made:
+            found = self._load(self._parts[name]) if name in self._parts else _absent(name, *ELSEWHERE[name])
+            if found is None:
+                raise KeyError(name)
+            self._made[name] = found
+        return self._made[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(dict.fromkeys((*self._made, *self._parts, *ELSEWHERE)))
+
+    def __len__(self) -> int:
+        return sum(1 for _ in self)
+
+    def __setitem__(self, name: str, command: Any) -> None:
+        self._made[name] = command
+
+    def __delitem__(self, name: str) -> None:
+        del self._made[name]
+
+    def warn_of_hidden(self) -> None:
+        """Say which parts are left out since their names are taken."""
+        for part in self._hidden:
+            warn(part, f"the command {part.name} is there already")
+
+    def _load(self, part: RegisteredPart) -> Any:
+        """Return the command of a part's name in its Typer; None, with a warning, where there is none."""
+        if (group := load(part, typer.Typer)) is None:
+            return None if part.package else _absent(part.name, "Not installed.", REINSTALL)
+        if (found := commands_of(group).get(part.name)) is None:
+            warn(part, f"it has no command {part.name}")
+            return None
+        ours = part.value.removeprefix("safety_harness.extensions.").partition(".")[0]
+        found.rich_help_panel = (part.package or ours).removeprefix("safety_harness_").capitalize()
+        return found
 
 
-def _names(group: typer.Typer) -> set[str]:
-    """Return the names that a group adds: its own, or those of its commands and groups."""
-    if isinstance(group.info.name, str) and group is not app:
-        return {group.info.name}
-    commands = (
-        one.name or one.callback.__name__.replace("_", "-")
-        for one in group.registered_commands
-        if one.callback
-    )
-    groups = (one.typer_instance for one in group.registered_groups)
-    return {*commands}.union(*(_names(one) for one in groups if one is not None))
+class _Group(TyperGroup):
+    """The group of all commands."""
+
+    def __init__(self, **attributes: Any) -> None:
+        super().__init__(**attributes)
+        self.commands = self._lazy = _Commands(self.commands)
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        """Return the names of all commands, and warn of parts whose names are taken."""
+        self._lazy.warn_of_hidden()
+        return [*self.commands]
 
 
-def _absent(name: str, about: str, hint: str) -> typer.Typer:
+def commands_of(group: typer.Typer) -> MutableMapping[str, Any]:
+    """Return the commands and groups that a Typer adds, by their names."""
+    holder = typer.Typer(rich_markup_mode=app.rich_markup_mode)
+    holder.add_typer(group)
+    return typer.main.get_group(holder).commands
+
+
+def _absent(name: str, about: str, hint: str) -> Any:
     """Return a command in place of one whose package is not installed, which says how to get it."""
     commands = typer.Typer()
     settings = {"ignore_unknown_options": True, "allow_extra_args": True}
@@ -86,10 +136,21 @@ def _absent(name: str, about: str, hint: str) -> typer.Typer:
             place=Place(field=name), expected="the package with this command", got="none", hint=hint
         )
 
-    return commands
+    found = commands_of(commands)[name]
+    found.rich_help_panel = "Not installed"
+    return found
 
 
-add_commands(app)
+app = typer.Typer(
+    cls=_Group,
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+    help="Verify a hand-avoidance controller of a robot arm: run scenarios, judge them, search what breaks "
+    "it, score an avoider, and certify; make the data of a learned avoider, train and export it.",
+)
+for _core in CORE:
+    app.add_typer(_core)
 
 
 def _say_version(asked: bool) -> None:

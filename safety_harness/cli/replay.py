@@ -2,21 +2,15 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Sequence
-from dataclasses import replace
-from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
 
 from safety_harness.admission.admit import Admitted, admit
 from safety_harness.admission.avoiders import is_a_program, replay_command, with_avoider
 from safety_harness.admission.repeatability import MOST, Repeatability
-from safety_harness.admission.trial import judge, run_trial
-from safety_harness.base.exceptions import InadmissibleError, InputError, LogError, Place, TraceError
-from safety_harness.base.whole_file import writing
+from safety_harness.admission.trial import run_trial
+from safety_harness.base.exceptions import InputError, Place, TraceError
 from safety_harness.cell.simulation.worlds import world_of_trace
-from safety_harness.claims.properties.answered import with_expectation
 from safety_harness.cli.console import (
     AS_EXPECTED,
     BAD_INPUT,
@@ -27,19 +21,16 @@ from safety_harness.cli.console import (
     result,
     say,
 )
-from safety_harness.cli.progress import watching_runs
-from safety_harness.cli.run import DATA, REPORT, TRACES, say_results
+from safety_harness.cli.progress import TERMINAL
 from safety_harness.report.evidence import JudgedRun, basis_of
+from safety_harness.report.judge_job import A_CLAIM, judged_run, write_judged
 from safety_harness.report.knowledge import measured_lines, unmeasured_words
 from safety_harness.report.machine import refused_data, run_data
-from safety_harness.scenario.fields import SENTENCE, is_sentence
-from safety_harness.scenario.files import told
-from safety_harness.scenario.kinds import is_log, recorded_run
-from safety_harness.scenario.model import VISUAL_SERVO, Claim, Scenario, Verdict
+from safety_harness.report.run_job import DATA, REPORT, result_lines, tested_line, watching_runs
+from safety_harness.scenario.model import VISUAL_SERVO, Scenario
 from safety_harness.scenario.references import file_and_name
-from safety_harness.scenario.units import shown
 from safety_harness.trace.compare import first_difference
-from safety_harness.trace.store import load_trace, save_trace
+from safety_harness.trace.store import load_trace
 from safety_harness.trace.system import Component
 from safety_harness.trace.trace import Trace
 from safety_harness.trace.unmeasured import refuse_not_simulated
@@ -56,7 +47,7 @@ def replay(path: Path, avoider: str | None = None) -> int:
     world = world_of_trace(stored.provenance.world)
     admitted = admit(_with_program(stored, path, avoider))
     _refuse_other(stored, admitted, path)
-    with watching_runs([stored.scenario]) as progress:
+    with watching_runs([stored.scenario], TERMINAL) as progress:
         progress.begin(0)
         fresh = run_trial(admitted, world=world, recorded=stored, on_tick=progress.tick)
     if not fresh.complete and stored.complete:
@@ -130,18 +121,6 @@ def changes(before: Trace, after: Trace) -> list[str]:
     return lines or ["  the software is the same as when the trace was made"]
 
 
-A_CLAIM = "a claim at least, there or as --claim SENTENCE: nothing is judged without"
-
-
-def _claims(sentences: Sequence[str]) -> tuple[Claim, ...]:
-    """What the command line claims."""
-    place = Place(field="--claim")
-    for sentence in sentences:
-        if not is_sentence(sentence):
-            raise InadmissibleError(place=place, expected=SENTENCE, got=shown(sentence))
-    return tuple(Claim(sentence=sentence, expected=Verdict.HOLDS, place=place) for sentence in sentences)
-
-
 def judge_again(
     paths: Sequence[Path],
     sentences: Sequence[str] = (),
@@ -167,7 +146,8 @@ def judge_again(
                 raise
             refused.append(error)
             continue
-        say_results(run)
+        result(*result_lines(run))
+        say(tested_line(run))
         result(*measured_lines(run.trace))
         say(*(f"note: {run.trace.scenario.name}: {note}" for note in run.notes if run.trace.known.recorded))
         runs.append(run)
@@ -175,65 +155,11 @@ def judge_again(
     document(runs=[run_data(run) for run in runs], basis=basis_of(runs), refused=refused_data(refused))
     say(*[basis_of(runs)] * bool(runs))
     if out is not None and runs:
-        _report(runs, refused, out, paths)
+        write_judged(runs, refused, out, paths)
+        say(f"report: {out / REPORT} (for programs: {DATA})")
     if unmeasured := unmeasured_words(evaluations):
         say(f"inconclusive of {len(evaluations)} claims: {unmeasured}")
     if refused:
         say(f"{len(explain_each(refused))} mistakes; {len(runs)} of {len(paths)} traces judged")
         return BAD_INPUT
     return AS_EXPECTED if all(run.all_as_expected for run in runs) else DIFFERS
-
-
-def judged_run(path: Path, sentences: Sequence[str] = (), out: Path | None = None) -> JudgedRun:
-    """A stored trace, or the log of a cell, judged by its claims or by ``sentences``.  InputError."""
-    if is_log(path):
-        return _of_log(path, _claims(sentences), out)
-    trace = load_trace(path)
-    if sentences:
-        claims = with_expectation(_claims(sentences), trace.scenario)
-        trace = replace(trace, scenario=replace(trace.scenario, claims=claims))
-    return JudgedRun(trace=trace, evaluations=judge(trace, file=path), replay_command="", trace_file=path)
-
-
-def _of_log(path: Path, claims: Sequence[Claim], out: Path | None) -> JudgedRun:
-    found = recorded_run(path, claims)
-    if not found.trace.scenario.claims:
-        raise LogError(place=Place(file=path, field="claims"), expected=A_CLAIM, got="none")
-    file = None
-    if out is not None:
-        file = out / TRACES / f"{found.trace.scenario.name}.trace"
-        with writing(file):
-            file.parent.mkdir(parents=True, exist_ok=True)
-            save_trace(found.trace, file, recordings=found.recordings)
-    return JudgedRun(
-        trace=found.trace,
-        evaluations=judge(found.trace, file=path),
-        replay_command="",
-        trace_file=file,
-        notes=found.notes,
-    )
-
-
-def _report(
-    runs: Sequence[JudgedRun], refused: Sequence[InputError], out: Path, paths: Sequence[Path]
-) -> None:
-    from safety_harness.report.ci_formats import write_for_ci
-    from safety_harness.report.html import write_report
-    from safety_harness.report.machine import report_data, write_json
-
-    of_all: dict[str, Any] = {"interrupted": False, "refused": refused}
-    command = shlex.join(
-        ["safety-harness", "judge", *(str(told(path)) for path in paths), "--out", str(told(out))]
-    )
-    with writing(out / REPORT):
-        write_report(
-            out / REPORT,
-            runs,
-            title="Judged without simulating",
-            command=command,
-            generated_at=datetime.now(UTC),
-            **of_all,
-        )
-        write_json(out / DATA, report_data(runs, **of_all))
-        write_for_ci(out, runs)
-    say(f"report: {out / REPORT} (for programs: {DATA})")

@@ -56,14 +56,20 @@ def run(
     expected to tell something was never put to the test; 2: bad input, nothing was run, or with
     --keep-going only the rest; 130: interrupted, what was finished is kept.
     """
-    from safety_harness.admission.avoiders import one_of, reference_for
     from safety_harness.cell.simulation.worlds import world_named
     from safety_harness.cli.run import run as run_files
 
-    chosen = world_named(world, "--world")
-    tested = one_of(avoider, controller)
-    reference = reference_for(tested, against)
-    return run_files(files, out, tested, reference, world=chosen, keep_going=keep_going, jobs=jobs, mcap=mcap)
+    return run_files(
+        files,
+        out,
+        avoider,
+        against,
+        controller=controller,
+        world=world_named(world, "--world"),
+        keep_going=keep_going,
+        jobs=jobs,
+        mcap=mcap,
+    )
 
 
 @command(commands)

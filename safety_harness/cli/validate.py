@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from functools import partial
 from itertools import groupby
@@ -12,7 +13,8 @@ from safety_harness.admission.avoiders import with_avoider
 from safety_harness.admission.claims import property_of
 from safety_harness.admission.spaces import draw_admissible
 from safety_harness.base.compiled import without_compiling
-from safety_harness.base.extension_points import CheckedFile, input_files
+from safety_harness.base.extension_points import CheckedFile, InputFile
+from safety_harness.base.input_errors import usable
 from safety_harness.base.shipped.contents import located
 from safety_harness.cell.robot.kinematics import links_in_base
 from safety_harness.claims.properties.tried import TriedParts
@@ -24,7 +26,6 @@ from safety_harness.cli.console import (
     explain_each,
     result,
     say,
-    usable,
 )
 from safety_harness.scenario.compose import Variant
 from safety_harness.scenario.expand import Gathered, gather
@@ -37,11 +38,11 @@ from safety_harness.space.space import ScenarioSpace
 
 def validate(paths: Sequence[Path], avoider: str | None = None) -> int:
     """A line for each file that can be used, the mistakes of the others; returns the exit code."""
-    added = [path for path in paths if _check_of(located(path))]
+    added = [path for path in paths if _is_added(located(path))]
     others = [path for path in paths if path not in added]
     try:
         gathered = gather(others, spaces=True) if others or not added else Gathered()
-        added += [file for file in gathered.aside if _check_of(file)]
+        added += [file for file in gathered.aside if _is_added(file)]
         say(*aside_lines(file for file in gathered.aside if file not in added))
         looker = Looker()  # which executes nothing
         checked, errors = usable(
@@ -74,9 +75,9 @@ def validate(paths: Sequence[Path], avoider: str | None = None) -> int:
     for space in spaces:
         result(f"ok {space.file}: a space, {_count(len(space.parameters), 'value')} that vary")
         usable_files.append({"file": space.file, "kind": "space", "parameters": len(space.parameters)})
-    for title, one in read:
-        result(f"ok {one.file}: {input_files()[title].words}, {one.words}")
-        usable_files.append({"file": one.file, "kind": title} | one.data)
+    for kind, one in read:
+        result(f"ok {one.file}: {kind.words}, {one.words}")
+        usable_files.append({"file": one.file, "kind": kind.title} | one.data)
     document(usable=usable_files)
     for space in (*spaces, *(space for _, one in read for space in one.spaces)):
         untried += without_compiling(partial(_untried_of, space))
@@ -84,24 +85,23 @@ def validate(paths: Sequence[Path], avoider: str | None = None) -> int:
     if errors:
         mistakes = _count(len(explain_each(errors)), "mistake")
         rest = f"{_count(len(checked), 'scenario')} and {_count(len(spaces), 'space')}"
-        for title in dict.fromkeys(title for title, _ in read):
-            rest += f" and {_count(sum(title == one for one, _ in read), title)}"
+        for title, count in Counter(kind.title for kind, _ in read).items():
+            rest += f" and {_count(count, title)}"
         say(f"{mistakes}; {rest} can be used")
     return BAD_INPUT if errors else AS_EXPECTED
 
 
-def _check_of(path: Path) -> str:
-    """Return the title of a kind of file that a package adds and checks; empty for others."""
+def _is_added(path: Path) -> bool:
+    """Return whether a file is of a kind that a package adds and checks."""
     kind = added_input(path)
-    names = (title for title, one in input_files().items() if one is kind and one.check is not None)
-    return next(names, "")
+    return kind is not None and kind.check is not None
 
 
-def _checked(path: Path, looker: Looker) -> tuple[str, CheckedFile]:
-    title = _check_of(path)
-    check = input_files()[title].check
-    assert check is not None
-    return title, check(path, looker.look)
+def _checked(path: Path, looker: Looker) -> tuple[InputFile, CheckedFile]:
+    kind = added_input(path)
+    assert kind is not None
+    assert kind.check is not None
+    return kind, kind.check(path, looker.look)
 
 
 def _tried_space(found: tuple[Variant, Path]) -> ScenarioSpace:

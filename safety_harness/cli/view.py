@@ -9,8 +9,8 @@ from pathlib import Path
 from safety_harness.base.exceptions import Place, TraceError
 from safety_harness.base.whole_file import writing
 from safety_harness.cli.console import AS_EXPECTED, document, result, say
-from safety_harness.cli.replay import judged_run
 from safety_harness.report.evidence import JudgedRun
+from safety_harness.report.judge_job import judged_run
 from safety_harness.report.knowledge import measured_lines
 from safety_harness.report.view_page import write_view
 

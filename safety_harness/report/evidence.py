@@ -101,6 +101,11 @@ class JudgedRun:
         return min(ranked)[-1] if ranked else None
 
 
+def worst_verdict(verdicts: Iterable[Verdict]) -> Verdict:
+    """Return the worst of some verdicts; inconclusive for none."""
+    return min(verdicts, key=_SEVERITY.index, default=Verdict.INCONCLUSIVE)
+
+
 def notes_of(scenario: Scenario) -> tuple[str, ...]:
     """What a reader has to know of recordings (gaps that were bridged, jumps removed) and of a program."""
     unknown = unknown_files(scenario).removeprefix("; ")

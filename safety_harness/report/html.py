@@ -38,7 +38,7 @@ from safety_harness.report.decisions import (
 from safety_harness.report.evidence import JudgedRun, answer, basis_of, notes_of, tallies
 from safety_harness.report.knowledge import measured_rows
 from safety_harness.report.machine import refused_data
-from safety_harness.report.page_parts import MOST_OPEN, render_page
+from safety_harness.report.page_parts import MOST_OPEN, added_sections, render_page
 from safety_harness.report.path_views import MOST_NUMBERS, path_views, shown_moment
 from safety_harness.report.replay import Replays
 from safety_harness.report.shielding import shield_lines, slowings
@@ -285,6 +285,7 @@ def _drawn(run: JudgedRun, section: str, replays: Replays) -> Row:
         "measured_ticks": {name: int(measured(trace, name).sum()) for name in ("mode", "limits")},
         "changes": changes(run.trace.scenario),
         "text": write_scenario(trace.scenario),
+        "added": added_sections("run", run, f"{section}-"),
     }
 
 

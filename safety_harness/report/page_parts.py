@@ -5,18 +5,58 @@ from __future__ import annotations
 import base64
 import hashlib
 import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from datetime import datetime
 from functools import lru_cache
 from importlib.resources import files
+from typing import Any
 
 from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
+from safety_harness.base.exceptions import described
+from safety_harness.base.extension_points import ExtensionPoint, RegisteredPart, loaded, warn
 from safety_harness.report.packing import deflated
 
 PACKAGE = "safety_harness.report"
 THREE = "three.js"
 MOST_OPEN = 5  # parts of a page that need not be unfolded
+
+
+@dataclass(frozen=True, kw_only=True)
+class PageSection:
+    """A table that a package adds to a page, which escapes its texts.
+
+    Args:
+        page: ``run``: one for each run that is drawn.  ``evidence``: one on the page of the evidence.
+        heading: The heading of the section, plain text.
+        caption: What the table shows.
+        heads: The heads of its columns.
+        rows: Return the rows of texts: of a run's ``JudgedRun``, or of the ``Evidence``.  With none, there is
+            no section.
+
+    """
+
+    page: str
+    heading: str
+    caption: str
+    heads: tuple[str, ...]
+    rows: Callable[[Any], Sequence[Sequence[str]]]
+
+
+def added_sections(page: str, shown: object, prefix: str = "") -> list[dict[str, Any]]:
+    """Return what packages add to a page about ``shown``; what cannot be made is left out with a warning."""
+    found: list[dict[str, Any]] = []
+    for name, one in loaded(ExtensionPoint.PAGE_SECTIONS, PageSection):
+        if one.page == page:
+            try:
+                rows = [tuple(map(str, row)) for row in one.rows(shown)]
+            except Exception as error:  # of somebody else's module, which may raise anything
+                warn(RegisteredPart(ExtensionPoint.PAGE_SECTIONS, name, ""), described(error))
+                rows = []
+            found += [{"id": f"{prefix}added-{len(found)}", "part": one, "rows": rows}] if rows else []
+    return found
 
 
 def templates(of: str = PACKAGE) -> Environment:

@@ -21,7 +21,7 @@ from safety_harness.cell.robot.description import ArmModel
 from safety_harness.cell.robot.robots import arm_capsules, arm_model
 from safety_harness.cell.simulation.truth import cell_capsules
 from safety_harness.claims.properties.protective_separation import times_left_s
-from safety_harness.claims.properties.separation import REACHING_MPS, lengths
+from safety_harness.claims.signals.separation import REACHING_MPS, lengths
 from safety_harness.report.arm_meshes import arm_meshes
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.packing import as_attribute, packed

@@ -115,7 +115,7 @@ class SearchAttribution:
         found: list[Attribution] = []
         done = 0
         try:
-            with session.output.steps() as tell:
+            with session.output.words() as tell:
                 for together in _by_run(chosen):
                     tell(f"whose fault: {done} of {len(chosen)} violations that lie apart")
                     try:

@@ -1,68 +1,28 @@
-"""What a search writes at its end: findings.json for programs, the coverage as a picture, and the page."""
+"""What a search found, for its page, and for programs as findings.json."""
 
 from __future__ import annotations
 
-import json
 import shlex
-from collections.abc import Callable
 from dataclasses import asdict
 from datetime import UTC, datetime
 from math import isfinite
+from pathlib import Path
 
 from safety_harness.admission.agreement import measured_agreement
 from safety_harness.admission.avoiders import option_of, told_avoider
-from safety_harness.base.exceptions import OutputError
-from safety_harness.base.interrupts import one_more_ctrl_c
-from safety_harness.base.whole_file import write_text
 from safety_harness.cell.simulation.worlds import KINEMATIC, PYBULLET
 from safety_harness.claims.properties.against import Against
 from safety_harness.claims.properties.answered import fallback_words
 from safety_harness.report.decisions import cost_words
-from safety_harness.report.page_parts import asset
 from safety_harness.report.search_attribution import SearchAttribution
-from safety_harness.report.search_page import SearchEvidence, map_of, render
-from safety_harness.report.svg import standalone
+from safety_harness.report.search_page import SearchEvidence
 from safety_harness.scenario.files import told
 from safety_harness.scenario.model import Driver
 from safety_harness.search.attribution.tally import as_json_of
 from safety_harness.search.findings import Findings, Goal, Group
-from safety_harness.search.session import FINDINGS, NO_REFERENCE, SearchSession, basis_of_search, complaint_of
+from safety_harness.search.session import NO_REFERENCE, SearchSession, basis_of_search, complaint_of
 from safety_harness.search.trials import Trials
 from safety_harness.trace.provenance import provenance
-
-PAGE, COVERAGE = "fuzz.html", "coverage.svg"
-
-
-def write_search(
-    session: SearchSession,
-    attribution: SearchAttribution | None = None,
-    on_data: Callable[..., object] = dict,
-) -> None:
-    """The three files, in the folder of the session, which keeps what the disk or Ctrl-C says to that.
-
-    With an ``attribution`` all violations are attributed before, which is said.  ``on_data`` gets what
-    findings.json has, as keywords.
-    """
-    out, say = session.out, session.output.say
-    evidence = evidence_of(session, attribution)
-    if evidence.faults is not None:
-        say(evidence.faults.words)
-    if session.trials.times.words:
-        say(f"computing time: {session.trials.times.words}")
-    found = as_json(session.trials, evidence)
-    on_data(**found)
-    try:
-        with one_more_ctrl_c(say, f"writing {out / PAGE}; Ctrl-C once more gives it up") as asked:
-            write_text(out / FINDINGS, json.dumps(found, indent=1) + "\n")
-            write_text(out / COVERAGE, standalone(map_of(evidence), style=asset("report.css")))
-            write_text(out / PAGE, render(evidence))
-        say(f"page: {out / PAGE} (for programs: {FINDINGS})")
-        session.findings.interrupted |= asked()
-    except OutputError as error:
-        session.unwritable = error
-    except KeyboardInterrupt:
-        session.findings.interrupted = True
-        say(f"no page was written; the files are in {out}")
 
 
 def evidence_of(session: SearchSession, attribution: SearchAttribution | None = None) -> SearchEvidence:
@@ -79,7 +39,7 @@ def evidence_of(session: SearchSession, attribution: SearchAttribution | None = 
         computing_time="; ".join(filter(None, (cost, trials.times.words))),
         seed=trials.seed,
         budget=session.budget,
-        command=_command(session),
+        command=fuzz_command(session),
         generated_at=datetime.now(UTC),
         findings=session.findings,
         fallback=fallback_words(trials.unanswered, trials.decisions),
@@ -110,11 +70,11 @@ def evidence_of(session: SearchSession, attribution: SearchAttribution | None = 
     )
 
 
-def _command(session: SearchSession) -> str:
-    """The command line that makes all of this again."""
+def fuzz_command(session: SearchSession) -> str:
+    """Return the command line that makes all of this again."""
     trials = session.trials
-    assert trials.space.file is not None
-    command = ["safety-harness", "fuzz", str(told(trials.space.file))]
+    file = trials.space.file or Path(f"{trials.space.name}.yaml")
+    command = ["safety-harness", "fuzz", str(told(file))]
     command += ["--searcher", session.findings.searcher, "--budget", str(session.budget)]
     command += ["--seed", str(trials.seed), "--out", str(told(session.out))]
     command += [] if trials.avoider is None else [option_of(trials.avoider), told_avoider(trials.avoider)]

@@ -15,7 +15,7 @@ from safety_harness.cell.robot.kinematics import links_in_base
 from safety_harness.cell.robot.robots import arm_model
 from safety_harness.claims.properties.shield_theorem import broken_assumptions, counts_words
 from safety_harness.claims.properties.touching import theorem_bits
-from safety_harness.claims.properties.true_motion import capsules_of
+from safety_harness.claims.signals.true_motion import capsules_of
 from safety_harness.trace.trace import Trace
 
 NOTHING_SEEN = "before the first frame"

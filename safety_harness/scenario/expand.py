@@ -100,7 +100,7 @@ class Gathered:
                             f"{scenario.name} is the same as {same}",
                         )
                         raise ScenarioError(place=place, expected="rows that differ", got=got)
-                self._take(scenario)
+                self.take(scenario)
         except InputError as error:
             self.errors.append(error)
 
@@ -119,8 +119,8 @@ class Gathered:
             path = file.parent / item.sentence("a file, a folder or a suite, relative to this one")
             self.add(path, item.place, (*suites, resolved(file)))
 
-    def _take(self, scenario: Scenario) -> None:
-        assert scenario.file is not None
+    def take(self, scenario: Scenario) -> None:
+        """Add a scenario; ScenarioError if its name is taken or there are too many."""
         if scenario.name in self._names:
             raise ScenarioError(
                 place=Place(file=scenario.file),
@@ -130,7 +130,7 @@ class Gathered:
         if len(self._names) >= MOST_SCENARIOS:
             expected = f"at most {MOST_SCENARIOS:,} scenarios"
             raise ScenarioError(place=Place(file=scenario.file), expected=expected, got="more")
-        self._names[scenario.name] = scenario.file
+        self._names[scenario.name] = scenario.file or Path(scenario.name)
         self.scenarios.append(scenario)
 
 

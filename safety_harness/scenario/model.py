@@ -420,6 +420,7 @@ class Scenario:
     controller: str = VISUAL_SERVO
     shield: Shield | None = None
     gate: GateRule | None = None
+    extensions: tuple[tuple[str, Any], ...] = ()  # keys that packages add, each with its value
     file: Path | None = field(default=None, compare=False)
     places: Mapping[str, Place] = field(default_factory=dict, compare=False)
 

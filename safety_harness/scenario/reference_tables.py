@@ -5,7 +5,18 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-from safety_harness.scenario.codec import Below, FreeKeys, Key, KeyTable, QuantityValue, Several, Text
+from safety_harness.base.exceptions import near_miss
+from safety_harness.base.extension_points import ExtensionPoint, loaded, names_of, part_named
+from safety_harness.scenario.codec import (
+    Below,
+    FreeKeys,
+    Key,
+    KeyTable,
+    QuantityValue,
+    Several,
+    Text,
+    Tree,
+)
 from safety_harness.scenario.compose import LONGEST_CHAIN, MOST_COMBINATIONS
 from safety_harness.scenario.faults import MOST_FAULTS, fault_tables
 from safety_harness.scenario.fields import Field
@@ -24,7 +35,7 @@ from safety_harness.scenario.obstacles import OBSTACLES
 from safety_harness.scenario.robots import ROBOT_VALUE, Robot
 from safety_harness.scenario.settings_keys import SETTINGS_KEYS, TOP_GROUPS, group_table
 from safety_harness.scenario.shield import SHIELD_VALUE
-from safety_harness.scenario.units import NUMBER
+from safety_harness.scenario.units import NUMBER, shown
 
 EXPECTED = "holds, violated, inconclusive or, with a bound, violated by at most 130 mm"
 
@@ -89,6 +100,25 @@ def _title(field: Field) -> str:
 
 def _prose(expected: str) -> Text:
     return Text(words="text", reads=lambda field: field.prose(expected, lines=True))
+
+
+def _added(name: str) -> Key:
+    key: Key = part_named(ExtensionPoint.SCENARIO_KEYS, name, Key)
+    return key
+
+
+def _read_added(field: Field) -> tuple[tuple[str, Any], ...]:
+    """Return the keys that packages add, each with its value; a package is loaded for its own alone."""
+    names, given = sorted(names_of(ExtensionPoint.SCENARIO_KEYS)), field.entries("a mapping")
+    for name, below in given:
+        if name not in names:
+            expected = f"a key that an installed package adds: {', '.join(names) or 'there is none'}"
+            raise below.error(expected, got=f"the key {shown(name)}", hint=near_miss(name, names))
+    return tuple((name, _added(name).value.read(below)) for name, below in given)
+
+
+def _write_added(values: tuple[tuple[str, Any], ...]) -> dict[str, Tree]:
+    return {name: _added(name).value.write(value) for name, value in values}
 
 
 _LINE = Text(words="text, one line", reads=_title)
@@ -236,6 +266,16 @@ TOP = KeyTable(
             "the defaults",
         ),
         Key(
+            "extensions",
+            Text(words="mapping", reads=_read_added, writes=_write_added, or_mapping=True),
+            "keys that installed packages add, each read by its package "
+            "([how](architecture.md#how-a-wing-registers-its-parts))",
+            "{}",
+            "none",
+            attribute="extensions",
+            fallback=(),
+        ),
+        Key(
             "claims",
             CLAIMS,
             "sentences of the catalogue and formulas, each with the verdict that you expect",
@@ -297,7 +337,9 @@ SUITE = KeyTable(
 
 def every_table() -> tuple[KeyTable, ...]:
     """All tables, each once, from the top of a file downwards."""
-    return tuple({id(table): table for table in (TOP, COMPOSED, SUITE, *TOP.below())}.values())
+    keys = tuple(key for _, key in loaded(ExtensionPoint.SCENARIO_KEYS, Key))
+    added = [KeyTable(name="extensions", path="extensions", keys=keys)] if keys else []
+    return tuple({id(table): table for table in (TOP, COMPOSED, SUITE, *TOP.below(), *added)}.values())
 
 
 def markdown(table: KeyTable) -> str:

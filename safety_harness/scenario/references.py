@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import os
+import re
+from functools import lru_cache
 from pathlib import Path
 
+from safety_harness.base.extension_points import ExtensionPoint, parts, warn
 from safety_harness.base.shipped.contents import is_installed, is_shipped, located, shipped_name
 from safety_harness.scenario.files import resolved
 
 MODEL_SUFFIX, ONNX_SUFFIX = ".safetensors", ".onnx"
 EXEC, TCP, UNIX = "exec:", "tcp:", "unix:"  # of a controller: a program that is started, or that listens
+
+OWN_WAYS = ("exec", "tcp", "unix", "shipped")
 
 
 def file_and_name(reference: str) -> tuple[str, str]:
@@ -34,8 +39,26 @@ def names_onnx(reference: str) -> bool:
 
 
 def names_a_program(reference: str) -> bool:
-    """Does it mean a program, which speaks the controller protocol?"""
-    return reference.startswith((EXEC, TCP, UNIX))
+    """Return whether it means a program: one that speaks our protocol, or one that a package opens."""
+    return reference.startswith((EXEC, TCP, UNIX)) or bool(added_way(reference))
+
+
+def added_way(reference: str) -> str:
+    """Return the name of the package's part that opens a controller such as ``ros2:/arm``; empty for none."""
+    name = reference.partition(":")[0]
+    return name if name != reference and name in _added_ways() else ""
+
+
+@lru_cache
+def _added_ways() -> frozenset[str]:
+    """Return the names of ways that packages add: words, so that no file and no way of ours is taken."""
+    found = set()
+    for part in parts(ExtensionPoint.CONTROLLERS):
+        if not re.fullmatch("[a-z][a-z0-9-]+", part.name) or part.name in OWN_WAYS:
+            warn(part, "its name is taken, or is no word of small letters, digits and dashes")
+        else:
+            found.add(part.name)
+    return frozenset(found)
 
 
 def seen_from(folder: Path, path: str, standing_in: Path) -> str:

@@ -60,12 +60,15 @@ class Robot(Enum):
     @property
     def arm_name(self) -> str:
         """As its description is filed."""
-        return self.value.lower()
+        return self.value.lower().replace(" ", "_")
 
     @property
     def label(self) -> str:
         """What people call it."""
         return self.value
+
+
+ROBOT_NAMES = Word(Robot)
 
 
 class YesNo(Enum):
@@ -390,8 +393,8 @@ def robot_seen_from(folder: Path, text: str, standing_in: Path) -> str:
 _EQUIPPED = table_of(EquippedArm, "robot", path="robot")
 _ARM = Key(
     "arm",
-    Text(words="file, or UR10, UR5 or UR3", expected="a file with these keys"),
-    "a file with these keys; what is said beside it comes first. Beside UR10, UR5 or UR3 only "
+    Text(words=f"file, or {ROBOT_NAMES.words}", expected="a file with these keys"),
+    f"a file with these keys; what is said beside it comes first. Beside {ROBOT_NAMES.words} only "
     "`seated at`, `tool`, `carries` and `tcp beyond capsules`",
     "shipped:iiwa14",
     "none",
@@ -415,9 +418,9 @@ class _RobotValue(Below):
 
 
 ROBOT_VALUE = _RobotValue(
-    words="UR10, UR5 or UR3, a file, or a mapping",
+    words=f"{ROBOT_NAMES.words}, a file, or a mapping",
     tables=(ROBOT,),
-    or_text=r"^(UR10|UR5|UR3)$|\.ya?ml$|^shipped:",
+    or_text=rf"^({'|'.join(ROBOT_NAMES.options)})$|\.ya?ml$|^shipped:",
 )
 
 

@@ -31,7 +31,7 @@ def write_scenario(scenario: Scenario, *, all_settings: bool = False) -> str:
 def tree_of(scenario: Scenario, *, all_settings: bool = False) -> dict[str, Tree]:
     """What ``write_scenario`` writes, key by key: texts, mappings and lists of mappings."""
     tree = TOP.write(scenario)
-    for key in ("about", "obstacles", "avoider"):
+    for key in ("about", "obstacles", "avoider", "extensions"):
         if not getattr(scenario, key):
             del tree[key]
     if not scenario.driven:

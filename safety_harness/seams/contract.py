@@ -298,6 +298,21 @@ class UserController(Protocol):
         ...
 
 
+@dataclass(frozen=True, kw_only=True)
+class ControllerOpener:
+    """A way to a controller that a package adds: ``controller: NAME:REST``, with the name of its entry point.
+
+    Args:
+        open: Return a fresh controller for a whole reference, in this process or connected to another one.
+            What it raises refuses the scenario.
+        sha256: Return the hash of what the reference runs, for traces and evidence.  None: nothing is hashed.
+
+    """
+
+    open: Callable[[str], UserController]
+    sha256: Callable[[str], str] | None = None
+
+
 def sees_of(controller: UserController) -> tuple[str, ...]:
     """What it sees, in the order of ``SIGHTS``; ControllerError for a word that is none of them."""
     return _words(controller, "sees", getattr(controller, "sees", None), SIGHTS)

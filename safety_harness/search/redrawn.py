@@ -6,75 +6,84 @@ against the one on trial.  Every run that it found is made again with seeds that
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from safety_harness.admission.admit import Admitted, Admitter
 from safety_harness.base.exceptions import InputError
 from safety_harness.base.proportions import sign_test
-from safety_harness.claims.properties.against import TOLERANCE, ClaimDifference, VerdictChange
+from safety_harness.claims.properties.against import ClaimDifference, VerdictChange
+from safety_harness.claims.properties.base import Evaluation, Unit
 from safety_harness.scenario.model import Verdict
 from safety_harness.search.against import difference_of
 from safety_harness.search.confirm import OtherDraws
-from safety_harness.search.coverage import Coverage
 from safety_harness.search.findings import Findings, Group
 from safety_harness.search.trials import Trials
 from safety_harness.trace.trace import Trace
 
 CHANCE = 0.05  # of all claims together that an avoider as good as the reference is found worse
-BEYOND = 2.0  # times the largest difference the other way
-PAIRS = 36  # of runs for each claim, shared evenly among its groups
+OFTEN = 0.05  # of all runs, half of the least fault that has to be found: a run asks several questions
+PAIRS = 72  # of runs for each claim, shared evenly among its groups
 MOST_GROUPS = 6
 _FIRST = 1_000_000_000  # above the number of every point that is searched
+_OF_DECISIONS = (Unit.FRACTION, Unit.COUNT)  # few that fall the other way are much of a run
+_Pairs = NDArray[np.float64]  # (n, 2) by how much the avoider alone, and the reference alone, violates [SI]
 
 
-def keep_differences(trials: Trials, findings: Findings, search: Callable[[Trials], Findings]) -> list[str]:
+def keep_differences(trials: Trials, findings: Findings, draw: Callable[[], Trials]) -> list[str]:
     """Take the groups that are no differences out of ``findings``; what they are comes back in words.
 
-    A claim's groups count if, drawn again, significantly more pairs differ to the avoider's harm than to the
-    reference's (exact sign test), and a group only if its own do.  Two avoiders that merely differ are each
-    worse than the other somewhere, and a search finds where.  So ``search`` then looks for the reverse: a
-    claim counts if significantly more runs of the first search differ, or if they differ by more than
-    ``BEYOND`` times what any run differs the other way, the tolerance added.
+    Two avoiders that merely differ are each worse than the other somewhere, and a search finds where.  So a
+    claim's groups count if of pairs that no search chose significantly more differ to the avoider's harm than
+    to the reference's (exact sign test), by much or often.  By much: of those alone that differ by more than
+    the scale of the unit, drawn again at the groups' worst points or run by ``draw`` anywhere in the space; a
+    share or a count of decisions has no such pairs.  Often: of all that are run anywhere, and in more than
+    ``OFTEN`` of them, the others subtracted.  A group counts only if its own pairs are worse, or no group's.
     """
     if trials.reference is None:
         return []
-    admitter, lines, other = Admitter(), list[str](), None
-    chance = CHANCE / len(findings.goals)
-    of_reference = replace(trials, coverage=Coverage(), violations=Coverage(), reverse=True)
+    admitter, lines, drawn = Admitter(), list[str](), None
+    chance = CHANCE / (2 * len(findings.goals))
     for claim, goal in enumerate(findings.goals):
-        groups, reverse = findings.of_claim(claim), ""
-        draws = PAIRS // max(len(groups[:MOST_GROUPS]), 1)
-        own = [_redrawn(trials, admitter, one, claim, draws) for one in groups[:MOST_GROUPS]]
-        worse, better = sum(len(more) for more, _ in own), sum(fewer for _, fewer in own)
-        certain = worse > better and sign_test(worse, better) < chance
-        if certain:
-            other = other or search(of_reference)
-            if other.interrupted:
-                raise KeyboardInterrupt
-            mine, theirs = int(findings.violated[claim]), int(other.violated[claim])
-            runs = (*trials.differences, *of_reference.differences)
-            most = float(np.nanmax([0.0, *(-run.claims[claim].lost for run in runs)]))
-            typical = max(float(np.median(more)) for more, _ in own if more)
-            certain = typical > BEYOND * (most + TOLERANCE * goal.scale)
-            certain = certain or (mine > theirs and sign_test(mine, theirs) < chance)
-            reverse = f"; the other way round the same search finds {theirs} runs, and at most "
-            reverse += goal.unit.margin_text(most)
-        mere = (one for one, (more, fewer) in zip(groups, own, strict=False) if len(more) <= fewer)
-        flips = [*mere] if certain else groups
-        findings.groups = [one for one in findings.groups if all(one is not flip for flip in flips)]
         near = sum(_is_near(run.claims[claim]) for run in trials.differences)
         if near:
             lines.append(f"{goal.sentence}: {near} runs, in which {goal.against} hardly keeps it")
+        groups = findings.of_claim(claim)
+        if not groups:
+            continue
+        drawn = drawn or draw()
+        anywhere = _lost((one.claims[claim].mine, one.claims[claim].reference) for one in drawn.differences)
+        draws = PAIRS // len(groups[:MOST_GROUPS])
+        own = [_redrawn(trials, admitter, one, claim, draws) for one in groups[:MOST_GROUPS]]
+        again = np.concatenate(own)
+        by = np.inf if goal.unit in _OF_DECISIONS else goal.scale
+        often, much = _alone(anywhere), _alone(np.concatenate([again, anywhere]), by)
+        certain = sign_test(*much) < chance and much[0] > much[1]
+        certain |= sign_test(*often) < chance and often[0] - often[1] > OFTEN * len(anywhere)
+        mere = [one for one, pairs in zip(groups, own, strict=False) if not np.subtract(*_alone(pairs)) > 0]
+        flips = groups if not certain else mere if len(mere) < len(groups) else []
+        findings.groups = [one for one in findings.groups if all(one is not flip for flip in flips)]
         if flips:
+            (worse, better), (more, fewer) = _alone(again), often
             lines.append(
-                f"{goal.sentence}: {sum(one.count for one in flips)} runs; drawn again, "
-                f"{goal.against} alone keeps it in {worse} of {draws * len(own)} pairs, and alone violates "
-                f"it in {better}{reverse}"
+                f"{goal.sentence}: {sum(one.count for one in flips)} runs; drawn again, {goal.against} alone "
+                f"keeps it in {worse} of {len(again)} pairs, and alone violates it in {better}; of "
+                f"{len(anywhere)} pairs anywhere in the space, in {more} and in {fewer}"
             )
     return lines
+
+
+def _lost(pairs: Iterable[tuple[Evaluation, Evaluation]]) -> _Pairs:
+    return -np.array([(difference_of(*one), difference_of(*one[::-1])) for one in pairs]).reshape(-1, 2)
+
+
+def _alone(pairs: _Pairs, by: float = 0.0) -> tuple[int, int]:
+    """In how many pairs does the avoider alone violate by more than that, and in how many the reference?"""
+    worse, better = (pairs > by).sum(axis=0).tolist()
+    return worse, better
 
 
 def _is_near(one: ClaimDifference) -> bool:
@@ -83,10 +92,8 @@ def _is_near(one: ClaimDifference) -> bool:
     return one.change is VerdictChange.NEW and one.reference.verdict is Verdict.HOLDS and not differs
 
 
-def _redrawn(
-    trials: Trials, admitter: Admitter, group: Group, claim: int, draws: int
-) -> tuple[list[float], int]:
-    """Return by how much the avoider is worse in which of ``draws`` pairs [SI], and in how many better."""
+def _redrawn(trials: Trials, admitter: Admitter, group: Group, claim: int, draws: int) -> _Pairs:
+    """Run ``draws`` pairs at the group's worst point, with other seeds of the scenario and both avoiders."""
     assert trials.reference is not None
     admitted: list[Admitted] = []
     for draw in range(draws):
@@ -97,10 +104,9 @@ def _redrawn(
             continue
         admitted += [replace(one, avoider=OtherDraws(one.avoider, draw)) for one in both]
     runs: Sequence[Trace | Exception] = trials.world(admitted)
-    prop, worse, better = trials.properties[claim], list[float](), 0
-    for mine, other in zip(runs[::2], runs[1::2], strict=True):
-        if isinstance(mine, Trace) and isinstance(other, Trace):
-            one, two = prop.evaluate(mine), prop.evaluate(other)
-            worse += [-lost] if (lost := difference_of(one, two)) < 0.0 else []
-            better += difference_of(two, one) < 0.0
-    return worse, better
+    prop = trials.properties[claim]
+    return _lost(
+        (prop.evaluate(mine), prop.evaluate(other))
+        for mine, other in zip(runs[::2], runs[1::2], strict=True)
+        if isinstance(mine, Trace) and isinstance(other, Trace)
+    )

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import re
 import shlex
-from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager, nullcontext
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -19,6 +20,9 @@ import numpy as np
 from safety_harness.admission.avoiders import as_seen_from
 from safety_harness.admission.repeatability import RepeatabilityResult
 from safety_harness.base.exceptions import OutputError, explanation
+from safety_harness.base.output import Output, where
+from safety_harness.base.seeds import Branch
+from safety_harness.base.seeds import seed as leaf
 from safety_harness.base.whole_file import write_text, writing
 from safety_harness.cell.simulation.worlds import KINEMATIC, PYBULLET
 from safety_harness.claims.properties.against import Against
@@ -42,7 +46,7 @@ from safety_harness.search.findings import RUN_FAILED, Findings, Group, TriedPoi
 from safety_harness.search.redrawn import keep_differences
 from safety_harness.search.sampling import UniformSampling
 from safety_harness.search.search import find_violations
-from safety_harness.search.searchers import MakesSearcher, searcher_named
+from safety_harness.search.searchers import MakesSearcher
 from safety_harness.search.trials import ScenarioRunner, Trials, in_kinematic, in_pybullet
 from safety_harness.trace.store import save_trace
 from safety_harness.trace.trace import Trace
@@ -66,23 +70,6 @@ def basis_of_search(findings: Findings, confirmed: int) -> str:
 
 def _tell(tell: Callable[[str], None], where: str, what: str) -> None:
     tell(f"{where}: {what}")
-
-
-def _unwatched() -> AbstractContextManager[Callable[[str], None]]:
-    return nullcontext(lambda words: None)
-
-
-@dataclass(frozen=True)
-class SearchOutput:
-    """Where the words of a search go: remarks, results, and its findings after every batch of a budget.
-
-    ``steps`` is for what comes after the search, and takes its time: in words what is done next.
-    """
-
-    say: Callable[[str], None]
-    result: Callable[[str], None]
-    watch: Callable[[int], AbstractContextManager[Callable[[Findings], None]]]
-    steps: Callable[[], AbstractContextManager[Callable[[str], None]]] = _unwatched
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,13 +108,14 @@ class SearchSession:
     ``confirming`` shows as well.  Without a ``reference`` that is the world that was searched, and they are
     none.  ``unwritable`` is why no more is written.  ``explain`` says of each why it violates.  ``repeated``
     is what a second avoider answered to questions of the search; None if it was not asked.  ``flips`` are
-    differences from a reference that are none when they are drawn again.
+    differences from a reference that are none when they are drawn again.  ``keeps``: findings are written to
+    ``out`` as they come.
     """
 
     trials: Trials
     out: Path
     budget: int
-    output: SearchOutput
+    output: Output
     confirming: ScenarioRunner = in_pybullet
     reference: bool = True
     explain: Explain = unexplained
@@ -139,6 +127,7 @@ class SearchSession:
     unconfirmed: list[Disagreement] = field(default_factory=list)
     repeated: RepeatabilityResult | None = None
     flips: list[str] = field(default_factory=list)
+    keeps: bool = True
 
     @property
     def interrupted(self) -> bool:
@@ -160,23 +149,19 @@ class SearchSession:
         unknown |= not self.findings.evidence[applicable].all()  # of a claim that no run put to the test
         return unknown or bool(self.not_found) or not all(one.expected for one in self.written)
 
-    def search(self, make: MakesSearcher, trials: Trials, folder: str = "") -> Findings:
-        """Until the budget is spent, Ctrl-C, or a disk that takes no more."""
+    def search(self, make: MakesSearcher, trials: Trials, folder: str | None = "") -> Findings:
+        """Until the budget is spent, Ctrl-C, or a disk that takes no more; without a folder none is saved."""
         cube = Cube.of(trials.space)
-        saved = _MOST_AS_FOUND if trials.reverse else 0
+        saved = _MOST_AS_FOUND if folder is None else 0
 
         def keep(findings: Findings) -> None:
             nonlocal saved
             for group in findings.groups[saved:_MOST_AS_FOUND]:
-                self._save_as_found(group, self.out / AS_FOUND / folder, saved, findings)
+                self._save_as_found(group, self.out / AS_FOUND / (folder or ""), saved, findings)
                 saved += 1
             show(findings)
 
-        if trials.reverse:
-            self.output.say(
-                f"the same search, the other way round: what {trials.goals[0].against} alone violates"
-            )
-        with self.output.watch(self.budget) as show:
+        with watching_search(self.budget, self.output) as show:
             return find_violations(
                 cube,
                 trials.goals,
@@ -188,8 +173,8 @@ class SearchSession:
                 enough=lambda findings: self.unwritable is not None,
             )
 
-    def conclude(self, write_page: Callable[[SearchSession], None]) -> None:
-        """Shrink, unless the search was interrupted; say what was found, and write the page."""
+    def conclude(self) -> None:
+        """Shrink, unless the search was interrupted, and say what was found."""
         findings, say = self.findings, self.output.say
         fallback = fallback_words(self.trials.unanswered, self.trials.decisions)
         self._draw_again()
@@ -220,25 +205,53 @@ class SearchSession:
             say(NO_REFERENCE)
         if self.unconfirmed:
             say(f"{len(self.unconfirmed)} findings were {NOT_CONFIRMED}; they are in {FINDINGS}")
-        if self.unwritable is None:
-            write_page(self)
+
+    def last_lines(self, unwritable: OutputError | None) -> list[str]:
+        """Return how to run the counterexamples again, and what could not be written."""
+        lines = []
         if self.written:
             again = ["safety-harness", "run", *(str(one.path) for one in self.written)]
             reference = self.trials.reference
             again += [] if reference is None else ["--against", reference.name]
             again += [] if self.reference else ["--world", KINEMATIC.label]
-            say("again: " + shlex.join(again))
-        if self.unwritable is not None:
-            say(f"error: {explanation(self.unwritable)}")
+            lines.append("again: " + shlex.join(again))
+        return lines + ([] if unwritable is None else [f"error: {explanation(unwritable)}"])
 
-    def _search_again(self, searcher: str, trials: Trials) -> Findings:
-        return self.search(searcher_named(searcher), trials)
+    def moved_to(self, folder: Path) -> SearchSession:
+        """Return the session with its findings in a folder, and write there what it does not keep there."""
+        if self.keeps and folder == self.out:
+            return self
+        moved = replace(self, out=folder, keeps=True, written=[], unwritable=None)
+        moved.findings = self.findings
+        for findings, name in ((self.findings, ""), (self.baseline, "baseline")):
+            groups = [] if findings is None else findings.groups[:_MOST_AS_FOUND]
+            for number, group in enumerate(groups):
+                assert findings is not None
+                moved._save_as_found(group, folder / AS_FOUND / name, number, findings)
+        for old in self.written:
+            file = folder / old.path.name
+            one, run = old.one, old.one.run
+            if isinstance(run, Trace):
+                run = replace(run, scenario=replace(as_seen_from(folder, run.scenario), file=file))
+            scenario = replace(as_seen_from(folder, one.shrunk.scenario), file=file)
+            one = replace(one, run=run, shrunk=replace(one.shrunk, scenario=scenario))
+            moved._save(one, old.groups, old.searcher)
+        return moved
+
+    def _draw(self) -> Trials:
+        """Run as many pairs of the space as the search, which nobody chose."""
+        self.output.say("as many runs anywhere in the space with both, to hold what was found against")
+        own = leaf(self.trials.seed, Branch.SEARCH, 6)
+        drawn = replace(self.trials, seed=own, coverage=Coverage(), violations=Coverage())
+        if self.search(UniformSampling, drawn, folder=None).interrupted:
+            raise KeyboardInterrupt
+        return drawn
 
     def _draw_again(self) -> None:
         """Which differences from a reference are none?  Not after an interruption."""
         try:
             for one in filter(None, [self.findings, self.baseline] if not self.interrupted else []):
-                self.flips += keep_differences(self.trials, one, partial(self._search_again, one.searcher))
+                self.flips += keep_differences(self.trials, one, self._draw)
         except KeyboardInterrupt:
             self.findings.interrupted = True
         for line in self.flips:
@@ -254,11 +267,11 @@ class SearchSession:
             else:
                 self.output.say(f"{'error: ' if self.repeated.problem else ''}{self.repeated.line}")
 
-    def _origin(self, group: Group, findings: Findings) -> list[str]:
+    def _origin(self, group: Group, searcher: str) -> list[str]:
         """Where the counterexample of a group comes from, and that its avoider does not answer alike."""
         doubt = [self.repeated.line] if self.repeated is not None and self.repeated.words else []
         doubt += [] if self.reference else [NO_REFERENCE]
-        return [*doubt, *origin_of(self.trials, group.worst, findings.searcher)]
+        return [*doubt, *origin_of(self.trials, group.worst, searcher)]
 
     def _shrink_groups(self, claim: int | None) -> None:
         """Of the search; what only the baseline met is worth as much."""
@@ -267,7 +280,7 @@ class SearchSession:
         groups = _one_of_each_kind_first(findings.of_claim(claim))
         told: list[WrittenCounterexample] = []
         tried = shrunk = 0
-        with self.output.steps() as tell:
+        with self.output.words() as tell:
             for group in groups:
                 if len(told) == MOST_SHRUNK or shrunk == 2 * MOST_SHRUNK or self.findings.interrupted:
                     break
@@ -281,7 +294,7 @@ class SearchSession:
                         same.groups.append(group)
                         break
                 else:
-                    told.append(self._save(one, group, findings))
+                    told.append(self._save(one, [group], findings.searcher))
         for written in told:
             for line in written.lines:
                 self.output.result(line)
@@ -331,21 +344,19 @@ class SearchSession:
     def _found(self, folder: Path, episode: TriedPoint) -> Scenario:
         return as_seen_from(folder, self.trials.scenario(episode.point, episode.number))
 
-    def _save(self, one: Counterexample, group: Group, findings: Findings) -> WrittenCounterexample:
+    def _save(self, one: Counterexample, groups: list[Group], searcher: str) -> WrittenCounterexample:
         path = one.shrunk.scenario.file
         assert path is not None
         trace_file = path.with_suffix(".trace") if isinstance(one.run, Trace) else None
-        text = text_of(one, self._origin(group, findings), trace_file)
-        if self._write(path, text) and isinstance(one.run, Trace) and trace_file is not None:
+        text = text_of(one, self._origin(groups[0], searcher), trace_file)
+        if self._write(path, text) and self.keeps and isinstance(one.run, Trace) and trace_file is not None:
             try:
                 with writing(trace_file):
                     save_trace(one.run, trace_file)
             except OutputError as error:
                 self.unwritable = error
         expected = one.complaint.claim is not None and one.complaint.sentence in self.trials.to_be_found
-        self.written.append(
-            WrittenCounterexample(one, [group], findings.searcher, path, trace_file, text, expected)
-        )
+        self.written.append(WrittenCounterexample(one, groups, searcher, path, trace_file, text, expected))
         return self.written[-1]
 
     def _save_as_found(self, group: Group, folder: Path, number: int, findings: Findings) -> None:
@@ -363,6 +374,8 @@ class SearchSession:
         self._write(self._file(folder, complaint, number + 1), text)
 
     def _write(self, path: Path, text: str) -> bool:
+        if not self.keeps:
+            return True
         try:
             if self.unwritable is None:
                 write_text(path, text)
@@ -377,14 +390,13 @@ def search_space(
     trials: Trials,
     make: MakesSearcher,
     *,
-    out: Path,
+    out: Path | None,
     budget: int,
-    output: SearchOutput,
-    write_page: Callable[[SearchSession], None],
+    output: Output,
     baseline: bool = False,
     explain: Explain = unexplained,
 ) -> SearchSession:
-    """Search, shrink, confirm, explain, write to ``out``.
+    """Search, shrink, confirm, explain, and write findings to ``out``, if there is one, as they come.
 
     ``baseline`` samples the space uniformly as well, with the same budget, to compare with.  Raises
     InadmissibleError for a space of which next to no point can be tried.  Where PyBullet is not installed,
@@ -392,9 +404,12 @@ def search_space(
     """
     there = PYBULLET.is_installed
     confirming = in_pybullet if there else in_kinematic
-    session = SearchSession(trials, out, budget, output, confirming, there, explain)
-    if (out / FINDINGS).exists() and (before := [*out.glob("*.yaml"), *(out / AS_FOUND).rglob("*.yaml")]):
-        output.say(f"{out} keeps the files of an earlier search, {before[0].name} among them")
+    session = SearchSession(trials, out or Path(), budget, output, confirming, there, explain)
+    session.keeps = out is not None
+    at = session.out
+    files = [*at.glob("*.yaml"), *(at / AS_FOUND).rglob("*.yaml")] if (at / FINDINGS).exists() else []
+    if session.keeps and files:
+        output.say(f"{out} keeps the files of an earlier search, {files[0].name} among them")
     if not there:
         output.say(NO_REFERENCE)
     session.findings = session.search(make, trials)
@@ -403,8 +418,19 @@ def search_space(
         anew = replace(trials, coverage=Coverage(), violations=Coverage())
         session.baseline = session.search(UniformSampling, anew, folder="baseline")
         session.findings.interrupted = session.baseline.interrupted
-    session.conclude(write_page)
+    session.conclude()
     return session
+
+
+@contextmanager
+def watching_search(budget: int, output: Output) -> Iterator[Callable[[Findings], None]]:
+    """Yield what takes the findings after every batch, and shows how far the search is."""
+    begun_s = time.monotonic()
+    with output.block() as show:
+        show([f"tried 0/{budget}"])
+        yield lambda findings: show(
+            [summary(findings, budget) + where(findings.tried, budget, begun_s), *nearest_lines(findings)]
+        )
 
 
 def complaint_of(trials: Trials, group: Group) -> Complaint:

@@ -115,7 +115,6 @@ class Trials:
     reference: Reference | None = None
     coverage: Coverage = field(default_factory=Coverage)
     violations: Coverage = field(default_factory=Coverage)  # those runs alone that violated a claim
-    reverse: bool = False  # search for what the reference violates, and the avoider on trial keeps
     declared_s: float = 0.0  # what a decision costs by the avoider's own words
     nearest_hand_m: float = field(default=np.inf, init=False)
     decisions: int = field(default=0, init=False)
@@ -239,7 +238,7 @@ class Trials:
         others = [prop.evaluate(reference) for prop in self.properties]
         self.differences.append(RunDifference.of(mine, reference, zip(evaluations, others, strict=True)))
         for claim, (one, other) in enumerate(zip(evaluations, others, strict=True)):
-            margins[claim] = difference_of(*((other, one) if self.reverse else (one, other)))
+            margins[claim] = difference_of(one, other)
             conclusive[claim] &= other.verdict is not Verdict.INCONCLUSIVE
         conclusive |= margins < 0.0
 

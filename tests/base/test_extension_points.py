@@ -2,161 +2,61 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
+import re
 from pathlib import Path
 
 import pytest
-
-TOY = '''
-from dataclasses import replace
-from pathlib import Path
-
-import typer
-
-from safety_harness.base.exceptions import ScenarioError
-from safety_harness.base.extension_points import CheckedFile, InputFile
-from safety_harness.cell.simulation.worlds import KINEMATIC
-from safety_harness.claims.formulas.measures import Measure
-from safety_harness.claims.formulas.signal import Interpolation, at_ticks
-from safety_harness.claims.properties.catalogue import HAND_DISTANCE
-from safety_harness.scenario.units import LENGTH
-
-commands = typer.Typer()
-
-
-@commands.command("toy")
-def toy() -> None:
-    """Say that the toy is there."""
-    typer.echo("the toy is there")
-
-
-greedy = typer.Typer()
-
-
-@greedy.command("run")
-def run() -> None:
-    """Take the place of a command of the core."""
-    typer.echo("taken over")
-
-
-def check(path, look):
-    if "broken" in path.read_text():
-        raise ScenarioError.of_file(path, "a toy that is whole", "a broken one")
-    return CheckedFile(file=path, words="with two wheels", data={"wheels": 2})
-
-
-def explain(path):
-    typer.echo(f"{path.name} has two wheels")
-    return 0
-
-
-TOYS = InputFile(words="a toy", command="safety-harness toy {file}", check=check, explain=explain)
-
-
-class ToyDistance(type(HAND_DISTANCE.prop)):
-    sentence = "toy distance > 30 mm"
-
-
-ToyDistance.__name__ = "ToyDistance"
-CLAIM = replace(HAND_DISTANCE, prop=ToyDistance(**vars(HAND_DISTANCE.prop)), pattern="", make=None)
-TOY_WORLD = replace(KINEMATIC, name="toy", label="toy")
-FALSE_REFERENCE = replace(KINEMATIC, name="mine", label="PyBullet", confirmed_by=None)
-
-
-def note(entry):
-    yield "toy", "a note of the toy"
-
-
-def height(trace):
-    return at_ticks(trace.ticks["transform_tcp_to_base"][:, 2, 3])
-
-
-HEIGHT = Measure(
-    words="toy height", dimension=LENGTH, meaning="how high the TCP is", between=Interpolation.HELD,
-    sample=height, reads=("transform_tcp_to_base",), lowest=-9.0, least=-9.0,
-)
-'''
-SHORT = """
-scenario: short
-duration: 0.2 s
-seed: 1
-tcp start:
-  offset: [30 mm, -60 mm, 60 mm]
-avoider: opposite pose
-hands:
-  - hand: right hand
-    starts at: [840 mm, -350 mm, 300 mm]
-    elbow towards: [1600 mm, -1200 mm, 300 mm]
-    moves:
-      - move to: [840 mm, -340 mm, 300 mm]
-        speed: 1 m/s
-claims:
-  toy distance > 30 mm: holds
-  always toy height > -1 m: holds
-"""
-ENTRY_POINTS = """
-[safety_harness.commands]
-toy = toy:commands
-greedy = toy:greedy
-gone = toy:no_such_name
-wrong = toy:TOYS
-[safety_harness.inputs]
-toy = toy:TOYS
-scenario = toy:TOYS
-reaching = toy:TOYS
-[safety_harness.claims]
-toy = toy:CLAIM
-[safety_harness.claim_notes]
-toy = toy:note
-[safety_harness.signals]
-toy = toy:HEIGHT
-[safety_harness.worlds]
-toy = toy:TOY_WORLD
-pybullet = toy:TOY_WORLD
-zz = toy:FALSE_REFERENCE
-[safety_harness.warming]
-toy = toy:note
-"""
+from toy_package import SHORT, WITHOUT_WINGS, called, install
 
 
 @pytest.fixture(scope="module")
 def toy(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder that is the installation of a package with a part of each kind, three of them unusable."""
-    folder = tmp_path_factory.mktemp("toy")
-    (folder / "toy.py").write_text(TOY)
-    info = folder / "toy-1.0.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: toy\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text(ENTRY_POINTS)
-    return folder
+    """A folder that is the installation of a package with parts of each kind, some unusable."""
+    return install(tmp_path_factory.mktemp("toy"))
 
 
-def called(toy: Path, *args: str, code: str = "") -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, *(("-c", code) if code else ("-m", "safety_harness")), *args]
-    path = os.pathsep.join([str(toy), *filter(None, [os.environ.get("PYTHONPATH")])])
-    return subprocess.run(
-        command, cwd=toy, env=os.environ | {"PYTHONPATH": path}, capture_output=True, text=True, check=False
-    )
-
-
-def test_the_toys_command_is_there_and_those_that_cannot_be_used_are_named_and_stop_nothing(
-    toy: Path,
-) -> None:
+def test_the_toys_command_is_there_and_nothing_else_is_loaded(toy: Path) -> None:
     done = called(toy, "toy")
-    assert (done.returncode, done.stdout) == (0, "the toy is there\n")
+    assert (done.returncode, done.stdout, done.stderr) == (0, "the toy is there\n", "")
+
+
+def test_the_help_has_the_toys_command_and_names_those_that_cannot_be_used(toy: Path) -> None:
+    done = called(toy, "--help")
+    assert done.returncode == 0
+    assert re.search(r"─ Toy 1.0 ─.*\n. toy  +Say that the toy is there", done.stdout)
     warnings = [line for line in done.stderr.splitlines() if line.startswith("warning: left out")]
-    assert [line.partition(" of ")[0].rpartition(" ")[2] for line in warnings] == ["gone", "greedy", "wrong"]
-    assert "no_such_name" in warnings[0]
-    assert "the command run is there already" in warnings[1]
-    assert "expected Typer, got InputFile" in warnings[2]
+    found = {line.partition(" of ")[0].rpartition(" ")[2]: line for line in warnings}
+    assert {*found} == {"gone", "greedy", "run", "wrong"}
+    assert "no_such_name" in found["gone"]
+    assert "it has no command greedy" in found["greedy"]
+    assert "the command run is there already" in found["run"]
+    assert "expected Typer, got InputFile" in found["wrong"]
+
+
+@pytest.mark.parametrize("command", ["gone", "greedy", "wrong"])
+def test_a_command_that_cannot_be_loaded_is_no_command(toy: Path, command: str) -> None:
+    done = called(toy, command)
+    assert done.returncode == 2
+    assert f"left out, safety_harness.commands {command} of toy 1.0" in done.stderr
+    assert "No such command" in done.stderr
 
 
 def test_no_part_replaces_a_command(toy: Path) -> None:
     done = called(toy, "run", "--help")
     assert "Run scenario files" in done.stdout
     assert "taken over" not in done.stdout
+
+
+def test_the_version_loads_no_wing(toy: Path) -> None:
+    code = """
+import sys
+from safety_harness.__main__ import main
+try:
+    main()
+finally:
+    print([one for one in sys.modules if one.startswith("safety_harness.extensions.") or one == "toy"])
+"""
+    assert called(toy, "--version", code=code).stdout.endswith("\n[]\n")
 
 
 def test_the_toys_files_are_checked_explained_and_called_by_their_name(toy: Path) -> None:
@@ -211,19 +111,127 @@ explain_claims(["toy", "distance"])
     assert "the name is taken" in done.stderr
 
 
-WITHOUT_WINGS = """
-import sys
-
-class NoWings:
-    def find_spec(self, name, path=None, target=None):
-        if name.startswith("safety_harness.extensions"):
-            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
-
-sys.meta_path.insert(0, NoWings())
-from safety_harness.__main__ import main
-sys.argv[0] = "safety-harness"
-main()
+KEYED = (
+    SHORT.partition("claims:")[0]
+    + """extensions: {toy: 30 mm}
+claims:
+  toy distance > 30 mm: holds
 """
+)
+
+
+def test_the_toys_key_is_read_stored_written_and_explained(toy: Path) -> None:
+    code = """
+from dataclasses import replace
+from pathlib import Path
+from safety_harness import WORLDS, admit, load_trace, parse_scenario, read_scenario, run_trial, save_trace
+from safety_harness import write_scenario
+scenario = read_scenario("keyed.yaml")
+print(scenario.extensions)
+trace = run_trial(admit(scenario), world=next(one for one in WORLDS if one.batch))
+save_trace(trace, Path("keyed.trace"))
+print(load_trace(Path("keyed.trace")).scenario.extensions)
+print(parse_scenario(write_scenario(scenario)).extensions == scenario.extensions)
+without = replace(scenario, extensions=())
+print(without == scenario, "extensions" in write_scenario(without))
+"""
+    (toy / "keyed.yaml").write_text(KEYED)
+    done = called(toy, code=code)
+    pairs = "(('toy', 0.03),)"
+    assert done.stdout.splitlines() == [pairs, pairs, "True", "False False"], done.stderr
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("{tyo: 30 mm}", "a key that an installed package adds: spoiled, toy"),
+        ("{toy: 30 s}", "extensions.toy"),
+        ("{toy: 2 m}", "extensions.toy"),
+        ("{spoiled: 1}", "a package that adds the entry point spoiled to safety_harness.scenario_keys"),
+    ],
+)
+def test_a_key_that_no_package_reads_is_refused(toy: Path, text: str, message: str) -> None:
+    (toy / "other.yaml").write_text(KEYED.replace("{toy: 30 mm}", text))
+    done = called(toy, "validate", "other.yaml")
+    assert done.returncode == 2
+    assert message in " ".join(done.stderr.split())
+
+
+def test_a_key_of_a_package_that_is_not_installed_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "keyed.yaml").write_text(KEYED)
+    done = called(tmp_path, "validate", "keyed.yaml")
+    assert done.returncode == 2
+    assert "extensions.toy" in done.stderr
+    assert "a key that an installed package adds: there is none" in done.stderr
+
+
+def test_a_key_is_explained_even_beside_one_that_cannot_be_loaded(toy: Path) -> None:
+    done = called(toy, "explain", "toy")
+    assert "how wide the wheels are" in done.stdout
+    assert "left out, safety_harness.scenario_keys spoiled of toy 1.0" in done.stderr
+
+
+def test_a_space_may_vary_the_toys_key(toy: Path) -> None:
+    space = KEYED.replace("scenario: short", "scenario space: wide").replace("30 mm}", "from 10 mm to 20 mm}")
+    (toy / "space.yaml").write_text(space)
+    done = called(toy, "sample", "space.yaml", "--count", "2", "--out", "drawn")
+    assert done.returncode == 0, done.stderr
+    texts = [file.read_text() for file in sorted((toy / "drawn").glob("*.yaml"))]
+    widths = [float(width) for text in texts for width in re.findall(r"toy: (\S+) m\b", text)]
+    assert len({*widths}) == 2
+    assert all(0.01 <= width <= 0.02 for width in widths)
+
+
+DRIVEN = (
+    SHORT.replace("avoider: opposite pose", "controller: toy:left").partition("claims:")[0]
+    + """
+claims:
+  trace finite and monotone: holds
+"""
+)
+
+
+def test_the_toys_controller_drives_and_its_hash_is_in_the_trace(toy: Path) -> None:
+    (toy / "driven.yaml").write_text(DRIVEN)
+    done = called(toy, "run", "driven.yaml", "--world", "kinematic", "--out", "driven")
+    assert done.returncode == 0, done.stderr
+    assert "1 of 1 verdicts as expected" in done.stderr
+    code = """
+from pathlib import Path
+from safety_harness import load_trace
+tested = load_trace(Path("driven/traces/driven.trace")).system.tested
+print(tested.name, tested.sha256)
+"""
+    assert called(toy, code=code).stdout.split() == ["toy", "0" * 64]
+    named = called(toy, "replay", "driven/traces/driven.trace", "--controller", "toy:left")
+    assert (named.returncode, "identical" in named.stdout) == (0, True), named.stderr
+
+
+def test_a_controller_that_cannot_be_opened_refuses_the_scenario(toy: Path) -> None:
+    (toy / "locked.yaml").write_text(DRIVEN.replace("toy:left", "toy:locked"))
+    done = called(toy, "run", "locked.yaml", "--world", "kinematic", "--out", "locked")
+    assert done.returncode == 2
+    assert "RuntimeError: the toy is locked" in " ".join(done.stderr.split())
+
+
+def test_no_package_takes_the_place_of_a_way_to_a_controller_or_of_a_file(toy: Path) -> None:
+    (toy / "mine.py").write_text("class Mine:\n    pass\n")
+    for reference, message in (("exec:no-such-program", "no such program"), ("mine.py:Mine", "a method")):
+        (toy / "own.yaml").write_text(DRIVEN.replace("toy:left", f'"{reference}"'))
+        done = called(toy, "validate", "own.yaml")
+        assert done.returncode == 2
+        assert message in " ".join(done.stderr.split())
+    assert "left out, safety_harness.controllers exec of toy 1.0: its name is taken" in done.stderr
+
+
+def test_the_toys_section_is_on_the_page_of_a_run_and_one_that_fails_is_left_out(toy: Path) -> None:
+    (toy / "shown.yaml").write_text(SHORT)
+    done = called(toy, "run", "shown.yaml", "--world", "kinematic", "--out", "shown")
+    page = (toy / "shown" / "report.html").read_text()
+    assert '<h3 id="run-1-added-0">Toy &lt;wheels&gt;</h3>' in page
+    assert "least &amp; last" in page
+    assert "run-1-added-1" not in page
+    assert "left out, safety_harness.page_sections failing: RuntimeError: no wheels" in done.stderr
 
 
 @pytest.mark.parametrize(

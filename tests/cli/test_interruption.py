@@ -11,10 +11,10 @@ import pytest
 
 from safety_harness.base.exceptions import SimulationError
 from safety_harness.cell.simulation.pybullet_world import PyBulletWorld
-from safety_harness.cli import run as run_module
 from safety_harness.cli.console import AS_EXPECTED, DIFFERS, INTERRUPTED
 from safety_harness.cli.scenario_commands import replay, run
 from safety_harness.report import html
+from safety_harness.report import run_job as run_module
 
 TEXT = """\
 scenario: a short run

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT
-from safety_harness.cli.run import RunSession
 from safety_harness.cli.scenario_commands import judge, run
+from safety_harness.report.run_job import RunSession
 from tests.kinds_of_files import SCENARIO
 
 Captured = pytest.CaptureFixture[str]
@@ -133,9 +133,9 @@ def test_of_earlier_runs_nothing_is_lost_and_no_foreign_folder_is_touched(tmp_pa
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text(name)
         os.utime(tmp_path / name, (1e9, 1e9))
-    session = RunSession(tmp_path, "", 0)
+    session = RunSession(tmp_path, (), (), 0)
     session.written.add(tmp_path / "traces" / "this.trace")  # on a disk whose clock is behind
-    session.finish()
+    session.run([])
     there = sorted(one for one in tmp_path.glob("traces*/**/*") if one.is_file())
     assert {one.relative_to(tmp_path).as_posix(): one.read_text() for one in there} == {
         "traces/a.trace.earlier": "traces/a.trace.earlier",
@@ -152,5 +152,5 @@ def test_a_link_to_a_trace_that_is_gone_is_renamed_too(tmp_path: Path) -> None:
     link.parent.mkdir()
     link.symlink_to("nowhere")
     os.utime(link, (1e9, 1e9), follow_symlinks=False)
-    RunSession(tmp_path, "", 0).finish()
+    RunSession(tmp_path, (), (), 0).run([])
     assert link.with_name("gone.trace.earlier").is_symlink()

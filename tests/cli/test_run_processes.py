@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 
+from safety_harness.admission import run_processes as processes
 from safety_harness.cell.simulation.worlds import KINEMATIC
-from safety_harness.cli import run_processes as processes
 from safety_harness.cli.console import AS_EXPECTED, DIFFERS, INTERRUPTED
 from safety_harness.cli.run import run
 from safety_harness.trace.compare import first_difference

@@ -18,7 +18,7 @@ from safety_harness.cell.robot.distance import place_capsules
 from safety_harness.cell.robot.kinematics import forward_kinematics
 from safety_harness.claims.properties.base import Evaluation
 from safety_harness.claims.properties.hand_distance import HAND_DISTANCE, HandDistance
-from safety_harness.claims.properties.true_motion import capsules_of
+from safety_harness.claims.signals.true_motion import capsules_of
 from safety_harness.extensions.assurance.certification.tools import FaultState
 from safety_harness.extensions.selftest import trial
 from safety_harness.extensions.selftest.catalogue import HARMLESS

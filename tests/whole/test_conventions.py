@@ -16,6 +16,7 @@ from typer.main import get_command
 from typer.testing import CliRunner
 
 from safety_harness.base.exceptions import Place, ScenarioError
+from safety_harness.base.output import where
 from safety_harness.cli import console
 from safety_harness.cli.console import (
     BAD_INPUT,
@@ -27,7 +28,7 @@ from safety_harness.cli.console import (
     result,
 )
 from safety_harness.cli.main import app
-from safety_harness.cli.progress import EVERY_S, PacedLines, where
+from safety_harness.cli.progress import EVERY_S, PacedLines
 
 ESCAPE = "\x1b"
 OWN = {

@@ -2,12 +2,24 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import typer
+from toy_package import WITHOUT_WINGS, called
 
 from safety_harness.base.extension_points import ExtensionPoint, InputFile, load, parts
-from tests.base.test_extension_points import WITHOUT_WINGS, called
+from safety_harness.cli.main import CORE, TASKS, commands_of
+
+
+def test_the_help_groups_commands_by_task_and_by_wing() -> None:
+    text = called(Path.cwd(), "--help").stdout
+    panels = [*re.findall(r"╭─ (.+?) ─", text)]
+    assert panels[1:5] == [*TASKS]
+    assert {"Assurance", "Field", "Lab", "Arms", "Selftest"} < {*panels[5:]}
+    assert {name for names in TASKS.values() for name in names} == {
+        name for group in CORE for name in commands_of(group)
+    }
 
 
 def test_a_command_of_a_wing_that_is_not_installed_says_how_to_get_it(tmp_path: Path) -> None:
@@ -24,6 +36,12 @@ def test_every_part_of_ours_can_be_loaded_and_is_of_its_type() -> None:
         ours = [part for part in parts(group) if not part.package]
         assert [part for part in ours if load(part, kinds.get(group, object)) is None] == []
     assert {part.name for part in parts(ExtensionPoint.INPUTS) if not part.package} == {"plan", "log"}
+
+
+def test_every_command_of_a_wing_has_an_entry_point_of_its_name() -> None:
+    ours = [part for part in parts(ExtensionPoint.COMMANDS) if not part.package]
+    groups = [group for part in ours if (group := load(part, typer.Typer)) is not None]
+    assert {part.name for part in ours} == {name for group in groups for name in commands_of(group)}
 
 
 def test_a_part_is_named_with_its_group_and_its_distribution() -> None:

@@ -5,9 +5,11 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
-from safety_harness.base.exceptions import InadmissibleError, Place, near_miss
+from safety_harness.base.exceptions import InadmissibleError, Place, described, near_miss
+from safety_harness.base.extension_points import ExtensionPoint, part_named
 from safety_harness.base.extras import ONNX
 from safety_harness.base.shipped.contents import located
 from safety_harness.cell.controller.out_of_process.references import (
@@ -17,12 +19,19 @@ from safety_harness.cell.controller.out_of_process.references import (
     program_sha256,
     refuse_no_program,
 )
-from safety_harness.cell.controller.python_file import HINT, METHODS
+from safety_harness.cell.controller.python_file import HINT, METHODS, checked_controller
 from safety_harness.cell.controller.stop_when_near import StopWhenNear
 from safety_harness.scenario.files import resolved
 from safety_harness.scenario.model import VISUAL_SERVO
-from safety_harness.scenario.references import EXEC, MODEL_SUFFIX, file_and_name, names_a_program, names_onnx
-from safety_harness.seams.contract import UserController
+from safety_harness.scenario.references import (
+    EXEC,
+    MODEL_SUFFIX,
+    added_way,
+    file_and_name,
+    names_a_program,
+    names_onnx,
+)
+from safety_harness.seams.contract import ControllerOpener, UserController
 from safety_harness.seams.isolation.python_file import refuse_undefined
 
 Make = Callable[[], UserController]
@@ -55,15 +64,32 @@ def controller_of(reference: str, folder: Path | None, place: Place = CONTROLLER
     """
     if reference in SHIPPED:
         return SHIPPED[reference]
+    if way := added_way(reference):
+        opener = part_named(ExtensionPoint.CONTROLLERS, way, ControllerOpener)
+        return partial(_opened, opener, reference, place)
     if names_a_program(reference):
         return of_program(reference, place)
     path, name = controller_file(reference, folder, place)
     return of_onnx(path, name, place) if names_onnx(reference) else of_python(path, name, place)
 
 
+def _opened(opener: ControllerOpener, reference: str, place: Place) -> UserController:
+    """Return what a package's opener gives; InadmissibleError at ``place`` for whatever it raises."""
+    try:
+        found = opener.open(reference)
+    except Exception as error:  # of somebody else's module, which may raise anything
+        expected = "a controller that can be opened"
+        got = f"{reference}: {described(error)}"
+        raise InadmissibleError(place=place, expected=expected, got=got) from error
+    return checked_controller(found, reference, place)
+
+
 def refuse_unusable_controller(reference: str, folder: Path | None, place: Place) -> None:
     """As ``controller_of`` refuses, as far as can be seen without executing anything of a user's."""
     if reference in SHIPPED:
+        return
+    if way := added_way(reference):
+        part_named(ExtensionPoint.CONTROLLERS, way, ControllerOpener)
         return
     if names_a_program(reference):
         refuse_no_program(reference, place)
@@ -95,6 +121,9 @@ def controller_sha256(reference: str, folder: Path | None) -> str:
         return hashlib.sha256(LEARNED_FILE.read_bytes()).hexdigest()
     if reference in NAMES:
         return ""
+    if way := added_way(reference):
+        hashes = part_named(ExtensionPoint.CONTROLLERS, way, ControllerOpener).sha256
+        return "" if hashes is None else hashes(reference)
     if names_a_program(reference):
         return program_sha256(reference, CONTROLLER)
     return hashlib.sha256(controller_file(reference, folder)[0].read_bytes()).hexdigest()

@@ -1,8 +1,8 @@
 """The worlds that there are, in one table: what each is called, what it can do, and what confirms it.
 
 A new one is a class (``RecordedWorld`` has what worlds share) and an entry of ``WORLDS``; a program may
-append an entry of its own.  Every other room is handed an entry and asks it.  Only names and labels in
-files are looked up.  Importing this loads no engine.
+append an entry of its own.  Other modules receive an entry and ask it what they need.  Only names and labels
+in files are looked up here.  Importing this loads no engine.
 """
 
 from __future__ import annotations

@@ -26,7 +26,6 @@ from safety_harness.claims.formulas.formula import (
     signals_of,
     unit_of,
 )
-from safety_harness.claims.formulas.measured import as_known, blanked, gaps_of
 from safety_harness.claims.formulas.measures import Measure
 from safety_harness.claims.formulas.semantics import (
     LEAST,
@@ -42,20 +41,19 @@ from safety_harness.claims.formulas.semantics import (
     truth_bounds,
     witness,
 )
-from safety_harness.claims.formulas.signal import Interpolation, Sampled, Signal
 from safety_harness.claims.formulas.signals import MODES
 from safety_harness.claims.properties.base import (
     MAY_SATURATE,
-    NEAR_M,
     Evaluation,
     Unit,
     inconclusive,
-    occasion_m,
     times_begun,
     unreadable,
 )
 from safety_harness.claims.properties.measured import not_measured
-from safety_harness.claims.properties.unexercised import nearest_of, went
+from safety_harness.claims.signals.occasions import NEAR_M, nearest_of, occasion_m, went
+from safety_harness.claims.signals.signal import Interpolation, Sampled, Signal
+from safety_harness.claims.signals.uncertainty import as_known, blanked, gaps_of
 from safety_harness.scenario.model import EDITION, Scenario, Verdict
 from safety_harness.trace.trace import Trace
 

@@ -24,8 +24,8 @@ from enum import Enum
 
 from safety_harness.base.exceptions import FormulaError, Place
 from safety_harness.claims.formulas.quantities import Quantity, Span, Window, formula_error, span_of
-from safety_harness.claims.formulas.signal import Signal
 from safety_harness.claims.properties.base import Unit
+from safety_harness.claims.signals.signal import Signal
 from safety_harness.scenario.model import Scenario
 from safety_harness.scenario.units import (
     ANGLE,

@@ -14,7 +14,6 @@ from safety_harness.claims.formulas.formula import (
 )
 from safety_harness.claims.formulas.parse import parse_formula
 from safety_harness.claims.formulas.quantities import Quantity, Window, quantity, span_of
-from safety_harness.claims.formulas.signal import Signal
 from safety_harness.claims.formulas.signals import (
     angle_to_desired_pose,
     deciding,
@@ -38,6 +37,7 @@ from safety_harness.claims.formulas.signals import (
     tcp_height,
     tcp_speed,
 )
+from safety_harness.claims.signals.signal import Signal
 from safety_harness.scenario.units import ANGLE, ANGULAR_SPEED, LENGTH, SPEED, TIME
 
 __all__ = [

@@ -8,7 +8,7 @@ import numpy as np
 
 from safety_harness.claims.formulas.formula import Comparison, Formula, Relation, Truth
 from safety_harness.claims.formulas.quantities import Quantity, formula_error, plain
-from safety_harness.claims.formulas.signal import Interpolation, Sampled, Signal
+from safety_harness.claims.signals.signal import Interpolation, Sampled, Signal
 from safety_harness.scenario.units import NUMBER, Dimension
 from safety_harness.trace.records import ENDLESS
 

@@ -36,8 +36,8 @@ from safety_harness.claims.formulas.formula import (
     parts_of,
 )
 from safety_harness.claims.formulas.quantities import NOW, Quantity, Span, read_quantity
-from safety_harness.claims.formulas.signal import Signal
 from safety_harness.claims.formulas.signals import SIGNALS
+from safety_harness.claims.signals.signal import Signal
 from safety_harness.scenario.units import TIME, Dimension
 
 FIRST = ("always", "eventually", "whenever", "within", "initially", "not")

@@ -12,7 +12,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.base.extension_points import ExtensionPoint, Registry
-from safety_harness.claims.formulas.measured import (
+from safety_harness.claims.formulas.measures import Flag, Measure
+from safety_harness.claims.signals.bounds import tent
+from safety_harness.claims.signals.hand_distance import ends_between, followed_hands, joint_bend_m
+from safety_harness.claims.signals.occasions import NEAR_M, no_decision, no_hand, no_predicted_hand
+from safety_harness.claims.signals.poses import pose_errors
+from safety_harness.claims.signals.predictions import tracked_errors_m
+from safety_harness.claims.signals.signal import (
+    Interpolation,
+    Sampled,
+    Signal,
+    absent,
+    at_ticks,
+    bounded,
+)
+from safety_harness.claims.signals.speeds import sample_joint_speed, sample_tcp_speed, tcp_way_m, turned_rad
+from safety_harness.claims.signals.true_motion import (
+    TOLERANCE,
+    HandPaths,
+    arm_of,
+    finer_paths,
+    hand_bend_m,
+    true_motion,
+)
+from safety_harness.claims.signals.uncertainty import (
     HANDS,
     TCP,
     TCP_SPEED,
@@ -26,33 +49,6 @@ from safety_harness.claims.formulas.measured import (
     of_speed,
     or_next,
 )
-from safety_harness.claims.formulas.measures import Flag, Measure
-from safety_harness.claims.formulas.signal import (
-    Interpolation,
-    Sampled,
-    Signal,
-    absent,
-    at_ticks,
-    bounded,
-    speeds,
-    tcp_way_m,
-    tent,
-    turned_rad,
-)
-from safety_harness.claims.properties.base import NEAR_M
-from safety_harness.claims.properties.hand_distance import ends_between, followed_hands, joint_bend_m
-from safety_harness.claims.properties.hand_prediction import prediction_errors_m
-from safety_harness.claims.properties.limits import known_to_radps
-from safety_harness.claims.properties.servoing import pose_errors
-from safety_harness.claims.properties.true_motion import (
-    TOLERANCE,
-    HandPaths,
-    arm_of,
-    finer_paths,
-    hand_bend_m,
-    true_motion,
-)
-from safety_harness.claims.properties.unexercised import no_decision, no_hand, no_predicted_hand
 from safety_harness.scenario.units import ANGLE, ANGULAR_SPEED, LENGTH, NUMBER, SPEED, TIME, Dimension
 from safety_harness.trace.known import PRESENCE
 from safety_harness.trace.records import DecisionOutcome, Mode
@@ -187,25 +183,19 @@ def _from_hands(trace: Trace, *, from_tcp: bool = False, finely: bool = False) -
         for side, least_m in zip((low, surely), ends_m, strict=True):
             side[:-1, hand] = np.minimum(side[:-1, hand], least_m)
         way_m, slack_m = _ways(trace, paths, hand, from_tcp=from_tcp)
-        high[:-1, hand] = tent(value[:, hand], way_m, slack_m)[1]
+        high[:-1, hand] = tent(value[:-1, hand], value[1:, hand], way_m, slack_m)[1]
     signal, what = (nearest_hand_to_tcp, "the TCP") if from_tcp else (hand_distance, "the arm's surface")
     return replace(_nearest(signal, trace, value, low, high, what), surely=surely.min(axis=1))
 
 
-@measure(
+tcp_speed = measure(
     "TCP speed",
     SPEED,
     "of the TCP; between ticks the mean speed counts too",
     reads=[TCP_SPEED, TCP],
     off=of_speed(TCP_SPEED, TCP),
     place=TCP,
-)
-def tcp_speed(trace: Trace) -> Sampled:
-    """Of the TCP; between ticks the mean speed counts too."""
-    at_tick = trace.ticks["tcp_speed_mps"]
-    steps = np.linalg.norm(np.diff(trace.ticks["transform_tcp_to_base"][:, :3, 3], axis=0), axis=1)
-    mean = steps / np.diff(trace.time_s)
-    return speeds(at_tick, mean, of="the TCP")
+)(sample_tcp_speed)
 
 
 @measure(
@@ -246,22 +236,14 @@ def angle_to_desired_pose(trace: Trace) -> Sampled:
     return bounded(np.where(none, np.inf, pose_errors(trace)[1]), turned_rad(trace))
 
 
-@measure(
+joint_speed = measure(
     "joint speed",
     ANGULAR_SPEED,
     "of the fastest joint; between ticks the mean speed counts too",
     reads=["joint_velocity_radps", "joint_position_rad"],
     off=of_speed("joint_velocity_radps", "joint_position_rad"),
     place="joint_position_rad",
-)
-def joint_speed(trace: Trace) -> Sampled:
-    """Of the fastest joint, likewise; it may be lower by what motors miss (``known_to_radps``)."""
-    at_tick = np.abs(trace.ticks["joint_velocity_radps"])
-    mean = np.abs(np.diff(trace.ticks["joint_position_rad"], axis=0)) / np.diff(trace.time_s)[:, None]
-    found, off_radps = speeds(at_tick, mean, of="the arm"), known_to_radps(trace)
-    return replace(
-        found, low=found.low - off_radps, value_low=found.value - off_radps, value_high=found.value
-    )
+)(sample_joint_speed)
 
 
 @measure(
@@ -330,10 +312,8 @@ def prediction_error(trace: Trace) -> Sampled:
     valid, hands = trace.ticks["track_valid"], len(trace.scenario.hands)
     if hands == 0 or not valid.any():
         return _untried(trace, no_predicted_hand if hands else no_hand, "no hand was predicted")
-    errors_m = prediction_errors_m(trace)
-    tracked = valid[: len(errors_m)]
-    value = np.full(len(valid), np.nan)
-    value[: len(errors_m)] = np.where(tracked, errors_m, -np.inf).max(axis=1)
+    errors_m, value = tracked_errors_m(trace), np.full(len(valid), np.nan)
+    value[: len(errors_m)] = errors_m.max(axis=1)
     value[np.isneginf(value)] = np.nan  # nothing is tracked
     gone, then = lost(trace, ["track_valid", "predicted_hand_in_base_m"]), lost(trace, [HANDS, PRESENCE])
     if then.any():

@@ -8,14 +8,15 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.claims.properties.base import Evaluation, Unit, inconclusive, judged, time_left_s
+from safety_harness.claims.properties.base import Evaluation, Unit, Worded, inconclusive, judged, time_left_s
 from safety_harness.claims.properties.entry import CatalogueEntry, quantity
-from safety_harness.claims.properties.measured import reads
-from safety_harness.claims.properties.unexercised import no_decision, unexercised
+from safety_harness.claims.properties.measured import reads, unexercised
+from safety_harness.claims.signals.occasions import no_decision
 from safety_harness.scenario.fault_table import TIME_EPS_S
 from safety_harness.scenario.faults import AvoiderLate, AvoiderNaN, AvoiderSilent
 from safety_harness.scenario.model import Claim, Scenario, Verdict
@@ -160,7 +161,7 @@ def by_default(trace: Trace) -> Evaluation | None:
 
 
 @dataclass(frozen=True, kw_only=True)
-class DecisionTime:
+class DecisionTime(Worded):
     """min over decisions of ``within_s`` less the time that the arm went on without the answer.
 
     That is the decision time of the settings, or as the avoider declares it, and what a fault of the
@@ -171,11 +172,7 @@ class DecisionTime:
 
     within_s: float
     unit: Unit = Unit.TIME
-
-    @property
-    def sentence(self) -> str:
-        """As the catalogue writes it."""
-        return f"decisions within {self.within_s * 1e3:g} ms"
+    words: ClassVar[str] = "decisions within {within_s:ms}"
 
     @reads(
         also=[

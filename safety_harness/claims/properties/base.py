@@ -9,12 +9,13 @@ truncation is still a violation.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from math import isclose, isfinite
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,9 +29,6 @@ from safety_harness.trace.records import ENDLESS, as_numbers, columns
 from safety_harness.trace.trace import Trace, once_a_trace
 
 HORIZON_M = 1e3
-# A hand nearer than this puts a claim to the test: the claims' own number.  Were it a setting of the tested
-# system, whoever changes that setting would change how many runs count.
-NEAR_M = 0.4
 MAY_SATURATE = "between the ticks nothing is known, as motors may saturate"
 OF_HANDS = ("hand_position_in_base_m", "elbow_position_in_base_m", "hand_distance_m")
 
@@ -152,6 +150,31 @@ def far_words(close: float | None, least_margin: float | None) -> str:
     return "no run came within half of its limit; is it in the unit that is meant?" if far else ""
 
 
+FIELD = re.compile(r"\{(\w+):([^}]*)\}")
+PER_SI = {"mm": 1e3, "mm/s": 1e3, "m/s2": 1.0, "deg/s2": 180.0 / np.pi, "s": 1.0, "ms": 1e3}
+
+
+class Worded:
+    """A property whose sentence is ``words``, with fields of its own as "within {within_m:mm}".
+
+    After the colon: a unit of ``PER_SI``, "%" for a share, or nothing for a count.
+    """
+
+    words: ClassVar[str]
+
+    @cached_property
+    def sentence(self) -> str:
+        """The words with the values of the fields, as the catalogue writes it."""
+        return FIELD.sub(lambda found: shown_limit(getattr(self, found[1]), found[2]), self.words)
+
+
+def shown_limit(value: float, unit: str) -> str:
+    """Return a limit (SI) as a sentence has it, in ``unit``."""
+    if unit in PER_SI:
+        return f"{value * PER_SI[unit]:g} {unit}"
+    return f"{value * 100.0:.12g} %" if unit == "%" else str(value)
+
+
 class Property(Said, Protocol):
     """A safety property."""
 
@@ -267,11 +290,6 @@ def runs_of(state: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int
 def times_begun(state: NDArray[np.bool_]) -> int:
     """How often a state (n,) begins."""
     return int(np.count_nonzero(begins_at(state)))
-
-
-def occasion_m(limit_m: float = 0.0) -> float:
-    """How near a hand has to come to put a limit of its distance to the test: twice the limit, or NEAR_M."""
-    return max(NEAR_M, 2.0 * limit_m)
 
 
 def time_left_s(trace: Trace, limit_s: float, ticks: int) -> float:

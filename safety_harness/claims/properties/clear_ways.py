@@ -23,10 +23,10 @@ from safety_harness.cell.simulation.cameras import object_polygon_in_base
 from safety_harness.claims.properties.base import Evaluation, Unit, inconclusive, is_somewhere, judged
 from safety_harness.claims.properties.entry import CatalogueEntry
 from safety_harness.claims.properties.giving_way import last_tick
-from safety_harness.claims.properties.hand_distance import joint_bend_m
-from safety_harness.claims.properties.measured import reads
-from safety_harness.claims.properties.true_motion import PARTS, RESOLUTION_M, arm_of, capsules_of
-from safety_harness.claims.properties.unexercised import no_position, unexercised
+from safety_harness.claims.properties.measured import reads, unexercised
+from safety_harness.claims.signals.hand_distance import joint_bend_m
+from safety_harness.claims.signals.occasions import no_position
+from safety_harness.claims.signals.true_motion import PARTS, RESOLUTION_M, arm_of, capsules_of
 from safety_harness.trace.records import DecisionOutcome
 from safety_harness.trace.trace import Trace
 

@@ -7,15 +7,26 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 from safety_harness.base.exceptions import InadmissibleError, Place
-from safety_harness.claims.properties.base import Property, Unit
+from safety_harness.claims.properties.base import FIELD, Property, Unit
 from safety_harness.claims.properties.measured import columns_read_by
 from safety_harness.scenario.model import Scenario
-from safety_harness.scenario.units import FRACTION, OTHER_UNIT, TIME, Dimension, parse_quantity
+from safety_harness.scenario.units import (
+    ACCELERATION,
+    ANGULAR_ACCELERATION,
+    FRACTION,
+    LENGTH,
+    OTHER_UNIT,
+    SPEED,
+    TIME,
+    Dimension,
+    parse_quantity,
+)
 
+DIMENSIONS = {"mm": LENGTH, "mm/s": SPEED, "m/s2": ACCELERATION, "deg/s2": ANGULAR_ACCELERATION, "s": TIME}
 LARGEST_COUNT = 1_000_000
 NONE = "-"
 
@@ -27,16 +38,19 @@ class CatalogueEntry:
     """One property of the catalogue.
 
     ``prop`` is an example of it, and ``pattern`` matches every sentence that claims one whole, in either
-    case; ``make`` turns the match into the property.  Without these two it is claimed by the example's own
-    sentence alone.  The rest is for people: ``rationale``, ``source``, the ``margin``'s formula, the
-    ``parameters`` that it takes from the sentence and from the settings, when it is ``exercised`` (otherwise
-    it is inconclusive), what else makes it ``inconclusive``, the shipped ``scenario`` that exercises it, and
-    what it is ``broken_by``: the controller or avoider with which the tests see it violated.
+    case; ``make`` turns the match into the property.  Without these two both follow from the ``words`` of the
+    example; one without fields is claimed by its own sentence alone.  ``formula`` is what it says in the
+    language of formulas, with {} for its limit, if it is one.  The rest is for people: ``rationale``,
+    ``source``, the ``margin``'s formula, the ``parameters`` that it takes from the sentence and from the
+    settings, when it is ``exercised`` (otherwise it is inconclusive), what else makes it ``inconclusive``,
+    the shipped ``scenario`` that exercises it, and what it is ``broken_by``: the controller or avoider with
+    which the tests see it violated.
     """
 
     prop: Property
     pattern: str = ""
     make: Maker | None = None
+    formula: str = ""
     rationale: str
     source: str
     margin: str
@@ -58,11 +72,27 @@ class CatalogueEntry:
 
     def property_of(self, match: re.Match[str], scenario: Scenario, place: Place) -> Property:
         """What the sentence of ``match`` claims of ``scenario``; InadmissibleError at ``place``."""
-        return self.prop if self.make is None else self.make(match, scenario, place)
+        if self.make is not None:
+            return self.make(match, scenario, place)
+        fields = FIELD.findall(getattr(self.prop, "words", ""))
+        texts = enumerate(fields, start=1)
+        values = {name: _limit(match[k], unit, scenario, place) for k, (name, unit) in texts}
+        return replace(self.prop, **values) if values else self.prop  # type: ignore[type-var]
 
     def understands(self, sentence: str) -> re.Match[str] | None:
         """The match of a sentence that claims this property, whatever its case and outer spaces."""
-        return re.fullmatch(self.pattern or self.example, sentence.strip(), re.IGNORECASE)
+        words = getattr(self.prop, "words", self.example)
+        pattern = self.pattern or FIELD.sub(lambda found: "(.+)" if found[2] else r"(\S+)", words)
+        return re.fullmatch(pattern, sentence.strip(), re.IGNORECASE)
+
+
+def _limit(text: str, unit: str, scenario: Scenario, place: Place) -> float:
+    """Read the value of a field of ``Worded.words`` from a sentence."""
+    if unit == "ms":
+        return time_within(text, scenario, place)
+    if unit in DIMENSIONS:
+        return quantity(text, DIMENSIONS[unit], place)
+    return share(text, place) if unit == "%" else count(text, place)
 
 
 def quantity(text: str, dimension: Dimension, place: Place) -> float:

@@ -9,24 +9,20 @@ import math
 from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.cell.avoidance.flaky import question_of
-from safety_harness.claims.properties.base import Evaluation, Unit, inconclusive, is_somewhere, judged
+from safety_harness.claims.properties.base import Evaluation, Unit, Worded, inconclusive, is_somewhere, judged
 from safety_harness.claims.properties.entry import CatalogueEntry, count
 from safety_harness.claims.properties.giving_way import LEAST_WAY_M, Finding, worst_of
-from safety_harness.claims.properties.measured import reads
+from safety_harness.claims.properties.measured import reads, unexercised
 from safety_harness.claims.properties.positions import opposite_position, reach_m, spare_m, stopped_m
 from safety_harness.claims.properties.proposals import PROPOSAL
-from safety_harness.claims.properties.unexercised import (
-    millimetres,
-    no_decision,
-    spread_beside_threshold,
-    unexercised,
-)
 from safety_harness.claims.properties.way_gone import OFF_RAD, PACE, SHORT_M, way_gone
+from safety_harness.claims.signals.occasions import millimetres, no_decision, spread_beside_threshold
 from safety_harness.trace.known import OF_DECISIONS
 from safety_harness.trace.records import Check, DecisionOutcome, Mode
 from safety_harness.trace.trace import Trace
@@ -123,7 +119,7 @@ def concluded(
 
 
 @dataclass(frozen=True, kw_only=True)
-class UncertainFallsBack:
+class UncertainFallsBack(Worded):
     """Where the spread is above the avoider's threshold, the arm goes to the opposite pose, or stops.
 
     The opposite pose is computed again from the predictions of the tick.  ``way_gone`` judges apart when the
@@ -135,11 +131,7 @@ class UncertainFallsBack:
 
     cycles: int
     unit: Unit = Unit.LENGTH
-
-    @property
-    def sentence(self) -> str:
-        """As the catalogue writes it."""
-        return f"uncertain answers fall back within {self.cycles} cycles"
+    words: ClassVar[str] = "uncertain answers fall back within {cycles:} cycles"
 
     @reads(*READS, also=[*ALSO, "decision.hand_position_in_base_m"])
     def evaluate(self, trace: Trace) -> Evaluation:

@@ -19,7 +19,7 @@ from safety_harness.claims.properties.base import (
     nonfinite_count,
 )
 from safety_harness.claims.properties.entry import CatalogueEntry
-from safety_harness.claims.properties.unexercised import only_whole
+from safety_harness.claims.properties.measured import only_whole
 from safety_harness.trace.consistency import first_inconsistency
 from safety_harness.trace.known import OF_DECISIONS
 from safety_harness.trace.records import DECISION, ENDLESS, TICK, DecisionOutcome, as_numbers, columns

@@ -24,14 +24,8 @@ from safety_harness.base.geometry.arrays import Array3
 from safety_harness.cell.robot.robots import arm_model
 from safety_harness.claims.properties.base import Evaluation, Unit, is_somewhere, judged
 from safety_harness.claims.properties.entry import CatalogueEntry, quantity
-from safety_harness.claims.properties.measured import reads
-from safety_harness.claims.properties.unexercised import (
-    nearest_of,
-    no_hand,
-    no_position,
-    no_time,
-    unexercised,
-)
+from safety_harness.claims.properties.measured import reads, unexercised
+from safety_harness.claims.signals.occasions import nearest_of, no_hand, no_position, no_time
 from safety_harness.scenario.units import LENGTH
 from safety_harness.trace.records import DecisionOutcome, Limit, Mode, Trigger
 from safety_harness.trace.trace import Trace

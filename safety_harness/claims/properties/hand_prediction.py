@@ -3,25 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import sqrt
+from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-from safety_harness.base.compiled import compiled
-from safety_harness.claims.properties.base import Evaluation, Unit, inconclusive, judged
-from safety_harness.claims.properties.entry import CatalogueEntry, quantity
-from safety_harness.claims.properties.measured import reads
-from safety_harness.claims.properties.true_motion import true_motion
-from safety_harness.claims.properties.unexercised import no_hand, unexercised
-from safety_harness.scenario.units import LENGTH
+from safety_harness.claims.properties.base import Evaluation, Unit, Worded, inconclusive, judged
+from safety_harness.claims.properties.entry import CatalogueEntry
+from safety_harness.claims.properties.measured import reads, unexercised
+from safety_harness.claims.signals.occasions import no_hand
+from safety_harness.claims.signals.predictions import prediction_errors_m, tracked_errors_m
 from safety_harness.trace.trace import Trace
 
 FILLED = ("track_valid", "predicted_hand_in_base_m")  # what was told then may be anything
 
 
 @dataclass(frozen=True, kw_only=True)
-class HandPredictions:
+class HandPredictions(Worded):
     """min over predictions of ``maximum_m`` less the distance to the nearest true hand at its time.
 
     What is predicted at t is a hand's centre at t plus the horizon; it is compared with where the hands
@@ -31,26 +28,22 @@ class HandPredictions:
 
     maximum_m: float
     unit: Unit = Unit.LENGTH
-
-    @property
-    def sentence(self) -> str:
-        """As the catalogue writes it."""
-        return f"hand predictions within {self.maximum_m * 1e3:g} mm"
+    words: ClassVar[str] = "hand predictions within {maximum_m:mm}"
 
     @reads("hand_position_in_base_m", filled=FILLED, ends=lambda prop, trace, _: _ends(prop, trace))
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge every prediction of every tracked hand."""
         if not trace.scenario.hands:
             return unexercised(self, no_hand(trace))
-        errors_m = prediction_errors_m(trace)  # (k, tracks)
-        found_m, worst, unknown = _tracked(errors_m, trace.ticks["track_valid"])
-        if unknown >= 0:
-            return inconclusive(self, f"a prediction is not finite from {trace.time_s[unknown]:.3f} s")
+        errors_m = tracked_errors_m(trace)  # (k, tracks)
+        found_m = errors_m[trace.ticks["track_valid"][: len(errors_m)]]
+        if not np.isfinite(found_m).all():
+            tick = int(np.argmax((np.isnan(errors_m) | np.isposinf(errors_m)).any(axis=1)))
+            return inconclusive(self, f"a prediction is not finite from {trace.time_s[tick]:.3f} s")
         if len(found_m) == 0:
             return unexercised(self, self._untracked(trace))
-        tick, track = divmod(worst, errors_m.shape[1])
-        found_m.sort()
-        median_m = 0.5 * (found_m[(len(found_m) - 1) // 2] + found_m[len(found_m) // 2])
+        tick, track = divmod(int(errors_m.argmax()), errors_m.shape[1])
+        median_m = np.median(found_m)
         horizon_s = trace.scenario.settings.hand_filter.prediction_horizon_s
         then_s, error_m = trace.time_s[tick] + horizon_s, errors_m[tick, track]
         reason = (
@@ -83,74 +76,8 @@ def _ends(prop: HandPredictions, trace: Trace) -> tuple[float, float, bool]:
     return (low if told.all() else -np.inf), high, True
 
 
-def prediction_errors_m(trace: Trace) -> NDArray[np.float64]:
-    """(k, tracks) distance of each prediction from the nearest true hand at the time that it is for.
-
-    k is the number of ticks whose predictions are for times within the trace; NaN where a slot tracks
-    nothing.
-    """
-    settings = trace.scenario.settings
-    ahead = settings.hand_filter.prediction_horizon_s / settings.clock.control_period_s  # in ticks
-    at: NDArray[np.float64] = np.arange(len(trace.ticks), dtype=np.float64) + ahead
-    at = at[at <= len(trace.ticks) - 1]
-    predicted_m, hands_m = trace.ticks["predicted_hand_in_base_m"], true_motion(trace).hands_m
-    errors_m = np.empty((len(at), predicted_m.shape[1]))
-    _errors(predicted_m, hands_m, len(trace.scenario.hands), at, errors_m)
-    return errors_m
-
-
-@compiled
-def _errors(
-    predicted_m: NDArray[np.float64],  # (k or more, tracks, 3)
-    hands_m: NDArray[np.float64],  # (n, hands or more, 2, 3)
-    hands: int,
-    at: NDArray[np.float64],  # (k,) what the predictions are for, in ticks
-    errors_m: NDArray[np.float64],  # (k, tracks), written
-) -> None:
-    """Least over hands of |predicted - true| [m], the true one straight between the ticks around ``at``."""
-    last = hands_m.shape[0] - 1
-    for k in range(at.shape[0]):
-        before = int(at[k])
-        after, part = min(before + 1, last), at[k] - before
-        for track in range(errors_m.shape[1]):
-            nearest = np.inf
-            for hand in range(hands):
-                total = 0.0
-                for i in range(3):
-                    true = hands_m[before, hand, 0, i] * (1.0 - part) + hands_m[after, hand, 0, i] * part
-                    total += (predicted_m[k, track, i] - true) ** 2
-                apart = sqrt(total)
-                if not apart >= nearest:
-                    nearest = apart
-                if np.isnan(apart):
-                    break
-            errors_m[k, track] = nearest
-
-
-@compiled
-def _tracked(
-    errors_m: NDArray[np.float64],  # (k, tracks)
-    tracked: NDArray[np.bool_],  # (k or more, tracks)
-) -> tuple[NDArray[np.float64], int, int]:
-    """The errors of what is tracked, the place of the largest, and the first tick of one that is none."""
-    found, count, worst, unknown, largest = np.empty(errors_m.size), 0, -1, -1, -np.inf
-    for k in range(errors_m.shape[0]):
-        for track in range(errors_m.shape[1]):
-            if not tracked[k, track]:
-                continue
-            found[count] = errors_m[k, track]
-            count += 1
-            if unknown < 0 and not np.isfinite(errors_m[k, track]):
-                unknown = k
-            if errors_m[k, track] > largest:
-                largest, worst = errors_m[k, track], k * errors_m.shape[1] + track
-    return found[:count], worst, unknown
-
-
 HAND_PREDICTIONS = CatalogueEntry(
     prop=HandPredictions(maximum_m=0.05),
-    pattern=r"hand predictions within (.+)",
-    make=lambda match, _, place: HandPredictions(maximum_m=quantity(match[1], LENGTH, place)),
     rationale="the arm gives way to the predicted hand: an error of the prediction is one of the distance",
     source="the paper, eqs. 7 and 8: a Kalman filter for the hand's box, extrapolated by the horizon",
     margin="the limit less the greatest distance of a prediction from the nearest true hand at the time that "

@@ -24,7 +24,7 @@ from safety_harness.claims.properties.base import (
     inconclusive,
     unreadable,
 )
-from safety_harness.claims.properties.true_motion import apart_moved_m, derived
+from safety_harness.claims.signals.true_motion import apart_moved_m, derived
 from safety_harness.scenario.model import MAX_HANDS, MovingHand, RecordedHand, Verdict
 from safety_harness.trace.known import (
     PER_HAND,
@@ -252,3 +252,31 @@ def _without_arms(trace: Trace) -> Trace:
     part = Measurement(source=Source.DERIVED, gaps=position.gaps)
     columns |= {"hand_distance_m": distance, "hand_distance_capsule": part}
     return replace(armless, ticks=ticks, known=Knowledge(columns))
+
+
+def only_whole(*columns: str, of_any: bool = False) -> Callable[[Judge], Judge]:
+    """For an ``evaluate`` that says nothing of a part of a run, as what comes later may undo it.
+
+    It is inconclusive where any of ``columns``, or of those that it ``reads``, was not measured throughout; a
+    controller need not report all of them if the claim is ``of_any`` system.
+    """
+
+    def decorate(evaluate: Judge) -> Judge:
+        names = (*columns, *getattr(evaluate, "reads", ()))
+
+        @wraps(evaluate)
+        def evaluate_whole(prop: Property, trace: Trace) -> Evaluation:
+            known = trace.known
+            lacking = [name for name in names if known.missing([name]) or known.of(name).gaps]
+            lacking = [] if of_any and known.simulated else lacking
+            return not_measured(prop, lacking, known=trace.known) if lacking else evaluate(prop, trace)
+
+        evaluate_whole.reads = names  # type: ignore[attr-defined]
+        return cast(Judge, evaluate_whole)
+
+    return decorate
+
+
+def unexercised(prop: Said, lacked: str) -> Evaluation:
+    """Inconclusive, as the claim was never exercised; ``lacked`` says for want of what."""
+    return inconclusive(prop, f"never exercised: {lacked}")

@@ -3,23 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
 from safety_harness.cell.robot.obstacles import box_records, distances_m
-from safety_harness.claims.properties.base import Evaluation, Unit, judged
+from safety_harness.claims.properties.base import Evaluation, Unit, Worded, judged
 from safety_harness.claims.properties.clear_ways import least_along
-from safety_harness.claims.properties.entry import CatalogueEntry, quantity
-from safety_harness.claims.properties.hand_distance import joint_bend_m
-from safety_harness.claims.properties.measured import reads
-from safety_harness.claims.properties.true_motion import arm_of
-from safety_harness.claims.properties.unexercised import unexercised
-from safety_harness.scenario.units import LENGTH
+from safety_harness.claims.properties.entry import CatalogueEntry
+from safety_harness.claims.properties.measured import reads, unexercised
+from safety_harness.claims.signals.hand_distance import joint_bend_m
+from safety_harness.claims.signals.true_motion import arm_of
 from safety_harness.trace.trace import Trace
 
 
 @dataclass(frozen=True, kw_only=True)
-class ObstacleDistance:
+class ObstacleDistance(Worded):
     """Least distance of any moving link from any obstacle, less ``minimum_m``; a lower bound between ticks.
 
     Between ticks by ``least_along``, and it is violated if the upper end of the least distance is below too.
@@ -28,11 +27,7 @@ class ObstacleDistance:
 
     minimum_m: float
     unit: Unit = Unit.LENGTH
-
-    @property
-    def sentence(self) -> str:
-        """The claim."""
-        return f"obstacle distance never below {1e3 * self.minimum_m:g} mm"
+    words: ClassVar[str] = "obstacle distance never below {minimum_m:mm}"
 
     @reads("joint_position_rad", "joint_velocity_radps")
     def evaluate(self, trace: Trace) -> Evaluation:
@@ -56,8 +51,6 @@ class ObstacleDistance:
 
 OBSTACLE_DISTANCE = CatalogueEntry(
     prop=ObstacleDistance(minimum_m=0.02),
-    pattern=r"obstacle distance never below (.+)",
-    make=lambda match, scenario, place: ObstacleDistance(minimum_m=quantity(match[1], LENGTH, place)),
     rationale="an arm that runs into a fixture stops there or breaks it, and what is between them is crushed",
     source="the project's own; capsules as for the hand distance",
     margin="least distance, surface to surface, of any link but the base from any obstacle, less the limit; "

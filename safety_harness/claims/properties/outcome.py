@@ -4,19 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.claims.properties.base import Evaluation, Unit, inconclusive, judged, runs_of, time_left_s
-from safety_harness.claims.properties.entry import CatalogueEntry, quantity, time_within
-from safety_harness.claims.properties.measured import reads
+from safety_harness.claims.properties.base import (
+    Evaluation,
+    Unit,
+    Worded,
+    inconclusive,
+    judged,
+    runs_of,
+    time_left_s,
+)
+from safety_harness.claims.properties.entry import CatalogueEntry
+from safety_harness.claims.properties.measured import reads, unexercised
 from safety_harness.claims.properties.reaction import NoFalseAlarms, nearest_off_m
-from safety_harness.claims.properties.servoing import position_errors_m, retreat_s
-from safety_harness.claims.properties.true_motion import nearest_hand_m, true_motion
-from safety_harness.claims.properties.unexercised import MOVES, no_near_hand, unexercised
+from safety_harness.claims.properties.servoing import retreat_s
+from safety_harness.claims.signals.occasions import MOVES, no_near_hand
+from safety_harness.claims.signals.poses import position_errors_m
+from safety_harness.claims.signals.true_motion import nearest_hand_m, true_motion
 from safety_harness.scenario.model import Verdict
-from safety_harness.scenario.units import LENGTH
 from safety_harness.trace.records import Limit
 from safety_harness.trace.trace import Trace
 
@@ -30,7 +39,7 @@ TINY_MPS = TINY_M = 1e-6  # nothing moves so slowly, or is so near
 
 
 @dataclass(frozen=True, kw_only=True)
-class KeepsItsPlace:
+class KeepsItsPlace(Worded):
     """``within_m`` less how far the TCP goes from its place, or the desired position, without a hand.
 
     An arm holds its place once it has stayed within the limit of it for a second, with no true hand so near
@@ -43,11 +52,7 @@ class KeepsItsPlace:
 
     within_m: float
     unit: Unit = Unit.LENGTH
-
-    @property
-    def sentence(self) -> str:
-        """As the catalogue writes it."""
-        return f"keeps its place within {self.within_m * 1e3:g} mm"
+    words: ClassVar[str] = "keeps its place within {within_m:mm}"
 
     @reads("transform_tcp_to_base", "hand_position_in_base_m", ends=lambda prop, trace, _: prop.ends(trace))
     def evaluate(self, trace: Trace) -> Evaluation:
@@ -93,7 +98,7 @@ class KeepsItsPlace:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ReactsWithin:
+class ReactsWithin(Worded):
     """``within_s`` less the longest time from a hand's coming near to the arm's reaction.
 
     Of each true hand apart, each time that it comes within the critical distance of a TCP that moves.  The
@@ -108,11 +113,7 @@ class ReactsWithin:
 
     within_s: float
     unit: Unit = Unit.TIME
-
-    @property
-    def sentence(self) -> str:
-        """As the catalogue writes it."""
-        return f"reacts within {self.within_s * 1e3:g} ms"
+    words: ClassVar[str] = "reacts within {within_s:ms}"
 
     @reads("transform_tcp_to_base", "hand_position_in_base_m", also=["limits"], of_each_hand=True)
     def evaluate(self, trace: Trace) -> Evaluation:
@@ -188,8 +189,6 @@ def _began(change: NDArray[np.float64], soon: int) -> int | None:
 
 KEEPS_ITS_PLACE = CatalogueEntry(
     prop=KeepsItsPlace(within_m=0.005),
-    pattern=r"keeps its place within (.+)",
-    make=lambda match, _, place: KeepsItsPlace(within_m=quantity(match[1], LENGTH, place)),
     rationale="people come near an arm that holds its place, and do not reckon with one that drifts",
     source="the project's own; by motion, whatever mode is reported",
     margin="the limit less how far the TCP goes from its place or the desired position, with no hand near",
@@ -200,8 +199,6 @@ KEEPS_ITS_PLACE = CatalogueEntry(
 )
 REACTS = CatalogueEntry(
     prop=ReactsWithin(within_s=0.12),
-    pattern=r"reacts within (.+)",
-    make=lambda match, scenario, place: ReactsWithin(within_s=time_within(match[1], scenario, place)),
     rationale="a hand is met by an arm that slows or retreats, whatever it says that it does",
     source="the reaction time T_r, by motion and drives, of each hand apart",
     margin="the time allowed less the longest until the drives brake, or the TCP slows or retreats",

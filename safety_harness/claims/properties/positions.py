@@ -22,9 +22,9 @@ from safety_harness.claims.properties.base import Evaluation, Unit, is_somewhere
 from safety_harness.claims.properties.clear_ways import clearances_m
 from safety_harness.claims.properties.entry import CatalogueEntry
 from safety_harness.claims.properties.giving_way import MODEST, RepulsionProgress, Shares, last_tick, progress
-from safety_harness.claims.properties.measured import reads
-from safety_harness.claims.properties.true_motion import arm_of
-from safety_harness.claims.properties.unexercised import no_position, unexercised
+from safety_harness.claims.properties.measured import reads, unexercised
+from safety_harness.claims.signals.occasions import no_position
+from safety_harness.claims.signals.true_motion import arm_of
 from safety_harness.trace.known import OF_DECISIONS
 from safety_harness.trace.records import DecisionOutcome, Mode
 from safety_harness.trace.trace import Trace, once_a_trace

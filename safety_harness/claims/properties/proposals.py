@@ -8,6 +8,7 @@ the tick at which it was asked.  No answer is no proposal: "the avoider answered
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,12 +19,13 @@ from safety_harness.claims.properties.base import (
     Evaluation,
     Property,
     Unit,
+    Worded,
     is_somewhere,
     judged,
 )
-from safety_harness.claims.properties.entry import CatalogueEntry, quantity, share
-from safety_harness.claims.properties.measured import reads
-from safety_harness.claims.properties.unexercised import no_answer, spread_beside_threshold, unexercised
+from safety_harness.claims.properties.entry import CatalogueEntry, quantity
+from safety_harness.claims.properties.measured import reads, unexercised
+from safety_harness.claims.signals.occasions import no_answer, spread_beside_threshold
 from safety_harness.scenario.units import LENGTH, NUMBER
 from safety_harness.trace.known import OF_DECISIONS
 from safety_harness.trace.overruling import Overruling, answered, overruled
@@ -96,7 +98,7 @@ def worst(
 
 
 @dataclass(frozen=True, kw_only=True)
-class ProposalsLeadAway:
+class ProposalsLeadAway(Worded):
     """The straight way from the TCP to a proposal leads away from the hand that the avoider was asked about.
 
     Margin of one proposal: the component of the way away from the hand, (p - t) . (t - h)/|t - h|, and the
@@ -106,11 +108,7 @@ class ProposalsLeadAway:
 
     tolerance_m: float
     unit: Unit = Unit.LENGTH
-
-    @property
-    def sentence(self) -> str:
-        """As the catalogue writes it."""
-        return f"proposals lead away to within {self.tolerance_m * 1e3:g} mm"
+    words: ClassVar[str] = "proposals lead away to within {tolerance_m:mm}"
 
     @reads(also=PROPOSAL, ends=lambda prop, trace, margin: as_told(trace, margin))
     def evaluate(self, trace: Trace) -> Evaluation:
@@ -125,16 +123,12 @@ class ProposalsLeadAway:
 
 
 @dataclass(frozen=True, kw_only=True)
-class NearOptimum:
+class NearOptimum(Worded):
     """No proposal is farther than ``within_m`` from the closed-form optimum of its question."""
 
     within_m: float
     unit: Unit = Unit.LENGTH
-
-    @property
-    def sentence(self) -> str:
-        """As the catalogue writes it."""
-        return f"proposals within {self.within_m * 1e3:g} mm of the optimum"
+    words: ClassVar[str] = "proposals within {within_m:mm} of the optimum"
 
     @reads(also=PROPOSAL, ends=lambda prop, trace, margin: as_told(trace, margin))
     def evaluate(self, trace: Trace) -> Evaluation:
@@ -177,7 +171,7 @@ class WithinSpread:
 
 
 @dataclass(frozen=True, kw_only=True)
-class NeverSureAndOff:
+class NeverSureAndOff(Worded):
     """No proposal that is sure is farther than ``within_m`` from the closed-form optimum of its question.
 
     Sure is one whose largest spread is at most the avoider's own threshold; of an avoider without a threshold
@@ -186,11 +180,7 @@ class NeverSureAndOff:
 
     within_m: float
     unit: Unit = Unit.LENGTH
-
-    @property
-    def sentence(self) -> str:
-        """As the catalogue writes it."""
-        return f"proposals never sure and more than {self.within_m * 1e3:g} mm from the optimum"
+    words: ClassVar[str] = "proposals never sure and more than {within_m:mm} from the optimum"
 
     @reads(also=[*PROPOSAL, *SURENESS], ends=lambda prop, trace, margin: as_told(trace, margin))
     def evaluate(self, trace: Trace) -> Evaluation:
@@ -204,7 +194,7 @@ class NeverSureAndOff:
 
 
 @dataclass(frozen=True, kw_only=True)
-class FewOverruled:
+class FewOverruled(Worded):
     """At most a share of a run's proposals is overruled: replaced by the opposite pose, or the arm stops.
 
     All answers in time count, also those to a question that a fault of the scenario made an old one.
@@ -212,11 +202,7 @@ class FewOverruled:
 
     most: float
     unit: Unit = Unit.FRACTION
-
-    @property
-    def sentence(self) -> str:
-        """As the catalogue writes it."""
-        return f"at most {self.most * 100.0:.12g} % of proposals overruled"
+    words: ClassVar[str] = "at most {most:%} of proposals overruled"
 
     @reads(also=[*ANSWER, "decision.outcome"])
     def evaluate(self, trace: Trace) -> Evaluation:
@@ -242,8 +228,6 @@ OPTIMUM_OF = "the length; radius, candidate cone, hand pull, nominal hand and de
 
 LEAD_AWAY = CatalogueEntry(
     prop=ProposalsLeadAway(tolerance_m=0.01),
-    pattern=r"proposals lead away to within (.+)",
-    make=lambda match, _, place: ProposalsLeadAway(tolerance_m=quantity(match[1], LENGTH, place)),
     rationale="a gate that refuses what heads for a hand hides an avoider that proposes it",
     source='the paper, section 4.1 ("a quarter of a sphere will lead the robot to move away")',
     margin="component of the way from the TCP to the proposal away from the hand of the question, and the "
@@ -283,8 +267,6 @@ WITHIN_SPREAD = CatalogueEntry(
 )
 NEVER_SURE_AND_OFF = CatalogueEntry(
     prop=NeverSureAndOff(within_m=0.06),
-    pattern=r"proposals never sure and more than (.+) from the optimum",
-    make=lambda match, _, place: NeverSureAndOff(within_m=quantity(match[1], LENGTH, place)),
     rationale="doubt leads to the fallback, so that the errors which count are those without doubt. "
     f"{YARDSTICK}",
     source="the paper, section 3.3: the opposite pose where the network is not sure",
@@ -297,8 +279,6 @@ NEVER_SURE_AND_OFF = CatalogueEntry(
 )
 FEW_OVERRULED = CatalogueEntry(
     prop=FewOverruled(most=0.5),
-    pattern=r"at most (.+) of proposals overruled",
-    make=lambda match, _, place: FewOverruled(most=share(match[1], place)),
     rationale="what is assessed is the avoider; where the gate overrules it, the fallback is what is shown",
     source="the three steps of the gate: answer, opposite pose, stop",
     margin="the share less that of the proposals in a run that were replaced or stopped",

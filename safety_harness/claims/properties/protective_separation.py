@@ -9,7 +9,6 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from safety_harness.base.compiled import compiled
 from safety_harness.base.settings import Settings
 from safety_harness.cell.controller.stack import STANDSTILL_RADPS
 from safety_harness.claims.properties.base import (
@@ -21,21 +20,21 @@ from safety_harness.claims.properties.base import (
     times_begun,
 )
 from safety_harness.claims.properties.entry import CatalogueEntry, quantity
-from safety_harness.claims.properties.measured import reads
-from safety_harness.claims.properties.separation import (
+from safety_harness.claims.properties.measured import reads, unexercised
+from safety_harness.claims.signals.occasions import OFF_THE_GOAL, nearest_of, no_hand
+from safety_harness.claims.signals.separation import (
     REACHING_MPS,
     Separation,
     farthest_steps,
-    fastest_mps,
     least_separation,
     lengths,
 )
-from safety_harness.claims.properties.true_motion import JOINTS, arm_of, capsules_of, true_motion
-from safety_harness.claims.properties.unexercised import OFF_THE_GOAL, nearest_of, no_hand, unexercised
+from safety_harness.claims.signals.speeds import arm_speeds_mps
+from safety_harness.claims.signals.true_motion import JOINTS, arm_of, capsules_of, true_motion
 from safety_harness.scenario.units import SPEED
 from safety_harness.trace.known import UNMEASURED
 from safety_harness.trace.records import Limit
-from safety_harness.trace.trace import Trace, once_a_trace
+from safety_harness.trace.trace import Trace, history, once_a_trace
 
 GRACE_TICKS = 2  # by which the drives may come to rest after the end of their ramp
 
@@ -143,7 +142,7 @@ class ProtectiveSeparation:
         """Return the speed (n,) [m/s] that T_s is taken at."""
         tcp_mps: NDArray[np.float64] = trace.ticks["tcp_speed_mps"]
         alone = self.tcp_alone or trace.known.uncertain(JOINTS)
-        return tcp_mps if alone else np.maximum(tcp_mps, _fastest_mps_of(trace))
+        return tcp_mps if alone else np.maximum(tcp_mps, arm_speeds_mps(trace)[:, 0])
 
     @reads(*JOINTS, "tcp_speed_mps", *OF_HANDS, bounded=["limits"], of_each_hand=True, ends=_ends)
     def evaluate(self, trace: Trace) -> Evaluation:
@@ -222,16 +221,7 @@ def _steps_m(trace: Trace) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 @once_a_trace
 def moving(trace: Trace) -> NDArray[np.bool_]:
     """(n,) does any joint turn, by the controller's own bound for a standstill?"""
-    return _moving(true_motion(trace).rates_radps)
-
-
-@compiled
-def _moving(rates_radps: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """(n,) is any |q'| of ``rates_radps`` (n, joints) at least STANDSTILL_RADPS?"""
-    turns = np.zeros(rates_radps.shape[0], np.bool_)
-    for k in range(rates_radps.shape[0]):
-        for joint in range(rates_radps.shape[1]):
-            turns[k] |= abs(rates_radps[k, joint]) >= STANDSTILL_RADPS
+    turns: NDArray[np.bool_] = (np.abs(history(trace, JOINTS[1])) >= STANDSTILL_RADPS).any(axis=1)
     return turns
 
 
@@ -250,13 +240,6 @@ def _times_s(trace: Trace, speed_mps: NDArray[np.float64]) -> tuple[NDArray[np.f
     """As ``times_left_s``, of stops from a speed (n,) that is no less than the TCP's."""
     known = not trace.known.of("limits").limited
     return (_times_left_s if known else _full_times_s)(trace, speed_mps, 0.0)
-
-
-@once_a_trace
-def _fastest_mps_of(trace: Trace) -> NDArray[np.float64]:
-    """(n,) of ``fastest_mps``."""
-    true = true_motion(trace)
-    return fastest_mps(arm_of(trace), true.joints_rad, true.rates_radps)
 
 
 def _full_times_s(

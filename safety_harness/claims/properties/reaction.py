@@ -7,18 +7,17 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from math import sqrt
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.base.compiled import compiled
 from safety_harness.base.settings import Settings
 from safety_harness.claims.properties.base import (
     HORIZON_M,
-    NEAR_M,
     Evaluation,
     Unit,
+    Worded,
     begins_at,
     inconclusive,
     judged,
@@ -26,16 +25,16 @@ from safety_harness.claims.properties.base import (
     time_left_s,
     times_begun,
 )
-from safety_harness.claims.properties.entry import CatalogueEntry, count, quantity, time_within
-from safety_harness.claims.properties.measured import reads
-from safety_harness.claims.properties.true_motion import nearest_hand_m, true_motion
-from safety_harness.claims.properties.unexercised import (
+from safety_harness.claims.properties.entry import CatalogueEntry, count, quantity
+from safety_harness.claims.properties.measured import reads, unexercised
+from safety_harness.claims.signals.occasions import (
+    NEAR_M,
     millimetres,
     no_decision,
     no_near_hand,
     no_predicted_hand,
-    unexercised,
 )
+from safety_harness.claims.signals.true_motion import nearest_hand_m, true_motion
 from safety_harness.scenario.model import Verdict
 from safety_harness.scenario.moves import REACHING_MPS
 from safety_harness.scenario.units import LENGTH
@@ -56,32 +55,21 @@ def predicted_near(trace: Trace, within_m: float = np.inf) -> tuple[NDArray[np.b
 
     And the first tick with a prediction that is nowhere, or -1.
     """
-    ticks, near_m = trace.ticks, min(trace.scenario.settings.avoidance.critical_distance_m, within_m)
-    tracked, predicted_m = ticks["track_valid"], ticks["predicted_hand_in_base_m"]
-    return _predicted_near(true_motion(trace).tcp_m, tracked, predicted_m, near_m)
+    near_m = min(trace.scenario.settings.avoidance.critical_distance_m, within_m)
+    apart_m, nowhere = predicted_apart_m(trace)
+    return apart_m < near_m, int(nowhere[0]) if len(nowhere) else -1
 
 
-@compiled
-def _predicted_near(
-    tcp_m: NDArray[np.float64],  # (n, 3)
-    tracked: NDArray[np.bool_],  # (n, tracks)
-    predicted_m: NDArray[np.float64],  # (n, tracks, 3)
-    critical_m: float,
-) -> tuple[NDArray[np.bool_], int]:
-    """(n,) ``predicted_near``, and the first tick at which a prediction is nowhere, or -1."""
-    near, unknown = np.zeros(tcp_m.shape[0], np.bool_), -1
-    for k in range(near.shape[0]):
-        for track in range(tracked.shape[1]):
-            if not tracked[k, track]:
-                continue
-            total, somewhere = 0.0, True
-            for i in range(3):
-                somewhere &= abs(predicted_m[k, track, i]) < HORIZON_M
-                total += (predicted_m[k, track, i] - tcp_m[k, i]) ** 2
-            near[k] |= sqrt(total) < critical_m
-            if unknown < 0 and not somewhere:
-                unknown = k
-    return near, unknown
+@once_a_trace
+def predicted_apart_m(trace: Trace) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """(n,) distance of the nearest prediction from the true TCP, infinite where nothing is tracked.
+
+    And the ticks with a prediction that is nowhere.
+    """
+    found, (tick, track) = np.full(len(trace.ticks), np.inf), np.nonzero(trace.ticks["track_valid"])
+    predicted_m = trace.ticks["predicted_hand_in_base_m"][tick, track]
+    np.fmin.at(found, tick, np.linalg.norm(predicted_m - true_motion(trace).tcp_m[tick], axis=1))
+    return found, tick[~(np.abs(predicted_m) < HORIZON_M).all(axis=1)]
 
 
 def may_give_way(trace: Trace) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
@@ -126,10 +114,7 @@ def _predicted_ends(prop: GivesWay, trace: Trace) -> tuple[float, float, bool]:
     known, ticks, count = trace.known, trace.ticks, len(trace.ticks)
     off_m = known.within("transform_tcp_to_base", count) + known.within("predicted_hand_in_base_m", count)
     critical_m = trace.scenario.settings.avoidance.critical_distance_m
-    apart_m = np.linalg.norm(
-        ticks["predicted_hand_in_base_m"] - true_motion(trace).tcp_m[:, None], axis=2
-    )  # (n, tracks)
-    apart_m = np.where(ticks["track_valid"], apart_m, np.inf).min(axis=1)
+    apart_m, _ = predicted_apart_m(trace)
     told = known.measured("track_valid", ticks) & known.measured("predicted_hand_in_base_m", ticks)
     sure, maybe = told & (apart_m + off_m < critical_m), ~told | (apart_m - off_m < critical_m)
     return _answer_ends(prop, trace, sure, maybe, whole_stretch=True)
@@ -151,7 +136,7 @@ def nearest_off_m(trace: Trace) -> NDArray[np.float64]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class GivesWay:
+class GivesWay(Worded):
     """``within_s`` less the longest time for which a predicted hand was near and the arm did not give way.
 
     Near: within the critical distance of the true TCP, centre to TCP, as the controller's own rule has
@@ -166,11 +151,7 @@ class GivesWay:
 
     within_s: float
     unit: Unit = Unit.TIME
-
-    @property
-    def sentence(self) -> str:
-        """As the catalogue writes it."""
-        return f"gives way within {self.within_s * 1e3:g} ms of a predicted hand"
+    words: ClassVar[str] = "gives way within {within_s:ms} of a predicted hand"
 
     @reads(
         "transform_tcp_to_base",
@@ -191,7 +172,7 @@ class GivesWay:
 
 
 @dataclass(frozen=True, kw_only=True)
-class GivesWayToTrueHand:
+class GivesWayToTrueHand(Worded):
     """``within_s`` less the longest time for which a true hand was near and the arm did not give way.
 
     Near: its centre within the critical distance of the TCP, whatever the controller sees, tracks or
@@ -206,11 +187,7 @@ class GivesWayToTrueHand:
 
     within_s: float
     unit: Unit = Unit.TIME
-
-    @property
-    def sentence(self) -> str:
-        """As the catalogue writes it."""
-        return f"gives way within {self.within_s * 1e3:g} ms of a true hand"
+    words: ClassVar[str] = "gives way within {within_s:ms} of a true hand"
 
     @reads(
         "transform_tcp_to_base",
@@ -267,8 +244,6 @@ def _judged(
 
 GIVES_WAY = CatalogueEntry(
     prop=GivesWay(within_s=0.1),
-    pattern=r"gives way within (.+) of a predicted hand",
-    make=lambda match, scenario, place: GivesWay(within_s=time_within(match[1], scenario, place)),
     rationale="every later step takes it for granted that the arm reacts within the time that its separation "
     "allows for",
     source="the paper, section 3.3; the reaction time T_r",
@@ -282,8 +257,6 @@ GIVES_WAY = CatalogueEntry(
 GIVES_WAY_TO_TRUE_HAND = replace(
     GIVES_WAY,
     prop=GivesWayToTrueHand(within_s=0.1),
-    pattern=r"gives way within (.+) of a true hand",
-    make=lambda match, scenario, place: GivesWayToTrueHand(within_s=time_within(match[1], scenario, place)),
     rationale="a hand that is not seen, or seen elsewhere, is as much in danger as one that is: every claim "
     "about predictions passes it over",
     source="the project's own; the reaction time T_r, from the hand and not from what is known of it",

@@ -10,32 +10,28 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from math import floor
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.base.compiled import compiled
 from safety_harness.base.settings import CONVERGED_ANGLE_RAD, CONVERGED_POSITION_M
-from safety_harness.cell.controller.desired import desired_transform_tcp_to_base
 from safety_harness.claims.properties.base import (
     Evaluation,
     Unit,
+    Worded,
     inconclusive,
     judged,
     runs_of,
     time_left_s,
 )
-from safety_harness.claims.properties.entry import CatalogueEntry, count, quantity
-from safety_harness.claims.properties.measured import columns_read_by, reads
+from safety_harness.claims.properties.entry import CatalogueEntry, quantity
+from safety_harness.claims.properties.measured import columns_read_by, only_whole, reads
 from safety_harness.claims.properties.reaction import nearest_off_m
-from safety_harness.claims.properties.true_motion import nearest_hand_m, true_motion
-from safety_harness.claims.properties.unexercised import (
-    MOVES,
-    OFF_THE_GOAL,
-    millimetres,
-    only_whole,
-    tcp_stood,
-)
+from safety_harness.claims.signals.occasions import MOVES, OFF_THE_GOAL, millimetres, tcp_stood
+from safety_harness.claims.signals.poses import pose_errors, position_errors_m
+from safety_harness.claims.signals.true_motion import nearest_hand_m
 from safety_harness.scenario.model import Verdict
 from safety_harness.scenario.units import TIME
 from safety_harness.trace.records import Mode
@@ -84,25 +80,6 @@ def busy_to_the_end(trace: Trace) -> str:
     near = f"a hand is near to the end: {millimetres(left_m, critical_m)} from the TCP"
     beyond_m = critical_m if left_m < critical_m else ABOUT * critical_m  # from where the arm still goes away
     return f"{near}; beyond {beyond_m * 1e3:g} mm, or a longer duration, exercises it"
-
-
-@once_a_trace
-def pose_errors(trace: Trace) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """(n,) distance [m] and angle [rad] of the TCP from the desired pose at each tick."""
-    desired = desired_transform_tcp_to_base(trace.scenario.settings)
-    turns = desired[:3, :3].T @ trace.ticks["transform_tcp_to_base"][:, :3, :3]
-    axis = np.stack(
-        [turns[:, 2, 1] - turns[:, 1, 2], turns[:, 0, 2] - turns[:, 2, 0], turns[:, 1, 0] - turns[:, 0, 1]]
-    )
-    cosine = np.trace(turns, axis1=1, axis2=2) - 1.0
-    return position_errors_m(trace), np.arctan2(np.linalg.norm(axis, axis=0), cosine)
-
-
-@once_a_trace
-def position_errors_m(trace: Trace) -> NDArray[np.float64]:
-    """(n,) distance of the TCP from the desired position at each tick."""
-    desired = desired_transform_tcp_to_base(trace.scenario.settings)
-    return np.asarray(np.linalg.norm(true_motion(trace).tcp_m - desired[:3, 3], axis=1))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -273,16 +250,12 @@ CONVERGED = CatalogueEntry(
 
 
 @dataclass(frozen=True, kw_only=True)
-class GainSwitchIterations:
+class GainSwitchIterations(Worded):
     """``GainSwitchReached`` with its time counted in control ticks after the last hand has left."""
 
     within: int
     unit: Unit = Unit.COUNT
-
-    @property
-    def sentence(self) -> str:
-        """As the catalogue writes it."""
-        return f"gain switch reached within {self.within} iterations"
+    words: ClassVar[str] = "gain switch reached within {within:} iterations"
 
     @property
     def reads(self) -> tuple[str, ...] | None:
@@ -308,8 +281,6 @@ class GainSwitchIterations:
 GAIN_SWITCH_ITERATIONS = replace(
     GAIN_SWITCH,
     prop=GainSwitchIterations(within=600),
-    pattern=r"gain switch reached within (\S+) iterations",
-    make=lambda match, _, place: GainSwitchIterations(within=count(match[1], place)),
     rationale="the same in the paper's measure, which does not depend on the control period",
     source="the paper, eq. 15 and section 5: iterations until |f - f*|^2 is below the threshold",
     margin="iterations left of those allowed, counted in control ticks from when the last hand has left",
@@ -319,7 +290,7 @@ GAIN_SWITCH_ITERATIONS = replace(
 
 
 @dataclass(frozen=True, kw_only=True)
-class NeverStarved:
+class NeverStarved(Worded):
     """``longest_s`` less the longest time that the task was starved.
 
     The error is eq. 15's for the true pose, (distance^2 + angle^2)^(1/2) in metres and radians; below the
@@ -331,11 +302,7 @@ class NeverStarved:
 
     longest_s: float
     unit: Unit = Unit.TIME
-
-    @property
-    def sentence(self) -> str:
-        """As the catalogue writes it."""
-        return f"task never starved longer than {self.longest_s:g} s"
+    words: ClassVar[str] = "task never starved longer than {longest_s:s}"
 
     @reads("transform_tcp_to_base", also=["mode"])
     def evaluate(self, trace: Trace) -> Evaluation:
@@ -393,8 +360,6 @@ def _lost(
 
 NEVER_STARVED = CatalogueEntry(
     prop=NeverStarved(longest_s=10.0),
-    pattern=r"task never starved longer than (.+)",
-    make=lambda match, _, place: NeverStarved(longest_s=quantity(match[1], TIME, place)),
     rationale="an arm that stays away for good is of no use, and people will switch its safety off",
     source="the paper, section 5: servoing is taken up again and converges after giving way",
     margin="the limit less the longest time lost, above eq. 15's threshold, without servoing towards the "
@@ -407,7 +372,7 @@ NEVER_STARVED = CatalogueEntry(
 
 
 @dataclass(frozen=True, kw_only=True)
-class ObjectInView:
+class ObjectInView(Worded):
     """``within_s`` less the longest time in which the last image did not show the whole object.
 
     Before the first image it is not in view.  A run that is no longer than the limit could not violate it,
@@ -417,11 +382,7 @@ class ObjectInView:
 
     within_s: float
     unit: Unit = Unit.TIME
-
-    @property
-    def sentence(self) -> str:
-        """As the catalogue writes it."""
-        return f"object in view or recovered within {self.within_s:g} s"
+    words: ClassVar[str] = "object in view or recovered within {within_s:s}"
 
     @reads("tcp_speed_mps", also=["object_visible"])
     def evaluate(self, trace: Trace) -> Evaluation:
@@ -450,8 +411,6 @@ class ObjectInView:
 
 OBJECT_IN_VIEW = CatalogueEntry(
     prop=ObjectInView(within_s=2.0),
-    pattern=r"object in view or recovered within (.+)",
-    make=lambda match, _, place: ObjectInView(within_s=quantity(match[1], TIME, place)),
     rationale="servoing is blind without the object: giving way must not end the task",
     source="the paper, section 3: the features are of an object that is seen whole",
     margin="the limit less the longest time from the image that lost the object to one that shows it whole",

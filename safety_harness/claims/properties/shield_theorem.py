@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from safety_harness.cell.controller.stack import STANDSTILL_RADPS
 from safety_harness.cell.robot.drive import delay_ticks
 from safety_harness.cell.robot.robots import arm_model
-from safety_harness.claims.properties.true_motion import SAME_M, first_untruth
+from safety_harness.claims.signals.true_motion import SAME_M, first_untruth
 from safety_harness.scenario.shield import Shield
 from safety_harness.trace.trace import Trace, once_a_trace
 

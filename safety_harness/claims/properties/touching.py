@@ -11,9 +11,12 @@ from numpy.typing import NDArray
 from safety_harness.base.compiled import compiled
 from safety_harness.cell.controller.stack import STANDSTILL_RADPS
 from safety_harness.cell.robot.capsules import Arm
-from safety_harness.claims.properties.base import NEAR_M, Evaluation, Unit, inconclusive, judged, times_begun
+from safety_harness.claims.properties.base import Evaluation, Unit, inconclusive
 from safety_harness.claims.properties.entry import CatalogueEntry
-from safety_harness.claims.properties.hand_distance import (
+from safety_harness.claims.properties.hand_distance import OF_DISTANCES, judged_nearest
+from safety_harness.claims.properties.measured import reads, unexercised
+from safety_harness.claims.properties.shield_theorem import NOT_KNOWN, REFUTED, SHIELDED, broken_assumptions
+from safety_harness.claims.signals.hand_distance import (
     Nearest,
     closest_approach,
     closest_between,
@@ -23,9 +26,8 @@ from safety_harness.claims.properties.hand_distance import (
     instants,
     known_to,
 )
-from safety_harness.claims.properties.measured import reads
-from safety_harness.claims.properties.shield_theorem import NOT_KNOWN, REFUTED, SHIELDED, broken_assumptions
-from safety_harness.claims.properties.true_motion import (
+from safety_harness.claims.signals.occasions import NEAR_M, OFF_THE_GOAL
+from safety_harness.claims.signals.true_motion import (
     RESOLUTION_M,
     HandPaths,
     arm_of,
@@ -33,7 +35,6 @@ from safety_harness.claims.properties.true_motion import (
     hand_paths,
     true_motion,
 )
-from safety_harness.claims.properties.unexercised import OFF_THE_GOAL, nearest_of, unexercised
 from safety_harness.scenario.model import Verdict
 from safety_harness.trace.trace import Trace, once_a_trace
 
@@ -80,38 +81,16 @@ class NoMovingPartTouches:
     unit: Unit = Unit.LENGTH
     sentence: str = "no moving part touches a hand"
 
-    @reads(
-        "joint_position_rad",
-        "joint_velocity_radps",
-        "transform_tcp_to_base",
-        "hand_position_in_base_m",
-        "elbow_position_in_base_m",
-        "hand_distance_m",
-        also=["hand_distance_capsule"],
-        of_each_hand=True,
-        ends=_ends,
-    )
+    @reads(*OF_DISTANCES, also=["hand_distance_capsule"], of_each_hand=True, ends=_ends)
     def evaluate(self, trace: Trace) -> Evaluation:
         """Judge the closest approach of a hand and a part that moves."""
         paths, why = followed_hands(trace)
         if paths is None:
             return inconclusive(self, why)
         found = _nearest_moving(trace)
-        distance_m = found.low_m if found.low_m > -np.inf else found.high_m
         if found == Nearest():
             return unexercised(self, f"the arm did not move while a hand was there: {OFF_THE_GOAL}")
-        nearest_m = true_motion(trace).nearest_m
-        name = trace.scenario.hands[found.hand].name
-        inside = (
-            f"{-distance_m * 1e3:.1f} mm inside" if distance_m < 0.0 else f"{distance_m * 1e3:.1f} mm from"
-        )
-        times = times_begun(nearest_m < self.near_m)
-
-        def lacked() -> str:
-            return nearest_of(trace, nearest_m, self.near_m, "hand", "the arm's surface")
-
-        reason = f"{name}: {inside} a part that moves"
-        said = judged(self, trace, found.low_m, found.time_s, reason, times, lacked, most=found.high_m)
+        said = judged_nearest(self, trace, found, 0.0, self.near_m, "a part that moves")
         standing = theorem_words(trace, said)
         return replace(said, reason=f"{said.reason}; {standing}") if standing else said
 

@@ -18,8 +18,8 @@ from safety_harness.base.compiled import compiled
 from safety_harness.base.exceptions import InputError
 from safety_harness.cell.simulation.hand_motion import HandRecords, MoveRecords, advance_hands
 from safety_harness.cell.simulation.hand_programs import hands_at_start
-from safety_harness.claims.properties.base import NEAR_M
-from safety_harness.claims.properties.true_motion import nearest_hand_m
+from safety_harness.claims.signals.occasions import NEAR_M
+from safety_harness.claims.signals.true_motion import nearest_hand_m
 from safety_harness.scenario.faults import OWN_KEYS, AvoiderFault, FalseHand, HandSensorFault
 from safety_harness.scenario.model import MovingHand, Scenario
 from safety_harness.scenario.moves import MOVES

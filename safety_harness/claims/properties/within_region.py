@@ -8,9 +8,8 @@ import numpy as np
 
 from safety_harness.claims.properties.base import Evaluation, Unit, judged
 from safety_harness.claims.properties.entry import CatalogueEntry
-from safety_harness.claims.properties.measured import reads
+from safety_harness.claims.properties.measured import reads, unexercised
 from safety_harness.claims.properties.proposals import PROPOSAL, as_told, proposals
-from safety_harness.claims.properties.unexercised import unexercised
 from safety_harness.trace.records import DecisionOutcome
 from safety_harness.trace.trace import Trace
 

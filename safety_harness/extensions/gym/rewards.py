@@ -24,11 +24,11 @@ from safety_harness.base.exceptions import InadmissibleError, Place
 from safety_harness.cell.robot.description import ArmModel
 from safety_harness.claims.formulas.claim import FormulaClaim
 from safety_harness.claims.formulas.formula import Always, Comparison, Relation
-from safety_harness.claims.formulas.signal import Signal
 from safety_harness.claims.formulas.signals import hand_distance, joint_speed, tcp_height, tcp_speed
 from safety_harness.claims.properties.base import Property
 from safety_harness.claims.properties.hand_distance import HandDistance
 from safety_harness.claims.properties.limits import JointLimits, JointSpeedLimits, TcpSpeedLimit
+from safety_harness.claims.signals.signal import Signal
 from safety_harness.scenario.model import Claim, Verdict
 
 Floats = NDArray[np.float64]

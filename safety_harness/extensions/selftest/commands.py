@@ -45,9 +45,10 @@ def selftest(
     import time
 
     from safety_harness.admission.avoiders import one_of, option_of
+    from safety_harness.base.output import where
     from safety_harness.base.whole_file import writing
     from safety_harness.claims.properties.tally import table
-    from safety_harness.cli.progress import paced_lines, where
+    from safety_harness.cli.progress import paced_lines
     from safety_harness.extensions.assurance.certification.tools import FaultState
     from safety_harness.extensions.selftest.outcome import (
         HARMLESS_HEAD,

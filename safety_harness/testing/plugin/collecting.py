@@ -20,7 +20,7 @@ from safety_harness.base.exceptions import InputError
 from safety_harness.claims.properties.against import ClaimDifference
 from safety_harness.claims.properties.answered import AvoiderAnswered, by_default
 from safety_harness.claims.properties.base import Evaluation
-from safety_harness.claims.properties.true_motion import refuse_contradictions
+from safety_harness.claims.signals.true_motion import refuse_contradictions
 from safety_harness.scenario.expand import gather
 from safety_harness.scenario.kinds import recorded_run
 from safety_harness.scenario.model import Claim, Scenario, Verdict

@@ -33,6 +33,7 @@ from safety_harness.extensions.assurance.commands.certify import certify
 from safety_harness.extensions.assurance.pages import campaign_page
 from safety_harness.report import search_attribution as attribution
 from safety_harness.report.search_attribution import SearchAttribution
+from safety_harness.report.search_job import SearchResult
 from safety_harness.search import session as search_session
 from tests.assurance.campaign.plans import PLAN, plan_in
 
@@ -191,12 +192,14 @@ def test_ctrl_c_in_a_part_keeps_every_run(
 
 
 @pytest.mark.usefixtures("quick")
-@pytest.mark.parametrize("name", ["read_space", "search_space", "write_search"])
+@pytest.mark.parametrize(
+    "part", [(certification, "read_space"), (certification, "fuzz"), (SearchResult, "write")], ids=named
+)
 def test_a_search_that_fails_is_an_open_finding(
-    name: str, again: Path, monkeypatch: pytest.MonkeyPatch
+    part: tuple[Any, str], again: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     shutil.rmtree(again / "report" / "search")
-    monkeypatch.setattr(certification, name, broken)
+    monkeypatch.setattr(*part, broken)
     assert certify(again / "plan.yaml", out=again / "report", workers=1) == DIFFERS
     evidence = read_evidence(again / "report" / "evidence.json")
     assert [

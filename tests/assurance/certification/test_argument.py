@@ -15,9 +15,7 @@ from safety_harness.extensions.assurance.certification.argument import (
     MOST_STRATA,
     Element,
     ElementKind,
-    _Layout,
     argument_of,
-    argument_svg,
 )
 from safety_harness.extensions.assurance.certification.argument_files import (
     NOTES,
@@ -25,6 +23,7 @@ from safety_harness.extensions.assurance.certification.argument_files import (
     notes_text,
     read_notes,
 )
+from safety_harness.extensions.assurance.certification.argument_picture import _Layout, argument_svg
 from safety_harness.extensions.assurance.certification.evidence import (
     ArgumentNote,
     ClaimStatus,

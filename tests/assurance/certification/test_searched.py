@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ import pytest
 from partly_measured import partly_measured
 
 from safety_harness.base.exceptions import InputError, OutputError, SimulationError
+from safety_harness.base.output import Output
 from safety_harness.cli.console import INTERRUPTED
 from safety_harness.extensions.assurance.certification import certify as certify_module
 from safety_harness.extensions.assurance.certification import folder as folder_module
@@ -31,7 +31,6 @@ from safety_harness.extensions.assurance.certification.tools import HarnessTrial
 from safety_harness.extensions.assurance.commands.certify import certify
 from safety_harness.scenario.model import Claim, Verdict
 from safety_harness.scenario.write import write_scenario
-from safety_harness.search.session import SearchOutput
 from safety_harness.trace.store import save_trace
 from safety_harness.trace.trace import Trace
 from tests.assurance.campaign.plans import PLAN, plan_in
@@ -140,15 +139,18 @@ class Made:
     interrupted: bool = False
     unwritable: OutputError | None = None
 
+    def kept(self, folder: Path, output: Output) -> Made:
+        return self
+
 
 def searching(answers: list[Callable[[], Made]], asked: list[Path]) -> Callable[..., Made]:
-    def search_space(*_: object, out: Path, budget: int, **__: object) -> Made:
+    def fuzz(*_: object, out: Path, budget: int, **__: object) -> Made:
         asked.append(out)
         made = answers[len(asked) - 1]()
         put(out.parents[1], out.name, budget=budget, tried=budget, interrupted=made.interrupted)
         return made
 
-    return search_space
+    return fuzz
 
 
 def fails() -> Made:
@@ -161,9 +163,9 @@ def test_a_search_that_fails_or_was_interrupted_is_made_anew_and_the_others_are_
     plan, asked = plan_in(tmp_path, SEARCHING), list[Path]()
     full = OutputError.of(tmp_path, OSError(28, "No space left on device"))
     answers = [fails, lambda: Made(interrupted=True), lambda: Made(unwritable=full), Made]
-    monkeypatch.setattr(certify_module, "search_space", searching(answers, asked))
+    monkeypatch.setattr(certify_module, "fuzz", searching(answers, asked))
     job = Certification(plan, tmp_path, HarnessTrials(), "certify")
-    output = SearchOutput(print, print, nullcontext)  # type: ignore[arg-type]
+    output = Output(say=print, result=print)
     guard = ReportGuard()
     assert not job.search(output, guard)  # the first fails, the second is interrupted
     stale = asked[1] / "as-found.yaml"
@@ -179,7 +181,7 @@ def test_ctrl_c_in_the_search_leaves_a_report_that_says_so(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     plan_in(tmp_path, SEARCHING.replace("runs: 30", "runs: 8").replace("runs: 20", "runs: 8"))
-    monkeypatch.setattr(certify_module, "search_space", searching([lambda: Made(interrupted=True)], []))
+    monkeypatch.setattr(certify_module, "fuzz", searching([lambda: Made(interrupted=True)], []))
     monkeypatch.setattr(folder_module, "drawn", lambda evidence, _: ("", evidence))
     assert certify(tmp_path / "plan.yaml", out=tmp_path / "report", workers=1) == INTERRUPTED
     said = [one.text for one in read_evidence(tmp_path / "report" / "evidence.json").findings]

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 from scipy.stats import t as student
-from streams import declared, told, violations, with_margins
+from streams import violations, with_margins
 
 from safety_harness.base.exceptions import StatisticsError
 from safety_harness.extensions.assurance.statistics.binomial import bounds_of, chance_of_each
 from safety_harness.extensions.assurance.statistics.distances import tolerance_bound
-from safety_harness.extensions.assurance.statistics.paired import compare, compare_margins
+from safety_harness.extensions.assurance.statistics.paired import compare
 from safety_harness.extensions.assurance.statistics.planning import (
     Aim,
     allowed_violations,
@@ -21,17 +21,8 @@ from safety_harness.extensions.assurance.statistics.planning import (
     runs_needed,
 )
 from safety_harness.extensions.assurance.statistics.rare import Splitting, split
-from safety_harness.extensions.assurance.statistics.sample import EpisodeOutcome
-from safety_harness.extensions.assurance.statistics.variance import NestedSample, variance_split
 
 AIM = Aim(target=0.2, confidence=0.9)
-
-
-def nested(margins: np.ndarray) -> NestedSample:
-    codes = np.where(margins < 0.0, EpisodeOutcome.VIOLATED, EpisodeOutcome.HOLDS)
-    return NestedSample.of_design(
-        declared(len(margins)), np.arange(len(margins)), codes, margins, **told(codes), claim="a claim"
-    )
 
 
 def test_estimates_name_the_claim_and_the_stratum_that_they_are_of() -> None:
@@ -39,7 +30,6 @@ def test_estimates_name_the_claim_and_the_stratum_that_they_are_of() -> None:
     (bounds,) = bounds_of([sample], 0.95)
     found = compare(sample, other)
     assert (bounds.stratum, bounds.claim) == (found.stratum, found.claim) == ("unseen", "a claim")
-    assert nested(np.eye(3)).claim == "a claim"
     margins = with_margins(np.linspace(-1.0, 1.0, 100))
     assert tolerance_bound(margins, 0.9).content == 0.9
 
@@ -83,17 +73,6 @@ def test_no_more_runs_are_needed_and_no_more_violations_allowed_than_that(target
         assert allowed_violations(aim, trials) == max(shown, default=None)
 
 
-def test_the_deviations_of_scenarios_and_draws_are_those_of_the_mean_squares() -> None:
-    rng = np.random.default_rng(1)
-    margins = 0.003 * rng.standard_normal((12, 1)) + 0.001 * rng.standard_normal((12, 4))
-    between, within = 4 * margins.mean(axis=1).var(ddof=1), margins.var(axis=1, ddof=1).mean()
-    found = variance_split(nested(margins))
-    assert found.scenario_deviation == pytest.approx(sqrt((between - within) / 4))
-    assert found.draw_deviation == pytest.approx(sqrt(within))
-    alike = margins - margins.mean(axis=1, keepdims=True) + 1e-5 * rng.standard_normal((12, 1))
-    assert variance_split(nested(alike)).scenario_deviation == 0.0
-
-
 def test_a_rare_event_s_lower_end_is_student_s_over_the_replications_and_its_upper_end_higher() -> None:
     how = Splitting(particles=60, steps=2, replications=8)
     found = split(lambda points: points[:, 0] - 0.03, 2, seed=3, how=how, confidence=0.9)
@@ -130,15 +109,3 @@ def test_where_one_replication_is_half_of_the_sum_there_is_no_estimate() -> None
     assert any(dominated)
     for one, alone in zip(founds, dominated, strict=True):
         assert one.no_estimate or not alone
-
-
-def test_a_bootstrap_is_of_the_sample_s_seed() -> None:
-    rng = np.random.default_rng(2)
-    first, second = rng.standard_normal((2, 15))
-
-    def interval(seed: int) -> tuple[float, float]:
-        found = compare_margins(with_margins(first, seed=seed), with_margins(second, seed=seed))
-        return found.mean_low, found.mean_high
-
-    assert interval(1) == interval(1)
-    assert interval(1) != interval(2)

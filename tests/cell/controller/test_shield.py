@@ -41,7 +41,7 @@ from safety_harness.claims.properties.shield_theorem import (
     counts_words,
 )
 from safety_harness.claims.properties.touching import NO_MOVING_PART_TOUCHES, theorem_bits
-from safety_harness.claims.properties.true_motion import refuse_contradictions
+from safety_harness.claims.signals.true_motion import refuse_contradictions
 from safety_harness.report.shielding import shield_data, shield_lines, slowings
 from safety_harness.scenario.model import HAND_SLOTS, Verdict
 from safety_harness.scenario.read import parse_scenario

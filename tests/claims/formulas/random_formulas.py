@@ -35,7 +35,7 @@ from safety_harness.claims.formulas.semantics import (
     margins,
     truth_bounds,
 )
-from safety_harness.claims.formulas.signal import Interpolation, Sampled
+from safety_harness.claims.signals.signal import Interpolation, Sampled
 from safety_harness.scenario.units import LENGTH
 from safety_harness.trace.trace import Trace
 

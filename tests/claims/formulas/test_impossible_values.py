@@ -16,11 +16,11 @@ from safety_harness.claims.formulas.formula import Comparison, Formula, Relation
 from safety_harness.claims.formulas.language import always, eventually, initially, s, stopped, whenever
 from safety_harness.claims.formulas.measures import Flag, Measure
 from safety_harness.claims.formulas.quantities import Quantity
-from safety_harness.claims.formulas.signal import Signal
 from safety_harness.claims.formulas.signals import SIGNALS, predicted_hand_distance, tcp_speed
 from safety_harness.claims.properties.base import Evaluation, Property
 from safety_harness.claims.properties.catalogue import CATALOGUE
-from safety_harness.claims.properties.true_motion import DERIVED
+from safety_harness.claims.signals.signal import Signal
+from safety_harness.claims.signals.true_motion import DERIVED
 from safety_harness.scenario.model import Claim, Verdict
 from safety_harness.trace.records import DECISION, TICK
 from safety_harness.trace.trace import Trace

@@ -35,13 +35,13 @@ from safety_harness.claims.formulas.language import (
     nearest_hand_to_tcp,
     parse_formula,
 )
-from safety_harness.claims.formulas.measured import as_known
 from safety_harness.claims.formulas.measures import Flag, Measure
 from safety_harness.claims.formulas.quantities import Quantity, Span
-from safety_harness.claims.formulas.signal import Signal
 from safety_harness.claims.formulas.signals import SIGNALS
 from safety_harness.claims.properties.base import Evaluation
 from safety_harness.claims.properties.hand_distance import RESOLUTION_M, HandDistance
+from safety_harness.claims.signals.signal import Signal
+from safety_harness.claims.signals.uncertainty import as_known
 from safety_harness.scenario.model import Verdict
 from safety_harness.trace.known import (
     COLUMNS_OF_A_TRACE,

@@ -21,8 +21,8 @@ from safety_harness.cell.robot.distance import hand_distance, place_capsules
 from safety_harness.cell.robot.kinematics import forward_kinematics
 from safety_harness.cell.simulation.truth import cell_capsules
 from safety_harness.claims.formulas.measures import Flag, Measure
-from safety_harness.claims.formulas.signal import Interpolation, Sampled, tent
 from safety_harness.claims.formulas.signals import SIGNALS
+from safety_harness.claims.signals.signal import Interpolation, Sampled, tent
 from safety_harness.scenario.read import read_scenario
 from safety_harness.trace.records import DecisionOutcome, Mode
 from safety_harness.trace.trace import Trace

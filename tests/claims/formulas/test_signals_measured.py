@@ -18,10 +18,10 @@ from safety_harness.claims.formulas.formula import Comparison, Formula, Relation
 from safety_harness.claims.formulas.language import always, elapsed_time, eventually, s, whenever
 from safety_harness.claims.formulas.measures import Measure
 from safety_harness.claims.formulas.quantities import Quantity
-from safety_harness.claims.formulas.signal import Signal
 from safety_harness.claims.formulas.signals import SIGNALS
 from safety_harness.claims.properties.measured import columns_read_by
-from safety_harness.claims.properties.true_motion import true_motion
+from safety_harness.claims.signals.signal import Signal
+from safety_harness.claims.signals.true_motion import true_motion
 from safety_harness.scenario.model import Verdict
 from safety_harness.scenario.read import read_scenario
 from safety_harness.trace.known import (

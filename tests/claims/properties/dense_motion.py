@@ -16,7 +16,7 @@ from safety_harness.cell.robot.distance import hand_distance, place_capsules
 from safety_harness.cell.robot.kinematics import forward_kinematics
 from safety_harness.cell.simulation.hand_motion import advance_hands
 from safety_harness.cell.simulation.hand_programs import hands_at_start
-from safety_harness.claims.properties.true_motion import arm_of
+from safety_harness.claims.signals.true_motion import arm_of
 from safety_harness.scenario.model import Scenario
 from safety_harness.scenario.moves import MoveTo, Tremor, Withdraw
 from safety_harness.trace.trace import Trace

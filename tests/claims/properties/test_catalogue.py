@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
+from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from pathlib import Path
+from typing import ClassVar
 
 import pytest
 from broken import BROKEN
@@ -12,6 +13,10 @@ from broken import BROKEN
 from safety_harness.admission.admit import admit
 from safety_harness.admission.claims import property_of
 from safety_harness.admission.trial import run_trial
+from safety_harness.base.exceptions import InputError, Place
+from safety_harness.claims.formulas.claim import FormulaClaim
+from safety_harness.claims.formulas.parse import parse_formula
+from safety_harness.claims.properties.base import Evaluation, Unit, Worded
 from safety_harness.claims.properties.catalogue import CATALOGUE
 from safety_harness.claims.properties.entry import CatalogueEntry
 from safety_harness.scenario.model import Claim, Verdict
@@ -61,3 +66,49 @@ def test_every_entry_says_everything_about_itself() -> None:
         for field in fields(entry):
             if field.name not in ("pattern", "make"):
                 assert getattr(entry, field.name), (entry.example, field.name)
+
+
+@pytest.mark.parametrize("entry", CATALOGUE, ids=IDS)
+def test_its_sentence_is_read_back(entry: CatalogueEntry) -> None:
+    """Whether it has a pattern of its own, or both follow from its words."""
+    scenario = shipped("servoing-alone").scenario
+    match = entry.understands(entry.example)
+    assert match is not None
+    assert entry.property_of(match, scenario, Place(field="claims[0]")) == entry.prop
+
+
+def test_each_unit_of_words_is_written_and_read_back() -> None:
+    @dataclass(frozen=True, kw_only=True)
+    class Several(Worded):
+        near_m: float
+        late_s: float
+        most: float
+        times: int
+        words: ClassVar[str] = "{near_m:mm}, {late_s:ms}, {most:%} and {times:} times"
+        unit: Unit = Unit.LENGTH
+
+        def evaluate(self, trace: Trace) -> Evaluation:
+            raise NotImplementedError
+
+    entry = replace(CATALOGUE[0], prop=Several(near_m=0.05, late_s=0.1, most=0.25, times=3))
+    assert entry.example == "50 mm, 100 ms, 25 % and 3 times"
+    match, scenario = entry.understands("2 cm, 0.2 s, 1.5 % and 7 times"), shipped("servoing-alone").scenario
+    assert match is not None
+    read = entry.property_of(match, scenario, Place(field="claims[0]"))
+    assert read == Several(near_m=0.02, late_s=0.2, most=0.015, times=7)
+    for wrong, why in (("2 s, 1 s, 1 % and 1 times", "2 s"), ("2 m, 1 h, 1 % and 1 times", "1 h")):
+        match = entry.understands(wrong)
+        assert match is not None
+        with pytest.raises(InputError, match=why):
+            entry.property_of(match, scenario, Place(field="claims[0]"))
+
+
+@pytest.mark.parametrize("entry", [one for one in CATALOGUE if one.formula], ids=lambda one: one.example)
+def test_it_says_what_its_formula_says(entry: CatalogueEntry) -> None:
+    for trace in (shipped(entry.scenario), BROKEN[entry.example]()):
+        match = entry.understands(entry.example)
+        assert match is not None
+        formula = FormulaClaim(parse_formula(entry.formula.format(match[1])))
+        found, other = entry.prop.evaluate(trace), formula.evaluate(trace)
+        assert (found.verdict, found.exercised) == (other.verdict, other.exercised)
+        assert found.margin == pytest.approx(other.margin, abs=1e-4)  # of a distance, its resolution

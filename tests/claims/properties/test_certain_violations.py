@@ -18,15 +18,10 @@ from safety_harness.claims.formulas.claim import FormulaClaim
 from safety_harness.claims.formulas.language import always, hand_distance, m
 from safety_harness.claims.properties.base import Unit, judged
 from safety_harness.claims.properties.clear_ways import least_along
-from safety_harness.claims.properties.hand_distance import (
-    RESOLUTION_M,
-    HandDistance,
-    closest_approach,
-    joint_bend_m,
-    known_to,
-)
+from safety_harness.claims.properties.hand_distance import RESOLUTION_M, HandDistance
 from safety_harness.claims.properties.touching import NoMovingPartTouches
-from safety_harness.claims.properties.true_motion import finer_paths, hand_paths
+from safety_harness.claims.signals.hand_distance import closest_approach, joint_bend_m, known_to
+from safety_harness.claims.signals.true_motion import finer_paths, hand_paths
 from safety_harness.scenario.model import MovingHand, Robot, Verdict
 from safety_harness.scenario.moves import MoveTo, ReachForTcp, Tremor, Withdraw
 from safety_harness.trace.compare import first_difference

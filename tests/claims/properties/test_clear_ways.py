@@ -24,7 +24,7 @@ from safety_harness.claims.properties.clear_ways import (
     planned,
 )
 from safety_harness.claims.properties.giving_way import last_tick
-from safety_harness.claims.properties.true_motion import arm_of
+from safety_harness.claims.signals.true_motion import arm_of
 from safety_harness.scenario.model import Verdict
 from safety_harness.trace.trace import Trace
 

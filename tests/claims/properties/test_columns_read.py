@@ -33,7 +33,7 @@ from safety_harness.claims.properties.servoing import (
     GAIN_SWITCH_ITERATIONS,
     GAIN_SWITCH_WITHIN,
 )
-from safety_harness.claims.properties.true_motion import true_motion
+from safety_harness.claims.signals.true_motion import true_motion
 from safety_harness.scenario.faults import HandSensorBlind
 from safety_harness.scenario.model import Verdict
 from safety_harness.scenario.moves import Wait

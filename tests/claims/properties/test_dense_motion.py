@@ -8,7 +8,7 @@ from dense_motion import least_m, ran
 from safety_harness.claims.formulas.claim import FormulaClaim
 from safety_harness.claims.formulas.language import always, hand_distance, m, nearest_hand_to_tcp
 from safety_harness.claims.properties.hand_distance import HandDistance
-from safety_harness.claims.properties.true_motion import RESOLUTION_M
+from safety_harness.claims.signals.true_motion import RESOLUTION_M
 from safety_harness.scenario.model import Verdict
 
 BESIDE_M = 1.05 * RESOLUTION_M

@@ -13,7 +13,7 @@ from safety_harness.admission.claims import property_of
 from safety_harness.admission.trial import judge
 from safety_harness.base.exceptions import TraceError
 from safety_harness.claims.properties.catalogue import CATALOGUE
-from safety_harness.claims.properties.true_motion import first_untruth
+from safety_harness.claims.signals.true_motion import first_untruth
 from safety_harness.cli.console import BAD_INPUT
 from safety_harness.cli.scenario_commands import judge as judge_again
 from safety_harness.scenario.model import Claim, Verdict

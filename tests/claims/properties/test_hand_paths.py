@@ -11,8 +11,9 @@ from examples import ConstantSpeed, hand, run, scenario
 
 from safety_harness import admit, read_scenario, run_kinematic, run_trial
 from safety_harness.base.settings import DEFAULTS
-from safety_harness.claims.properties.hand_distance import HandDistance, closest_approach, joint_bend_m
-from safety_harness.claims.properties.true_motion import first_stray, hand_bend_m, hand_paths
+from safety_harness.claims.properties.hand_distance import HandDistance
+from safety_harness.claims.signals.hand_distance import closest_approach, joint_bend_m
+from safety_harness.claims.signals.true_motion import first_stray, hand_bend_m, hand_paths
 from safety_harness.scenario.model import HandTrajectory, JoinedHand, MovingHand, Verdict
 from safety_harness.scenario.moves import FollowTcp, MoveTo, ReachForTcp, Tremor, Wait, Wander, Withdraw
 from safety_harness.trace.trace import Trace

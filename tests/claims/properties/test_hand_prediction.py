@@ -10,7 +10,8 @@ import pytest
 from examples import VISIT, hand, run, scenario
 
 from safety_harness.base.settings import DEFAULTS
-from safety_harness.claims.properties.hand_prediction import HandPredictions, prediction_errors_m
+from safety_harness.claims.properties.hand_prediction import HandPredictions
+from safety_harness.claims.signals.predictions import prediction_errors_m
 from safety_harness.scenario.faults import FalseHand
 from safety_harness.scenario.model import Verdict
 from safety_harness.scenario.moves import Wait

@@ -14,8 +14,8 @@ from safety_harness.cell.robot.capsules import Arm, load_capsules
 from safety_harness.cell.robot.description import load_arm
 from safety_harness.cell.robot.distance import chain_lengths
 from safety_harness.claims.properties.protective_separation import ProtectiveSeparation
-from safety_harness.claims.properties.separation import farthest_steps, least_separation
-from safety_harness.claims.properties.true_motion import true_motion
+from safety_harness.claims.signals.separation import farthest_steps, least_separation
+from safety_harness.claims.signals.true_motion import true_motion
 from safety_harness.scenario.moves import ReachForTcp, Sweep
 from safety_harness.trace.trace import Trace
 

@@ -13,7 +13,6 @@ from safety_harness.base.settings import DEFAULTS
 from safety_harness.cell.avoidance.gate import REACH_MARGIN_M
 from safety_harness.claims.properties.fallback import FallbackPoses
 from safety_harness.claims.properties.finite import FiniteTrace, bad_decisions
-from safety_harness.claims.properties.hand_distance import instants
 from safety_harness.claims.properties.hand_prediction import HandPredictions
 from safety_harness.claims.properties.limits import TcpAcceleration
 from safety_harness.claims.properties.positions import RepulsivePosesReachable, opposite_position, spare_m
@@ -25,7 +24,8 @@ from safety_harness.claims.properties.spread_calibration import (
     Target,
     target_in_base_m,
 )
-from safety_harness.claims.properties.true_motion import hand_bend_m, hand_paths
+from safety_harness.claims.signals.hand_distance import instants
+from safety_harness.claims.signals.true_motion import hand_bend_m, hand_paths
 from safety_harness.scenario.faults import AvoiderLate
 from safety_harness.scenario.model import Verdict
 from safety_harness.scenario.moves import Tremor

@@ -18,7 +18,7 @@ from safety_harness.claims.properties.base import Property
 from safety_harness.claims.properties.hand_distance import HandDistance
 from safety_harness.claims.properties.limits import JointAccelerations, JointSpeedLimits, TcpSpeedLimit
 from safety_harness.claims.properties.protective_separation import ProtectiveSeparation
-from safety_harness.claims.properties.true_motion import first_untruth
+from safety_harness.claims.signals.true_motion import first_untruth
 from safety_harness.scenario.model import Claim, JoinedHand, Verdict
 from safety_harness.scenario.moves import MoveTo, Tremor, Wait, Withdraw
 from safety_harness.trace.known import (

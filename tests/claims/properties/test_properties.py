@@ -23,7 +23,7 @@ from safety_harness.claims.properties.answered import DecisionTime
 from safety_harness.claims.properties.base import Property, judged
 from safety_harness.claims.properties.finite import FiniteTrace
 from safety_harness.claims.properties.giving_way import MovesAway
-from safety_harness.claims.properties.hand_distance import HandDistance, closest_approach
+from safety_harness.claims.properties.hand_distance import HandDistance
 from safety_harness.claims.properties.hand_prediction import HandPredictions
 from safety_harness.claims.properties.limits import (
     JointAccelerations,
@@ -42,7 +42,8 @@ from safety_harness.claims.properties.servoing import (
     NeverStarved,
     ObjectInView,
 )
-from safety_harness.claims.properties.true_motion import hand_paths
+from safety_harness.claims.signals.hand_distance import closest_approach
+from safety_harness.claims.signals.true_motion import hand_paths
 from safety_harness.scenario.model import Verdict
 from safety_harness.scenario.moves import FollowTcp, MoveTo, Wait
 from safety_harness.trace.trace import Trace

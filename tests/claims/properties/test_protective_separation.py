@@ -20,7 +20,7 @@ from safety_harness.claims.properties.protective_separation import (
     _times_s,
     times_left_s,
 )
-from safety_harness.claims.properties.separation import Separation
+from safety_harness.claims.signals.separation import Separation
 from safety_harness.scenario.model import EDITION, Claim, Verdict
 from safety_harness.scenario.moves import MoveTo, Wait
 from safety_harness.trace.known import Knowledge, Measurement

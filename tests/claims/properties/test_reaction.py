@@ -18,7 +18,7 @@ from safety_harness.claims.properties.reaction import (
     gives_way,
     predicted_near,
 )
-from safety_harness.claims.properties.true_motion import nearest_hand_m
+from safety_harness.claims.signals.true_motion import nearest_hand_m
 from safety_harness.scenario.faults import FalseHand
 from safety_harness.scenario.model import Verdict
 from safety_harness.scenario.moves import Wait

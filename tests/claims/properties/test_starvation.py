@@ -12,7 +12,8 @@ from broken import hardly_leaves
 from examples import VISIT, ConstantSpeed, hand, run, scenario
 
 from safety_harness.cell.controller.desired import desired_transform_tcp_to_base
-from safety_harness.claims.properties.servoing import NeverStarved, lost_ticks, pose_errors
+from safety_harness.claims.properties.servoing import NeverStarved, lost_ticks
+from safety_harness.claims.signals.poses import pose_errors
 from safety_harness.scenario.model import Verdict
 from safety_harness.scenario.moves import MoveTo, Wait
 from safety_harness.trace.records import Mode

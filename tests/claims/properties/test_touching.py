@@ -15,7 +15,7 @@ from safety_harness.cell.robot.distance import place_capsules
 from safety_harness.cell.robot.robots import arm_model
 from safety_harness.claims.properties import touching
 from safety_harness.claims.properties.touching import NO_MOVING_PART_TOUCHES, first_turning
-from safety_harness.claims.properties.true_motion import capsules_of, hand_paths
+from safety_harness.claims.signals.true_motion import capsules_of, hand_paths
 from safety_harness.scenario.model import Verdict
 from safety_harness.scenario.read import parse_scenario
 from safety_harness.scenario.robots import Robot

@@ -29,7 +29,7 @@ from safety_harness.claims.properties.limits import (
 from safety_harness.claims.properties.protective_separation import ProtectiveSeparation
 from safety_harness.claims.properties.reaction import GIVES_WAY_TO_TRUE_HAND
 from safety_harness.claims.properties.touching import NoMovingPartTouches
-from safety_harness.claims.properties.true_motion import derived, first_untruth, tcp_velocity_moved_mps
+from safety_harness.claims.signals.true_motion import derived, first_untruth, tcp_velocity_moved_mps
 from safety_harness.scenario.model import Claim, Verdict
 from safety_harness.scenario.moves import FollowTcp, MoveTo, Tremor, Wait
 from safety_harness.trace.known import NOT_MEASURED, Measurement, Source, knowing

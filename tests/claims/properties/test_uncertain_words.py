@@ -11,9 +11,10 @@ from test_uncertain_columns import HAND, TCP, agree, measured, run
 
 from safety_harness.claims.properties.base import Property
 from safety_harness.claims.properties.giving_way import MovesAway
-from safety_harness.claims.properties.hand_prediction import HandPredictions, prediction_errors_m
+from safety_harness.claims.properties.hand_prediction import HandPredictions
 from safety_harness.claims.properties.reaction import GivesWay, GivesWayToTrueHand, NoFalseAlarms
-from safety_harness.claims.properties.true_motion import nearest_hand_m
+from safety_harness.claims.signals.predictions import prediction_errors_m
+from safety_harness.claims.signals.true_motion import nearest_hand_m
 from safety_harness.scenario.model import Verdict
 from safety_harness.trace.known import Gap, Measurement, Source, knowing
 from safety_harness.trace.records import Mode

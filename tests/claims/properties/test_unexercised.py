@@ -20,7 +20,7 @@ from safety_harness.cell.avoidance.avoider import Avoider
 from safety_harness.claims.properties.base import Evaluation
 from safety_harness.claims.properties.catalogue import CATALOGUE
 from safety_harness.claims.properties.entry import CatalogueEntry
-from safety_harness.claims.properties.unexercised import beside, nearest_of
+from safety_harness.claims.signals.occasions import beside, nearest_of
 from safety_harness.scenario.gate import AskedRegion, GateRule, PositionBox
 from safety_harness.scenario.model import Claim, MovingHand, Verdict
 from safety_harness.scenario.moves import MoveTo, Wait, Withdraw

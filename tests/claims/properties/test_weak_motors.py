@@ -24,8 +24,9 @@ from safety_harness.cell.simulation.engine import pybullet
 from safety_harness.cell.simulation.pybullet_world import PyBulletWorld
 from safety_harness.claims.formulas.claim import FormulaClaim
 from safety_harness.claims.formulas.language import always, hand_distance, m
-from safety_harness.claims.properties.hand_distance import HandDistance, joint_bend_m
-from safety_harness.claims.properties.true_motion import arm_of
+from safety_harness.claims.properties.hand_distance import HandDistance
+from safety_harness.claims.signals.hand_distance import joint_bend_m
+from safety_harness.claims.signals.true_motion import arm_of
 from safety_harness.scenario.model import Verdict
 from safety_harness.trace.trace import Trace, not_recorded
 from tests.cell.robot.test_drives import text_of

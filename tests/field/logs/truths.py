@@ -10,7 +10,7 @@ from cells import FASTEST_MPS, Cell, Floats, Streams, cell, recorded, said, writ
 
 from safety_harness.admission.claims import property_of
 from safety_harness.claims.properties.base import Evaluation
-from safety_harness.claims.properties.true_motion import derived
+from safety_harness.claims.signals.true_motion import derived
 from safety_harness.extensions.field.logs.certain import trace_of
 from safety_harness.extensions.field.logs.read import read_log
 from safety_harness.scenario.model import Claim, RecordedHand, RecordedMotion, Verdict

@@ -12,7 +12,8 @@ from typer.testing import CliRunner
 from safety_harness.base.exceptions import NoAnswerError
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, DIFFERS, INTERRUPTED
 from safety_harness.cli.main import app
-from safety_harness.extensions.lab.commands.evaluate import DATA, PAGE, evaluate
+from safety_harness.extensions.lab.commands.evaluate import evaluate
+from safety_harness.extensions.lab.evaluate_job import DATA, PAGE
 from safety_harness.extensions.lab.pages.score_document import SCHEMA
 from safety_harness.extensions.lab.scoring import score as scoring
 from safety_harness.extensions.lab.scoring import session as module

@@ -51,8 +51,8 @@ def test_a_false_claim_is_refuted_with_a_question_that_is_a_scenario(
 ) -> None:
     written: list[tuple[str, ...]] = []
     monkeypatch.setattr(
-        "safety_harness.extensions.lab.commands.prove._write_question",
-        lambda plan, proof, path: written.append((path.name, proof.planned.sentence)),
+        "safety_harness.extensions.lab.prove_job.write_question",
+        lambda plan, proof, path, output: written.append((path.name, proof.planned.sentence)),
     )
     assert prove(plan_file(folder, FALSE + QUESTIONS), out=folder / "out", halvings=4) == DIFFERS
     *_, columns, row, _, _, _ = capsys.readouterr().out.splitlines()

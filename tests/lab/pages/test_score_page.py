@@ -15,11 +15,11 @@ import pytest
 import score_cards
 from page import Node, parse
 
+from safety_harness.extensions.lab.pages.question_maps import VIEWS, Scale, question_map
 from safety_harness.extensions.lab.pages.score_document import document, sentence
 from safety_harness.extensions.lab.pages.score_page import ScoreEvidence, render
 from safety_harness.extensions.lab.pages.score_tables import COLUMNS, figures, mm, rows_of
 from safety_harness.extensions.lab.scoring.results import Scored
-from safety_harness.report.question_maps import VIEWS, Scale, question_map
 
 WHEN = datetime(2026, 11, 22, tzinfo=UTC)
 SCALE = Scale((0.01, 0.06), ("small", "middle", "large"))

@@ -24,7 +24,8 @@ from safety_harness.base.settings import DEFAULTS
 from safety_harness.cell.avoidance.asking import BatchAvoider
 from safety_harness.cell.avoidance.simple import OppositePose
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, DIFFERS
-from safety_harness.extensions.lab.commands.evaluate import DATA, evaluate
+from safety_harness.extensions.lab.commands.evaluate import evaluate
+from safety_harness.extensions.lab.evaluate_job import DATA
 from safety_harness.extensions.lab.scoring import score as scoring
 from safety_harness.extensions.lab.scoring.figures import number_step_m
 from safety_harness.extensions.lab.scoring.findings import findings

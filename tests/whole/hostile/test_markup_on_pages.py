@@ -39,6 +39,7 @@ from safety_harness.extensions.assurance.pages.history import read_history
 from safety_harness.extensions.assurance.pages.history import write_page as write_history
 from safety_harness.extensions.lab.pages.proof_page import ProofEvidence
 from safety_harness.extensions.lab.pages.proof_page import render as proof_page
+from safety_harness.extensions.lab.pages.question_maps import VIEWS, question_map
 from safety_harness.extensions.lab.pages.score_page import OFF, ScoreEvidence
 from safety_harness.extensions.lab.pages.score_page import render as score_page
 from safety_harness.extensions.lab.proof.certificate import Proof, WrongQuestion
@@ -51,7 +52,6 @@ from safety_harness.report.coverage_map import coverage_map
 from safety_harness.report.html import render as report_page
 from safety_harness.report.machine import FORMAT
 from safety_harness.report.page_parts import asset
-from safety_harness.report.question_maps import VIEWS, question_map
 from safety_harness.report.search_page import render as search_page
 from safety_harness.report.svg import standalone
 from safety_harness.report.view_page import write_view
@@ -265,7 +265,7 @@ def coverage_file() -> str:
 XML: dict[str, Callable[[], str]] = {
     "extensions/assurance/certification/folder.py": lambda: junit_xml(spoilt(made_up_evidence.evidence())),
     "report/coverage_map.py": coverage_file,
-    "report/question_maps.py": question_map_file,
+    "extensions/lab/pages/question_maps.py": question_map_file,
     "report/svg.py": coverage_file,
 }
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import tempfile
 import time
@@ -12,6 +13,7 @@ from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
 from hashlib import blake2b
 from pathlib import Path
+from types import FunctionType
 from typing import Any, TypeVar
 
 import numpy as np
@@ -24,6 +26,7 @@ from safety_harness.admission.repeatability import driven_in
 from safety_harness.admission.spaces import MAX_REJECTION_RATIO, why_refused
 from safety_harness.admission.trial import run_all
 from safety_harness.base.exceptions import CampaignError, InputError, described
+from safety_harness.base.extension_points import load, warn
 from safety_harness.base.seeds import Branch, generator
 from safety_harness.base.seeds import seed as leaf
 from safety_harness.cell.avoidance.flaky import asked_in
@@ -31,6 +34,7 @@ from safety_harness.claims.properties.answered import fault_of, unanswered
 from safety_harness.claims.properties.base import Evaluation
 from safety_harness.claims.properties.finite import bad_decisions, bad_ticks
 from safety_harness.claims.properties.touching import theorem_bits
+from safety_harness.extensions.assurance.campaign.opening import added_columns
 from safety_harness.extensions.assurance.campaign.plan import Plan
 from safety_harness.extensions.assurance.campaign.rows import ClaimJudgement, Row
 from safety_harness.extensions.assurance.statistics.sample import EpisodeOutcome
@@ -205,12 +209,24 @@ class EpisodeRunner:
             asked=() if run.scenario.driven else tuple(asked_in(run)),
             driven=driven_in(run),
             times=AnswersTook.of(run),
+            added=tuple(_added(run)),
         )
 
     def _kept_whatever(self, stratum: int) -> frozenset[int]:
         if stratum not in self._random:
             self._random[stratum] = random_episodes(self.plan, stratum)
         return self._random[stratum]
+
+
+def _added(run: Trace) -> Iterator[tuple[str, float]]:
+    """Yield the numbers of packages, by the names of their columns; a warning for those that raise."""
+    for part in added_columns():
+        measure = load(part, FunctionType)
+        try:
+            yield part.name, math.nan if measure is None else float(measure(run))
+        except Exception as error:  # of somebody else's module, which may raise anything
+            warn(part, described(error))
+            yield part.name, math.nan
 
 
 def _decided(run: Trace) -> dict[str, Any]:

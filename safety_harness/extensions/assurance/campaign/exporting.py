@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import sqlite3
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from itertools import islice
 from pathlib import Path
 
@@ -12,7 +12,7 @@ from safety_harness.base.exceptions import Place, ScenarioError, near_miss
 from safety_harness.base.extras import EXPORT
 from safety_harness.base.whole_file import replacing, writing
 from safety_harness.extensions.assurance.campaign.ledger import Ledger
-from safety_harness.extensions.assurance.campaign.opening import COUNTS, OUTCOME, OVERRULED
+from safety_harness.extensions.assurance.campaign.opening import COUNTS, OUTCOME, OVERRULED, added_in
 from safety_harness.extensions.assurance.statistics.sample import EpisodeOutcome
 from safety_harness.scenario.units import DIMENSIONS, NUMBER, parse_quantity
 
@@ -34,11 +34,13 @@ _COLUMNS = (
     ("seconds", "e.seconds", "float64"),
     ("worker", "e.worker", "string"),
 )
-_QUESTION = (
-    f"SELECT {', '.join(place for _, place, _ in _COLUMNS)} FROM judgement j "
-    "JOIN stratum s ON s.id = j.stratum JOIN claim c ON c.id = j.claim "
+_FROM = (
+    "FROM judgement j JOIN stratum s ON s.id = j.stratum JOIN claim c ON c.id = j.claim "
     "JOIN episode e ON e.stratum = j.stratum AND e.episode = j.episode LEFT JOIN cell l ON l.id = e.cell "
     "ORDER BY j.stratum, j.claim, j.episode"
+)
+_ADDED = (
+    "(SELECT number FROM added a WHERE a.name = '{0}' AND a.stratum = j.stratum AND a.episode = j.episode)"
 )
 _AT_ONCE = 50_000  # lines
 SUFFIXES = (".csv", ".parquet")
@@ -69,12 +71,22 @@ def export_traces(ledger: Ledger, folder: Path) -> list[Path]:
     return paths
 
 
+def _columns(ledger: Ledger) -> tuple[tuple[str, str, str], ...]:
+    """Return name, place and type of the columns, with those that packages have added."""
+    added = ((name, _ADDED.format(name), "float64") for name in added_in(ledger.connection))
+    return (*_COLUMNS, *added)
+
+
+def _lines(ledger: Ledger) -> Iterator[tuple[object, ...]]:
+    return ledger.all(f"SELECT {', '.join(place for _, place, _ in _columns(ledger))} {_FROM}")
+
+
 def _csv(ledger: Ledger, path: Path) -> int:
     count = 0
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(name for name, *_ in _COLUMNS)
-        for line in ledger.all(_QUESTION):
+        writer.writerow(name for name, *_ in _columns(ledger))
+        for line in _lines(ledger):
             writer.writerow(line)
             count += 1
     return count
@@ -84,12 +96,13 @@ def _parquet(ledger: Ledger, path: Path) -> int:
     with EXPORT.needed("a table in Parquet"):
         import pyarrow
         from pyarrow.parquet import ParquetWriter
-    schema = pyarrow.schema([(name, pyarrow.type_for_alias(kind)) for name, _, kind in _COLUMNS])
-    count, lines = 0, ledger.all(_QUESTION)
+    columns = _columns(ledger)
+    schema = pyarrow.schema([(name, pyarrow.type_for_alias(kind)) for name, _, kind in columns])
+    count, lines = 0, _lines(ledger)
     with ParquetWriter(path, schema, compression="zstd") as writer:
         while batch := list(islice(lines, _AT_ONCE)):
-            columns = [pyarrow.array([line[k] for line in batch], kind.type) for k, kind in enumerate(schema)]
-            writer.write_table(pyarrow.table(columns, schema=schema))
+            arrays = [pyarrow.array([line[k] for line in batch], kind.type) for k, kind in enumerate(schema)]
+            writer.write_table(pyarrow.table(arrays, schema=schema))
             count += len(batch)
     return count
 

@@ -29,6 +29,7 @@ from safety_harness.cell.simulation.worlds import WorldEntry, worlds_by_label
 from safety_harness.claims.properties.base import Unit
 from safety_harness.extensions.assurance.campaign.identity import Identity, PlanFile
 from safety_harness.extensions.assurance.campaign.opening import (
+    ADDED,
     COUNTS,
     connect,
     counts_in,
@@ -260,6 +261,10 @@ class Ledger:
                 for claim, one in enumerate(row.judgements):
                     found = (int(one.outcome), one.margin, one.worst_time_s, one.exercised)
                     execute(_JUDGEMENT, (row.stratum, claim, row.episode, *found))  # a NaN becomes NULL
+                if row.added:
+                    execute(ADDED)
+                for name, number in row.added:
+                    execute("INSERT INTO added VALUES (?, ?, ?, ?)", (name, row.stratum, row.episode, number))
                 if row.times.answers:
                     execute(
                         "INSERT INTO answering VALUES (?, ?, ?, ?, ?)", (row.stratum, *astuple(row.times))
@@ -367,7 +372,7 @@ class Ledger:
     def stop(self, stratum: int, after: int) -> None:
         """The stratum ends after its first ``after`` episodes; what was run beyond them is no part of it."""
         with self.transaction():
-            for table in ("trace", "judgement", "episode"):
+            for table in ("trace", "judgement", "episode", *["added"] * self._has("added")):
                 delete = f"DELETE FROM {table} WHERE stratum = ? AND episode >= ?"
                 self.connection.execute(delete, (stratum, after))
             self.connection.execute("UPDATE stratum SET stopped_after = ? WHERE id = ?", (after, stratum))

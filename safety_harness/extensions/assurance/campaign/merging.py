@@ -13,6 +13,7 @@ from safety_harness.base.whole_file import replacing, writing
 from safety_harness.claims.properties.base import Unit
 from safety_harness.extensions.assurance.campaign.ledger import Ledger
 from safety_harness.extensions.assurance.campaign.opening import (
+    ADDED,
     COUNTS,
     explained,
     only_runner,
@@ -94,6 +95,9 @@ def _take_over(whole: Ledger, path: Path) -> None:
         whole.connection.execute("INSERT OR IGNORE INTO judgement SELECT * FROM part.judgement")
         whole.connection.execute("INSERT OR IGNORE INTO trace SELECT * FROM part.trace")
         whole.connection.execute("INSERT INTO answering SELECT * FROM part.answering")
+        if [*whole.all("SELECT 1 FROM part.sqlite_master WHERE name = 'added'")]:
+            whole.connection.execute(ADDED)
+            whole.connection.execute("INSERT OR IGNORE INTO added SELECT * FROM part.added")
         columns = "questions, asked, differing, words, apart"
         whole.connection.execute(
             f"INSERT INTO repeated ({columns}) SELECT {columns} FROM part.repeated ORDER BY id"

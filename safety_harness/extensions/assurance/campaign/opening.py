@@ -7,13 +7,16 @@ from __future__ import annotations
 
 import fcntl
 import os
+import re
 import sqlite3
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
+from functools import lru_cache
 from pathlib import Path
 from urllib.parse import quote
 
 from safety_harness.base.exceptions import LedgerError, OutputError, Place
+from safety_harness.base.extension_points import ExtensionPoint, RegisteredPart, parts, warn
 from safety_harness.base.whole_file import writing
 from safety_harness.extensions.assurance.statistics.sample import EpisodeOutcome
 from safety_harness.scenario.files import refuse_no_file
@@ -80,6 +83,7 @@ def connect(path: Path, *, write: bool, check: bool = True, alone: bool = False)
                 if found != "ok":
                     raise unusable(path, _WHOLE, f"damage: {' '.join(found.split())}")
             _count_nothing_else(connection)
+            _show_added(connection)
             if not write:
                 connection.execute("PRAGMA query_only = ON")
         except BaseException:
@@ -117,9 +121,10 @@ def _refuse_other_tables(connection: sqlite3.Connection, path: Path) -> None:
     connection.execute("PRAGMA trusted_schema = OFF")
     with closing(sqlite3.connect(":memory:")) as whole:
         create(whole, counts_in(connection))
+        whole.execute(ADDED)
         known = {name: one for name, *one in whole.execute(_TEXTS)}
     found = {name: one for name, *one in connection.execute(_TEXTS)}
-    for name in {"repeated", "opened", "answering"} - {*found}:  # of an older program
+    for name in {"repeated", "opened", "answering", "added"} - {*found}:  # of an older program, or not used
         del known[name]
     other = [name for name in {*known, *found} if known.get(name) != found.get(name)]
     if other:
@@ -177,6 +182,11 @@ def refuse_any_file(path: Path) -> None:
 
 
 COUNTS = (*OVERRULED_BY, "run", "theorem")  # of an episode, 0 where an older program did not note it
+OWN_COLUMNS = (  # of tables for other programs
+    *("stratum", "episode", "claim", "outcome", "margin_si", "worst_time_s", "exercised", "seed", "draws"),
+    *("decisions", "proposed", "opposite", "stopped", "faults", "late", "overruled", *COUNTS),
+    *("proposals", "cell", "mishap", "failure", "seconds", "worker"),
+)
 APPLICATION_ID = 0x53_48_4C_47  # "SHLG", in the header of the file
 VERSION = 2  # of its tables: 2 has what the gate overruled
 
@@ -241,6 +251,48 @@ CREATE VIEW results AS
         j.margin, j.worst_time_s, j.exercised
     FROM judgement j JOIN stratum s ON s.id = j.stratum JOIN claim c ON c.id = j.claim;
 """
+
+
+# Of columns that packages add; made when the first is written.
+ADDED = """CREATE TABLE IF NOT EXISTS added (
+    name TEXT NOT NULL, stratum INTEGER NOT NULL, episode INTEGER NOT NULL, number REAL,
+    PRIMARY KEY (name, stratum, episode)
+) WITHOUT ROWID"""
+_COLUMN = re.compile("[a-z][a-z0-9_]*")
+_NAMES = (
+    "WITH RECURSIVE known(name) AS (SELECT min(name) FROM added UNION ALL SELECT "
+    "(SELECT min(name) FROM added WHERE name > known.name) FROM known WHERE known.name IS NOT NULL) "
+    "SELECT name FROM known WHERE name IS NOT NULL LIMIT 100"
+)
+
+
+@lru_cache
+def added_columns() -> tuple[RegisteredPart, ...]:
+    """Return the parts that add a column, without those whose name is no new column's, with a warning."""
+    found: dict[str, RegisteredPart] = {}
+    for part in parts(ExtensionPoint.LEDGER_COLUMNS):
+        if part.name in (*OWN_COLUMNS, *found) or not _COLUMN.fullmatch(part.name):
+            warn(part, "its name is taken, or is no word of small letters, digits and underscores")
+        else:
+            found[part.name] = part
+    return tuple(found.values())
+
+
+def added_in(connection: sqlite3.Connection) -> tuple[str, ...]:
+    """Return the names of a ledger's added columns; a stranger may have written any text as one."""
+    if not connection.execute("SELECT 1 FROM main.sqlite_master WHERE name = 'added'").fetchone():
+        return ()
+    names = [str(name) for (name,) in connection.execute(_NAMES)]
+    return tuple(name for name in names if _COLUMN.fullmatch(name) and name not in OWN_COLUMNS)
+
+
+def _show_added(connection: sqlite3.Connection) -> None:
+    """Put a view with the added columns before the view of episodes."""
+    own = "FROM added a JOIN stratum s ON s.id = a.stratum WHERE s.name = e.stratum AND a.episode = e.episode"
+    if columns := [f"(SELECT number {own} AND a.name = '{one}') AS {one}" for one in added_in(connection)]:
+        connection.execute(
+            f"CREATE TEMP VIEW episodes AS SELECT e.*, {', '.join(columns)} FROM main.episodes e"
+        )
 
 
 def create(connection: sqlite3.Connection, counts: tuple[str, ...] = COUNTS) -> None:

@@ -54,6 +54,7 @@ class Row:
     seconds: float = 0.0
     worker: str = ""
     trace: bytes | None = field(default=None, repr=False)
+    added: tuple[tuple[str, float], ...] = ()  # columns of packages, by name; a NaN is kept as nothing
     # Of which a ledger keeps nothing with the row; ``opened``: files beside the plan, and their SHA-256.
     asked: tuple[Asked, ...] = field(default=(), repr=False, compare=False)
     driven: DrivenRun | None = field(default=None, repr=False, compare=False)

@@ -10,15 +10,10 @@ evidence fails shows it.  What an author adds (``notes``) stands beside, and cha
 
 from __future__ import annotations
 
-import re
-import textwrap
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from enum import Enum
-from html import escape
-
-from markupsafe import Markup
 
 from safety_harness.extensions.assurance.certification.evidence import (
     SEVERITY,
@@ -31,8 +26,6 @@ from safety_harness.extensions.assurance.certification.evidence import (
 )
 from safety_harness.extensions.assurance.certification.system import DATA, LEARNING
 from safety_harness.extensions.assurance.certification.verdicts import at_most, gravest, hourly, percent
-from safety_harness.report.page_parts import templates
-from safety_harness.report.svg import plain
 from safety_harness.report.words import count_words
 
 DONE, DOUBT, FAILS, OPEN = "holds", "inconclusive", "violated", "none"
@@ -387,64 +380,3 @@ def _defeaters(evidence: Evidence) -> Iterator[Element]:
         state = DONE if states == {DONE} and not findings else DOUBT
         words = f"{text}: {count_words(findings, 'open finding', 'open findings')}" if findings else text
         yield Element(ElementKind.DEFEATER, words, place, state, answers, name=f"defeater: {name}")
-
-
-WIDTH, PAD, LINE, GAP_X, GAP_Y = 176.0, 10.0, 15.0, 22.0, 12.0
-LETTERS = 25  # in a line of a box
-_HASH = re.compile(r"\b([0-9a-f]{16})[0-9a-f]{48}\b")
-INDENT = 12.0  # of what stands beside an element, which is drawn below it
-
-
-class _Box:
-    """An element with its place: the left upper corner and the size; its words are markup."""
-
-    def __init__(self, element: Element, x: float, y: float) -> None:
-        kind = element.kind.name.lower()
-        self.element, self.x, self.y, self.width = element, x, y, WIDTH
-        text = _HASH.sub(r"\1...", element.text)  # its digits are wider than letters
-        lines = textwrap.wrap(plain(text, longest=140), LETTERS) or [""]
-        self.lines = [Markup(escape(line)) for line in (f"{element.key} \u00b7 {kind}", *lines)]
-        self.height = 2 * PAD + LINE * len(self.lines)
-        self.middle, self.bottom = y + self.height / 2.0, y + self.height
-
-
-class _Layout:
-    """Places every element, from left to right, and remembers what is joined to what."""
-
-    def __init__(self, top: Element) -> None:
-        self.boxes: list[_Box] = []
-        self.arrows: list[tuple[list[tuple[float, float]], str]] = []  # a line, the marker at its end
-        self.height = self._place(top, GAP_X, GAP_X)[1] + GAP_X
-        self.width = max(box.x for box in self.boxes) + WIDTH + GAP_X
-
-    def _place(self, element: Element, x: float, y: float) -> tuple[_Box, float]:
-        """Put ``element``, with what is beside it below and its support to the right; the lowest end."""
-        box = self._box(element, x, y)
-        bottom = box.bottom + (10.0 if element.undeveloped else 0.0)
-        for one in element.beside:
-            beside = self._box(one, x + INDENT, bottom + 8.0)
-            self.arrows.append(
-                ([(x + 4.0, box.bottom), (x + 4.0, beside.middle), (beside.x, beside.middle)], "ring")
-            )
-            bottom = beside.bottom
-        end, rail = y, x + WIDTH + INDENT + GAP_X / 2.0
-        for one in element.below:
-            below, end = self._place(one, x + WIDTH + GAP_X + INDENT, end)
-            line = [(x + WIDTH, box.y + PAD + 8.0), (rail, box.y + PAD + 8.0), (rail, below.y + PAD + 8.0)]
-            line.append((below.x, below.y + PAD + 8.0))
-            against = one.kind in (ElementKind.DEFEATER, ElementKind.ANSWER)
-            self.arrows.append((line[::-1], "against") if against else (line, "tip"))
-            end += GAP_Y
-        return box, max(bottom, end - GAP_Y)
-
-    def _box(self, element: Element, x: float, y: float) -> _Box:
-        self.boxes.append(_Box(element, x, y))
-        return self.boxes[-1]
-
-
-def argument_svg(top: Element, *, prefix: str) -> str:
-    """The picture as an ``<svg>`` element; every element is a link to its place on the page."""
-    drawn = templates("safety_harness.extensions.assurance").get_template("argument.svg.j2")
-    return drawn.render(
-        layout=_Layout(top), prefix=prefix, pad=PAD, line_height=LINE, undeveloped=UNDEVELOPED
-    )

@@ -10,6 +10,7 @@ from functools import partial
 from pathlib import Path
 
 from safety_harness.base.interrupts import one_more_ctrl_c
+from safety_harness.base.output import Output
 from safety_harness.extensions.assurance.campaign.ledger import Ledger
 from safety_harness.extensions.assurance.campaign.plan import Plan, read_packable
 from safety_harness.extensions.assurance.campaign.runner import CampaignRunner
@@ -40,15 +41,11 @@ from safety_harness.extensions.assurance.certification.tools import (
     read_oracles,
     read_selftest,
 )
-from safety_harness.report.search_attribution import SearchAttribution
-from safety_harness.report.search_files import write_search
-from safety_harness.search.default import Default
-from safety_harness.search.session import SearchOutput, SearchSession, search_space
-from safety_harness.search.trials import Trials, in_kinematic
+from safety_harness.report.search_job import SearchResult, fuzz
 from safety_harness.space.read import read_space
 from safety_harness.trace.provenance import refuse_shared_modules
 
-WatchCampaign = Callable[[Plan], AbstractContextManager[Callable[[CampaignRunner], None]]]
+WatchCampaign = Callable[[Plan, Output], AbstractContextManager[Callable[[CampaignRunner], None]]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,10 +98,10 @@ class Certification:
         )
         return cls(plan, folder, trials, command, declaration_sha256, pdf, certified)
 
-    def run(self, workers: int | None, watch: WatchCampaign, output: SearchOutput) -> tuple[Evidence, bool]:
+    def run(self, workers: int | None, watch: WatchCampaign, output: Output) -> tuple[Evidence, bool]:
         """All of it; what is there already is not made again.  The evidence, and whether it is complete."""
         remark = "what is under way is finished and kept; Ctrl-C again drops it"
-        with one_more_ctrl_c(output.say, remark) as interrupted, watch(self.plan) as show:
+        with one_more_ctrl_c(output.say, remark) as interrupted, watch(self.plan, output) as show:
             path, crew = self.folder / LEDGER, processes(workers)
             complete = carry_on(self.plan, path, crew, on_progress=show, enough=interrupted, say=output.say)
         guard = ReportGuard()
@@ -130,7 +127,7 @@ class Certification:
             write_manifest(self.folder, evidence.files)
         return evidence, complete
 
-    def search(self, output: SearchOutput, guard: ReportGuard) -> bool:
+    def search(self, output: Output, guard: ReportGuard) -> bool:
         """The plan's search, shared among its strata; what was begun and not finished is begun anew.
 
         False for Ctrl-C; what fails is said in the report.
@@ -152,21 +149,14 @@ class Certification:
                 return False
         return True
 
-    def _searched(self, space: Path, one: Searched, output: SearchOutput) -> SearchSession:
-        trials = Trials(
+    def _searched(self, space: Path, one: Searched, output: Output) -> SearchResult:
+        found = fuzz(
             read_space(space),
-            in_kinematic,
-            seed=self.plan.seed,
             avoider=self.plan.avoider_here,
-            sentences=tuple(claim.sentence for claim in self.plan.claims),
-        )
-        attribution = SearchAttribution()
-        return search_space(
-            trials,
-            Default,
-            out=one.folder,
             budget=one.asked,
+            seed=self.plan.seed,
+            claims=[claim.sentence for claim in self.plan.claims],
+            out=one.folder,
             output=output,
-            write_page=partial(write_search, attribution=attribution),
-            explain=attribution.explain,
         )
+        return found.kept(one.folder, output)

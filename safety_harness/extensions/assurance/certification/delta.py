@@ -19,7 +19,7 @@ from pathlib import Path
 
 from safety_harness.base.exceptions import InputError, LedgerError, Place, StatisticsError
 from safety_harness.claims.properties.protective_separation import ProtectiveSeparation
-from safety_harness.claims.properties.separation import WALKING_MPS
+from safety_harness.claims.signals.separation import WALKING_MPS
 from safety_harness.extensions.assurance.campaign.identity import SYSTEM, Identity, edition_of
 from safety_harness.extensions.assurance.campaign.ledger import Ledger
 from safety_harness.extensions.assurance.campaign.merging import began_at, compare_ledgers, refuse_itself

@@ -13,8 +13,8 @@ from safety_harness.extensions.assurance.certification.argument import (
     STATE,
     UNDEVELOPED,
     argument_of,
-    argument_svg,
 )
+from safety_harness.extensions.assurance.certification.argument_picture import argument_svg
 from safety_harness.extensions.assurance.certification.evidence import (
     SEVERITY,
     CertifiedClaim,
@@ -37,12 +37,12 @@ from safety_harness.extensions.assurance.certification.stored import cells_of
 from safety_harness.extensions.assurance.certification.tables import TABLES
 from safety_harness.extensions.assurance.certification.verdicts import confidence_words, percent
 from safety_harness.extensions.lab.pages.proof_page import SCALE, STATES, drawn_maps
+from safety_harness.extensions.lab.pages.question_maps import key_of
 from safety_harness.report.attribution_picture import draw_attributions
 from safety_harness.report.coverage_map import coverage_map
 from safety_harness.report.evidence import JudgedRun
-from safety_harness.report.page_parts import render_page
+from safety_harness.report.page_parts import added_sections, render_page
 from safety_harness.report.path_views import path_views, shown_moment
-from safety_harness.report.question_maps import key_of
 from safety_harness.report.replay import Replays
 from safety_harness.report.timeline import timeline
 
@@ -139,6 +139,7 @@ def _page(evidence: Evidence, runs: Mapping[int, JudgedRun], guard: ReportGuard)
             ),
         ),
         percent=percent,
+        added_sections=added_sections("evidence", evidence),
         proven=guard.of("the picture of what is proven", lambda: _proven(evidence), []),
         proven_key=Markup(key_of(SCALE)),
         confidence=confidence_words,

@@ -13,7 +13,7 @@ from safety_harness.base.exceptions import InputError, described
 from safety_harness.claims.properties.protective_separation import ProtectiveSeparation
 from safety_harness.claims.properties.spread_calibration import IntervalRule, SpreadCalibration
 from safety_harness.claims.properties.tried import TriedParts
-from safety_harness.claims.properties.true_motion import nearest_hand_m
+from safety_harness.claims.signals.true_motion import nearest_hand_m
 from safety_harness.extensions.assurance.campaign.episodes import random_episodes, trace_of
 from safety_harness.extensions.assurance.campaign.ledger import Ledger
 from safety_harness.extensions.assurance.campaign.plan import Plan

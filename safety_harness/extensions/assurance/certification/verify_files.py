@@ -10,7 +10,7 @@ from pathlib import Path
 from safety_harness.admission.spaces import MAX_REJECTION_RATIO
 from safety_harness.base.exceptions import InputError, Place
 from safety_harness.base.whole_file import sha256_of
-from safety_harness.claims.properties.separation import WALKING_MPS
+from safety_harness.claims.signals.separation import WALKING_MPS
 from safety_harness.extensions.assurance.campaign.episodes import random_episodes, root_seed
 from safety_harness.extensions.assurance.campaign.identity import edition_of
 from safety_harness.extensions.assurance.campaign.ledger import Ledger

@@ -15,7 +15,7 @@ from safety_harness.admission.trial import run_trial
 from safety_harness.base.exceptions import CampaignError, InputError, SafetyHarnessError, described
 from safety_harness.base.seeds import Branch, generator
 from safety_harness.cell.simulation.worlds import world_of_trace
-from safety_harness.claims.properties.true_motion import refuse_contradictions
+from safety_harness.claims.signals.true_motion import refuse_contradictions
 from safety_harness.extensions.assurance.campaign.episodes import EpisodeRunner, trace_of
 from safety_harness.extensions.assurance.campaign.ledger import Ledger
 from safety_harness.extensions.assurance.campaign.plan import Plan

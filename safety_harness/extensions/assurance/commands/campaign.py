@@ -118,8 +118,9 @@ def pilot_runs(
     """
     import os
 
+    from safety_harness.base.output import time_words
     from safety_harness.claims.properties.tally import basis
-    from safety_harness.cli.progress import counting, time_words
+    from safety_harness.cli.progress import counting
     from safety_harness.extensions.assurance.campaign.against import plan_with
     from safety_harness.extensions.assurance.campaign.pilot import pilot
     from safety_harness.extensions.assurance.campaign.plan import read_plan
@@ -165,6 +166,7 @@ def _carry_on(
 ) -> int:
     from safety_harness.base.interrupts import one_more_ctrl_c
     from safety_harness.claims.properties.answered import is_claimed
+    from safety_harness.cli.progress import TERMINAL
     from safety_harness.extensions.assurance.campaign.ledger import Ledger
     from safety_harness.extensions.assurance.campaign.session import carry_on, processes
     from safety_harness.extensions.assurance.campaign.summary import fallback_of
@@ -181,7 +183,7 @@ def _carry_on(
     numbers = _numbers(part, plan)
     say_shared_modules()
     remark = "what is under way is finished and kept; Ctrl-C again drops it"
-    with one_more_ctrl_c(say, remark) as interrupted, watching_campaign(plan) as show:
+    with one_more_ctrl_c(say, remark) as interrupted, watching_campaign(plan, TERMINAL) as show:
         carry_on(plan, path, make_crew, on_progress=show, enough=interrupted, part=numbers, say=say)
         stopped = interrupted()
     result(*tested_lines(plan))
@@ -487,7 +489,7 @@ def rare_violations(
     """
     from safety_harness.base.exceptions import StatisticsError
     from safety_harness.claims.properties.tally import basis
-    from safety_harness.cli.progress import one_line
+    from safety_harness.cli.progress import TERMINAL
     from safety_harness.extensions.assurance.campaign.plan import read_plan
     from safety_harness.extensions.assurance.campaign.rare import rare_violations as estimated
     from safety_harness.extensions.assurance.campaign.watch import AvoiderWatch
@@ -509,7 +511,7 @@ def rare_violations(
     else:
         how = Splitting(**{"particles": 200, "steps": 5} | said, replications=replications)
     found, unlike, watch = [], False, AvoiderWatch()
-    with one_line() as show:
+    with TERMINAL.words() as show:
         for one in estimated(read, how, lambda done: show(f"{done:,} draws of a claim in a stratum"), watch):
             found.append(one)
             result(rare_line(one))

@@ -5,18 +5,19 @@ from __future__ import annotations
 from pathlib import Path
 
 from safety_harness.base.exceptions import LedgerError
-from safety_harness.cli.attribute import AttributionSession, conclude
+from safety_harness.cli.attribute import conclude
 from safety_harness.cli.console import say
-from safety_harness.cli.progress import counting
+from safety_harness.cli.progress import TERMINAL
 from safety_harness.extensions.assurance.campaign.attributed import ViolatedEpisodes, violated_episodes
 from safety_harness.extensions.assurance.campaign.ledger import Ledger
 from safety_harness.extensions.assurance.campaign.session import plan_of
 from safety_harness.extensions.assurance.certification.verify_runs import programs_in
+from safety_harness.report.attribution_job import AttributionSession
 
 
 def attribute_ledger(path: Path, most: int, execute: bool, out: Path | None, confirm: bool) -> int:
     """Attribute the violations in a ledger, print, write; returns the exit code."""
-    session = AttributionSession(confirm)
+    session = AttributionSession(confirm, TERMINAL)
     with Ledger.open(path) as ledger, plan_of(ledger) as plan:
         programs = programs_in(plan)
         if programs and not execute:
@@ -25,12 +26,5 @@ def attribute_ledger(path: Path, most: int, execute: bool, out: Path | None, con
         violated = ViolatedEpisodes.first(ledger, most)
         say(violated.words)
         episodes = violated_episodes(plan, violated, programs=execute)
-        try:
-            with counting(len(violated.claims), "episodes") as show:
-                show(0)
-                for number, (admitted, claims) in enumerate(episodes, start=1):
-                    session.take(admitted, claims)
-                    show(number)
-        except KeyboardInterrupt:
-            session.interrupted = True
-    return conclude(session, out)
+        session.take_all(episodes, len(violated.claims), "episodes")
+    return conclude(session.result(), out)

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 from typer import Argument, BadParameter, Option, Typer
 from typer.core import TyperGroup
 
-from safety_harness.cli.console import AS_EXPECTED, DIFFERS, INTERRUPTED, document, result, say
+from safety_harness.cli.console import AS_EXPECTED, DIFFERS, document, result, say
 from safety_harness.cli.options import Executes, OfController, Workers, command
 
 if TYPE_CHECKING:
     from safety_harness.extensions.assurance.campaign.plan import Plan
-    from safety_harness.extensions.assurance.certification.delta import EarlierReport
+    from safety_harness.extensions.assurance.certification.delta import EvidenceDelta
 
 
 class _PlanOrCommand(TyperGroup):
@@ -94,71 +94,42 @@ def certify(
     Exit code 0: every claim is shown, with --since: nothing got worse; 1: otherwise; 2: bad input, or a
     target that the plan's runs cannot meet; 130: interrupted.
     """
-    import shlex
-
-    from safety_harness.admission.avoiders import told_avoider
     from safety_harness.admission.claims import property_of
     from safety_harness.claims.properties.base import close_to, far_words
     from safety_harness.claims.properties.tried import UNTRIED
-    from safety_harness.cli.progress import watching_search, watching_words
-    from safety_harness.extensions.assurance.campaign.against import plan_with
-    from safety_harness.extensions.assurance.campaign.plan import read_plan
+    from safety_harness.cli.progress import TERMINAL
     from safety_harness.extensions.assurance.campaign.session import LEDGER
     from safety_harness.extensions.assurance.certification.argument import STATE
-    from safety_harness.extensions.assurance.certification.certify import Certification
-    from safety_harness.extensions.assurance.certification.delta import EarlierReport
-    from safety_harness.extensions.assurance.certification.evidence import ClaimStatus
-    from safety_harness.extensions.assurance.certification.folder import PAGE
     from safety_harness.extensions.assurance.certification.verdicts import overruling_line, percent
+    from safety_harness.extensions.assurance.certify_job import certify as certify_plan
     from safety_harness.extensions.assurance.commands.campaign_lines import tested_lines
-    from safety_harness.extensions.assurance.commands.progress import watching_campaign
-    from safety_harness.scenario.files import told
-    from safety_harness.scenario.model import Driver
     from safety_harness.scenario.typed_json import plain
-    from safety_harness.search.session import SearchOutput
     from safety_harness.trace.answer_times import UNHEEDED
 
-    words = ["safety-harness", "certify", str(told(plan))]
-    if controller is not None:
-        read, tested = read_plan(plan), Driver(controller)
-        plan = plan_with(read.files, tested, Path("reports") / read.name).file
-        words += ["--controller", told_avoider(tested)]
-    files = {
-        "--out": out,
-        "--selftest": selftest,
-        "--oracles": oracles,
-        "--declared": declared,
-        "--proof": proof,
-        "--since": since,
-    }
-    for name, value in files.items():
-        words += [name, str(told(value))] if value else []
-    words += [word for one in cell for word in ("--cell", str(told(one)))]
-    earlier = None if since is None else EarlierReport.read(since)
-    again = shlex.join(words + ["--pdf"] * pdf + ["--full"] * full)
-    job = Certification.of(
+    found = certify_plan(
         plan,
-        out,
-        again,
+        controller=controller,
+        out=out,
+        pdf=pdf,
+        full=full,
+        workers=workers,
         selftest=selftest,
         oracles=oracles,
         cells=cell,
         declared=declared,
-        pdf=pdf,
         proof=proof,
+        since=since,
+        output=TERMINAL,
     )
-    # Standard output is kept for the verdicts.
-    evidence, complete = job.run(
-        workers, watching_campaign, SearchOutput(say, say, watching_search, watching_words)
-    )
-    document(**plain(evidence), page=job.folder / PAGE)
+    evidence = found.evidence
+    document(**plain(evidence), page=found.page)
     say(*(f"error: {text}" for text in evidence.unmade))
-    result(*tested_lines(job.plan), *_shielded_lines(job.plan, job.folder / LEDGER))
+    result(*tested_lines(found.plan), *_shielded_lines(found.plan, found.folder / LEDGER))
     for claim in evidence.claims:
         mark = {"holds": "ok  ", "violated": "NO  "}.get(STATE[claim.standing], "open")
         result(f"{mark} {claim.standing.value:<21} {claim.sentence}: {claim.why}")
-    simplest = job.plan.strata[0].space.simplest
-    for planned, claim in zip(job.plan.claims, evidence.claims, strict=True):
+    simplest = found.plan.strata[0].space.simplest
+    for planned, claim in zip(found.plan.claims, evidence.claims, strict=True):
         margins = [one.least_margin_si for one in claim.outcomes if one.least_margin_si is not None]
         far = far_words(close_to(property_of(planned.claim, simplest)), min(margins, default=None))
         say(*[f"note: {claim.sentence}: {far}"] * bool(far))
@@ -175,14 +146,12 @@ def certify(
             if f": {UNTRIED} " in one.text or UNHEEDED in one.text or one.place == "recorded-cells"
         )
     )
-    result(evidence.basis, f"{job.folder / PAGE}: {evidence.standing.value}")
-    if not complete:
+    result(evidence.basis, f"{found.page}: {evidence.standing.value}")
+    if not found.complete:
         say("interrupted: the report says what is missing; the same command goes on from there")
-        return INTERRUPTED
-    if earlier is not None:
-        worse = _tell_delta(earlier, EarlierReport.read(job.folder), again)
-        return DIFFERS if evidence.unmade else worse
-    return AS_EXPECTED if evidence.standing is ClaimStatus.SHOWN and not evidence.unmade else DIFFERS
+    if found.delta is not None:
+        _tell_delta(found.delta, found.folder)
+    return found.exit_code
 
 
 def _shielded_lines(plan: Plan, ledger: Path) -> list[str]:
@@ -207,28 +176,19 @@ def _shielded_lines(plan: Plan, ledger: Path) -> list[str]:
     return lines
 
 
-def _tell_delta(before: EarlierReport, after: EarlierReport, made_by: str) -> int:
-    """Write the delta beside the later report and say it; the exit code."""
-    from datetime import UTC, datetime
-
-    from safety_harness.extensions.assurance.certification.delta import delta_of
-    from safety_harness.extensions.assurance.certification.delta_page import (
-        PAGE,
-        folder_of_delta,
-        write_delta,
-    )
+def _tell_delta(delta: EvidenceDelta, report: Path) -> None:
+    """Print what changed since an earlier report."""
+    from safety_harness.extensions.assurance.certification.delta_page import PAGE, folder_of_delta
     from safety_harness.scenario.typed_json import plain
 
-    delta, folder = delta_of(before, after), folder_of_delta(after.folder)
-    write_delta(folder, delta, command=made_by, generated_at=datetime.now(UTC))
     document(delta=plain(delta))
     result(*(f"WORSE {text}" for text in delta.regressions))
     result(*(f"closed {text}" for text in delta.closed))
     spaces = [one for one in delta.parts if one.part == "space"]
     result(*(f"another space, {one.name}: {one.before} before, {one.after} now" for one in spaces))
     again = [one.what for one in delta.carried if not one.carries]
-    result(f"to be run again: {', '.join(again) or 'nothing'}", delta.line, *delta.bases, f"{folder / PAGE}")
-    return DIFFERS if delta.regressions else AS_EXPECTED
+    result(f"to be run again: {', '.join(again) or 'nothing'}", delta.line, *delta.bases)
+    result(f"{folder_of_delta(report) / PAGE}")
 
 
 @command(of_certify, "delta")
@@ -246,11 +206,14 @@ def tell_delta(
     import shlex
 
     from safety_harness.extensions.assurance.certification.delta import EarlierReport
+    from safety_harness.extensions.assurance.certify_job import compare_reports
     from safety_harness.scenario.files import told
 
     before, after = EarlierReport.read(old), EarlierReport.read(new)
     made_by = shlex.join(["safety-harness", "certify", "delta", str(told(old)), str(told(new))])
-    return _tell_delta(before, after, made_by)
+    delta = compare_reports(before, after, made_by)
+    _tell_delta(delta, after.folder)
+    return DIFFERS if delta.regressions else AS_EXPECTED
 
 
 @command(of_certify)

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-from safety_harness.cli.console import say
-from safety_harness.cli.progress import block, time_left
+from safety_harness.base.output import Output, time_left
 from safety_harness.extensions.assurance.campaign.pilot import too_few
 from safety_harness.extensions.assurance.campaign.plan import Plan
 from safety_harness.extensions.assurance.campaign.runner import CampaignRunner
@@ -14,7 +13,7 @@ from safety_harness.extensions.assurance.commands.campaign_lines import worst_li
 
 
 @contextmanager
-def watching_campaign(plan: Plan) -> Iterator[Callable[[CampaignRunner], None]]:
+def watching_campaign(plan: Plan, output: Output) -> Iterator[Callable[[CampaignRunner], None]]:
     """Yields what is told of the progress: rate, time left, worst margins, violations.
 
     It warns, once each, of claims that the planned runs will not show, as far as the first of them tell.
@@ -28,9 +27,9 @@ def watching_campaign(plan: Plan) -> Iterator[Callable[[CampaignRunner], None]]:
         for one in too_few(plan, progress.tally):
             if (name := f"{one.stratum}: {one.sentence}") not in told:
                 told.add(name)
-                say(f"warning: after {one.tried} runs: {one.line}")
+                output.say(f"warning: after {one.tried} runs: {one.line}")
 
-    with block() as show:
+    with output.block() as show:
         yield tell
 
 

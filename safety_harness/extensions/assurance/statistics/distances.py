@@ -1,4 +1,4 @@
-"""How a margin is distributed: bands, quantiles and tolerance bounds that assume nothing of its shape.
+"""Bounds of a margin's quantiles that assume nothing of its distribution.
 
 A tested run without a margin may have had any: it counts as minus infinity.  Untested runs are left out.
 All of it is of samples of fixed length.  "Margin" is of the claim: for "hand distance never below 50 mm"
@@ -23,22 +23,6 @@ from safety_harness.extensions.assurance.statistics.sample import (
 )
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Distribution:
-    """The share of tested runs with a margin of at most ``margins`` (n,), which ascend.
-
-    ``share`` (n,) is what was seen; the true distribution lies between ``low`` and ``high`` everywhere at
-    once with ``confidence``.
-    """
-
-    margins: Floats
-    share: Floats
-    low: Floats
-    high: Floats
-    confidence: float
-    model_only: bool
-
-
 @dataclass(frozen=True, kw_only=True)
 class QuantileBound:
     """With ``confidence`` at least ``content`` of all tested runs keep a margin of ``at_least`` or more (SI).
@@ -54,25 +38,6 @@ class QuantileBound:
     trials: int
     confidence: float
     model_only: bool
-
-
-def distribution_of(sample: IndependentSample, confidence: float = 0.95) -> Distribution:
-    """The empirical distribution with the band of Dvoretzky, Kiefer and Wolfowitz (Massart, 1990).
-
-    The band's half width is sqrt(log(2 / a) / 2n).  StatisticsError without a tested run.
-    """
-    margins = _tested(sample)
-    n = len(margins)
-    half = math.sqrt(math.log(2.0 / chance_of_each(confidence, 1)) / (2.0 * n))
-    share = np.searchsorted(margins, margins, side="right") / n
-    return Distribution(
-        margins=margins,
-        share=share,
-        low=np.maximum(share - half, 0.0),
-        high=np.minimum(share + half, 1.0),
-        confidence=confidence,
-        model_only=sample.declaration.model_only,
-    )
 
 
 def tolerance_bound(sample: IndependentSample, content: float, confidence: float = 0.95) -> QuantileBound:
@@ -96,15 +61,6 @@ def tolerance_bound(sample: IndependentSample, content: float, confidence: float
         confidence=confidence,
         model_only=sample.declaration.model_only,
     )
-
-
-def runs_for_tolerance(content: float, confidence: float = 0.95) -> int:
-    """How many tested runs it takes for the least margin of all to be such a bound.
-
-    StatisticsError for a content or confidence outside (0, 1).
-    """
-    _check_content(content)
-    return math.ceil(math.log(chance_of_each(confidence, 1)) / math.log(content))
 
 
 def _check_content(content: float) -> None:

@@ -1,4 +1,4 @@
-"""Two avoiders on the same episodes: which of them violates a claim more often, and by how much.
+"""Two avoiders on the same episodes: which of them violates a claim more often.
 
 Episode k is the same scenario for both (common random numbers), so that what differs is the avoiders'
 doing.  Shares are of all episodes drawn, tested or not: whether a claim is exercised may depend on the
@@ -13,22 +13,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from safety_harness.base.proportions import lower_bound, median_rank, sign_test, upper_bound
-from safety_harness.base.seeds import Branch, generator
+from safety_harness.base.proportions import lower_bound, sign_test, upper_bound
 from safety_harness.extensions.assurance.statistics.binomial import chance_of_each
 from safety_harness.extensions.assurance.statistics.sample import (
     PERHAPS,
     EpisodeOutcome,
-    Floats,
     IndependentSample,
     Ints,
     fixed_length,
     refusal,
 )
 
-BOOTSTRAP_DRAWS = 2000
 _SAME_STREAM = "only runs of the same stream can be compared in pairs"
-_EQUAL = 1e-12  # relative: what is no difference but rounding
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,29 +47,6 @@ class PairedComparison:
     low: float
     high: float
     p_value: float
-    confidence: float
-    model_only: bool
-
-
-@dataclass(frozen=True, kw_only=True)
-class MarginComparison:
-    """First minus second, SI, over the ``pairs`` of episodes in which both were judged and have a margin.
-
-    ``mean`` lies in an interval that is exact if the differences' ``limit`` was given; otherwise it is the
-    bootstrap's t, whose confidence is approximate, and infinite where too few differences differ.  ``median``
-    lies in one by order statistics, which assumes nothing and is exact.  ``left_out`` episodes are no such
-    pair.  ``model_only``: of a simplified world.
-    """
-
-    pairs: int
-    left_out: int
-    limit: float | None
-    mean: float
-    mean_low: float
-    mean_high: float
-    median: float
-    median_low: float
-    median_high: float
     confidence: float
     model_only: bool
 
@@ -108,48 +81,6 @@ def compare(
         low=least,
         high=most,
         p_value=_mcnemar(worst, best),
-        confidence=confidence,
-        model_only=first.declaration.model_only,
-    )
-
-
-def compare_margins(
-    first: IndependentSample,
-    second: IndependentSample,
-    confidence: float = 0.95,
-    *,
-    limit: float | None = None,
-) -> MarginComparison:
-    """Mean and median of the paired differences of margins.
-
-    ``limit`` (SI), if there is one, says that no difference can be greater or less than minus that: then the
-    mean has the exact interval of Maurer and Pontil (2009).  StatisticsError for fewer than two pairs, or a
-    difference beyond the limit.
-    """
-    _check_pair(first, second)
-    chance = chance_of_each(confidence, 2)
-    with_margin = [one.judged & np.isfinite(one.margins) for one in (first, second)]
-    both = with_margin[0] & with_margin[1]
-    differences = np.sort(first.margins[both] - second.margins[both])
-    n = len(differences)
-    if n < 2:
-        raise refusal("margins", "two judged episodes with margins of both", str(n))
-    if limit is None:
-        low, high = _bootstrap_t(differences, chance, generator(first.declaration.seed, Branch.STATISTICS, 3))
-    else:
-        low, high = _bounded(differences, chance, limit)
-    rank = median_rank(n, chance)
-    ends = (differences[rank - 1], differences[n - rank]) if rank else (-math.inf, math.inf)
-    return MarginComparison(
-        pairs=n,
-        left_out=len(both) - n,
-        limit=limit,
-        mean=float(differences.mean()),
-        mean_low=low,
-        mean_high=high,
-        median=float(np.median(differences)),
-        median_low=float(ends[0]),
-        median_high=float(ends[1]),
         confidence=confidence,
         model_only=first.declaration.model_only,
     )
@@ -203,53 +134,3 @@ def _mcnemar(worst: Ints, best: Ints) -> float:
         if more <= fewer:
             return 1.0
     return sign_test(more, fewer)
-
-
-def _bounded(differences: Floats, chance: float, limit: float) -> tuple[float, float]:
-    """The empirical Bernstein bound of the mean of ``differences`` (n,) (Maurer and Pontil, 2009, theorem 4).
-
-    Half the width is sqrt(2 V l / n) + 7 R l / (3 (n - 1)) with V their variance, l = log(2 / a), a
-    ``chance`` and R = 2 ``limit`` the range.
-    """
-    n, logarithm = len(differences), math.log(2.0 / chance)
-    largest = float(np.abs(differences).max())
-    if not largest <= limit:
-        raise refusal("limit", f"differences of at most {limit:g}", f"{largest:g}")
-    variance = float(differences.var(ddof=1))
-    half = math.sqrt(2.0 * variance * logarithm / n) + 14.0 * limit * logarithm / (3.0 * (n - 1))
-    mean = float(differences.mean())
-    return max(mean - half, -limit), min(mean + half, limit)
-
-
-def _bootstrap_t(differences: Floats, chance: float, rng: np.random.Generator) -> tuple[float, float]:
-    """The mean of ``differences`` (n,) by the redrawn t's quantiles (Efron, 1981).
-
-    From m - t_high s to m - t_low s, where t = (m' - m)/s' of samples redrawn with replacement; infinite of a
-    redrawn sample without spread.
-    """
-    n, mean, deviation = len(differences), float(differences.mean()), float(differences.std(ddof=1))
-    if deviation <= abs(mean) * _EQUAL:
-        return -math.inf, math.inf
-    redrawn, several = [], max(1, 500_000 // n)
-    for first in range(0, BOOTSTRAP_DRAWS, several):
-        rows = rng.integers(0, n, (min(several, BOOTSTRAP_DRAWS - first), n))
-        again = differences[rows]
-        spread = again.std(axis=1, ddof=1)
-        apart = spread > deviation * _EQUAL
-        redrawn.append(np.where(apart, (again.mean(axis=1) - mean) / np.where(apart, spread, 1.0), np.inf))
-    least, most = ends_of_t(np.concatenate(redrawn), chance)
-    return mean - most * deviation, mean - least * deviation
-
-
-def ends_of_t(redrawn: Floats, chance: float) -> tuple[float, float]:
-    """The ``chance`` and 1 - ``chance`` quantiles of a bootstrap's t, ``redrawn`` (n,), each outwards.
-
-    One that is infinite or NaN, as of a redrawn sample without spread, is beyond either end.  Of so small a
-    chance that fewer than one of them would be beyond, they say nothing: infinite.
-    """
-    if chance * len(redrawn) < 1.0:
-        return -math.inf, math.inf
-    beyond = ~np.isfinite(redrawn)
-    least = np.quantile(np.where(beyond, -np.inf, redrawn), chance, method="lower")
-    most = np.quantile(np.where(beyond, np.inf, redrawn), 1.0 - chance, method="higher")
-    return float(least), float(most)

@@ -23,12 +23,10 @@ def check(log: Annotated[Path, Argument(help="The description of a log.", metava
     """
     from dataclasses import asdict
 
-    from safety_harness.extensions.field.logs.assumptions import assumptions_of
-    from safety_harness.extensions.field.logs.certain import trace_of
-    from safety_harness.extensions.field.logs.read import read_log
+    from safety_harness.extensions.field.read_log_job import read_log
 
     found = read_log(log)
-    notes, assumed = trace_of(found).notes, assumptions_of(found)
+    notes, assumed = found.notes, found.assumptions
     for one in assumed:
         result(f"{'confirmed' if one.confirmed_by else 'ASSUMED  '}  {one.what}")
         result(

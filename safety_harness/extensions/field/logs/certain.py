@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.base.whole_file import sha256_of
-from safety_harness.claims.properties.true_motion import (
+from safety_harness.claims.signals.true_motion import (
     JOINTS,
     apart_moved_m,
     arm_of,

@@ -10,9 +10,9 @@ from safety_harness.claims.properties.servoing import (
     GAIN_SWITCH,
     GAIN_SWITCH_ITERATIONS,
     GAIN_SWITCH_WITHIN,
-    position_errors_m,
 )
-from safety_harness.claims.properties.true_motion import true_motion
+from safety_harness.claims.signals.poses import position_errors_m
+from safety_harness.claims.signals.true_motion import true_motion
 from safety_harness.extensions.field.logs.model import CellLog
 from safety_harness.trace.records import Mode
 from safety_harness.trace.trace import Trace

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.claims.properties.base import runs_of
-from safety_harness.claims.properties.true_motion import true_motion
+from safety_harness.claims.signals.true_motion import true_motion
 from safety_harness.extensions.field.logs.model import CellLog
 from safety_harness.extensions.field.logs.told import FIELDS, POSITIONS, Told, ToldStream, width_of
 from safety_harness.trace.known import OF_DECISIONS, Gap, Measurement, Source, knowing, measurement

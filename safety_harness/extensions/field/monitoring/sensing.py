@@ -1,9 +1,8 @@
 """From joints and hands at a tick to the signals, with bounds of what they can have been, as of a log.
 
-What ``claims.formulas.signals`` and ``claims.formulas.measured`` compute of a whole trace, here of the
-latest ticks and of
-the ways between them, for each tick and hand with the uncertainty that it has then, in compiled code: a cell
-that runs has 8 ms for a tick.
+What ``claims.signals`` computes of a whole trace, here of the latest ticks and of the ways between them,
+for each tick and hand with the uncertainty that it has then, in compiled code: a cell that runs has 8 ms for
+a tick.
 """
 
 from __future__ import annotations
@@ -24,7 +23,6 @@ from safety_harness.cell.robot.distance import place_capsules
 from safety_harness.cell.robot.kinematics import forward_kinematics, tcp_velocity
 from safety_harness.cell.robot.robots import arm_capsules
 from safety_harness.cell.simulation.truth import cell_capsules
-from safety_harness.claims.formulas.signal import MOVING
 from safety_harness.claims.formulas.signals import (
     elapsed_time,
     hand_distance,
@@ -33,7 +31,8 @@ from safety_harness.claims.formulas.signals import (
     tcp_height,
     tcp_speed,
 )
-from safety_harness.claims.properties.true_motion import RESOLUTION_M
+from safety_harness.claims.signals.occasions import MOVES
+from safety_harness.claims.signals.true_motion import RESOLUTION_M
 from safety_harness.extensions.field.monitoring.cell import WatchedCell
 from safety_harness.extensions.field.monitoring.tracks import BodyTrack
 
@@ -201,8 +200,8 @@ def _sense(
         by_mps = _speed_between(off_mps, off_m, k, k, period_s)
         by_radps = _speed_between(off[:, 1], off[:, 0], k, k, period_s)
         _set_known(known[HEIGHT], tcp_m[k, 2], off_m[k], between_m, True)
-        _set_known(known[TCP_SPEED], speed_mps[k], off_mps[k], by_mps, speed_mps[k] - MOVING > by_mps)
-        _set_known(known[JOINT_SPEED], fastest_radps, off[k, 1], by_radps, fastest_radps - MOVING > by_radps)
+        _set_known(known[TCP_SPEED], speed_mps[k], off_mps[k], by_mps, speed_mps[k] - MOVES > by_mps)
+        _set_known(known[JOINT_SPEED], fastest_radps, off[k, 1], by_radps, fastest_radps - MOVES > by_radps)
         unseen, unmeasured = 0, 0
         for h in range(hands):
             hand_off_m, elbow_off_m = bodies_off_m[k, h, 0], bodies_off_m[k, h, 1]
@@ -244,12 +243,12 @@ def _sense(
             bend_rad = abs(rates_radps[k + 1, j] - rates_radps[k, j]) * period_s / 4.0
             bend_m[APART] += bend_rad * arm.reach_m[j]
             bend_m[NEAR] += bend_rad * tcp.reach_m[j]
-        _set_cell(known[JOINT_SPEED], slowest - by_radps, fastest + by_radps, mean - MOVING > by_radps)
+        _set_cell(known[JOINT_SPEED], slowest - by_radps, fastest + by_radps, mean - MOVES > by_radps)
         low, high = (
             min(speed_mps[k], speed_mps[k + 1], mean_mps),
             max(speed_mps[k], speed_mps[k + 1], mean_mps),
         )
-        _set_cell(known[TCP_SPEED], low - by_mps, high + by_mps, mean_mps - MOVING > by_mps)
+        _set_cell(known[TCP_SPEED], low - by_mps, high + by_mps, mean_mps - MOVES > by_mps)
         low, high = _tent(tcp_m[k, 2], tcp_m[k + 1, 2], way_m)
         _set_cell(known[HEIGHT], low - between_m, high + between_m, False)
         least_m, most_m = np.full(2, np.inf), np.full(2, np.inf)
@@ -373,7 +372,7 @@ def _moved_m(
 def _place_between_m(
     off_m: NDArray[np.float64], off_mps: NDArray[np.float64], one: int, other: int, period_s: float
 ) -> float:
-    """As ``claims.formulas.measured.of_place``; ``off_m`` and ``off_mps`` (m,)."""
+    """As ``claims.signals.uncertainty.of_place``; ``off_m`` and ``off_mps`` (m,)."""
     at = max(off_m[one], off_m[other])
     return float(at + 0.5 * max(max(off_mps[one], off_mps[other]) * period_s, 2.0 * at))
 
@@ -382,12 +381,12 @@ def _place_between_m(
 def _speed_between(
     speed: NDArray[np.float64], place: NDArray[np.float64], one: int, other: int, period_s: float
 ) -> float:
-    """As ``claims.formulas.measured.of_speed``; ``speed`` and ``place`` (m,)."""
+    """As ``claims.signals.uncertainty.of_speed``; ``speed`` and ``place`` (m,)."""
     return float(max(speed[one], speed[other], 2.0 * max(place[one], place[other]) / period_s))
 
 
 @inlined
 def _tent(first: float, second: float, way: float) -> tuple[float, float]:
-    """As ``claims.formulas.signal.tent``."""
+    """As ``claims.signals.signal.tent``."""
     low = min(0.5 * (first + second - way), min(first, second))
     return low, max(0.5 * (first + second + way), max(first, second))

@@ -25,14 +25,12 @@ from safety_harness.claims.formulas.formula import (
     unit_of,
 )
 from safety_harness.claims.formulas.parse import parse_formula
-from safety_harness.claims.formulas.prefix import Prefix, is_endless
 from safety_harness.claims.formulas.quantities import formula_error
-from safety_harness.claims.formulas.signal import Signal
 from safety_harness.claims.formulas.signals import hand_distance, nearest_hand_to_tcp
 from safety_harness.claims.properties.base import Unit
 from safety_harness.claims.properties.catalogue import CATALOGUE
-from safety_harness.claims.properties.hand_distance import HAND_DISTANCE
-from safety_harness.claims.properties.limits import TCP_SPEED as TCP_SPEED_LIMIT
+from safety_harness.claims.signals.signal import Signal
+from safety_harness.extensions.field.monitoring.prefix import Prefix, is_endless
 from safety_harness.extensions.field.monitoring.sensing import (
     CELL_HIGH,
     CELL_LOW,
@@ -46,7 +44,6 @@ from safety_harness.extensions.field.monitoring.sensing import (
 from safety_harness.scenario.model import Verdict
 
 AT_TICK, CELL = 0, 1
-AS_FORMULAS = ((HAND_DISTANCE, "always hand distance >= {}"), (TCP_SPEED_LIMIT, "always TCP speed <= {}"))
 
 
 def watched_formula(sentence: str) -> Formula:
@@ -54,11 +51,11 @@ def watched_formula(sentence: str) -> Formula:
 
     FormulaError for what is neither.
     """
-    for entry, formula in AS_FORMULAS:
-        if (match := entry.understands(sentence)) is not None:
-            return parse_formula(formula.format(match[1]))
-    if any(entry.understands(sentence) for entry in CATALOGUE):
-        known = " and ".join(f'"{entry.example}"' for entry, _ in AS_FORMULAS)
+    entry, match = next(((one, of) for one in CATALOGUE if (of := one.understands(sentence))), (None, None))
+    if entry is not None and match is not None and entry.formula:
+        return parse_formula(entry.formula.format(match[1]))
+    if entry is not None:
+        known = " and ".join(f'"{one.example}"' for one in CATALOGUE if one.formula)
         expected = f"a formula, or a sentence of the catalogue that is one, as {known} are"
         got = f'"{sentence}", which looks at a whole run'
         raise formula_error(expected, got, "judge tells it of the log")

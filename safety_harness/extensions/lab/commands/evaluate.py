@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import json
-import math
-import shlex
 from collections.abc import Iterator, Sequence
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -14,10 +11,7 @@ from typer import Argument, Option, Typer
 
 from safety_harness.base.exceptions import OutputError
 from safety_harness.cli.console import (
-    AS_EXPECTED,
     BAD_INPUT,
-    DIFFERS,
-    INTERRUPTED,
     document,
     explain,
     result,
@@ -26,10 +20,9 @@ from safety_harness.cli.console import (
 from safety_harness.cli.options import Seed, command
 
 if TYPE_CHECKING:
-    from safety_harness.extensions.lab.scoring.results import Scored, ScoredAvoider
+    from safety_harness.extensions.lab.scoring.results import ScoredAvoider
     from safety_harness.extensions.lab.scoring.scorecard import ScoreFinding
 
-PAGE, DATA = "evaluation.html", "evaluation.json"
 commands = Typer()
 
 
@@ -77,51 +70,37 @@ def evaluate(
     Exit code 0: no finding; 1: findings, or no region with a proposal was asked about; 2: bad input, or an
     avoider that does not answer; 130: interrupted.
     """
-    from safety_harness.admission.avoiders import told_avoider
     from safety_harness.claims.properties.tally import BASIS_OF_ANSWERS
-    from safety_harness.cli.progress import watching_steps
-    from safety_harness.extensions.lab.pages.score_tables import most_towards
-    from safety_harness.extensions.lab.scoring.session import ScoringSession
-    from safety_harness.scenario.files import told
+    from safety_harness.cli.progress import TERMINAL
+    from safety_harness.extensions.lab.evaluate_job import evaluate as evaluate_avoiders
 
-    with watching_steps() as on_step:
-        session = ScoringSession(
-            avoiders,
-            out,
-            seed=seed,
-            questions=questions,
-            budget=search,
-            regions=regions or (),
-            spaces=spaces or (),
-            against=against,
-            on_step=on_step,
-        )
-        scored = session.run()
-    say(*(f"error: {one}" for one in scored.failed))
-    if not scored.avoiders:
-        say(f"{'interrupted: ' if scored.interrupted else ''}nothing was scored")
-        return INTERRUPTED if scored.interrupted else BAD_INPUT
-    for one in scored.avoiders:
-        result(*_lines(one, scored.against))
+    found = evaluate_avoiders(
+        avoiders,
+        regions=regions or (),
+        spaces=spaces or (),
+        against=against,
+        questions=questions,
+        search=search,
+        seed=seed,
+        out=out,
+        output=TERMINAL,
+    )
+    interrupted = found.scored.interrupted
+    if not found.avoiders:
+        say(f"{'interrupted: ' if interrupted else ''}nothing was scored")
+        return found.exit_code
+    for one in found.avoiders:
+        result(*_lines(one, found.scored.against))
     result(BASIS_OF_ANSWERS)
-    words = ["safety-harness", "evaluate", *map(told_avoider, avoiders)]
-    words += ["--search", str(search), "--seed", str(seed)]
-    words += [] if questions is None else ["--questions", str(questions)]
-    words += [word for name in regions or () for word in ("--region", name)]
-    words += [word for path in spaces or () for word in ("--space", str(told(path)))]
-    words += [] if against is None else ["--against", told_avoider(against)]
+    document(**json.loads(found.data()))
     try:
-        _write(scored, out, shlex.join([*words, "--out", str(told(out))]))
+        found.write(out, TERMINAL)
     except OutputError as error:
         explain(error)
         return BAD_INPUT
-    if scored.interrupted:
+    if interrupted:
         say("interrupted: what was finished is kept")
-        return INTERRUPTED
-    if scored.failed:
-        return BAD_INPUT
-    nothing = any(math.isnan(most_towards(one.card)[0]) for one in scored.avoiders)
-    return DIFFERS if scored.findings or nothing else AS_EXPECTED
+    return found.exit_code
 
 
 def _lines(one: ScoredAvoider, against: str) -> Iterator[str]:
@@ -161,19 +140,3 @@ def _lines(one: ScoredAvoider, against: str) -> Iterator[str]:
 
 def _finding(one: ScoreFinding) -> str:
     return f"  {one.kind.value}{f' ({one.region})' if one.region else ''}: {one.words}"
-
-
-def _write(scored: Scored, out: Path, again: str) -> None:
-    from safety_harness.base.whole_file import write_text
-    from safety_harness.extensions.lab.pages.score_document import document as scores
-    from safety_harness.extensions.lab.pages.score_page import ScoreEvidence, render
-
-    text = scores(scored)
-    document(**json.loads(text))
-    write_text(out / DATA, text)
-    evidence = ScoreEvidence(scored=scored, command=again, generated_at=datetime.now(UTC))
-    write_text(out / PAGE, render(evidence))
-    files = [shown.file.path for one in scored.avoiders for shown in one.worst if shown.file.path]
-    if files:
-        say(f"worst questions as scenarios: {files[0]} and {len(files) - 1} more")
-    say(f"page: {out / PAGE} (for programs: {DATA})")

@@ -6,11 +6,13 @@ import time
 from collections.abc import Callable
 from itertools import count
 from pathlib import Path
+from types import FunctionType
 from typing import TYPE_CHECKING, Annotated
 
 from typer import Argument, Option, Typer
 
 from safety_harness.base.exceptions import InadmissibleError, ModelError, NoAnswerError
+from safety_harness.base.extension_points import ExtensionPoint, names_of, part_named
 from safety_harness.base.extras import LEARNING, ONNX
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, INTERRUPTED, document, result, say
 from safety_harness.cli.options import Seed, command
@@ -87,8 +89,8 @@ def train(
     recipe: Annotated[
         str,
         Argument(
-            help="mc-dropout, mc-dropout-full, deterministic, ensemble or optimum; "
-            "also with paper- or trial- before it."
+            help="mc-dropout, mc-dropout-full, deterministic or ensemble, each also with paper- or trial- "
+            "before it; optimum, student or student-ensemble."
         ),
     ] = "mc-dropout",
     robot: Cell = None,
@@ -256,8 +258,8 @@ def time_avoider(
     decision costs in simulated time from it.  A Python file is executed.
     Exit code 0; 2: bad input, or an avoider that does not answer; 130: interrupted.
     """
-    from safety_harness.admission.measured_times import measured_times
     from safety_harness.base.whole_file import write_text
+    from safety_harness.extensions.lab.measured_times import measured_times
     from safety_harness.report.words import milliseconds_words
     from safety_harness.scenario.decision_times import profile_text
 
@@ -312,15 +314,15 @@ def export(
     from safety_harness.cell.avoidance.model_file import load_model
     from safety_harness.cell.avoidance.shipped import model_file
 
-    if out.suffix == ".mcap":
+    if (form := out.suffix[1:]) in names_of(ExtensionPoint.RUN_FORMATS):
         from safety_harness.admission.trial import judge
-        from safety_harness.report.mcap import LOG_FILE, write_mcap
         from safety_harness.trace.store import load_trace
 
+        write = part_named(ExtensionPoint.RUN_FORMATS, form, FunctionType)
         trace = load_trace(model)
-        write_mcap(trace, judge(trace, file=Path(model)), out)
-        document(mcap=out, log=out.with_name(LOG_FILE))
-        result(f"mcap: {out}, described by {out.with_name(LOG_FILE)}")
+        written, *others = write(trace, judge(trace, file=Path(model)), out)
+        document(**{form: written} | ({"log": others[0]} if others else {}))
+        result(f"{form}: {written}" + "".join(f", described by {one}" for one in others))
         return AS_EXPECTED
     path = model_file(str(model))
     if seed < 0:

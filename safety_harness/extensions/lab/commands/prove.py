@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 import sys
-from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from typer import Argument, Option, Typer
 
-from safety_harness.cli.console import AS_EXPECTED, DIFFERS, INTERRUPTED, columns_of, document, result, say
+from safety_harness.cli.console import AS_EXPECTED, DIFFERS, columns_of, document, result, say
 from safety_harness.cli.options import command
 
 if TYPE_CHECKING:
-    from safety_harness.extensions.lab.proof.certificate import Proof
-    from safety_harness.extensions.lab.proof.plan import ProofPlan
-    from safety_harness.extensions.lab.proof.together import JointBound
+    from safety_harness.extensions.lab.prove_job import ProofResult
 
-CERTIFICATE, PAGE = "certificate.json", "proof.html"
 commands = Typer()
 
 
@@ -62,134 +58,59 @@ def prove(
         return _check(file, model)
     if decisions is not None:
         return _decisions(file, decisions, out)
-    import shlex
-    from dataclasses import asdict
-    from datetime import UTC, datetime
-
-    from safety_harness.base.interrupts import one_more_ctrl_c
-    from safety_harness.base.pool import pool
-    from safety_harness.base.whole_file import write_text
     from safety_harness.claims.properties.tally import BASIS_OF_ANSWERS
-    from safety_harness.cli.progress import watching_steps
-    from safety_harness.extensions.lab.pages.proof_page import ProofEvidence, render
-    from safety_harness.extensions.lab.proof.certificate import taken_up, write_certificate
-    from safety_harness.extensions.lab.proof.plan import read_proof_plan
-    from safety_harness.extensions.lab.proof.session import Effort, carry_on, fresh
-    from safety_harness.extensions.lab.proof.together import joint_bounds
-    from safety_harness.scenario.files import told
+    from safety_harness.cli.progress import TERMINAL
+    from safety_harness.extensions.lab.prove_job import CERTIFICATE, PAGE
+    from safety_harness.extensions.lab.prove_job import prove as prove_plan
 
-    plan, path = read_proof_plan(file), out / CERTIFICATE
-    before = taken_up(path, plan) if resume else fresh(plan)
-    proofs = list(before)
-    remark = "interrupted: finishing the batch"
-    with ExitStack() as closing:
-        stopped = closing.enter_context(one_more_ctrl_c(say, remark))
-        on_step = closing.enter_context(watching_steps())
-        over = map if jobs == 1 else closing.enter_context(pool(jobs)).map
-        effort = Effort(
-            seconds=60.0 * minutes, halvings=halvings, over=over, at_once=jobs, stopped=stopped, told=on_step
-        )
-        for number, proof in enumerate(carry_on(plan, before, effort)):
-            proofs[number] = proof
-        interrupted = stopped()
-    written = write_certificate(path, plan, proofs)
-    bounds = joint_bounds(plan, proofs)
-    files = _tell(plan, proofs, out)
-    _tell_bounds(plan, proofs, bounds)
-    page = out / PAGE
-    words = ["safety-harness", "prove", str(told(file)), "--out", str(told(out)), "--minutes", f"{minutes:g}"]
-    evidence = ProofEvidence(
-        plan=plan,
-        proofs=tuple(proofs),
-        bounds=tuple(bounds),
-        files=tuple(files),
-        command=shlex.join([*words, "--halvings", str(halvings)]),
-        generated_at=datetime.now(UTC),
-        interrupted=interrupted,
+    found = prove_plan(
+        file,
+        minutes=minutes,
+        halvings=halvings,
+        jobs=jobs,
+        resume=out if resume else None,
+        output=TERMINAL,
     )
-    write_text(page, render(evidence))
-    document(
-        page=page,
-        basis=BASIS_OF_ANSWERS,
-        certificate=path,
-        claims=[{k: v for k, v in one.items() if k != "tree"} for one in written["claims"]],
-        together=[asdict(one) for one in bounds],
-    )
-    result("", BASIS_OF_ANSWERS, str(page))
-    say(f"certificate: {path} (safety-harness prove --check {path})")
-    if interrupted:
+    _tell(found)
+    found = found.write(out, TERMINAL)
+    _tell_bounds(found)
+    document(**found.data(out))
+    result("", BASIS_OF_ANSWERS, str(out / PAGE))
+    say(f"certificate: {out / CERTIFICATE} (safety-harness prove --check {out / CERTIFICATE})")
+    if found.interrupted:
         say("interrupted: --resume goes on")
-        return INTERRUPTED
-    return AS_EXPECTED if all(proof.verdict == "proven" for proof in proofs) else DIFFERS
+    return found.exit_code
 
 
-def _tell(plan: ProofPlan, proofs: list[Proof], out: Path) -> list[str | None]:
-    """The table, and the files of questions that were answered wrongly, by claim."""
+def _tell(found: ProofResult) -> None:
+    """Print how much of each claim is proven."""
     from safety_harness.claims.properties.tally import table
     from safety_harness.extensions.lab.proof.certificate import outward
 
     rows = []
-    for proof in proofs:
+    for proof in found.proofs:
         cells = outward(proof.least_shares)
         rows.append((proof.planned.claim.sentence, proof.planned.region.name, proof.verdict, *cells))
     columns = ("claim", "region", "verdict", "proven", "refuted", "undecided")
-    result(f"{plan.avoider}: shares of each region, proven at least and undecided at most", "")
+    result(f"{found.plan.avoider}: shares of each region, proven at least and undecided at most", "")
     result(*table(columns, rows, columns_of(sys.stdout), named_by=2, right=range(3, 6)))
-    return [
-        None if proof.question is None else _write_question(plan, proof, out / f"refuted-{number}.yaml")
-        for number, proof in enumerate(proofs, 1)
-    ]
 
 
-def _tell_bounds(plan: ProofPlan, proofs: list[Proof], bounds: list[JointBound]) -> None:
+def _tell_bounds(found: ProofResult) -> None:
     """How often the network is wrong at most, where the plan says how questions are distributed."""
     from safety_harness.claims.properties.tally import table
 
-    if plan.questions is None:
+    if found.plan.questions is None:
         return
-    confidence = f"{plan.questions.confidence:.7g}"
+    confidence = f"{found.plan.questions.confidence:.7g}"
     rows = [
         (proof.planned.claim.sentence, proof.planned.region.name, *bound.cells)
-        for proof, bound in zip(proofs, bounds, strict=True)
+        for proof, bound in zip(found.proofs, found.bounds, strict=True)
     ]
     columns = ("claim", "region", "wrong at most", "at least", "undecided", "of it asked", "wrong")
     heading = f"chance that a question as the plan draws them is answered wrongly; all hold with {confidence}"
     result("", heading, "")
     result(*table(columns, rows, columns_of(sys.stdout), named_by=2, right=range(2, 7)))
-
-
-def _write_question(plan: ProofPlan, proof: Proof, path: Path) -> str | None:
-    """Its name, if a run can begin with the question."""
-    import numpy as np
-
-    from safety_harness.base.whole_file import write_text
-    from safety_harness.cell.avoidance.shipped import SHIPPED
-    from safety_harness.extensions.lab.proof.claims import ClaimKind
-    from safety_harness.extensions.lab.proof.onnx_file import OnnxFunction
-    from safety_harness.extensions.lab.scoring.question_file import question_file
-
-    assert proof.question is not None
-    claim = {
-        ClaimKind.AWAY: "proposals lead away to within 10 mm",
-        ClaimKind.OPTIMUM: "proposals within 60 mm of the optimum",
-    }.get(proof.planned.claim.kind, "trace finite and monotone")
-    made = question_file(
-        path,
-        plan.avoider if plan.avoider in SHIPPED else str(plan.model_file),
-        plan.asked.avoider if isinstance(plan.asked, OnnxFunction) else plan.asked,
-        np.array(proof.question.hand_in_base_m),
-        np.array(proof.question.tcp_in_base_m),
-        0,
-        title=f"answered wrongly: {proof.planned.claim.sentence}",
-        about=f"A question to {plan.avoider} that refutes: {proof.planned.sentence}.",
-        claims=(claim,),
-    )
-    if made.path is None:
-        say(f"{proof.planned.sentence}: its question is in the certificate alone, {made.remark}")
-        return None
-    write_text(made.path, made.text)
-    say(f"{proof.planned.sentence}: refuted by {made.path}")
-    return made.path.name
 
 
 def _decisions(file: Path, text: str, out: Path) -> int:

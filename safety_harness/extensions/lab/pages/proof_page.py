@@ -12,12 +12,12 @@ from markupsafe import Markup
 from safety_harness.base.compiled import source_hash
 from safety_harness.base.distribution import installed_version
 from safety_harness.claims.properties.tally import BASIS_OF_ANSWERS
+from safety_harness.extensions.lab.pages.question_maps import Scale, class_map, key_of
 from safety_harness.extensions.lab.proof.certificate import NO_PAIR, Proof, model_hash, outward
 from safety_harness.extensions.lab.proof.maps import EDGES, BoxMap, maps_of
 from safety_harness.extensions.lab.proof.plan import ProofPlan
 from safety_harness.extensions.lab.proof.together import JointBound
 from safety_harness.report.page_parts import in_words, render_page
-from safety_harness.report.question_maps import Scale, class_map, key_of
 from safety_harness.report.words import point_words
 
 SHARES = ("none of it", "under 1 %", "1 to 10 %", "10 to 50 %", "half or more")

@@ -17,6 +17,7 @@ from safety_harness.base.geometry.arrays import ArrayNx3
 from safety_harness.base.settings import Settings
 from safety_harness.cell.avoidance.measures import gained_m, off_m, optimum_in_base_m
 from safety_harness.claims.properties.tally import BASIS_OF_ANSWERS
+from safety_harness.extensions.lab.pages.question_maps import VIEWS, Scale, key_of, question_map
 from safety_harness.extensions.lab.pages.score_document import sentence
 from safety_harness.extensions.lab.pages.score_tables import (
     COLUMNS,
@@ -35,7 +36,6 @@ from safety_harness.extensions.lab.pages.score_tables import (
 from safety_harness.extensions.lab.scoring.results import Scored, ScoredAvoider, ShownQuestion
 from safety_harness.extensions.lab.scoring.scorecard import RegionScore
 from safety_harness.report.page_parts import MOST_OPEN, render_page
-from safety_harness.report.question_maps import VIEWS, Scale, key_of, question_map
 from safety_harness.report.words import point_words
 from safety_harness.scenario.files import told
 

@@ -42,12 +42,14 @@ AVOIDER = Place(field="AVOIDER")
 class ScoringSession:
     """What is asked for; ``questions`` None: as many as the avoider's pace allows.
 
+    ``out`` keeps the worst questions as files; None keeps none.
+
     ``regions`` by name and ``spaces`` by file; neither: all regions that have a name.  ``on_step`` is told
     what comes, and what share of the steps is done.
     """
 
     references: Sequence[str]
-    out: Path
+    out: Path | None
     seed: int = 0
     questions: int | None = None
     budget: int = 0
@@ -199,7 +201,7 @@ class ScoringSession:
             number = len(one.worst) + 1
             told(f"trying worst question {number}")
             file = question_file(
-                self.out / f"{slug}-worst-{number}.yaml",
+                (self.out or Path()) / f"{slug}-worst-{number}.yaml",
                 one.reference,
                 subject.avoider.avoider if isinstance(subject.avoider, ShownAvoider) else subject.avoider,
                 tried.hand_in_base_m,
@@ -214,7 +216,8 @@ class ScoringSession:
             if file.path is None:
                 one.left_out.append(file.remark)
                 continue
-            write_text(file.path, file.text)
+            if self.out is not None:
+                write_text(file.path, file.text)
             one.worst.append(ShownQuestion(objective, tried, file))
             if len(one.worst) == MOST_SHOWN:
                 return

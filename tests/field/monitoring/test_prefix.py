@@ -8,18 +8,6 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from random_formulas import (
-    PERIOD_S,
-    P,
-    Run,
-    X,
-    bounds_of,
-    comparisons,
-    formulas,
-    margins_of,
-    runs,
-    truths,
-)
 
 from safety_harness.base.exceptions import FormulaError
 from safety_harness.claims.formulas.formula import (
@@ -34,9 +22,21 @@ from safety_harness.claims.formulas.formula import (
     Until,
 )
 from safety_harness.claims.formulas.language import mm, ms, s
-from safety_harness.claims.formulas.prefix import MOST_RECURSIONS, Prefix, refuse_endless
 from safety_harness.claims.formulas.quantities import Span
 from safety_harness.claims.formulas.semantics import MarginBounds, margins
+from safety_harness.extensions.field.monitoring.prefix import MOST_RECURSIONS, Prefix, refuse_endless
+from tests.claims.formulas.random_formulas import (
+    PERIOD_S,
+    P,
+    Run,
+    X,
+    bounds_of,
+    comparisons,
+    formulas,
+    margins_of,
+    runs,
+    truths,
+)
 
 anything = formulas(comparisons | truths)
 claims = anything | st.builds(Globally, anything, anything)

@@ -229,27 +229,6 @@ def least_separation(
 
 
 @compiled
-def fastest_mps(
-    arm: Arm,
-    joints_rad: NDArray[np.float64],  # (n, joints)
-    rates_radps: NDArray[np.float64],  # (n, joints)
-) -> NDArray[np.float64]:
-    """Return the speed (n,) [m/s] of the fastest end of any capsule's axis: no point of an axis is faster."""
-    n, joints, capsules = joints_rad.shape[0], arm.chain[0].joint_axes.shape[0], arm.capsules.shape[0]
-    transforms, ends = np.empty((joints + 2, 4, 4)), np.empty((capsules, 2, 3))
-    twists, fastest = np.empty((joints + 1, 6)), np.zeros(n)
-    for k in range(n):
-        forward_kinematics(arm.chain[0], joints_rad[k], transforms)
-        place_capsules(arm.capsules, transforms, ends)
-        link_twists(arm.chain[0].joint_axes, transforms, rates_radps[k], twists)
-        for capsule in range(capsules):
-            speed = fastest_end(twists[min(arm.capsules[capsule].link_index, joints)], ends[capsule])
-            if not speed <= fastest[k]:
-                fastest[k] = speed
-    return fastest
-
-
-@compiled
 def farthest_steps(
     arm: Arm,
     joints_rad: NDArray[np.float64],  # (n, joints)

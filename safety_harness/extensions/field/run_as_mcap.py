@@ -28,7 +28,7 @@ from safety_harness.cell.robot.robots import arm_model
 from safety_harness.claims.properties.base import SI_UNITS, Evaluation
 from safety_harness.claims.properties.hand_distance import HandDistance
 from safety_harness.claims.properties.limits import TcpSpeedLimit
-from safety_harness.claims.properties.true_motion import capsules_of, finer_paths, true_motion
+from safety_harness.claims.signals.true_motion import capsules_of, finer_paths, true_motion
 from safety_harness.scenario.model import Verdict
 from safety_harness.scenario.write import text_of, tree_of
 from safety_harness.trace.records import DecisionOutcome, Limit, Mode, Trigger
@@ -50,11 +50,11 @@ FROM_SCENARIO = ("about", "robot", "obstacles", "camera", "settings", "claims")
 Message = tuple[int, str, str, Any]  # when [ns], topic, type, content
 
 
-def write_mcap(trace: Trace, evaluations: Sequence[Evaluation], path: Path) -> None:
+def write_mcap(trace: Trace, evaluations: Sequence[Evaluation], path: Path) -> tuple[Path, Path]:
     """Write ``trace`` and the ``evaluations`` of its claims to ``path``, and LOG.yaml beside it.
 
-    TraceError for a trace that was not simulated, MissingPackageError without the extra "logs", OutputError
-    if a file cannot be written, or LOG.yaml is there and describes another file.
+    Return both files.  TraceError for a trace that was not simulated, MissingPackageError without the extra
+    "logs", OutputError if a file cannot be written, or LOG.yaml is there and describes another file.
     """
     log = path.with_name(LOG_FILE)
     if not trace.known.simulated:
@@ -74,6 +74,7 @@ def write_mcap(trace: Trace, evaluations: Sequence[Evaluation], path: Path) -> N
                 bag.write(topics[topic], at_ns, messages.store.serialize_cdr(content, kind))
         Path(folder, "run", "run.mcap").replace(part)
     write_text(log, _log_text(trace, path))
+    return path, log
 
 
 def _stamps(at_s: Any) -> Any:

@@ -27,6 +27,7 @@ from safety_harness.cell.robot.robots import arm_capsules, arm_model
 from safety_harness.cell.simulation.hand_motion import HAND, REACH_FOR_TCP, advance_hands, point_forearm
 from safety_harness.cell.simulation.hand_programs import hands_at_start
 from safety_harness.cell.simulation.truth import arm_record, cell_capsules, fill_truth
+from safety_harness.claims.signals.bounds import velocity_off
 from safety_harness.scenario.model import MovingHand, RecordedHand
 from safety_harness.scenario.moves import FollowTcp, ReachForTcp
 from safety_harness.trace.consistency import Inconsistency, at_first, first_inconsistency
@@ -217,16 +218,10 @@ def apart_moved_m(trace: Trace) -> NDArray[np.float64]:
 
 
 def tcp_velocity_moved_mps(trace: Trace) -> NDArray[np.float64]:
-    """(n,) by how much [m/s] the TCP's velocity at each tick may be off, as the joints are uncertain.
-
-    u' sum over j of l_j + u sum over j of |q'_j| sum over i of l_max(i, j), as for ``faster_mps``.
-    """
+    """(n,) by how much [m/s] the TCP's velocity at each tick may be off, as the joints are uncertain."""
     turned_rad, faster_radps = (trace.known.within(name, len(trace.ticks)) for name in JOINTS)
-    reach_m = arm_of(trace).reach_m
-    joints = np.arange(len(reach_m))
-    farther_m = np.array([reach_m[np.maximum(joints, j)].sum() for j in joints])
-    rates_radps = np.nan_to_num(np.abs(true_motion(trace).rates_radps), nan=0.0, posinf=0.0)
-    return np.asarray(faster_radps * reach_m.sum() + turned_rad * (rates_radps @ farther_m))
+    rates_radps = np.nan_to_num(true_motion(trace).rates_radps, nan=0.0, posinf=0.0, neginf=0.0)
+    return np.asarray(velocity_off(arm_of(trace).reach_m, turned_rad, faster_radps, rates_radps))
 
 
 def hand_bend_m(trace: Trace, paths: HandPaths, hand: int, *, centre: bool = False) -> NDArray[np.float64]:

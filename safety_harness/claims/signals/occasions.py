@@ -6,51 +6,20 @@ or of its scenario's settings.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import wraps
-from typing import cast
-
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.claims.properties.base import NEAR_M, Evaluation, Property, Said, inconclusive
-from safety_harness.claims.properties.measured import Judge, not_measured
-from safety_harness.claims.properties.true_motion import nearest_hand_m, true_motion
+from safety_harness.claims.signals.true_motion import nearest_hand_m, true_motion
 from safety_harness.trace.known import PRESENCE
 from safety_harness.trace.records import ENDLESS
 from safety_harness.trace.trace import Trace
 
+# A hand nearer than this puts a claim to the test: the claims' own number.  Were it a setting of the tested
+# system, whoever changes that setting would change how many runs count.
+NEAR_M = 0.4
 MOVES = 1e-3  # m/s and rad/s: what is slower stands
 SEEN = ("predicted_distance_m", "transform_tcp_to_base", "hand_position_in_base_m", PRESENCE)
 OFF_THE_GOAL = "a TCP start farther from the desired pose"
-
-
-def only_whole(*columns: str, of_any: bool = False) -> Callable[[Judge], Judge]:
-    """For an ``evaluate`` that says nothing of a part of a run, as what comes later may undo it.
-
-    It is inconclusive where any of ``columns``, or of those that it ``reads``, was not measured throughout; a
-    controller need not report all of them if the claim is ``of_any`` system.
-    """
-
-    def decorate(evaluate: Judge) -> Judge:
-        names = (*columns, *getattr(evaluate, "reads", ()))
-
-        @wraps(evaluate)
-        def evaluate_whole(prop: Property, trace: Trace) -> Evaluation:
-            known = trace.known
-            lacking = [name for name in names if known.missing([name]) or known.of(name).gaps]
-            lacking = [] if of_any and known.simulated else lacking
-            return not_measured(prop, lacking, known=trace.known) if lacking else evaluate(prop, trace)
-
-        evaluate_whole.reads = names  # type: ignore[attr-defined]
-        return cast(Judge, evaluate_whole)
-
-    return decorate
-
-
-def unexercised(prop: Said, lacked: str) -> Evaluation:
-    """Inconclusive, as the claim was never exercised; ``lacked`` says for want of what."""
-    return inconclusive(prop, f"never exercised: {lacked}")
 
 
 def beside(value: float, limit: float, unit: str, per_si: float) -> str:
@@ -200,3 +169,8 @@ def joints_stood(trace: Trace) -> str:
     """No joint turned."""
     fastest = beside(float(np.abs(true_motion(trace).rates_radps).max()), MOVES, "mrad/s", 1e3)
     return f"a joint turned at {fastest} at most; above {MOVES * 1e3:g} mrad/s exercises it: {OFF_THE_GOAL}"
+
+
+def occasion_m(limit_m: float = 0.0) -> float:
+    """How near a hand has to come to put a limit of its distance to the test: twice the limit, or NEAR_M."""
+    return max(NEAR_M, 2.0 * limit_m)

@@ -18,11 +18,11 @@ from safety_harness.base.exceptions import OutputError, TraceError
 from safety_harness.cell.simulation.pybullet_world import PyBulletWorld
 from safety_harness.cell.simulation.worlds import world_named
 from safety_harness.claims.properties.base import Unit
-from safety_harness.claims.properties.true_motion import true_motion
+from safety_harness.claims.signals.true_motion import true_motion
 from safety_harness.cli.main import app
+from safety_harness.extensions.field import run_as_mcap
 from safety_harness.extensions.field.logs.judging import recorded
-from safety_harness.report import mcap
-from safety_harness.report.mcap import LOG_FILE, write_mcap
+from safety_harness.extensions.field.run_as_mcap import LOG_FILE, write_mcap
 from safety_harness.scenario.expand import read_all_scenarios
 from safety_harness.scenario.model import Verdict
 from safety_harness.seams.contract import Image
@@ -225,6 +225,6 @@ def test_faster_hands_than_said_would_be_refused(tmp_path: Path, monkeypatch: py
     """The bounds that LOG.yaml states are held against the samples when it is read."""
     from safety_harness.base.exceptions import LogError
 
-    monkeypatch.setattr(mcap, "_bounds", lambda trace: (3.2, 1e3, 0.1))
+    monkeypatch.setattr(run_as_mcap, "_bounds", lambda trace: (3.2, 1e3, 0.1))
     with pytest.raises(LogError, match=r"possible at 0\.1 m/s"):
         recorded(exported("fast-reach", tmp_path))

@@ -13,11 +13,11 @@ from enum import Enum
 import numpy as np
 from numpy.typing import NDArray
 
+from safety_harness.claims.signals.bounds import tent
 from safety_harness.scenario.units import Dimension
 from safety_harness.trace.trace import Trace
 
 Values = NDArray[np.float64]
-MOVING = 1e-3  # m/s or rad/s: slower is rest, as for the catalogue's limits of speed
 
 
 class Interpolation(Enum):
@@ -102,57 +102,8 @@ def absent(trace: Trace, why: str) -> Sampled:
     return Sampled(value=nothing, low=nothing, high=nothing, absent=why)
 
 
-def speeds(at_tick: Values, mean: Values, *, of: str) -> Sampled:
-    """Speeds at the ticks with the mean ones from tick to tick; the largest of each row.
-
-    Within a cell each is taken to lie between its least and its largest value at both ends and in
-    the mean.  Occasions: the ticks from which on it moves.
-
-    ``at_tick`` is of shape (n, ...) and ``mean`` of shape (n-1, ...).
-    """
-    low, high = at_tick.copy(), at_tick.copy()
-    low[:-1] = np.minimum(np.minimum(at_tick[:-1], at_tick[1:]), mean)
-    high[:-1] = np.maximum(np.maximum(at_tick[:-1], at_tick[1:]), mean)
-    within_a_row = tuple(range(1, at_tick.ndim))
-    value, low, high, mean = (a.max(axis=within_a_row) for a in (at_tick, low, high, mean))
-    moves = value - MOVING
-    moves[:-1] = np.fmax(moves[:-1], mean - MOVING)
-    return Sampled(value=value, low=low, high=high, tried=(moves, moves), untried=f"{of} never moves")
-
-
 def bounded(value: Values, way: Values) -> Sampled:
     """A signal ``value`` (n,) that changes by at most ``way`` (n-1,) within each cell."""
     low, high = value.copy(), value.copy()
-    low[:-1], high[:-1] = tent(value, way, 0.0)
+    low[:-1], high[:-1] = tent(value[:-1], value[1:], way, 0.0)
     return Sampled(value=value, low=low, high=high)
-
-
-def tent(value: Values, way: Values, slack: Values | float) -> tuple[Values, Values]:
-    """(n-1,) bounds of a signal that has ``value`` (n,) at the ticks and between them goes ``way`` (n-1,).
-
-    After a part x of the way it has left the one end by at most x and is at most way - x from the
-    other; ``slack`` is what it may be off by beside that.
-
-    ``slack`` (n-1,).
-    """
-    first, second = value[:-1], value[1:]
-    low = np.minimum(0.5 * (first + second - way), np.minimum(first, second)) - slack
-    high = np.maximum(0.5 * (first + second + way), np.maximum(first, second)) + slack
-    return low, high
-
-
-def tcp_way_m(trace: Trace) -> Values:
-    """(n-1,) how far the TCP goes within each tick: its largest speed, at the ends or in the mean."""
-    speed = trace.ticks["tcp_speed_mps"]
-    steps = np.linalg.norm(np.diff(trace.ticks["transform_tcp_to_base"][:, :3, 3], axis=0), axis=1)
-    way: Values = np.maximum(np.maximum(speed[:-1], speed[1:]) * np.diff(trace.time_s), steps)
-    return way
-
-
-def turned_rad(trace: Trace) -> Values:
-    """(n-1,) by what angle the TCP can turn within each tick: those of all joints together."""
-    speed = np.abs(trace.ticks["joint_velocity_radps"])
-    steps = np.abs(np.diff(trace.ticks["joint_position_rad"], axis=0))
-    most = np.maximum(np.maximum(speed[:-1], speed[1:]) * np.diff(trace.time_s)[:, None], steps)
-    turned: Values = most.sum(axis=1)
-    return turned

@@ -8,9 +8,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.claims.formulas.signal import Interpolation, Sampled, Signal
-from safety_harness.claims.properties.hand_distance import distance_moved_m
-from safety_harness.claims.properties.true_motion import follows_unknown, tcp_of
+from safety_harness.claims.signals.bounds import place_between, speed_between
+from safety_harness.claims.signals.hand_distance import distance_moved_m
+from safety_harness.claims.signals.signal import Interpolation, Sampled, Signal
+from safety_harness.claims.signals.true_motion import follows_unknown, tcp_of, tcp_velocity_moved_mps
 from safety_harness.trace.trace import Trace, once_a_trace
 from safety_harness.trace.unmeasured import as_measured
 
@@ -105,12 +106,29 @@ def by_uncertainty_of(*columns: str) -> Off:
     return off
 
 
+def of_change(column: str) -> Off:
+    """Of the mean change of ``column`` from tick to tick, in its unit a second."""
+
+    def off(trace: Trace) -> tuple[float, float, float]:
+        by = 2.0 * trace.known.of(column).uncertainty / trace.scenario.settings.clock.control_period_s
+        return by, by, by
+
+    return off
+
+
+def of_tcp_acceleration(trace: Trace) -> tuple[float, float, float]:
+    """Of the mean change of the TCP's velocity, as joints and their speeds are uncertain."""
+    off_mps = float(tcp_velocity_moved_mps(trace).max())
+    by = 2.0 * off_mps / trace.scenario.settings.clock.control_period_s
+    return by, by, by
+
+
 def of_speed(speed: str, position: str) -> Off:
     """Of a speed; the mean ones between ticks are off by both positions over the period."""
 
     def off(trace: Trace) -> tuple[float, float, float]:
         at, place = (trace.known.of(name).uncertainty for name in (speed, position))
-        between = max(at, 2.0 * place / trace.scenario.settings.clock.control_period_s)
+        between = float(speed_between(at, place, trace.scenario.settings.clock.control_period_s))
         return at, between, between
 
     return off
@@ -119,7 +137,7 @@ def of_speed(speed: str, position: str) -> Off:
 def of_place(trace: Trace) -> tuple[float, float, float]:
     """Of a place of the TCP: beside its own, half of what its way within a tick is off by."""
     at, speed = (trace.known.of(name).uncertainty for name in (TCP, TCP_SPEED))
-    between = at + 0.5 * max(speed * trace.scenario.settings.clock.control_period_s, 2.0 * at)
+    between = float(place_between(at, speed, trace.scenario.settings.clock.control_period_s))
     return at, between, between
 
 

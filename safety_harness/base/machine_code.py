@@ -1,0 +1,77 @@
+"""Machine code that a wheel brings for any x86-64 processor, so that the first run need not compile.
+
+``make wheel`` compiles for numba's *generic* target, whose results are the same bit for bit.  Numba keeps its
+index and its code as pickles, and a pickle can execute anything when it is read.  So a file is read only from
+the package's own folder, and only if it has the SHA-256 that the installation's RECORD names for it.
+"""
+
+from __future__ import annotations
+
+import logging
+from base64 import urlsafe_b64encode
+from functools import cache
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from numba.core.caching import IndexDataCacheFile
+
+from safety_harness.base.distribution import DISTRIBUTION
+from safety_harness.base.whole_file import sha256_of
+
+FOLDER = "machine_code"
+GENERIC = ("generic", "")  # numba's processor and its features
+# Numba compares time and size of the source.  Ours lies in a folder that is named by the source's content.
+STAMP = (0.0, 0)
+LOGGER = logging.getLogger("safety_harness")
+
+_IndexDataCacheFile: Any = IndexDataCacheFile
+
+
+class InstalledCode(_IndexDataCacheFile):  # type: ignore[misc]
+    """The machine code of one function in the package's folder."""
+
+    def __init__(self, folder: Path, filename_base: str) -> None:
+        super().__init__(cache_path=str(folder), filename_base=filename_base, source_stamp=STAMP)
+        self._package = folder.parents[1]
+
+    def load_generic(self, key: tuple[Any, tuple[str, str, str], Any]) -> Any:
+        """Return the generic code for the ``key`` of the host's own code; None if there is none."""
+        signature, (triple, _, _), hashes = key
+        return self.load((signature, (triple, *GENERIC), hashes))
+
+    def _load_index(self) -> Any:
+        return super()._load_index() if is_as_installed(Path(self._index_path), self._package) else {}
+
+    def _load_data(self, name: str) -> Any:
+        path = Path(self._data_path(name))
+        return super()._load_data(name) if is_as_installed(path, self._package) else None
+
+
+def is_as_installed(file: Path, package: Path) -> bool:
+    """Return whether RECORD names a file of the ``package``'s folder, and with the hash that it has.
+
+    Warn of a file that RECORD names with another hash: somebody has changed it.
+    """
+    expected = recorded_hashes(package).get(file.relative_to(package.parent).as_posix())
+    if expected is None or not file.is_file():
+        return False
+    if urlsafe_b64encode(bytes.fromhex(sha256_of(file))).decode().rstrip("=") == expected:
+        return True
+    LOGGER.warning("%s is not as it was installed: the function is compiled instead", file)
+    return False
+
+
+@cache
+def recorded_hashes(package: Path) -> dict[str, str]:
+    """Return the hashes (base64) of the machine code's files by path, as RECORD of ``package`` has them."""
+    try:
+        found = metadata.distribution(DISTRIBUTION)
+    except metadata.PackageNotFoundError:
+        return {}
+    if Path(str(found.locate_file(package.name))) != package:
+        return {}  # a checkout beside an installation
+    begin = f"{package.name}/{FOLDER}/"
+    lines = (line.rsplit(",", 2) for line in (found.read_text("RECORD") or "").splitlines())
+    pairs = ((line[0], line[1]) for line in lines if len(line) == 3 and line[0].startswith(begin))
+    return {path: sha256.removeprefix("sha256=") for path, sha256 in pairs if sha256.startswith("sha256=")}

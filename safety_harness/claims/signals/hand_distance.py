@@ -1,0 +1,341 @@
+"""The distance of hands from the robot, at the ticks and between them, and how far it may be off."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.base.compiled import compiled, inlined
+from safety_harness.base.settings import Hand
+from safety_harness.cell.robot.capsules import Arm
+from safety_harness.cell.robot.closest_approach import MAX_BISECTIONS, closest_approach_between
+from safety_harness.cell.robot.distance import hand_distance, place_capsules
+from safety_harness.cell.robot.kinematics import forward_kinematics
+from safety_harness.cell.simulation.worlds import WORLDS
+from safety_harness.claims.signals.bounds import apart_between
+from safety_harness.claims.signals.occasions import no_hand
+from safety_harness.claims.signals.true_motion import (
+    JOINTS,
+    HandPaths,
+    arm_of,
+    capsules_of,
+    finer_paths,
+    first_stray,
+    follows_unknown,
+    hand_bend_m,
+    hand_paths,
+    tcp_of,
+    true_motion,
+)
+from safety_harness.trace.trace import Trace, history
+
+NONE_M = np.empty((2, 0))
+FASTEST_RADPS = 1e4  # no joint turns so fast: such a speed says nothing
+SATURATED_RADPS = 1e-3  # a mean speed this far from that of the tick's end is of motors that may saturate
+ROUNDING_RADPS = 1e-6  # by which a mean speed may be beyond what is recorded: a nanometre or two
+TURNED_RAD = 8.0 * np.pi  # four times the limits: an arm that has come apart, in an engine or in a file
+
+
+def distance_moved_m(trace: Trace) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """(n,) and (n,) by how much [m] the distances of hands may be off, at the ticks and between them.
+
+    Infinite if a hand heads for a TCP that was not measured everywhere and exactly.
+    """
+    known, count = trace.known, len(trace.ticks)
+    if follows_unknown(trace):
+        return np.full(count, np.inf), np.full(count, np.inf)
+    reach_m, period_s = float(arm_of(trace).reach_m.sum()), trace.scenario.settings.clock.control_period_s
+    columns = ("hand_position_in_base_m", "elbow_position_in_base_m", *JOINTS)
+    hand_m, elbow_m, turned_rad, faster_radps = (known.within(name, count) for name in columns)
+    between_m = apart_between(hand_m, elbow_m, turned_rad * reach_m, faster_radps * reach_m, period_s)
+    return known.within("hand_distance_m", count), between_m
+
+
+class Nearest(NamedTuple):
+    """The ends [m] of a least distance, when [s] the lower one was, and of which hand; ``inf``: of none."""
+
+    low_m: float = np.inf
+    time_s: float = 0.0
+    hand: int = 0
+    high_m: float = np.inf
+
+    def or_nearer(self, other: Nearest) -> Nearest:
+        """The least of two."""
+        low = self if other.low_m >= self.low_m else other  # a NaN comes out
+        return low._replace(high_m=min(self.high_m, other.high_m))
+
+
+def known_to(
+    limit_m: float, nearest: Callable[[Trace, HandPaths], Nearest], trace: Trace, paths: HandPaths
+) -> Nearest:
+    """What is nearest, with the hands followed in parts of a tick if that may decide about a limit."""
+    found = nearest(trace, paths)
+    return nearest(trace, finer_paths(trace)) if found.low_m < limit_m <= found.high_m else found
+
+
+def followed_hands(trace: Trace) -> tuple[HandPaths | None, str]:
+    """The ways of the hands, or why no distance from them can be judged in this trace."""
+    if not trace.scenario.hands:
+        return None, f"never exercised: {no_hand(trace)}"
+    if (np.abs(history(trace, "joint_position_rad")) > TURNED_RAD).any():
+        return None, "a joint has turned further than any arm can"
+    stray = first_stray(trace)
+    if stray is not None:
+        return None, f"at tick {stray} a hand is not where the scenario moves it"
+    return hand_paths(trace), ""
+
+
+def capsule_name(trace: Trace, tick: int, hand: int) -> str:
+    """Which part of the robot is nearest to a hand at a tick."""
+    names = capsules_of(trace).names
+    number = int(trace.ticks["hand_distance_capsule"][tick, hand])
+    return names[number].replace("_", " ") if 0 <= number < len(names) else "an unknown part"
+
+
+def closest_approach(trace: Trace, paths: HandPaths, off_m: NDArray[np.float64] | None = None) -> Nearest:
+    """The closest approach of any hand, at the ticks and between them.
+
+    Less ``off_m`` (n,), by which the distance may be off at each tick, and the larger of two between them.
+    """
+    settings = trace.scenario.settings
+    best = Nearest()
+    for hand in range(len(trace.scenario.hands)):
+        at, joints_rad, hand_m, elbow_m, distance_m, slack_m = instants(trace, paths, hand)
+        if off_m is not None:
+            before = np.minimum(at.astype(int), len(off_m) - 1)
+            distance_m = distance_m - off_m[before]
+            after = np.minimum(before[:-1] + 1, len(off_m) - 1)
+            slack_m = slack_m + np.maximum(off_m[before[:-1]], off_m[after])
+        ends_m, instant = closest_between(
+            arm_of(trace), at, joints_rad, hand_m, elbow_m, distance_m, slack_m, settings.hand, paths
+        )
+        time_s = instant * settings.clock.control_period_s
+        best = best.or_nearer(Nearest(ends_m[0], time_s, hand, ends_m[1]))
+    return best
+
+
+def closest_between(
+    arm: Arm,
+    at: NDArray[np.float64],  # (n,) in ticks
+    joints_rad: NDArray[np.float64],  # (n, joints)
+    hand_m: NDArray[np.float64],  # (n, 3)
+    elbow_m: NDArray[np.float64],  # (n, 3)
+    distance_m: NDArray[np.float64],  # (n,)
+    slack_m: NDArray[np.float64],  # (n - 1,)
+    size: Hand,
+    paths: HandPaths,
+    each_m: NDArray[np.float64] = NONE_M,
+) -> tuple[tuple[float, float], float]:
+    """Both ends of the least distance [m] over ``instants`` of one hand, and where the lower is, in ticks.
+
+    ``each_m`` (2, n - 1), if it is wanted, is filled with both ends from each instant to the next.
+    """
+    low_m, index, fraction, high_m = _closest_in_trace(
+        arm,
+        joints_rad,
+        hand_m,
+        elbow_m,
+        distance_m,
+        slack_m,
+        size.radius_m,
+        size.forearm_radius_m,
+        paths.resolution_m,
+        each_m,
+    )
+    later = at[min(index + 1, len(at) - 1)]
+    return (low_m, high_m), float(at[index] + fraction * (later - at[index]))
+
+
+def ends_between(trace: Trace, paths: HandPaths, hand: int, *, from_tcp: bool = False) -> NDArray[np.float64]:
+    """(2, n-1) both ends of one hand's least distance [m] from each tick to the next; NaN where not known.
+
+    From the arm, surface to surface, or ``from_tcp``: of the hand's centre.
+    """
+    seen = instants(trace, paths, hand, from_tcp=from_tcp)
+    at, joints_rad, hand_m, elbow_m, distance_m, slack_m = seen
+    arm, size, ends_m = arm_of(trace), trace.scenario.settings.hand, np.empty((2, len(slack_m)))
+    if from_tcp:
+        arm, size = tcp_of(trace), replace(size, radius_m=0.0, forearm_radius_m=0.0)
+    closest_between(arm, at, joints_rad, hand_m, elbow_m, distance_m, slack_m, size, paths, ends_m)
+    least_m = np.full((2, max(len(trace.ticks) - 1, 0)), np.inf)
+    tick = np.minimum(at[:-1].astype(int), max(least_m.shape[1] - 1, 0))
+    for least, ends in zip(least_m, ends_m, strict=True):
+        np.minimum.at(least, tick, ends)
+    return least_m
+
+
+def instants(
+    trace: Trace, paths: HandPaths, hand: int, *, from_tcp: bool = False
+) -> tuple[NDArray[np.float64], ...]:
+    """Ticks and the hand's corners between them, in order of time.
+
+    (n,) instants in ticks, (n, 6) joints, (n, 3) hand, (n, 3) elbow, (n,) distance or, at a corner,
+    inf, and (n - 1,) how far the distance may be below that of straight ways after each [m].  ``from_tcp``:
+    the elbow is where the hand is, and no distance is known.
+    """
+    true, body = true_motion(trace), 0 if from_tcp else 1
+    joints_rad, hand_m, elbow_m = true.joints_rad, true.hands_m[:, hand, 0], true.hands_m[:, hand, body]
+    distance_m = np.full(len(hand_m), np.inf) if from_tcp else trace.ticks["hand_distance_m"][:, hand]
+    slack_m = joint_bend_m(trace, tcp_of(trace)) if from_tcp else joint_bend_m(trace)
+    slack_m = slack_m + hand_bend_m(trace, paths, hand, centre=from_tcp)
+    ticks = np.arange(len(joints_rad), dtype=np.float64)
+    own = paths.corner_hand == hand
+    if not own.any():
+        return ticks, joints_rad, hand_m, elbow_m, distance_m, slack_m
+    corner_at = paths.corner_at[own]
+    # a sample that is a rounding before the last tick is at it
+    after = np.minimum(np.searchsorted(ticks, corner_at, side="right"), len(ticks) - 1)
+    at = np.insert(ticks, after, corner_at)
+    corners = paths.corners_in_base_m[own]
+    return (
+        at,
+        np.column_stack([np.interp(at, ticks, column) for column in joints_rad.T]),
+        np.insert(hand_m, after, corners[:, 0], axis=0),
+        np.insert(elbow_m, after, corners[:, body], axis=0),
+        np.insert(distance_m, after, np.inf),
+        np.insert(slack_m, after - 1, slack_m[after - 1]) if len(slack_m) else slack_m,
+    )
+
+
+def joint_bend_m(trace: Trace, arm: Arm | None = None) -> NDArray[np.float64]:
+    """(n-1,) how far any point of the arm may leave the way of joints that move linearly, within each tick.
+
+    A joint whose speed changes by at most dv, between the values at the two ticks, leaves the
+    straight line by at most dv dt/4; a point is displaced by no more than that angle times the
+    length of the chain of links that the joint moves.  Of a mean speed between them, at a and b from
+    either, it is dt a b/(a + b): nothing where a whole tick went at the speed of its end, as in both worlds.
+
+    Motors that saturate go beyond both.  That is without end where an engine did not record by how much, and
+    the mean speed of a joint is not that of the end.
+    """
+    true, world = true_motion(trace), trace.provenance.world
+    period_s, known = trace.scenario.settings.clock.control_period_s, trace.known
+    return _joint_bends(
+        arm or arm_of(trace),
+        true.joints_rad,
+        true.rates_radps,
+        trace.overshoot_radps,
+        period_s,
+        not (known.of("joint_position_rad").limited or known.of("joint_velocity_radps").limited),
+        any(one.substeps for one in WORLDS if one.name == world),
+    )
+
+
+@compiled
+def _joint_bends(
+    arm: Arm,
+    joints_rad: NDArray[np.float64],  # (n, joints)
+    rates_radps: NDArray[np.float64],  # (n, joints)
+    overshoot_radps: NDArray[np.float64],  # (n, joints), or (0, joints) where nobody recorded it
+    period_s: float,
+    exact: bool,  # positions and speeds are known exactly
+    engine: bool,  # the world has motors, which may saturate
+) -> NDArray[np.float64]:
+    """(n-1,) dt times the sum over joints of l a b/(a + b) [m], with l of ``chain_lengths``; else dv/4."""
+    found, recorded = np.zeros(max(rates_radps.shape[0] - 1, 0)), len(overshoot_radps) >= len(rates_radps)
+    for k in range(found.shape[0]):
+        for joint in range(arm.chain[0].joint_axes.shape[0]):
+            before, after = rates_radps[k, joint], rates_radps[k + 1, joint]
+            beyond = overshoot_radps[k, joint] if recorded else 0.0
+            mean = (joints_rad[k + 1, joint] - joints_rad[k, joint]) / period_s
+            below, above = mean - min(before, after) + beyond, max(before, after) + beyond - mean
+            inside, angle = min(below, above) > -ROUNDING_RADPS, 0.25 * (below + above) * period_s
+            if engine and not (inside if recorded else abs(mean - after) < SATURATED_RADPS):
+                angle = np.inf
+            elif exact and inside and below + above > 0.0:
+                angle = max(below, 0.0) * max(above, 0.0) / (below + above) * period_s
+            if not below + above < FASTEST_RADPS:  # or a speed is no number
+                angle = np.inf
+            if angle > 0.0:
+                found[k] += angle * arm.reach_m[joint]
+    return found
+
+
+@compiled
+def _closest_in_trace(
+    arm: Arm,
+    joints_rad: NDArray[np.float64],  # (n, joints)
+    hands_m: NDArray[np.float64],  # (n, 3)
+    elbows_m: NDArray[np.float64],  # (n, 3)
+    distance_m: NDArray[np.float64],  # (n,) at the ticks, inf elsewhere
+    slack_m: NDArray[np.float64],  # (n - 1,)
+    hand_radius_m: float,
+    forearm_radius_m: float,
+    tolerance_m: float,
+    each_m: NDArray[np.float64],  # (2, n - 1) written: both ends between two instants; or (2, 0)
+) -> tuple[float, int, float, float]:
+    """Least distance over a trace: (distance, tick before it, fraction of the way to the next, upper end).
+
+    Where ``each_m`` is wanted, every stretch is looked at.  Else, from where the distance is known, stretches
+    are passed over in which nothing can come as near as the best so far: a joint moves no point farther than
+    by its angle times its chain of links, and distances change by no more than points move.
+    """
+    best = np.inf
+    index, fraction = 0, 0.0
+    for k in range(distance_m.shape[0]):
+        if distance_m[k] < best:
+            best, index, fraction = distance_m[k], k, 0.0
+    high = best
+    frames = arm.chain[0].joint_axes.shape[0] + 2
+    transforms, ends = np.empty((frames, 4, 4)), np.empty((arm.capsules.shape[0], 2, 3))
+    room = np.empty((MAX_BISECTIONS + 1, arm.capsules.shape[0], 2, 3))
+    k, left_m, known = 0, 0.0, False  # whether left_m is the distance at k
+    while k < distance_m.shape[0] - 1:
+        if not known:
+            forward_kinematics(arm.chain[0], joints_rad[k], transforms)
+            place_capsules(arm.capsules, transforms, ends)
+            left_m, _ = hand_distance(
+                arm.capsules, ends, hands_m[k], elbows_m[k], hand_radius_m, forearm_radius_m
+            )
+        first, known = k, False
+        while each_m.shape[1] == 0 and k < distance_m.shape[0] - 1:
+            left_m -= displacement_m(arm.reach_m, joints_rad, hands_m, elbows_m, k)
+            if not left_m - slack_m[k] > high + tolerance_m:  # a NaN must come out, not be passed over
+                break
+            k += 1
+        if k > first:
+            continue
+        bound, where, sampled, left_m = closest_approach_between(
+            arm,
+            room,
+            joints_rad[k],
+            joints_rad[k + 1],
+            hands_m[k],
+            hands_m[k + 1],
+            elbows_m[k],
+            elbows_m[k + 1],
+            hand_radius_m,
+            forearm_radius_m,
+            tolerance_m,
+            np.inf if each_m.shape[1] else high + slack_m[k],
+        )
+        bound, known = bound - slack_m[k], True
+        high = min(high, sampled + slack_m[k])  # between two ticks, at a corner too, joints may be elsewhere
+        if each_m.shape[1]:
+            each_m[0, k], each_m[1, k] = bound, sampled + slack_m[k]
+        if not bound >= best:
+            best, index, fraction = bound, k, where
+        k += 1
+    return best, index, fraction, high
+
+
+@inlined
+def displacement_m(
+    reach_m: NDArray[np.float64],  # (joints,)
+    joints_rad: NDArray[np.float64],  # (n, joints)
+    hands_m: NDArray[np.float64],  # (n, 3)
+    elbows_m: NDArray[np.float64],  # (n, 3)
+    k: int,
+) -> float:
+    """By how much [m] a distance can change from instant k to the next, at most."""
+    moved, hand, elbow = 0.0, 0.0, 0.0
+    for i in range(reach_m.shape[0]):
+        moved += abs(joints_rad[k + 1, i] - joints_rad[k, i]) * reach_m[i]
+    for i in range(3):
+        hand += (hands_m[k + 1, i] - hands_m[k, i]) ** 2
+        elbow += (elbows_m[k + 1, i] - elbows_m[k, i]) ** 2
+    return float(moved + np.sqrt(max(hand, elbow)))

@@ -1,0 +1,62 @@
+"""How far predictions of hands are from where hands then are."""
+
+from __future__ import annotations
+
+from math import sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.base.compiled import compiled
+from safety_harness.claims.signals.true_motion import true_motion
+from safety_harness.trace.trace import Trace
+
+
+def prediction_errors_m(trace: Trace) -> NDArray[np.float64]:
+    """(k, tracks) distance of each prediction from the nearest true hand at the time that it is for.
+
+    k is the number of ticks whose predictions are for times within the trace; NaN where a slot tracks
+    nothing.
+    """
+    settings = trace.scenario.settings
+    ahead = settings.hand_filter.prediction_horizon_s / settings.clock.control_period_s  # in ticks
+    at: NDArray[np.float64] = np.arange(len(trace.ticks), dtype=np.float64) + ahead
+    at = at[at <= len(trace.ticks) - 1]
+    predicted_m, hands_m = trace.ticks["predicted_hand_in_base_m"], true_motion(trace).hands_m
+    errors_m = np.empty((len(at), predicted_m.shape[1]))
+    _errors(predicted_m, hands_m, len(trace.scenario.hands), at, errors_m)
+    return errors_m
+
+
+def tracked_errors_m(trace: Trace) -> NDArray[np.float64]:
+    """(k, tracks) the same; minus infinity where a slot tracks nothing."""
+    errors_m = prediction_errors_m(trace)
+    return np.where(trace.ticks["track_valid"][: len(errors_m)], errors_m, -np.inf)
+
+
+@compiled
+def _errors(
+    predicted_m: NDArray[np.float64],  # (k or more, tracks, 3)
+    hands_m: NDArray[np.float64],  # (n, hands or more, 2, 3)
+    hands: int,
+    at: NDArray[np.float64],  # (k,) what the predictions are for, in ticks
+    errors_m: NDArray[np.float64],  # (k, tracks), written
+) -> None:
+    """Least over hands of |predicted - true| [m], the true one straight between the ticks around ``at``."""
+    last = hands_m.shape[0] - 1
+    for k in range(at.shape[0]):
+        before = int(at[k])
+        after, part = min(before + 1, last), at[k] - before
+        for track in range(errors_m.shape[1]):
+            nearest = np.inf
+            for hand in range(hands):
+                total = 0.0
+                for i in range(3):
+                    true = hands_m[before, hand, 0, i] * (1.0 - part) + hands_m[after, hand, 0, i] * part
+                    total += (predicted_m[k, track, i] - true) ** 2
+                apart = sqrt(total)
+                if not apart >= nearest:
+                    nearest = apart
+                if np.isnan(apart):
+                    break
+            errors_m[k, track] = nearest

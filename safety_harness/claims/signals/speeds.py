@@ -1,0 +1,123 @@
+"""How fast TCP and joints are, and how far they go and turn from tick to tick."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.base.compiled import compiled
+from safety_harness.cell.robot.capsules import Arm
+from safety_harness.cell.robot.distance import place_capsules
+from safety_harness.cell.robot.kinematics import fastest_end, forward_kinematics, link_twists, tcp_velocity
+from safety_harness.cell.simulation.worlds import WORLDS
+from safety_harness.claims.signals.occasions import MOVES
+from safety_harness.claims.signals.signal import Sampled, Values
+from safety_harness.claims.signals.true_motion import arm_of, true_motion
+from safety_harness.trace.trace import Trace, history, once_a_trace
+
+
+def speeds(at_tick: Values, mean: Values, *, of: str) -> Sampled:
+    """Speeds at the ticks with the mean ones from tick to tick; the largest of each row.
+
+    Within a cell each is taken to lie between its least and its largest value at both ends and in
+    the mean.  Occasions: the ticks from which on it moves.
+
+    ``at_tick`` is of shape (n, ...) and ``mean`` of shape (n-1, ...).
+    """
+    low, high = at_tick.copy(), at_tick.copy()
+    low[:-1] = np.minimum(np.minimum(at_tick[:-1], at_tick[1:]), mean)
+    high[:-1] = np.maximum(np.maximum(at_tick[:-1], at_tick[1:]), mean)
+    within_a_row = tuple(range(1, at_tick.ndim))
+    value, low, high, mean = (a.max(axis=within_a_row) for a in (at_tick, low, high, mean))
+    moves = value - MOVES
+    moves[:-1] = np.fmax(moves[:-1], mean - MOVES)
+    return Sampled(value=value, low=low, high=high, tried=(moves, moves), untried=f"{of} never moves")
+
+
+def tcp_way_m(trace: Trace) -> Values:
+    """(n-1,) how far the TCP goes within each tick: its largest speed, at the ends or in the mean."""
+    speed = trace.ticks["tcp_speed_mps"]
+    steps = np.linalg.norm(np.diff(trace.ticks["transform_tcp_to_base"][:, :3, 3], axis=0), axis=1)
+    way: Values = np.maximum(np.maximum(speed[:-1], speed[1:]) * np.diff(trace.time_s), steps)
+    return way
+
+
+def turned_rad(trace: Trace) -> Values:
+    """(n-1,) by what angle the TCP can turn within each tick: those of all joints together."""
+    speed = np.abs(trace.ticks["joint_velocity_radps"])
+    steps = np.abs(np.diff(trace.ticks["joint_position_rad"], axis=0))
+    most = np.maximum(np.maximum(speed[:-1], speed[1:]) * np.diff(trace.time_s)[:, None], steps)
+    turned: Values = most.sum(axis=1)
+    return turned
+
+
+def known_to_radps(trace: Trace) -> float:
+    """By how much [rad/s] the recorded speed of a joint may miss the commanded one in the trace's world."""
+    return sum(world.known_to_radps for world in WORLDS if world.name == trace.provenance.world)
+
+
+def tcp_speeds_mps(trace: Trace) -> tuple[Values, Values]:
+    """(n,) of the TCP at the ticks, and (n-1,) the mean ones from tick to tick."""
+    steps = np.linalg.norm(np.diff(trace.ticks["transform_tcp_to_base"][:, :3, 3], axis=0), axis=1)
+    return history(trace, "tcp_speed_mps"), steps / np.diff(trace.time_s)
+
+
+def joint_speeds_radps(trace: Trace) -> tuple[Values, Values]:
+    """(n, joints) of the joints at the ticks, and (n-1, joints) the mean ones from tick to tick."""
+    steps = np.abs(np.diff(history(trace, "joint_position_rad"), axis=0))
+    return np.abs(history(trace, "joint_velocity_radps")), steps / np.diff(trace.time_s)[:, None]
+
+
+def larger(at_tick: Values, mean: Values) -> Values:
+    """(n, ...) the speed at each tick, or the mean one to the next where that is larger."""
+    found = at_tick.copy()
+    found[:-1] = np.maximum(found[:-1], mean)
+    return found
+
+
+def sample_tcp_speed(trace: Trace) -> Sampled:
+    """Of the TCP; between ticks the mean speed counts too."""
+    return speeds(*tcp_speeds_mps(trace), of="the TCP")
+
+
+def sample_joint_speed(trace: Trace) -> Sampled:
+    """Of the fastest joint, likewise; it may be lower by what motors miss (``known_to_radps``)."""
+    found, off_radps = speeds(*joint_speeds_radps(trace), of="the arm"), known_to_radps(trace)
+    return replace(
+        found, low=found.low - off_radps, value_low=found.value - off_radps, value_high=found.value
+    )
+
+
+@once_a_trace
+def arm_speeds_mps(trace: Trace) -> Values:
+    """(n, 4) speed of the fastest end of any capsule's axis, and the TCP's velocity in base, at each tick.
+
+    No point of an axis is faster than an end.
+    """
+    true = true_motion(trace)
+    return _arm_speeds_mps(arm_of(trace), true.joints_rad, true.rates_radps)
+
+
+@compiled
+def _arm_speeds_mps(
+    arm: Arm,
+    joints_rad: NDArray[np.float64],  # (n, joints)
+    rates_radps: NDArray[np.float64],  # (n, joints)
+) -> NDArray[np.float64]:
+    """(n, 4) of ``arm_speeds_mps``."""
+    n, joints, capsules = joints_rad.shape[0], arm.chain[0].joint_axes.shape[0], arm.capsules.shape[0]
+    transforms, ends = np.empty((joints + 2, 4, 4)), np.empty((capsules, 2, 3))
+    twists, found = np.empty((joints + 1, 6)), np.zeros((n, 4))
+    for k in range(n):
+        forward_kinematics(arm.chain[0], joints_rad[k], transforms)
+        place_capsules(arm.capsules, transforms, ends)
+        link_twists(arm.chain[0].joint_axes, transforms, rates_radps[k], twists)
+        x, y, z = tcp_velocity(arm.chain[0].joint_axes, transforms, rates_radps[k])
+        found[k, 1], found[k, 2], found[k, 3] = x, y, z
+        for capsule in range(capsules):
+            speed = fastest_end(twists[min(arm.capsules[capsule].link_index, joints)], ends[capsule])
+            if not speed <= found[k, 0]:
+                found[k, 0] = speed
+    return found

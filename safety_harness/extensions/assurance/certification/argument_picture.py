@@ -1,0 +1,73 @@
+"""The picture of the assurance argument: a tree from left to right, as SVG."""
+
+from __future__ import annotations
+
+import re
+import textwrap
+from html import escape
+
+from markupsafe import Markup
+
+from safety_harness.extensions.assurance.certification.argument import UNDEVELOPED, Element, ElementKind
+from safety_harness.report.page_parts import templates
+from safety_harness.report.svg import plain
+
+WIDTH, PAD, LINE, GAP_X, GAP_Y = 176.0, 10.0, 15.0, 22.0, 12.0
+LETTERS = 25  # in a line of a box
+_HASH = re.compile(r"\b([0-9a-f]{16})[0-9a-f]{48}\b")
+INDENT = 12.0  # of what stands beside an element, which is drawn below it
+
+
+class _Box:
+    """An element with its place: the left upper corner and the size; its words are markup."""
+
+    def __init__(self, element: Element, x: float, y: float) -> None:
+        kind = element.kind.name.lower()
+        self.element, self.x, self.y, self.width = element, x, y, WIDTH
+        text = _HASH.sub(r"\1...", element.text)  # its digits are wider than letters
+        lines = textwrap.wrap(plain(text, longest=140), LETTERS) or [""]
+        self.lines = [Markup(escape(line)) for line in (f"{element.key} \u00b7 {kind}", *lines)]
+        self.height = 2 * PAD + LINE * len(self.lines)
+        self.middle, self.bottom = y + self.height / 2.0, y + self.height
+
+
+class _Layout:
+    """Places every element, from left to right, and remembers what is joined to what."""
+
+    def __init__(self, top: Element) -> None:
+        self.boxes: list[_Box] = []
+        self.arrows: list[tuple[list[tuple[float, float]], str]] = []  # a line, the marker at its end
+        self.height = self._place(top, GAP_X, GAP_X)[1] + GAP_X
+        self.width = max(box.x for box in self.boxes) + WIDTH + GAP_X
+
+    def _place(self, element: Element, x: float, y: float) -> tuple[_Box, float]:
+        """Put ``element``, with what is beside it below and its support to the right; the lowest end."""
+        box = self._box(element, x, y)
+        bottom = box.bottom + (10.0 if element.undeveloped else 0.0)
+        for one in element.beside:
+            beside = self._box(one, x + INDENT, bottom + 8.0)
+            self.arrows.append(
+                ([(x + 4.0, box.bottom), (x + 4.0, beside.middle), (beside.x, beside.middle)], "ring")
+            )
+            bottom = beside.bottom
+        end, rail = y, x + WIDTH + INDENT + GAP_X / 2.0
+        for one in element.below:
+            below, end = self._place(one, x + WIDTH + GAP_X + INDENT, end)
+            line = [(x + WIDTH, box.y + PAD + 8.0), (rail, box.y + PAD + 8.0), (rail, below.y + PAD + 8.0)]
+            line.append((below.x, below.y + PAD + 8.0))
+            against = one.kind in (ElementKind.DEFEATER, ElementKind.ANSWER)
+            self.arrows.append((line[::-1], "against") if against else (line, "tip"))
+            end += GAP_Y
+        return box, max(bottom, end - GAP_Y)
+
+    def _box(self, element: Element, x: float, y: float) -> _Box:
+        self.boxes.append(_Box(element, x, y))
+        return self.boxes[-1]
+
+
+def argument_svg(top: Element, *, prefix: str) -> str:
+    """The picture as an ``<svg>`` element; every element is a link to its place on the page."""
+    drawn = templates("safety_harness.extensions.assurance").get_template("argument.svg.j2")
+    return drawn.render(
+        layout=_Layout(top), prefix=prefix, pad=PAD, line_height=LINE, undeveloped=UNDEVELOPED
+    )

@@ -1,0 +1,78 @@
+"""Read and judge the log of a real cell: ``safety_harness.read_log``, and its result."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from safety_harness.extensions.field.logs.assumptions import Assumption, assumptions_of
+from safety_harness.extensions.field.logs.certain import Recorded, trace_of
+from safety_harness.extensions.field.logs.model import CellLog
+from safety_harness.extensions.field.logs.read import read_log as read_description
+from safety_harness.report.evidence import JudgedRun, basis_of, worst_verdict
+from safety_harness.report.judge_job import judged_run, write_judged
+from safety_harness.trace.trace import Trace
+
+__all__ = ["LogResult", "read_log"]
+
+
+def read_log(file: str | Path) -> LogResult:
+    """Read the log of a cell as a trace.
+
+    Args:
+        file: The description of the log, ``LOG.yaml``.
+
+    Raises:
+        InputError: The log contradicts itself or its description, or cannot be read.
+
+    """
+    log = read_description(file)
+    return LogResult(Path(file), log, trace_of(log))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class LogResult:
+    """A log as a trace, of which some columns were not measured.
+
+    Args:
+        file: The description of the log.
+        log: What was recorded.
+        recorded: The trace, its recordings, and notes on what was left out.
+
+    """
+
+    file: Path
+    log: CellLog
+    recorded: Recorded
+
+    @property
+    def trace(self) -> Trace:
+        """The run as a trace."""
+        return self.recorded.trace
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Columns, tracks and intervals that are left out."""
+        return self.recorded.notes
+
+    @property
+    def assumptions(self) -> tuple[Assumption, ...]:
+        """What verdicts on the log assume, and what confirms each assumption."""
+        return tuple(assumptions_of(self.log))
+
+    def judge(self, *claims: str) -> JudgedRun:
+        """Return the log judged by claims, expected to hold, or by its own; InputError if there is none."""
+        return judged_run(self.file, claims)
+
+    def __repr__(self) -> str:
+        if not self.trace.scenario.claims:
+            return f"<{self.file.name}: {len(self.trace.ticks)} ticks, no claims of its own>"
+        run = self.judge()
+        verdict = worst_verdict(one.verdict for one in run.evaluations)
+        return f"<{verdict.value}: {self.file.name}, {len(run.evaluations)} claims. {basis_of([run])}>"
+
+    def write(self, folder: str | Path, *claims: str) -> JudgedRun:
+        """Judge the log likewise, and write report.html, report.json and the trace; OutputError."""
+        run = judged_run(self.file, claims, Path(folder))
+        write_judged([run], [], Path(folder), [self.file])
+        return run

@@ -1,0 +1,177 @@
+"""Prove claims about every answer of a network: ``safety_harness.prove``, its result and its page."""
+
+from __future__ import annotations
+
+import shlex
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass, replace
+from datetime import UTC, datetime
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from safety_harness.base.interrupts import one_more_ctrl_c
+from safety_harness.base.output import AS_EXPECTED, DIFFERS, INTERRUPTED, QUIET, Output
+from safety_harness.base.pool import pool
+from safety_harness.base.whole_file import write_text
+from safety_harness.cell.avoidance.shipped import SHIPPED
+from safety_harness.claims.properties.tally import BASIS_OF_ANSWERS
+from safety_harness.extensions.lab.pages.proof_page import ProofEvidence, render
+from safety_harness.extensions.lab.proof.certificate import Proof, taken_up, write_certificate
+from safety_harness.extensions.lab.proof.claims import ClaimKind
+from safety_harness.extensions.lab.proof.onnx_file import OnnxFunction
+from safety_harness.extensions.lab.proof.plan import ProofPlan, read_proof_plan
+from safety_harness.extensions.lab.proof.session import Effort, carry_on, fresh
+from safety_harness.extensions.lab.proof.together import JointBound, joint_bounds
+from safety_harness.extensions.lab.scoring.question_file import question_file
+from safety_harness.scenario.files import told
+
+__all__ = ["ProofResult", "prove"]
+CERTIFICATE, PAGE = "certificate.json", "proof.html"
+
+
+def prove(
+    plan: str | Path | ProofPlan,
+    *,
+    minutes: float = 5.0,
+    halvings: int = 40,
+    jobs: int = 1,
+    resume: str | Path | None = None,
+    output: Output = QUIET,
+) -> ProofResult:
+    """Prove claims about every answer of a small network in a region, as far as there is time.
+
+    Args:
+        plan: A plan of proofs, or its file.
+        minutes: For all claims together.
+        halvings: How often a box is halved at most.
+        jobs: Processes.
+        resume: A folder whose certificate it goes on with.
+        output: What hears of the progress.
+
+    Ctrl-C ends it, and the result keeps what was proven.
+
+    Raises:
+        InputError: The plan cannot be used, or the certificate is of another plan.
+
+    """
+    read = plan if isinstance(plan, ProofPlan) else read_proof_plan(Path(plan))
+    before = fresh(read) if resume is None else taken_up(Path(resume) / CERTIFICATE, read)
+    proofs = list(before)
+    with ExitStack() as closing:
+        stopped = closing.enter_context(one_more_ctrl_c(output.say, "interrupted: finishing the batch"))
+        on_step = closing.enter_context(output.steps())
+        over = map if jobs == 1 else closing.enter_context(pool(jobs)).map
+        effort = Effort(
+            seconds=60.0 * minutes, halvings=halvings, over=over, at_once=jobs, stopped=stopped, told=on_step
+        )
+        for number, proof in enumerate(carry_on(read, before, effort)):
+            proofs[number] = proof
+        interrupted = stopped()
+    options = ("--minutes", f"{minutes:g}", "--halvings", str(halvings))
+    file = Path(f"{read.title}.yaml") if isinstance(plan, ProofPlan) else Path(plan)
+    return ProofResult(read, tuple(proofs), interrupted=interrupted, file=file, options=options)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ProofResult:
+    """What of each claim is proven, refuted and undecided.
+
+    Args:
+        plan: The plan.
+        proofs: One for each claim and region, with its ``verdict`` and ``least_shares``.
+        interrupted: Ctrl-C ended it.
+        file: The file of the plan.
+        options: The options of the command that proves it again.
+        claims: What the certificate says of each claim, once it is written.
+
+    """
+
+    plan: ProofPlan
+    proofs: tuple[Proof, ...]
+    interrupted: bool
+    file: Path
+    options: tuple[str, ...] = ()
+    claims: tuple[dict[str, Any], ...] = ()
+
+    @cached_property
+    def bounds(self) -> tuple[JointBound, ...]:
+        """How often the network is wrong at most, where the plan says how questions are distributed."""
+        return tuple(joint_bounds(self.plan, list(self.proofs)))
+
+    @property
+    def exit_code(self) -> int:
+        """The command's exit code."""
+        if self.interrupted:
+            return INTERRUPTED
+        return AS_EXPECTED if all(proof.verdict == "proven" for proof in self.proofs) else DIFFERS
+
+    def __repr__(self) -> str:
+        each = ", ".join(f"{one.planned.sentence}: {one.verdict}" for one in self.proofs)
+        return f"<{self.plan.avoider}, {each}. {BASIS_OF_ANSWERS}>"
+
+    def data(self, folder: Path) -> dict[str, object]:
+        """Return the result for programs, with the files of the folder that it was written to."""
+        return {
+            "page": folder / PAGE,
+            "basis": BASIS_OF_ANSWERS,
+            "certificate": folder / CERTIFICATE,
+            "claims": [{k: v for k, v in one.items() if k != "tree"} for one in self.claims],
+            "together": [asdict(one) for one in self.bounds],
+        }
+
+    def write(self, folder: str | Path, output: Output = QUIET) -> ProofResult:
+        """Write certificate.json, proof.html, and each refuting question as a scenario.
+
+        Raises:
+            OutputError: The folder cannot be written.
+
+        """
+        out = Path(folder)
+        written = write_certificate(out / CERTIFICATE, self.plan, list(self.proofs))
+        files = [
+            write_question(self.plan, one, out / f"refuted-{k}.yaml", output) if one.question else None
+            for k, one in enumerate(self.proofs, 1)
+        ]
+        words = ["safety-harness", "prove", str(told(self.file)), "--out", str(told(out)), *self.options]
+        evidence = ProofEvidence(
+            plan=self.plan,
+            proofs=self.proofs,
+            bounds=self.bounds,
+            files=tuple(files),
+            command=shlex.join(words),
+            generated_at=datetime.now(UTC),
+            interrupted=self.interrupted,
+        )
+        write_text(out / PAGE, render(evidence))
+        made = replace(self, claims=tuple(written["claims"]))
+        made.__dict__["bounds"] = self.bounds  # which takes long
+        return made
+
+
+def write_question(plan: ProofPlan, proof: Proof, path: Path, output: Output) -> str | None:
+    """Write the question that refutes a claim; return the file's name, or None if no run begins with it."""
+    assert proof.question is not None
+    claim = {
+        ClaimKind.AWAY: "proposals lead away to within 10 mm",
+        ClaimKind.OPTIMUM: "proposals within 60 mm of the optimum",
+    }.get(proof.planned.claim.kind, "trace finite and monotone")
+    made = question_file(
+        path,
+        plan.avoider if plan.avoider in SHIPPED else str(plan.model_file),
+        plan.asked.avoider if isinstance(plan.asked, OnnxFunction) else plan.asked,
+        np.array(proof.question.hand_in_base_m),
+        np.array(proof.question.tcp_in_base_m),
+        0,
+        title=f"answered wrongly: {proof.planned.claim.sentence}",
+        about=f"A question to {plan.avoider} that refutes: {proof.planned.sentence}.",
+        claims=(claim,),
+    )
+    if made.path is None:
+        output.say(f"{proof.planned.sentence}: its question is in the certificate alone, {made.remark}")
+        return None
+    write_text(made.path, made.text)
+    output.say(f"{proof.planned.sentence}: refuted by {made.path}")
+    return made.path.name
