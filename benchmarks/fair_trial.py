@@ -76,9 +76,10 @@ CAUSES = """
   equals: in 1,200 pairs of runs anywhere in the space one of them alone violated `proposals lead away to
   within 10 mm` in 15, the student alone in 5, and `at most 50 % of proposals overruled` in 20 and 5. No
   margin of length differed by more than 78 mm there, nor in 1,600 pairs of searches. Of the faults the
-  median was 146 mm and more. The limits of `fuzz`, 100 mm or 5 % of the runs, lie between.
+  median was 146 mm and more. The limits of `fuzz`, 100 mm or 3 % of the runs, lie between.
   They were chosen with these two, `towards_by_seed`, `towards_by_place`, `into_the_table` and
-  `x_and_y_swapped` in sight, and with a planted fault of the tests; the other avoiders were not looked at.
+  `x_and_y_swapped` in sight, and with two planted faults of the tests; the others were not looked at. The
+  margin is small: a network of which this is true of 2 % of the runs is flagged by chance now and then.
 - `tcp_to_100_um`, `question_float16` (harmless) were flagged by `evaluate` for *jumps between near
   questions*, and are not now. The network is steep in the TCP: one step of 0.1 mm moves the answer by
   up to 4.6 mm, one of half precision by up to 20 mm. A jump now does not count where the answers stay
@@ -97,6 +98,10 @@ CAUSES = """
   with seed 0, and met none with seed 1. `into_the_table` leads down, which the gate refuses and no claim of
   reaching-hands forbids: of 600 runs anywhere it alone leads towards the hand in 5, the reference alone in
   11, and it alone violates another claim in 4.
+- `towards_by_seed` is missed by `evaluate` alone with 1,000 questions: its fault is on 10 % of them,
+  and the yardsticks lead towards the hand on up to 10 % as well. `--against` names it.
+- `fuzz` was not measured with the last form of its rule where the search finds a difference: on no fault,
+  and on 15 harmless changes not. One form before, int8 and another training were not flagged.
 - Rows of `fuzz` in which the search found no difference at all are of the code before the rule was changed:
   the rule acts on what a search found.
 - Rows with `--region seen` are of 12 avoiders to a command, with the mean time of one.

@@ -25,7 +25,7 @@ from safety_harness.search.trials import Trials
 from safety_harness.trace.trace import Trace
 
 CHANCE = 0.05  # of all claims together that an avoider as good as the reference is found worse
-OFTEN = 0.05  # of all runs, half of the least fault that has to be found: a run asks several questions
+OFTEN = 0.03  # of all runs: int8 weights or another training alone violate a claim in 2 % of them
 PAIRS = 72  # of runs for each claim, shared evenly among its groups
 MOST_GROUPS = 6
 _FIRST = 1_000_000_000  # above the number of every point that is searched
@@ -46,7 +46,7 @@ def keep_differences(trials: Trials, findings: Findings, draw: Callable[[], Tria
     if trials.reference is None:
         return []
     admitter, lines, drawn = Admitter(), list[str](), None
-    chance = CHANCE / (2 * len(findings.goals))
+    chance = CHANCE / len(findings.goals)  # two tests, of either of which one side counts
     for claim, goal in enumerate(findings.goals):
         near = sum(_is_near(run.claims[claim]) for run in trials.differences)
         if near:

@@ -177,4 +177,4 @@ def test_two_that_are_each_worse_than_the_other_somewhere_differ_in_nothing_that
         found = json.loads((folder / name / "findings.json").read_text())
         assert found["distinct"] == []
         assert any("pairs anywhere in the space" in one for one in found["flips_near_the_limit"])
-        assert "as many runs anywhere in the space" in capsys.readouterr().err
+        assert "runs anywhere in the space with both" in capsys.readouterr().err
