@@ -43,7 +43,8 @@ class HandPredictions(Worded):
         if len(found_m) == 0:
             return unexercised(self, self._untracked(trace))
         tick, track = divmod(int(errors_m.argmax()), errors_m.shape[1])
-        median_m = np.median(found_m)
+        found_m.sort()
+        median_m = 0.5 * (found_m[(len(found_m) - 1) // 2] + found_m[len(found_m) // 2])
         horizon_s = trace.scenario.settings.hand_filter.prediction_horizon_s
         then_s, error_m = trace.time_s[tick] + horizon_s, errors_m[tick, track]
         reason = (

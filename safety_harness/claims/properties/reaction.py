@@ -7,11 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from math import sqrt
 from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from safety_harness.base.compiled import compiled
 from safety_harness.base.settings import Settings
 from safety_harness.claims.properties.base import (
     HORIZON_M,
@@ -57,19 +59,40 @@ def predicted_near(trace: Trace, within_m: float = np.inf) -> tuple[NDArray[np.b
     """
     near_m = min(trace.scenario.settings.avoidance.critical_distance_m, within_m)
     apart_m, nowhere = predicted_apart_m(trace)
-    return apart_m < near_m, int(nowhere[0]) if len(nowhere) else -1
+    return apart_m < near_m, nowhere
 
 
 @once_a_trace
-def predicted_apart_m(trace: Trace) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def predicted_apart_m(trace: Trace) -> tuple[NDArray[np.float64], int]:
     """(n,) distance of the nearest prediction from the true TCP, infinite where nothing is tracked.
 
-    And the ticks with a prediction that is nowhere.
+    And the first tick with a prediction that is nowhere, or -1.
     """
-    found, (tick, track) = np.full(len(trace.ticks), np.inf), np.nonzero(trace.ticks["track_valid"])
-    predicted_m = trace.ticks["predicted_hand_in_base_m"][tick, track]
-    np.fmin.at(found, tick, np.linalg.norm(predicted_m - true_motion(trace).tcp_m[tick], axis=1))
-    return found, tick[~(np.abs(predicted_m) < HORIZON_M).all(axis=1)]
+    ticks = trace.ticks
+    return _predicted_apart(true_motion(trace).tcp_m, ticks["track_valid"], ticks["predicted_hand_in_base_m"])
+
+
+@compiled
+def _predicted_apart(
+    tcp_m: NDArray[np.float64],  # (n, 3)
+    tracked: NDArray[np.bool_],  # (n, tracks)
+    predicted_m: NDArray[np.float64],  # (n, tracks, 3)
+) -> tuple[NDArray[np.float64], int]:
+    """(n,) least over tracks of |predicted - tcp|, and the first tick at which a prediction is nowhere."""
+    found, nowhere = np.full(tcp_m.shape[0], np.inf), -1
+    for k in range(found.shape[0]):
+        for track in range(tracked.shape[1]):
+            if not tracked[k, track]:
+                continue
+            total, somewhere = 0.0, True
+            for i in range(3):
+                somewhere &= abs(predicted_m[k, track, i]) < HORIZON_M
+                total += (predicted_m[k, track, i] - tcp_m[k, i]) ** 2
+            if sqrt(total) < found[k]:  # of a NaN it is not
+                found[k] = sqrt(total)
+            if nowhere < 0 and not somewhere:
+                nowhere = k
+    return found, nowhere
 
 
 def may_give_way(trace: Trace) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:

@@ -36,10 +36,17 @@ def speeds(at_tick: Values, mean: Values, *, of: str) -> Sampled:
     return Sampled(value=value, low=low, high=high, tried=(moves, moves), untried=f"{of} never moves")
 
 
+@once_a_trace
+def tcp_steps_m(trace: Trace) -> Values:
+    """(n-1,) how far the TCP is at each tick from where it was at the one before."""
+    steps = np.diff(np.ascontiguousarray(true_motion(trace).tcp_m.T))
+    return np.asarray(np.sqrt((steps * steps).sum(axis=0)))
+
+
 def tcp_way_m(trace: Trace) -> Values:
     """(n-1,) how far the TCP goes within each tick: its largest speed, at the ends or in the mean."""
     speed = trace.ticks["tcp_speed_mps"]
-    steps = np.linalg.norm(np.diff(trace.ticks["transform_tcp_to_base"][:, :3, 3], axis=0), axis=1)
+    steps = tcp_steps_m(trace)
     way: Values = np.maximum(np.maximum(speed[:-1], speed[1:]) * np.diff(trace.time_s), steps)
     return way
 
@@ -60,8 +67,7 @@ def known_to_radps(trace: Trace) -> float:
 
 def tcp_speeds_mps(trace: Trace) -> tuple[Values, Values]:
     """(n,) of the TCP at the ticks, and (n-1,) the mean ones from tick to tick."""
-    steps = np.linalg.norm(np.diff(trace.ticks["transform_tcp_to_base"][:, :3, 3], axis=0), axis=1)
-    return history(trace, "tcp_speed_mps"), steps / np.diff(trace.time_s)
+    return history(trace, "tcp_speed_mps"), tcp_steps_m(trace) / np.diff(trace.time_s)
 
 
 def joint_speeds_radps(trace: Trace) -> tuple[Values, Values]:
@@ -71,7 +77,10 @@ def joint_speeds_radps(trace: Trace) -> tuple[Values, Values]:
 
 
 def larger(at_tick: Values, mean: Values) -> Values:
-    """(n, ...) the speed at each tick, or the mean one to the next where that is larger."""
+    """(n, ...) the speed at each tick, or the mean one to the next where that is larger.
+
+    ``at_tick`` is of shape (n, ...) and ``mean`` of shape (n-1, ...).
+    """
     found = at_tick.copy()
     found[:-1] = np.maximum(found[:-1], mean)
     return found
