@@ -58,7 +58,7 @@ TOYS = InputFile(words="a toy", command="safety-harness toy {file}", check=check
 
 
 class ToyDistance(type(HAND_DISTANCE.prop)):
-    sentence = "toy distance > 30 mm"
+    words = "toy distance > {minimum_m:mm}"
 
 
 ToyDistance.__name__ = "ToyDistance"
