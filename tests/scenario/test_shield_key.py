@@ -84,21 +84,10 @@ def test_drives_later_than_its_reaction_time_are_refused(drives: str, too_short:
 
 
 LATE = ("lag: 2 ms", "lag: 20 ms", "torque limit: 100 %", "dead time: 8 ms")
-PLAN = """\
-plan: behind a shield
-world: kinematic
-seed: 1
-strata:
-  - stratum: shielded
-    space: space.yaml
-    runs: 2
-claims:
-  - claim: joint speeds within limits
-"""
 
 
 def files_in(folder: Path, drives: str, shield: str) -> dict[str, Path]:
-    """The drives in a file that extends the one with the shield: as a scenario, a space, a plan of it."""
+    """The drives in a file that extends the one with the shield: as a scenario, a suite and a space."""
     robot = f"robot: {{arm: 'shipped:ur10e', drives: {{{drives}}}}}\n"
     start = TEXT.replace("offset: [0 mm,", "offset: [from 0 mm to 5 mm,").replace(
         "scenario:", "scenario space:"
@@ -108,7 +97,6 @@ def files_in(folder: Path, drives: str, shield: str) -> dict[str, Path]:
         "extends": f"extends: shield.yaml\n{robot}",
         "matrix": f"extends: shield.yaml\nmatrix:\n  robot: {{late: {{{robot.strip()}}}}}\n",
         "space": f"{start}{POSTURE}{shield}{robot}",
-        "plan": PLAN,
     }
     for name, text in texts.items():
         (folder / f"{name}.yaml").write_text(text)
