@@ -8,7 +8,6 @@ import shutil
 from pathlib import Path
 
 import pytest
-from typer import Typer
 from typer.testing import CliRunner
 
 from safety_harness.base.exceptions import MissingPackageError
@@ -143,8 +142,6 @@ def test_a_place_that_cannot_be_written_is_said(tmp_path: Path, capsys: pytest.C
 
 def test_without_the_package_the_command_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(main, "parts", lambda point: ())
-    app = Typer()
-    main.add_commands(app)
     answer = CliRunner().invoke(app, ["reproduce", "all", "--scale", "quick"])
     assert isinstance(answer.exception, MissingPackageError)
     assert "pip install ./paper" in str(answer.exception)

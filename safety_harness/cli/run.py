@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -60,7 +61,7 @@ def run(
         except KeyboardInterrupt:
             say(f"no report was written; the traces are in {out / TRACES}")
             return INTERRUPTED
-        document(**found.data(), failed=found.failed)
+        document(**json.loads((out / DATA).read_text("utf-8")), failed=found.failed)
     _say_summary(found)
     if found.runs:
         say(f"report: {out / REPORT} (for programs: {DATA})")

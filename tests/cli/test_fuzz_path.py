@@ -12,9 +12,8 @@ import pytest
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT, DIFFERS
 from safety_harness.cli.fuzz import fuzz
 from safety_harness.cli.scenario_commands import replay, run
-from safety_harness.report import search_attribution
+from safety_harness.report import search_attribution, search_job
 from safety_harness.search import counterexample as counterexample_module
-from safety_harness.search import searchers
 from safety_harness.search import session as search_session
 from safety_harness.search.sampling import UniformSampling
 
@@ -111,7 +110,7 @@ def test_what_only_the_baseline_meets_is_shrunk_and_written_too(
         def propose(self, count: int):  # type: ignore[no-untyped-def]
             return super().propose(count) * 0.0 + 0.99
 
-    monkeypatch.setattr(searchers, "searcher_named", lambda name: Blind)
+    monkeypatch.setattr(search_job, "searcher_named", lambda name: Blind)
     out = project / "out"
     assert fuzz(project / "space.yaml", out=out, budget=32, searcher="blind", baseline=True) == DIFFERS
     assert "uniform: tried 32/32" in capsys.readouterr().err

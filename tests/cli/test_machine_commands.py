@@ -159,7 +159,7 @@ def test_machine_code_that_can_only_be_read_is_no_problem(
     monkeypatch.setattr(doctor, "cache_problem", lambda _: "it cannot be kept")
     _, checks = examined(monkeypatch)
     assert checks["machine code"]["state"] == "ok"
-    assert str(checks["machine code"]["words"]).endswith("warm, read-only")
+    assert str(checks["machine code"]["words"]).endswith("machine code compiled here, read-only")
 
 
 def test_the_self_check_sees_a_run_that_fails_and_a_verdict_that_differs(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from pathlib import Path
 
 import pytest
@@ -24,9 +25,9 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def texts(folder: Path) -> dict[str, str]:
-    """The files of a search that have no time in them."""
+    """The files of a search without what depends on time: how many questions were asked again."""
     files = [*folder.rglob("*.yaml"), folder / "coverage.svg", folder / "findings.json"]
-    return {os.path.relpath(one, folder): one.read_text() for one in files}
+    return {os.path.relpath(one, folder): re.sub(r'"asked": \d+', "", one.read_text()) for one in files}
 
 
 def test_what_is_written_afterwards_is_what_the_command_writes(folder: Path) -> None:

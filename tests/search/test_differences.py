@@ -114,13 +114,15 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def searched(name: str, budget: int, against: str = "Base", seed: int = 0) -> int:
+def searched(
+    name: str, budget: int, against: str = "Base", seed: int = 0, claims: tuple[str, ...] = CLAIMS
+) -> int:
     return fuzz(
         Path("space.yaml"),
         out=Path(name),
         avoider=f"mine.py:{name}",
         against=f"mine.py:{against}",
-        claims=list(CLAIMS),
+        claims=list(claims),
         budget=budget,
         seed=seed,
     )
@@ -169,12 +171,18 @@ def test_a_network_trained_from_another_seed_is_no_difference(folder: Path) -> N
         assert json.loads((out / "findings.json").read_text())["distinct"] == []
 
 
-def test_two_that_are_each_worse_than_the_other_somewhere_differ_in_nothing_that_counts(
+def test_two_that_are_each_a_little_worse_than_the_other_somewhere_differ_in_nothing_that_counts(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    """Each alone comes too near in 45 of 300 pairs anywhere, never by more than 100 mm."""
     for name, other in (("Beyond", "Within"), ("Within", "Beyond")):
-        assert searched(name, 60, other) == AS_EXPECTED
+        assert searched(name, 60, other, claims=CLAIMS[:1]) == AS_EXPECTED
         found = json.loads((folder / name / "findings.json").read_text())
         assert found["distinct"] == []
         assert any("pairs anywhere in the space" in one for one in found["flips_near_the_limit"])
         assert "runs anywhere in the space with both" in capsys.readouterr().err
+
+
+def test_one_that_is_much_worse_somewhere_differs_though_it_is_better_elsewhere(folder: Path) -> None:
+    """Where it goes aside it leads by more than 100 mm less away from the hand, in every pair drawn again."""
+    assert searched("Within", 60, "Beyond", claims=CLAIMS[1:]) == DIFFERS

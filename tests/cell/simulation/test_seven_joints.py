@@ -17,9 +17,10 @@ from safety_harness.cell.robot.inverse import InverseKinematics, straight_way
 from safety_harness.cell.robot.kinematics import forward_kinematics
 from safety_harness.cell.simulation.kinematic_world import KinematicWorld
 from safety_harness.cell.simulation.simulate import Episode, simulate_many
-from safety_harness.claims.properties import limits, true_motion
+from safety_harness.claims.properties import limits
 from safety_harness.claims.properties.catalogue import CATALOGUE
 from safety_harness.claims.properties.entry import CatalogueEntry
+from safety_harness.claims.signals import true_motion
 from safety_harness.trace.records import Mode, tick_dtype
 from safety_harness.trace.trace import Trace
 

@@ -160,6 +160,6 @@ def test_the_speeds_between_ticks_count_with_their_mean(visit: Trace) -> None:
 def test_a_signal_is_within_the_tent_of_its_way(steps: list[float], before: float, parts: int) -> None:
     """A random walk seen at its ends only; the way is the sum of its steps."""
     walk = before + np.append(0.0, np.cumsum(steps))
-    low, high = tent(walk[[0, -1]], np.array([np.abs(steps).sum()]), 0.0)
-    assert low[0] - ROUNDING <= walk.min()
-    assert walk.max() <= high[0] + ROUNDING
+    low, high = tent(walk[0], walk[-1], np.abs(steps).sum(), 0.0)
+    assert low - ROUNDING <= walk.min()
+    assert walk.max() <= high + ROUNDING
