@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "claims" / "properties"))
 from breaks_of_claims import breaks
 from smallest_breaks import RESULTS, caught, measured, rounded_up, smallest, violated
 
