@@ -85,7 +85,10 @@ def installed(python: str, wheel: Path) -> bool:
             return as_it_should
 
         subprocess.run([python, "-m", "venv", "venv"], cwd=folder, check=True)
-        if not ends_with(f"python -m pip install -q --no-compile --disable-pip-version-check {wheel} pytest"):
+        # The versions that the wheel's machine code is of; "make newest" tries the newest.
+        lock = f"--constraint {Path('requirements.lock').resolve()}"
+        install = f"python -m pip install -q --no-compile --disable-pip-version-check {lock} {wheel} pytest"
+        if not ends_with(install):
             return False
         has_it = ["python", "-c", "import pybullet"]
         pybullet = subprocess.run(has_it, cwd=folder, env=environment, capture_output=True).returncode == 0
