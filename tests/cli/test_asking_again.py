@@ -21,13 +21,17 @@ from tests.search.short_space import TEXT as SPACE
 HARMLESS = "joint speeds within limits"
 
 
-@pytest.fixture(autouse=True)
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def in_a_folder_with_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(tmp_path)
     Path("mine.py").write_text(MINE)
     Path("visit.yaml").write_text(VISIT)
     Path("short.yaml").write_text(SPACE)
     return tmp_path
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    return in_a_folder_with_files(tmp_path, monkeypatch)
 
 
 @pytest.mark.parametrize("name", NO_FUNCTIONS)

@@ -22,15 +22,18 @@ MINE_AGAINST = ("--controller", "mine.py:Hurried", "--against")
 QUICK = ("--world", "kinematic", "--out", "out")
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """With two classes, a scenario, a space and a plan of the hurried one."""
-    folder = tmp_path_factory.mktemp("controllers-against")
+def with_both(folder: Path) -> Path:
+    """The folder, with two classes, a scenario, a space and a plan of the hurried one."""
     plan = PLAN.replace("StopAndGo", "Hurried").replace("runs: 8", "runs: 4")
     texts = {"mine.py": MINE + HURRIED, "visit.yaml": VISIT, "space.yaml": SPACE, "plan.yaml": plan}
     for name, text in texts.items():
         (folder / name).write_text(text)
     return folder
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return with_both(tmp_path_factory.mktemp("controllers-against"))
 
 
 @pytest.fixture(autouse=True)

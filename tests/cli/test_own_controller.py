@@ -173,22 +173,30 @@ keep:
 MINE_AS_OPTION = ("--controller", "mine.py:StopAndGo")
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """With the class, a scenario, a space and a plan."""
-    folder = tmp_path_factory.mktemp("own-controller")
+def with_files(folder: Path) -> Path:
+    """The folder, with the class, a scenario, a space and a plan."""
     (folder / "scenarios").mkdir()
     for name, text in (("mine.py", MINE), ("visit.yaml", VISIT), ("space.yaml", SPACE), ("plan.yaml", PLAN)):
         (folder / name).write_text(text)
     return folder
 
 
-@pytest.fixture(autouse=True)
-def _there(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def search_little_in(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Work there, and shrink and attribute little of what a search finds."""
     monkeypatch.chdir(folder)
     monkeypatch.setattr(search_session, "SHRINKING_RUNS", 4)
     monkeypatch.setattr(search_session, "MOST_SHRUNK", 1)
     monkeypatch.setattr(search_attribution, "MOST_ATTRIBUTED", 1)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return with_files(tmp_path_factory.mktemp("own-controller"))
+
+
+@pytest.fixture(autouse=True)
+def _there(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    search_little_in(folder, monkeypatch)
 
 
 def command(*words: str) -> Result:

@@ -8,35 +8,25 @@ from pathlib import Path
 
 import pytest
 
-from safety_harness.report import search_attribution
-from safety_harness.search import session as search_session
 from tests.cli.test_own_controller import (
-    MINE,
     MINE_AS_OPTION,
     PLAN,
-    SPACE,
     VISIT,
     command,
+    search_little_in,
+    with_files,
     words_of,
 )
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """With the class, a scenario, a space and a plan."""
-    folder = tmp_path_factory.mktemp("own-controller")
-    (folder / "scenarios").mkdir()
-    for name, text in (("mine.py", MINE), ("visit.yaml", VISIT), ("space.yaml", SPACE), ("plan.yaml", PLAN)):
-        (folder / name).write_text(text)
-    return folder
+    return with_files(tmp_path_factory.mktemp("own-controller"))
 
 
 @pytest.fixture(autouse=True)
 def _there(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(folder)
-    monkeypatch.setattr(search_session, "SHRINKING_RUNS", 4)
-    monkeypatch.setattr(search_session, "MOST_SHRUNK", 1)
-    monkeypatch.setattr(search_attribution, "MOST_ATTRIBUTED", 1)
+    search_little_in(folder, monkeypatch)
 
 
 @pytest.fixture(scope="module")

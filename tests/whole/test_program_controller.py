@@ -13,9 +13,7 @@ import numpy as np
 import pytest
 
 from safety_harness import load_trace
-from safety_harness.report import search_attribution
-from safety_harness.search import session as search_session
-from tests.cli.test_own_controller import MINE, PLAN, SPACE, VISIT, command
+from tests.cli.test_own_controller import MINE, PLAN, SPACE, VISIT, command, search_little_in
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 CLIENT = ("--controller", "exec:./stop_and_go")
@@ -46,10 +44,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(autouse=True)
 def _there(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(folder)
-    monkeypatch.setattr(search_session, "SHRINKING_RUNS", 4)
-    monkeypatch.setattr(search_session, "MOST_SHRUNK", 1)
-    monkeypatch.setattr(search_attribution, "MOST_ATTRIBUTED", 1)
+    search_little_in(folder, monkeypatch)
 
 
 def test_the_program_drives_as_the_class_does() -> None:

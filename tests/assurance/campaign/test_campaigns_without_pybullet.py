@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -11,19 +10,13 @@ import pytest
 from safety_harness.cli.console import BAD_INPUT
 from safety_harness.extensions.assurance.campaign.episodes import EpisodeRunner
 from safety_harness.extensions.assurance.commands.campaign import run as run_campaign
-from safety_harness.trace.provenance import provenance
 from tests.assurance.campaign.plans import PLAN, plan_in
-from tests.cell.simulation.test_without_pybullet import NEEDS
+from tests.cell.simulation.test_without_pybullet import NEEDS, without_pybullet
 
 
 @pytest.fixture(autouse=True)
 def _without_pybullet(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    monkeypatch.setitem(sys.modules, "pybullet", None)
-    for name in ("pybullet_world", "cell", "engine"):
-        monkeypatch.delitem(sys.modules, f"safety_harness.cell.simulation.{name}", raising=False)
-    provenance.cache_clear()  # which was told of PyBullet, and is to forget that there is none
-    yield
-    provenance.cache_clear()
+    yield from without_pybullet(monkeypatch)
 
 
 def test_a_campaign_in_pybullet_is_refused_before_it_has_a_ledger(

@@ -12,10 +12,8 @@ from safety_harness.extensions.assurance.campaign.ledger import Ledger
 from safety_harness.extensions.assurance.commands.campaign import merge, resume, status
 from safety_harness.extensions.assurance.commands.campaign import run as run_campaign
 from tests.admission.remembering import NO_FUNCTIONS
-from tests.admission.remembering import TEXT as MINE
 from tests.assurance.campaign.plans import PLAN
-from tests.kinds_of_files import VISIT
-from tests.search.short_space import TEXT as SPACE
+from tests.cli.test_asking_again import in_a_folder_with_files
 
 SMALL = PLAN.replace("runs: 30", "runs: 10").replace("runs: 20", "runs: 6")
 REFUSAL = "episodes are not independent, no bound is stated"
@@ -23,11 +21,7 @@ REFUSAL = "episodes are not independent, no bound is stated"
 
 @pytest.fixture(autouse=True)
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.chdir(tmp_path)
-    Path("mine.py").write_text(MINE)
-    Path("visit.yaml").write_text(VISIT)
-    Path("short.yaml").write_text(SPACE)
-    return tmp_path
+    return in_a_folder_with_files(tmp_path, monkeypatch)
 
 
 def test_a_campaign_of_it_states_its_bounds_and_says_so(capsys: pytest.CaptureFixture[str]) -> None:

@@ -6,25 +6,13 @@ from pathlib import Path
 
 import pytest
 
-from tests.cli.test_own_controller import MINE, PLAN, SPACE, VISIT, command
-
-HURRIED = """
-
-class Hurried(StopAndGo):
-    def act(self, seen):
-        return Move(tcp_velocity_mps=0.5 * (self.target_in_base_m - seen.tcp_position_in_base_m))
-"""
+from tests.cli.test_controllers_against import with_both
+from tests.cli.test_own_controller import command
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """With two classes, a scenario, a space and a plan of the hurried one."""
-    folder = tmp_path_factory.mktemp("controllers-against")
-    plan = PLAN.replace("StopAndGo", "Hurried").replace("runs: 8", "runs: 4")
-    texts = {"mine.py": MINE + HURRIED, "visit.yaml": VISIT, "space.yaml": SPACE, "plan.yaml": plan}
-    for name, text in texts.items():
-        (folder / name).write_text(text)
-    return folder
+    return with_both(tmp_path_factory.mktemp("controllers-against"))
 
 
 @pytest.fixture(autouse=True)

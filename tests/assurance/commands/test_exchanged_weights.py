@@ -2,27 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import pytest
 
-from tests.cell.controller.out_of_process.programs import PROGRAM
+from tests.cell.controller.out_of_process.test_declared_files import DECLARED, program_in
 from tests.cli.test_own_controller import PLAN, SPACE, command
-
-DECLARED = [
-    'HARNESS_FILES = ["weights.json"]',
-    "HARNESS_FILES = [\n    'weights.json',  # of the policy\n]",
-    '# HARNESS_FILES: weights.json "weights.json"',
-]
-
-
-def program_in(folder: Path, declared: str) -> str:
-    (folder / "weights.json").write_text("[1.0]")
-    file = folder / "still.py"
-    file.write_text(f"#!{sys.executable}\n{PROGRAM}{declared}\n")
-    file.chmod(0o755)
-    return f"exec:{file}"
 
 
 def test_a_program_whose_declared_weights_were_exchanged_is_not_resumed(

@@ -25,10 +25,14 @@ def shipped(name: str) -> Scenario:
     return replace(read_scenario(located(f"shipped:robot-{name}")), duration_s=4.0)
 
 
+def in_both_worlds(name: str) -> dict[str, Trace]:
+    admitted = admit(shipped(name))
+    return {world.name: run_trial(admitted, world=world) for world in (PYBULLET, KINEMATIC)}
+
+
 @pytest.fixture(scope="module")
 def panda() -> dict[str, Trace]:
-    admitted = admit(shipped("panda"))
-    return {world.name: run_trial(admitted, world=world) for world in (PYBULLET, KINEMATIC)}
+    return in_both_worlds("panda")
 
 
 def test_seven_joints_give_way_alike_in_both_worlds(panda: dict[str, Trace]) -> None:

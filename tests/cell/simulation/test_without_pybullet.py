@@ -38,14 +38,18 @@ claims:
 NEEDS = "the world PyBullet: needs pybullet, which is not installed: "
 
 
-@pytest.fixture(autouse=True)
-def _without_pybullet(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+def without_pybullet(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     monkeypatch.setitem(sys.modules, "pybullet", None)
     for name in ("pybullet_world", "cell", "engine"):
         monkeypatch.delitem(sys.modules, f"safety_harness.cell.simulation.{name}", raising=False)
     provenance.cache_clear()  # which was told of PyBullet, and is to forget that there is none
     yield
     provenance.cache_clear()
+
+
+@pytest.fixture(autouse=True)
+def _without_pybullet(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    yield from without_pybullet(monkeypatch)
 
 
 @pytest.fixture
