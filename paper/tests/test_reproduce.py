@@ -143,5 +143,5 @@ def test_a_place_that_cannot_be_written_is_said(tmp_path: Path, capsys: pytest.C
 def test_without_the_package_the_command_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(main, "parts", lambda point: ())
     answer = CliRunner().invoke(app, ["reproduce", "all", "--scale", "quick"])
-    assert isinstance(answer.exception, MissingPackageError)
+    assert isinstance(answer.exception, MissingPackageError), repr(answer.exception) + answer.output
     assert "pip install ./paper" in str(answer.exception)
