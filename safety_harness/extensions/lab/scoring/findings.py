@@ -1,7 +1,8 @@
 """What is wrong with an avoider: where it is clearly worse than the worst yardstick, or fails outright.
 
 The yardsticks are asked the same questions.  A share counts as worse where its exact interval lies beyond the
-worst yardstick's by a margin, a length where it is a stated factor beyond theirs.  ``Limits`` has every
+worst yardstick's by a margin, a length where it is a stated factor beyond theirs, an answer towards the hand
+where each yardstick leads away.  ``Limits`` has every
 number and its reason.
 """
 
@@ -11,9 +12,11 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from safety_harness.base.proportions import Proportion
 from safety_harness.cell.avoidance.asking import Question
+from safety_harness.cell.avoidance.measures import gained_m
 from safety_harness.extensions.lab.scoring.figures import WRONG_M
 from safety_harness.extensions.lab.scoring.scorecard import (
     AskedAgain,
@@ -34,7 +37,9 @@ MM = 1e3  # metres and seconds in thousandths
 class FindingLimits:
     """When a figure becomes a finding."""
 
-    towards: float = 0.02  # more than the worst yardstick, beyond both intervals: shares of the questions
+    towards: float = (
+        0.02  # of the questions, where no yardstick does; the other shares are beyond the worst's
+    )
     unreached: float = 0.002
     wrong_and_sure: float = 0.002
     unsure: float = 0.03
@@ -107,6 +112,7 @@ def _of_region(
         )
     if score.off_m is None:
         return
+    yield from _towards(score, others, limits)
     yield from _shares(score, others, limits)
     if score.stuck and score.stuck.count >= limits.stuck_least and score.stuck.low > limits.stuck:
         words = f"{_percent(score.stuck)} of the answers have the very same coordinate"
@@ -121,7 +127,6 @@ def _shares(
     rules: tuple[
         tuple[Kind, Callable[[RegionScore], Proportion | None], float, str, tuple[ScoredQuestion, ...]], ...
     ] = (
-        (Kind.LEADS_TOWARDS, _towards, limits.towards, "lead towards the hand", score.worst_gained),
         (
             Kind.OUT_OF_REACH,
             _unreached,
@@ -168,8 +173,26 @@ def _shares(
             )
 
 
-def _towards(score: RegionScore) -> Proportion | None:
-    return None if score.leads_away is None else _other(score.leads_away)
+def _towards(
+    score: RegionScore, others: Sequence[RegionScore], limits: FindingLimits
+) -> Iterator[ScoreFinding]:
+    """Question by question: the shares of two avoiders may be alike, and their errors in other places."""
+    asked = min(len(one.questions) for one in (score, *others))  # the first ones, of all of them
+    own, *theirs = (_leads_towards(one, asked) for one in (score, *others))
+    alone = own & ~np.any(theirs, axis=0)
+    share = Proportion.of(alone)
+    if share.low > limits.towards:
+        words = f"{_percent(share)} of the answers lead towards the hand where each yardstick leads away"
+        shown = tuple(score.questions.one(int(row)) for row in np.flatnonzero(alone)[:3])
+        yield ScoreFinding(Kind.LEADS_TOWARDS, score.region, words, shown)
+
+
+def _leads_towards(score: RegionScore, asked: int) -> NDArray[np.bool_]:
+    """(asked,) which of the first answers do; none at all does not."""
+    questions, answers = score.questions[:asked], score.answers[:asked]
+    return np.asarray(
+        gained_m(questions.hands_in_base_m, questions.tcps_in_base_m, answers.positions_in_base_m) < 0.0
+    )
 
 
 def _unreached(score: RegionScore) -> Proportion | None:
