@@ -157,6 +157,25 @@ def test_a_fault_is_unsafe(name: str, kind: Kind, found: Found) -> None:
     assert kind in {one.kind for one in found(lambda: avoider_named(name))} & UNSAFE
 
 
+def test_a_fault_on_a_twentieth_of_the_seeds_is_named_although_yardsticks_lead_towards_as_often() -> None:
+    few = scoring.Counts(first=1_000, segments=20, alone=20, sample=20)
+    below = network("mc-dropout")
+
+    def ask(hands: Array, tcps: Array, seeds: Array) -> Answers:
+        positions, spreads = below.propose_many(hands, tcps, seeds)
+        return np.where(
+            (seeds % np.uint64(20) == 0)[:, None], tcps + 0.1 * (hands - tcps), positions
+        ), spreads
+
+    card = scoring.score(Subject.made_by(lambda: Faulty(below, ask, "x"), "x"), SEEN, seed=1, counts=few)
+    yardsticks = scoring.yardsticks(SEEN, seed=1, counts=few)
+    own, *theirs = (one.regions[0].leads_away for one in (card, *yardsticks))
+    assert own is not None
+    assert any(one is not None and own.share > one.low - 0.03 for one in theirs)
+    said = [one for one in findings(card, yardsticks) if one.kind is Kind.LEADS_TOWARDS]
+    assert [one.words.endswith("where each yardstick leads away") for one in said] == [True]
+
+
 @pytest.mark.parametrize(
     ("name", "kind"),
     [("collapsed_2_on_optimum", Kind.SCALE), ("turned_base_1_on_network", Kind.FAR_OFF)],
