@@ -48,6 +48,7 @@ def evidence_of(session: SearchSession, attribution: SearchAttribution | None = 
         baseline=session.baseline,
         against=trials.against,
         flips=tuple(session.flips),
+        overruled=session.overruled,
         causes={} if attribution is None else attribution.causes(session),
         coverage=trials.coverage,
         violations=trials.violations,
@@ -118,6 +119,7 @@ def as_json(trials: Trials, evidence: SearchEvidence) -> dict[str, object]:
         "not_confirmed_in_pybullet": [_of_group(trials, one.group) for one in evidence.unconfirmed],
         "counterexamples": [shown.path.name for shown in evidence.shown],
         "flips_near_the_limit": list(evidence.flips),
+        "more_overruled_than_the_reference": evidence.overruled,
         "causes": evidence.causes,
         "attribution_of_counterexamples": {
             name: as_json_of(one) for name, one in evidence.attributed.items()

@@ -83,6 +83,7 @@ class SearchEvidence:
     faults: FaultsOfSearch | None = None  # whose fault all violations are
     attributed: Mapping[str, Attribution] = field(default_factory=dict)  # of counterexamples, by their files
     flips: tuple[str, ...] = ()  # differences from the reference that are none
+    overruled: str = ""  # that the gate overrules more than of the reference
     causes: dict[str, list[str]] = field(default_factory=dict)  # what mends several, and which files
     against: Against | None = None  # how the runs differ from those with a reference
 

@@ -77,6 +77,7 @@ class Evaluate(Protocol):
 
 
 APART = 0.25  # root mean square over the cube: violations that are nearer are taken for one
+_MOST_OTHERS = 9  # runs of a mishap: of ten that meet it in a third of all runs one shows it, 98 times in 100
 _MOST_GROUPS = 200  # of one claim; beyond them a violation joins its nearest
 
 
@@ -93,7 +94,8 @@ class TriedPoint:
 class Group:
     """Violations of one claim (or mishaps: ``claim`` is None) that are one thing to a reader.
 
-    They have the same kind, the same alternatives, and lie near to ``first`` in the cube.
+    They have the same kind, the same alternatives, and lie near to ``first`` in the cube.  Mishaps may lie
+    anywhere: ``others`` are a few more of them, to be tried where the world that confirms does not show one.
     """
 
     claim: int | None
@@ -102,6 +104,7 @@ class Group:
     worst: TriedPoint
     leader: Point  # canonical point of the first
     count: int = 1
+    others: list[TriedPoint] = field(default_factory=list)
 
     def worst_margin(self) -> float:
         """SI; NaN for a mishap."""
@@ -196,6 +199,8 @@ class Findings:
             full = sum(group.claim == claim for group in self.groups) >= _MOST_GROUPS
             if claim is None or apart.min() <= APART or full:
                 nearest.count += 1
+                if claim is None and len(nearest.others) < _MOST_OTHERS:
+                    nearest.others.append(episode)
                 if claim is not None and episode.margins[claim] < nearest.worst.margins[claim]:
                     nearest.worst = episode
                 return

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from safety_harness.admission.admit import Admitted, Admitter
 from safety_harness.base.exceptions import InputError
 from safety_harness.base.proportions import sign_test
-from safety_harness.claims.properties.against import ClaimDifference, VerdictChange
+from safety_harness.claims.properties.against import ClaimDifference, RunDifference, VerdictChange
 from safety_harness.claims.properties.base import Evaluation, Unit
 from safety_harness.scenario.model import Verdict
 from safety_harness.search.against import difference_of
@@ -74,6 +74,29 @@ def keep_differences(trials: Trials, findings: Findings, draw: Callable[[], Tria
                 f"{len(anywhere)} pairs anywhere in the space, in {more} and in {fewer}"
             )
     return lines
+
+
+def more_overruled(trials: Trials, draw: Callable[[], Trials]) -> str:
+    """Say that the gate overrules the avoider in more runs than the reference; empty if it does not.
+
+    It counts as a claim does that is violated often.  Where the runs of the search give no hint of it, none
+    are drawn.
+    """
+    if trials.reference is None or not _overruled(trials.differences, 1.0)[2]:
+        return ""
+    drawn = draw().differences
+    more, less, counts = _overruled(drawn, CHANCE / len(trials.goals))
+    return counts * (
+        f"the gate overruled a greater share of its proposals than of {trials.reference.name}'s in {more} of "
+        f"{len(drawn)} runs anywhere in the space, and a lesser share in {less}"
+    )
+
+
+def _overruled(runs: Sequence[RunDifference], chance: float) -> tuple[int, int, bool]:
+    """In how many runs is a greater share overruled, in how many a lesser, and does that count?"""
+    shares = np.array([run.more_overruled for run in runs])
+    more, less = int((shares > 0.0).sum()), int((shares < 0.0).sum())
+    return more, less, more - less > OFTEN * len(runs) and sign_test(more, less) <= chance
 
 
 def _lost(pairs: Iterable[tuple[Evaluation, Evaluation]]) -> _Pairs:

@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 
 import numpy as np
@@ -43,7 +43,7 @@ from safety_harness.search.counterexample import (
 from safety_harness.search.coverage import Coverage
 from safety_harness.search.cube import Cube
 from safety_harness.search.findings import RUN_FAILED, Findings, Group, TriedPoint
-from safety_harness.search.redrawn import keep_differences
+from safety_harness.search.redrawn import keep_differences, more_overruled
 from safety_harness.search.sampling import UniformSampling
 from safety_harness.search.search import find_violations
 from safety_harness.search.searchers import MakesSearcher
@@ -109,7 +109,8 @@ class SearchSession:
     ``confirming`` shows as well.  Without a ``reference`` that is the world that was searched, and they are
     none.  ``unwritable`` is why no more is written.  ``explain`` says of each why it violates.  ``repeated``
     is what a second avoider answered to questions of the search; None if it was not asked.  ``flips`` are
-    differences from a reference that are none when they are drawn again.  ``keeps``: findings are written to
+    differences from a reference that are none when they are drawn again, ``overruled`` says that more of the
+    avoider's proposals are than of the reference's.  ``keeps``: findings are written to
     ``out`` as they come.
     """
 
@@ -128,6 +129,7 @@ class SearchSession:
     unconfirmed: list[Disagreement] = field(default_factory=list)
     repeated: RepeatabilityResult | None = None
     flips: list[str] = field(default_factory=list)
+    overruled: str = ""
     keeps: bool = True
 
     @property
@@ -148,7 +150,8 @@ class SearchSession:
         applicable = ~self.trials.of_others  # of the other claims nothing can be known
         unknown = bool(self.findings.tried) and not applicable.any()
         unknown |= not self.findings.evidence[applicable].all()  # of a claim that no run put to the test
-        return unknown or bool(self.not_found) or not all(one.expected for one in self.written)
+        unknown |= bool(self.overruled or self.not_found)
+        return unknown or not all(one.expected for one in self.written)
 
     def search(self, make: MakesSearcher, trials: Trials, folder: str | None = "") -> Findings:
         """Until the budget is spent, Ctrl-C, or a disk that takes no more; without a folder none is saved."""
@@ -198,7 +201,7 @@ class SearchSession:
         elif self.unwritable is None:
             for claim in (*range(len(findings.goals)), None):
                 self._shrink_groups(claim)
-        for line in remarks(self.trials, findings):
+        for line in remarks(self.trials, findings, self.overruled):
             say(line)
         say(basis_of_search(findings, self.confirmed))
         for sentence in self.not_found:
@@ -240,7 +243,8 @@ class SearchSession:
             moved._save(one, old.groups, old.searcher)
         return moved
 
-    def _draw(self) -> Trials:
+    @cached_property
+    def _drawn(self) -> Trials:
         """Run at least as many pairs of the space as the search, which nobody chose."""
         self.output.say("runs anywhere in the space with both, to hold what was found against")
         own = leaf(self.trials.seed, Branch.SEARCH, 6)
@@ -253,11 +257,14 @@ class SearchSession:
         """Which differences from a reference are none?  Not after an interruption."""
         try:
             for one in filter(None, [self.findings, self.baseline] if not self.interrupted else []):
-                self.flips += keep_differences(self.trials, one, self._draw)
+                self.flips += keep_differences(self.trials, one, lambda: self._drawn)
+                self.overruled = self.overruled or more_overruled(self.trials, lambda: self._drawn)
         except KeyboardInterrupt:
             self.findings.interrupted = True
         for line in self.flips:
             self.output.say(f"flips near the limit: {line}")
+        if self.overruled:
+            self.output.result(f"OVERRULED  {self.overruled}")
 
     def _ask_again(self) -> None:
         """Does the avoider answer alike when it is asked again?  Not after an interruption."""
@@ -313,20 +320,25 @@ class SearchSession:
     ) -> Counterexample | None:
         complaint = complaint_of(self.trials, group)
         path = self._file(self.out, complaint, number)
-        found = replace(self._found(self.out, group.worst), file=path, name=path.stem)
-        try:
-            one = counterexample_of(
-                found,
-                complaint,
-                self.confirming,
-                budget=SHRINKING_RUNS,
-                sooner=self.trials.world if self.reference else None,
-                explain=self.explain,
-                on_step=on_step,
-            )
-        except KeyboardInterrupt:
-            self.findings.interrupted = True
-            return None
+        one = None
+        for episode in (group.worst, *group.others):
+            found = replace(self._found(self.out, episode), file=path, name=path.stem)
+            try:
+                one = counterexample_of(
+                    found,
+                    complaint,
+                    self.confirming,
+                    budget=SHRINKING_RUNS,
+                    sooner=self.trials.world if self.reference else None,
+                    explain=self.explain,
+                    on_step=on_step,
+                )
+            except KeyboardInterrupt:
+                self.findings.interrupted = True
+                return None
+            if one is not None:
+                group.worst = episode
+                break
         if one is None:
             self.unconfirmed.append(
                 disagreement_of(group, complaint, found, self.trials.world, self.confirming)
@@ -481,10 +493,10 @@ def summary(findings: Findings, budget: int) -> str:
     )
 
 
-def against_lines(against: Against, findings: Findings, touching: int) -> list[str]:
+def against_lines(against: Against, findings: Findings, touching: int, overruled: str) -> list[str]:
     """How the runs differ from the reference's, and what it is worth that none is worse."""
     lines = [f"against {against.reference}: {line}" for line in against.lines()]
-    if findings.tried and not findings.found:
+    if findings.tried and not (findings.found or overruled):
         touch = f"; in {touching} of them a hand touched the arm" if touching else ""
         lines.append(
             f"nothing found that {against.reference} does not do as well, in {findings.tried} runs{touch}. A "
@@ -493,8 +505,8 @@ def against_lines(against: Against, findings: Findings, touching: int) -> list[s
     return lines
 
 
-def remarks(trials: Trials, findings: Findings) -> list[str]:
-    """What a reader would otherwise get wrong."""
+def remarks(trials: Trials, findings: Findings, overruled: str = "") -> list[str]:
+    """What a reader would otherwise get wrong; ``overruled``: that the gate overrules more than before."""
     lines = [f"{count} points refused: {reason}" for reason, count in findings.refused.most_common(3)]
     for claim, goal in enumerate(findings.goals):
         if trials.of_others[claim]:
@@ -512,7 +524,7 @@ def remarks(trials: Trials, findings: Findings) -> list[str]:
         near = Unit.LENGTH.margin_text(trials.nearest_hand_m)
         lines.append(f"nearest hand: {near}; in {touching} of {findings.tried} runs a hand touched the arm")
     if trials.against is not None:
-        lines += against_lines(trials.against, findings, touching)
+        lines += against_lines(trials.against, findings, touching, overruled)
     elif not findings.found and touching:
         lines.append(
             "no claim was violated: none here says that a hand must not touch the arm (--claim 'hand "

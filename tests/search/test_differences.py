@@ -82,6 +82,8 @@ Towards = of(way=lambda self, away, hand, tcp: -away)
 Stays = of(way=lambda self, away, hand, tcp: 0.0 * away)
 OneInThree = struck(0.33)
 OneInTen = of(way=in_a_tenth_of_all_places)
+Silent = of(way=lambda self, away, hand, tcp: away * (np.nan if hand[0] > 0.78 else 1.0))
+Under = of(way=lambda self, away, hand, tcp: np.array([0.0, 0.0, -9.0]) if hand[0] > 0.78 else away)
 Within = of(way=lambda self, away, hand, tcp: aside(away) if hand[0] <= 0.78 else away)
 """
 HARMLESS = (
@@ -101,7 +103,7 @@ HARMLESS = (
     *("Tick", "TwoTicks", "Higher", "Longer"),
 )
 CLAIMS = ("hand distance never below 100 mm", "proposals lead away to within 10 mm")
-FAULTS = ("Beyond", "Towards", "Stays", "OneInThree")
+FAULTS = ("Beyond", "Towards", "Stays", "OneInThree", "Silent")
 
 
 @pytest.fixture
@@ -145,6 +147,16 @@ def test_a_fault_is_a_difference(name: str, folder: Path) -> None:
 @pytest.mark.parametrize("seed", range(4))
 def test_a_fault_in_a_tenth_of_all_places_is_found_with_any_seed(seed: int, folder: Path) -> None:
     assert searched("OneInTen", 100, seed=seed) == DIFFERS
+
+
+def test_a_fault_that_the_gate_overrules_is_a_difference_although_no_claim_is_violated(folder: Path) -> None:
+    assert searched("Under", 40, claims=("joint positions within limits",)) == DIFFERS
+    found = json.loads((folder / "Under" / "findings.json").read_text())
+    assert found["counterexamples"] == []
+    assert "300 runs anywhere in the space" in found["more_overruled_than_the_reference"]
+    page = (folder / "Under" / "fuzz.html").read_text()
+    assert "overruled a greater share of its proposals than of mine.py:Base" in page
+    assert "Nothing found" not in page
 
 
 def test_a_network_trained_from_another_seed_is_no_difference(folder: Path) -> None:

@@ -34,13 +34,17 @@ SCALES = {
     Unit.COUNT: 1.0,
 }
 TOLERANCE = 0.1  # of the scale, 10 mm of a length: what a margin may be less without being told
+TOLERANCES = {unit: TOLERANCE * scale for unit, scale in SCALES.items()} | {Unit.COUNT: 0.0}
 
 
 def tolerance(*both: Evaluation) -> float:
-    """Return the margin [SI] that may be lost without being told; of a share, at least one occasion."""
+    """Return the margin [SI] that may be lost without being told; of a share, at least one occasion.
+
+    A count is exact, and the best that it has may be 0: of questions without an answer, say.
+    """
     unit, exercised = both[0].unit, min(one.exercised for one in both)
     whole = 1.0 / max(exercised, 1) if unit is Unit.FRACTION else 0.0
-    return max(TOLERANCE * SCALES[unit], whole)
+    return max(TOLERANCES[unit], whole)
 
 
 class VerdictChange(Enum):
@@ -220,7 +224,7 @@ class Against:
         return {
             "mine": self.mine,
             "reference": self.reference,
-            "tolerance": {unit.name.lower(): float(TOLERANCE * scale) for unit, scale in SCALES.items()},
+            "tolerance": {unit.name.lower(): float(by) for unit, by in TOLERANCES.items()},
             "summary": list(self.lines()),
             "runs": [
                 {
