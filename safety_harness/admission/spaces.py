@@ -7,15 +7,11 @@ here, and only here, draws are rejected.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
-from safety_harness.admission.admit import Admitted, Admitter, Looker, admit
+from safety_harness.admission.admit import Looker
 from safety_harness.base.exceptions import InadmissibleError, InputError, ModelError, refuse_other_type
-from safety_harness.cell.avoidance.avoider import Avoider
 from safety_harness.scenario.model import Scenario
 from safety_harness.space.space import ScenarioSpace
 
@@ -78,27 +74,6 @@ def draw_admissible(
         if on_draw is not None:
             on_draw(drawn)
     return AdmittedDraws(tuple(scenarios), drawn, dict(refused.most_common()))
-
-
-def admit_points(
-    space: ScenarioSpace, u: NDArray[np.float64], seeds: Iterable[int], *, avoider: Avoider | None = None
-) -> Iterator[Admitted | InputError]:
-    """For each point ``u`` (n, d) of the unit cube its scenario, ready to be run, or why it cannot be tried.
-
-    ``seeds`` (n,) are the scenarios' own; ``avoider`` takes the place of the ones that they name.  Values
-    are drawn for all points at once.  A mistake in the text itself is raised.
-    """
-    admitter = Admitter()
-    for k, (values, seed) in enumerate(zip(space.values_at(u), seeds, strict=True)):
-        try:
-            scenario = space.scenario(values, seed=seed, name=f"{space.name}#{k}")
-            one = admitter.admit(scenario) if avoider is None else admit(scenario, avoider=avoider)
-        except InputError as error:
-            if _is_a_mistake(error):
-                raise
-            yield error
-        else:
-            yield one
 
 
 def _is_a_mistake(error: InputError) -> bool:
