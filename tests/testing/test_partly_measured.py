@@ -17,8 +17,9 @@ from safety_harness.testing.asserting import run_of
 from safety_harness.testing.plugin.payloads import judgements, junit_properties, payload
 from safety_harness.testing.plugin.reporting import save_runs
 from safety_harness.testing.session import Judgement, Session, TestRun, begin
-from safety_harness.trace.known import NOT_MEASURED, Gap, Measurement, knowing
+from safety_harness.trace.known import NOT_MEASURED, Gap, Measurement
 from safety_harness.trace.trace import Trace
+from safety_harness.trace.unmeasured import knowing
 
 
 @dataclass(frozen=True)
