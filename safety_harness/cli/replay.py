@@ -26,7 +26,8 @@ from safety_harness.report.evidence import JudgedRun, basis_of
 from safety_harness.report.judge_job import A_CLAIM, judged_run, write_judged
 from safety_harness.report.knowledge import measured_lines, unmeasured_words
 from safety_harness.report.machine import refused_data, run_data
-from safety_harness.report.run_job import DATA, REPORT, result_lines, tested_line, watching_runs
+from safety_harness.report.run_job import result_lines, tested_line, watching_runs
+from safety_harness.report.run_result import DATA, REPORT
 from safety_harness.scenario.model import VISUAL_SERVO, Scenario
 from safety_harness.scenario.references import file_and_name
 from safety_harness.trace.compare import first_difference

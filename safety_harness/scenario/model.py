@@ -6,7 +6,7 @@ resolves them.  Everything is in SI; the units that people write belong to ``rea
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from math import ceil
@@ -36,7 +36,7 @@ from safety_harness.scenario.faults import Fault
 from safety_harness.scenario.gate import GateRule
 from safety_harness.scenario.moves import LONGEST_S, MOVE, REACHING_MPS, SPEEDS, TREMOR, HandMove, Tremor
 from safety_harness.scenario.obstacles import Obstacle
-from safety_harness.scenario.robots import DIGEST, AnyRobot, Robot
+from safety_harness.scenario.robots import DIGEST, AnyRobot, OwnRobot, Robot
 from safety_harness.scenario.shield import Shield
 from safety_harness.scenario.units import ACCELERATION, NUMBER, SPEED, TIME
 
@@ -438,6 +438,15 @@ class Scenario:
         """
         written = next((name for name in names if name in self.places), names[0])
         return self.places.get(written, Place(file=self.file, field=written))
+
+    def with_files(self, name: Callable[[str], str]) -> Scenario:
+        """Return the scenario whose recordings and own arm are in files that ``name`` names otherwise."""
+        hands = (
+            replace(one, recording=Path(name(str(one.recording)))) if isinstance(one, RecordedHand) else one
+            for one in self.hands
+        )
+        robot = self.robot.named(name) if isinstance(self.robot, OwnRobot) else self.robot
+        return replace(self, hands=tuple(hands), robot=robot)
 
     def leader(self, hand: HandTrajectory) -> MovingHand | RecordedHand | None:
         """Who moves ``hand``: itself, or the hand before it that it is joined to (None: there is none)."""
