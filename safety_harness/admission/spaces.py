@@ -84,12 +84,10 @@ def _is_a_mistake(error: InputError) -> bool:
 def _hopeless(space: ScenarioSpace, admitted: int, drawn: int, refused: Counter[str]) -> InadmissibleError:
     reason, count = refused.most_common(1)[0]
     simplest = space.simplest
-    return InadmissibleError(
-        place=simplest.place(reason.partition(":")[0]),
-        expected=f"a space of which at least one draw in {MAX_REJECTION_RATIO} can be tried",
-        got=f"{admitted} of {drawn} draws",
-        hint=f"{count} times it was {reason}",
-    )
+    expected = f"a space of which at least one draw in {MAX_REJECTION_RATIO} can be tried"
+    hint = f"{count} times it was {reason}"
+    got = f"{admitted} of {drawn} draws"
+    return simplest.inadmissible(expected, got, reason.partition(":")[0], hint=hint)
 
 
 def why_refused(error: InputError) -> str:

@@ -16,7 +16,7 @@ from typing import Any, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.base.exceptions import Place, ScenarioError, no_truth_value
+from safety_harness.base.exceptions import InadmissibleError, Place, ScenarioError, no_truth_value
 from safety_harness.base.settings import DEFAULTS, Settings, Vector3
 from safety_harness.scenario.codec import (
     POINT,
@@ -438,6 +438,10 @@ class Scenario:
         """
         written = next((name for name in names if name in self.places), names[0])
         return self.places.get(written, Place(file=self.file, field=written))
+
+    def inadmissible(self, expected: str, got: str, *names: str, hint: str = "") -> InadmissibleError:
+        """Return the error of the fields ``names``, at the ``place`` of the first that the file has."""
+        return InadmissibleError(place=self.place(*names), expected=expected, got=got, hint=hint)
 
     def with_files(self, name: Callable[[str], str]) -> Scenario:
         """Return the scenario whose recordings and own arm are in files that ``name`` names otherwise."""
