@@ -275,9 +275,7 @@ def shipped_avoider(name: str, settings: Settings = DEFAULTS) -> Avoider:
     refuse_other_type("shipped_avoider(name)", name, str, expected=f"one of: {', '.join(NAMES)}")
     if name not in NAMES:
         hint = near_miss(name, NAMES, most=3)
-        raise InadmissibleError(
-            place=Place(field="avoider"), expected=f"one of: {', '.join(NAMES)}", got=repr(name), hint=hint
-        )
+        raise InadmissibleError.of_option("avoider", f"one of: {', '.join(NAMES)}", repr(name), hint)
     return resolve_avoider(replace(scenario_of_avoider(name), settings=settings))
 
 
@@ -315,11 +313,8 @@ def with_avoider(scenario: Scenario, reference: str, place: Place | None = None)
         return _driven_by(scenario, reference, place or Place(field="--controller"))
     place = place or Place(field="--avoider")
     if scenario.driven:
-        raise InadmissibleError(
-            place=place,
-            expected=f"no avoider for a scenario that is driven by {scenario.controller}, which asks none",
-            got=repr(reference),
-        )
+        expected = f"no avoider for a scenario that is driven by {scenario.controller}, which asks none"
+        raise InadmissibleError(place=place, expected=expected, got=repr(reference))
     return replace(scenario, **_placed(scenario, "avoider", "an avoider", reference, place))
 
 

@@ -206,11 +206,10 @@ def _check_one_optics(scenario: Scenario) -> None:
     for words in ("width", "height", "focal"):
         of_camera, of_sensor = getattr(camera, f"{words}_px"), getattr(sensor, f"{words}_px")
         if of_camera != of_sensor:
-            raise InadmissibleError(
-                place=scenario.place(f"hand sensor.{words}", f"camera.{words}", "hand sensor"),
-                expected=f"an eye-in-hand sensor with the camera's {words}, {of_camera:g} px",
-                got=f"{of_sensor:g} px",
-            )
+            expected = f"an eye-in-hand sensor with the camera's {words}, {of_camera:g} px"
+            got = f"{of_sensor:g} px"
+            place = scenario.place(f"hand sensor.{words}", f"camera.{words}", "hand sensor")
+            raise InadmissibleError(place=place, expected=expected, got=got)
 
 
 def check_decision_time(scenario: Scenario, avoider: Avoider, own: str) -> None:

@@ -84,12 +84,11 @@ def _with_program(stored: Trace, path: Path, avoider: str | None) -> Scenario:
         return with_avoider(stored.scenario, avoider)
     under_test = stored.scenario.under_test
     if is_a_program(under_test):
-        raise TraceError(
-            place=Place(file=path, field="controller" if stored.scenario.driven else "avoider"),
-            expected="the program named on the command line, since repeating the run executes it",
-            got=f"a trace made with {under_test}",
-            hint=replay_command(stored.scenario, path),
-        )
+        expected = "the program named on the command line, since repeating the run executes it"
+        hint = replay_command(stored.scenario, path)
+        got = f"a trace made with {under_test}"
+        place = Place(file=path, field="controller" if stored.scenario.driven else "avoider")
+        raise TraceError(place=place, expected=expected, got=got, hint=hint)
     return stored.scenario
 
 

@@ -216,11 +216,9 @@ def _violated(trace: Trace, path: Path | None, avoider: str | None) -> Scenario:
         scenario = with_avoider(scenario, avoider)
     elif is_a_program(tested := scenario.under_test):
         option = option_of(tested)
-        raise TraceError(
-            place=Place(file=path, field=option.removeprefix("--")),
-            expected=f"the program named with {option}, since repeating the run executes it",
-            got=f"a trace made with {tested}",
-        )
+        expected = f"the program named with {option}, since repeating the run executes it"
+        got = f"a trace made with {tested}"
+        raise TraceError(place=Place(file=path, field=option.removeprefix("--")), expected=expected, got=got)
     evaluations = judge(trace, file=path)
     claims = tuple(
         replace(claim, expected=Verdict.VIOLATED)

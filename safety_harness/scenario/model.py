@@ -475,9 +475,8 @@ class Scenario:
         for slots in HAND_SLOTS:
             if len(self.hands) <= slots:
                 return slots
-        raise ScenarioError(
-            place=self.place("hands"), expected=f"at most {MAX_HANDS} hands", got=f"{len(self.hands)}"
-        )
+        expected = f"at most {MAX_HANDS} hands"
+        raise ScenarioError(place=self.place("hands"), expected=expected, got=f"{len(self.hands)}")
 
     @property
     def ticks(self) -> int:

@@ -170,11 +170,8 @@ def _recording(scenario: Scenario, hand: RecordedHand) -> bytes:
     folder = scenario.file.parent if scenario.file else Path()
     data = located(folder / hand.recording).read_bytes()
     if hashlib.sha256(data).hexdigest() != hand.motion.sha256:
-        raise TraceError(
-            place=Place(file=folder / hand.recording),
-            expected=f"the recording that the scenario was read with (sha256 {hand.motion.sha256[:12]}...)",
-            got="a file that has changed since",
-        )
+        expected = f"the recording that the scenario was read with (sha256 {hand.motion.sha256[:12]}...)"
+        raise TraceError.of_file(folder / hand.recording, expected, "a file that has changed since")
     return data
 
 

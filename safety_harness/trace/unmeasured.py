@@ -48,12 +48,10 @@ def refuse_not_simulated(trace: Trace, file: Path | None = None) -> None:
     if trace.known.simulated:
         return
     sources = Counter(one.source.value for one in trace.known.columns.values() if one != Measurement())
-    raise TraceError(
-        place=Place(file=file, field="known"),
-        expected="a trace that was simulated, since only that can be run again",
-        got=f"columns that are {', '.join(f'{source} ({count})' for source, count in sources.items())}",
-        hint="" if file is None else f"safety-harness judge {file}",
-    )
+    expected = "a trace that was simulated, since only that can be run again"
+    hint = "" if file is None else f"safety-harness judge {file}"
+    got = f"columns that are {', '.join(f'{source} ({count})' for source, count in sources.items())}"
+    raise TraceError(place=Place(file=file, field="known"), expected=expected, got=got, hint=hint)
 
 
 def knowing(trace: Trace, columns: Mapping[str, Measurement]) -> Trace:
