@@ -23,6 +23,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+from admitted_points import admit_points
 
 from safety_harness.admission.admit import Admitted, admit
 from safety_harness.admission.agreement import (
@@ -33,7 +34,6 @@ from safety_harness.admission.agreement import (
     to_json,
 )
 from safety_harness.admission.claims import property_of
-from safety_harness.admission.spaces import admit_points
 from safety_harness.admission.trial import run_many, run_trial
 from safety_harness.base.exceptions import InadmissibleError
 from safety_harness.claims.properties.answered import DecisionTime

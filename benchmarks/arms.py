@@ -22,10 +22,10 @@ from collections import Counter
 from pathlib import Path
 
 import numpy as np
+from admitted_points import admit_points
 from agreement import NEAR_M, Tally, compare, properties_of
 
 from safety_harness.admission.admit import Admitted
-from safety_harness.admission.spaces import admit_points
 from safety_harness.admission.trial import run_many
 from safety_harness.space.read import read_space
 

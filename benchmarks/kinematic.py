@@ -24,12 +24,12 @@ from statistics import median
 
 import numba
 import numpy as np
+from admitted_points import admit_points
 from loop import Recorded, naive_loop, naive_time
 from ratios import Ratio, say
 
 from safety_harness.admission.admit import Admitted
 from safety_harness.admission.claims import property_of
-from safety_harness.admission.spaces import admit_points
 from safety_harness.admission.trial import run_many, run_trial
 from safety_harness.claims.properties.base import Property
 from safety_harness.claims.properties.catalogue import CATALOGUE

@@ -19,8 +19,9 @@ from safety_harness.extensions.assurance.campaign.plan_keys import PLAN, TABLES,
 from safety_harness.extensions.assurance.certification.evidence import schema as evidence_schema
 from safety_harness.extensions.assurance.certification.standards import STANDARDS, standards_of
 from safety_harness.extensions.selftest.outcome import markdown as table_of
+from safety_harness.scenario.codec import Below, Key, KeyTable, QuantityValue
 from safety_harness.scenario.moves import MOVES
-from safety_harness.scenario.reference_tables import every_table, markdown, markdown_of_moves
+from safety_harness.scenario.reference_tables import every_table
 from safety_harness.scenario.schema import scenario_schema, table_schema
 
 DOCS = Path(__file__).parent
@@ -52,6 +53,38 @@ def with_tables(text: str) -> str:
     tables["kills"], tables["harmless"] = markdown_of_kills()
     tables["mutants"], tables["mutants that survived"] = markdown_of_mutants()
     return _MARKED.sub(lambda found: found[1] + tables[found[2]] + found[3], text)
+
+
+def markdown(table: KeyTable) -> str:
+    """The table as a page shows it; keys of an inner mapping follow the key that they stand below."""
+    rows = ["| key | value | default | meaning |", "|---|---|---|---|"]
+    for key in table.keys:
+        rows.append(f"| `{key.name}` | {key.words} | {key.default} | {key.meaning} |")
+        for inner in (
+            key.value.tables if isinstance(key.value, Below) and not key.value.tables[0].path else ()
+        ):
+            rows += [
+                f"| `{key.name}`: `{one.name}` | {one.words} | {one.default} | {one.meaning} |"
+                for one in inner.keys
+            ]
+    return _joined(rows)
+
+
+def markdown_of_moves(moves: tuple[KeyTable, ...]) -> str:
+    """The moves as a page shows them, one row for each with its further keys."""
+    rows = ["| move | further keys | meaning |", "|---|---|---|"]
+    for table in moves:
+        named, *further = (f"`{key.name}` ({_kind(key)})" for key in table.keys)
+        rows.append(f"| {named} | {', '.join(further)} | {table.keys[0].meaning} |")
+    return _joined(rows)
+
+
+def _joined(rows: list[str]) -> str:
+    return "\n".join(rows).replace("|  |", "| |") + "\n"
+
+
+def _kind(key: Key) -> str:
+    return key.value.dimension.name if isinstance(key.value, QuantityValue) else key.value.words
 
 
 def names_of_wings() -> dict[str, tuple[str, ...]]:

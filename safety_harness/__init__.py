@@ -54,8 +54,8 @@ if TYPE_CHECKING:
     from safety_harness.report.attribution_job import attribute as attribute
     from safety_harness.report.evidence import JudgedRun as JudgedRun
     from safety_harness.report.html import write_report as write_report
-    from safety_harness.report.run_job import RunResult as RunResult
     from safety_harness.report.run_job import run as run
+    from safety_harness.report.run_result import RunResult as RunResult
     from safety_harness.report.search_job import SearchResult as SearchResult
     from safety_harness.report.search_job import fuzz as fuzz
     from safety_harness.scenario.model import Scenario as Scenario
@@ -116,7 +116,8 @@ _HOMES = {
     "report.evidence": ("JudgedRun",),
     "report.html": ("write_report",),
     "report.attribution_job": ("AttributionResult", "attribute"),
-    "report.run_job": ("RunResult", "run"),
+    "report.run_job": ("run",),
+    "report.run_result": ("RunResult",),
     "report.search_job": ("SearchResult", "fuzz"),
     "scenario.model": ("Scenario", "Verdict"),
     "scenario.read": ("parse_scenario", "read_scenario"),

@@ -9,9 +9,9 @@ from safety_harness.trace.known import (
     Gap,
     Measurement,
     Source,
-    knowing,
 )
 from safety_harness.trace.trace import Trace
+from safety_harness.trace.unmeasured import knowing
 
 UNSEEN = Gap(first=100, after=180, hand=0)  # of a run that lasts a second and a half, at least
 OF_THE_CONTROLLER = (

@@ -281,9 +281,7 @@ def _arm_of(scenario: Scenario) -> ArmModel:
         drive_model(scenario.robot)
         return arm_model(scenario.robot)
     except ArmFileError as error:
-        raise InadmissibleError(
-            place=scenario.place("robot"), expected="an arm that can be used", got=str(error)
-        ) from error
+        raise scenario.inadmissible("an arm that can be used", str(error), "robot") from error
 
 
 def _admitted(checked: Checked, avoider: Avoider, sha256: str, answers: bool) -> Admitted:
@@ -294,11 +292,8 @@ def _admitted(checked: Checked, avoider: Avoider, sha256: str, answers: bool) ->
 
 
 def _no_answer(scenario: Scenario) -> InadmissibleError:
-    return InadmissibleError(
-        place=scenario.place("avoider"),
-        expected=f"an avoider that answers its first question within {FIRST_ANSWER_S:g} s",
-        got="none until then",
-    )
+    expected = f"an avoider that answers its first question within {FIRST_ANSWER_S:g} s"
+    return scenario.inadmissible(expected, "none until then", "avoider")
 
 
 @dataclass(frozen=True)
@@ -329,12 +324,9 @@ def _placed(scenario: Scenario) -> Iterator[None]:
     except SettingsError as error:
         field = error.place.field or "settings"
         same = [path for path in scenario.places if path.endswith(f".{field}")]
-        raise InadmissibleError(
-            place=scenario.place(field, *same, *VIEW, DESIRED),
-            expected=error.expected,
-            got=error.got,
-            hint=error.hint,
-        ) from error
+        expected = error.expected
+        hint = error.hint
+        raise scenario.inadmissible(expected, error.got, field, *same, *VIEW, DESIRED, hint=hint) from error
 
 
 def first_question(settings: Settings) -> tuple[Vector3, Vector3]:

@@ -16,7 +16,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from safety_harness.base.exceptions import InadmissibleError, Place, near_miss, refuse_other_type
 from safety_harness.base.settings import DEFAULTS, Settings
@@ -36,7 +36,6 @@ from safety_harness.scenario.model import (
     VISUAL_SERVO,
     Driver,
     OffsetStart,
-    RecordedHand,
     Scenario,
 )
 from safety_harness.scenario.references import (
@@ -46,8 +45,8 @@ from safety_harness.scenario.references import (
     named_from,
     names_a_program,
     names_onnx,
+    with_file,
 )
-from safety_harness.scenario.robots import OwnRobot
 from safety_harness.space.regions import exported_use
 
 if TYPE_CHECKING:
@@ -167,18 +166,15 @@ def avoider_sha256(scenario: Scenario) -> str:
 
 def command_line_reference(scenario: Scenario) -> str:
     """What is tested, as one would name it on the command line, in the working directory."""
-    reference = scenario.under_test
-    file, name = file_and_name(reference)
-    if not file:
-        return reference
-    own = file if is_shipped(file) else os.path.relpath((folder_of(scenario) or Path()) / file)
-    return type(reference)(own + (f":{name}" if name else ""))
+    folder = folder_of(scenario) or Path()
+    return with_file(
+        scenario.under_test, lambda file: file if is_shipped(file) else os.path.relpath(folder / file)
+    )
 
 
 def told_avoider(reference: str) -> str:
     """What is tested, as a result names it: its file is ``told``."""
-    file, name = file_and_name(reference)
-    return str(told(Path(os.path.expanduser(file)))) + (f":{name}" if name else "") if file else reference
+    return str(with_file(reference, lambda file: str(told(Path(os.path.expanduser(file))))))
 
 
 def option_of(reference: str) -> str:
@@ -279,9 +275,7 @@ def shipped_avoider(name: str, settings: Settings = DEFAULTS) -> Avoider:
     refuse_other_type("shipped_avoider(name)", name, str, expected=f"one of: {', '.join(NAMES)}")
     if name not in NAMES:
         hint = near_miss(name, NAMES, most=3)
-        raise InadmissibleError(
-            place=Place(field="avoider"), expected=f"one of: {', '.join(NAMES)}", got=repr(name), hint=hint
-        )
+        raise InadmissibleError.of_option("avoider", f"one of: {', '.join(NAMES)}", repr(name), hint)
     return resolve_avoider(replace(scenario_of_avoider(name), settings=settings))
 
 
@@ -319,38 +313,29 @@ def with_avoider(scenario: Scenario, reference: str, place: Place | None = None)
         return _driven_by(scenario, reference, place or Place(field="--controller"))
     place = place or Place(field="--avoider")
     if scenario.driven:
-        raise InadmissibleError(
-            place=place,
-            expected=f"no avoider for a scenario that is driven by {scenario.controller}, which asks none",
-            got=repr(reference),
+        expected = f"no avoider for a scenario that is driven by {scenario.controller}, which asks none"
+        raise InadmissibleError(place=place, expected=expected, got=repr(reference))
+    return replace(scenario, **_placed(scenario, "avoider", "an avoider", reference, place))
+
+
+def _placed(scenario: Scenario, key: str, what: str, reference: str, place: Place) -> dict[str, Any]:
+    """Return what stands below ``key`` then, and where it was named."""
+    folder = resolved(folder_of(scenario) or Path())
+    named = str(
+        with_file(
+            reference, lambda file: named_from(folder, resolved(located(os.path.expanduser(file), place)))
         )
-    file, name = file_and_name(reference)
-    if file:
-        path = resolved(located(os.path.expanduser(file), place))
-        reference = named_from(resolved(folder_of(scenario) or Path()), path)
-        reference += f":{name}" if name else ""
-    if not is_sentence(reference):
-        raise InadmissibleError(
-            place=place, expected=f"an avoider's name or file, {SENTENCE}", got=repr(reference)
-        )
-    places = ChainMap({"avoider": place}, scenario.places)  # type: ignore[arg-type]  # it is only read
-    return replace(scenario, avoider=reference, places=places)
+    )
+    if not is_sentence(named):
+        raise InadmissibleError(place=place, expected=f"{what}'s name or file, {SENTENCE}", got=repr(named))
+    return {key: named, "places": ChainMap({key: place}, scenario.places)}  # type: ignore[arg-type]  # it is only read
 
 
 def _driven_by(scenario: Scenario, reference: Driver, place: Place) -> Scenario:
     """With another controller, and then without an avoider; the visual servo has its own, or the default."""
-    file, name = file_and_name(reference)
-    controller = str(reference)
-    if file:
-        path = resolved(located(os.path.expanduser(file), place))
-        controller = named_from(resolved(folder_of(scenario) or Path()), path) + (f":{name}" if name else "")
-    if not is_sentence(controller):
-        raise InadmissibleError(
-            place=place, expected=f"a controller's name or file, {SENTENCE}", got=repr(controller)
-        )
-    places = ChainMap({"controller": place}, scenario.places)  # type: ignore[arg-type]  # it is only read
-    avoider = NO_AVOIDER if controller != VISUAL_SERVO else scenario.avoider or DEFAULT_AVOIDER
-    return replace(scenario, avoider=avoider, controller=controller, places=places)
+    changes = _placed(scenario, "controller", "a controller", reference, place)
+    servo = changes["controller"] == VISUAL_SERVO
+    return replace(scenario, avoider=scenario.avoider or DEFAULT_AVOIDER if servo else NO_AVOIDER, **changes)
 
 
 def _from_model_file(path: Path, settings: Settings) -> Avoider:
@@ -382,18 +367,10 @@ def _refuse_foreign_onnx(path: Path, settings: Settings) -> None:
 def as_seen_from(folder: Path, scenario: Scenario) -> Scenario:
     """The scenario with its recordings, and its avoider's file, named relative to another folder."""
     before = scenario.file.parent if scenario.file else Path()
-    hands = tuple(
-        replace(hand, recording=Path(named_from(folder, before / hand.recording)))
-        if isinstance(hand, RecordedHand)
-        else hand
-        for hand in scenario.hands
-    )
-    robot = scenario.robot
-    if isinstance(robot, OwnRobot):
-        robot = robot.named(lambda path: named_from(folder, before / path))
-    moved = replace(scenario, hands=hands, robot=robot, file=folder / "scenario.yaml")
-    own_file, _ = file_and_name(scenario.under_test)
-    return with_avoider(moved, command_line_reference(scenario)) if own_file else moved
+    moved = scenario.with_files(lambda path: named_from(folder, before / path))
+    moved = replace(moved, file=folder / "scenario.yaml")
+    has_file = bool(file_and_name(scenario.under_test)[0])
+    return with_avoider(moved, command_line_reference(scenario)) if has_file else moved
 
 
 def with_system_of(like: Scenario, scenario: Scenario) -> Scenario:

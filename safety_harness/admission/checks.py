@@ -59,26 +59,18 @@ def _check_object(scenario: Scenario) -> None:
     cell, shape, camera = scenario.settings.cell, scenario.settings.object, scenario.settings.camera
     height_m = shape.position_in_base_m[2]
     if height_m < cell.table_height_m:
-        raise InadmissibleError(
-            place=scenario.place("object.position", "settings.cell.table height"),
-            expected=f"an object on or above the table (z = {cell.table_height_m * 1e3:.0f} mm)",
-            got=f"z = {height_m * 1e3:.0f} mm",
-        )
+        expected = f"an object on or above the table (z = {cell.table_height_m * 1e3:.0f} mm)"
+        got = f"z = {height_m * 1e3:.0f} mm"
+        raise scenario.inadmissible(expected, got, "object.position", "settings.cell.table height")
     corners = np.column_stack([np.array(shape.polygon_m), np.zeros(len(shape.polygon_m))])
     if scenario.settings.servo.object_kind is ObjectKind.DENSE and _crosses_itself(corners):
-        raise InadmissibleError(
-            place=scenario.place("object.polygon"),
-            expected="an outline that neither crosses nor touches itself",
-            got="one that does",
-        )
+        expected = "an outline that neither crosses nor touches itself"
+        raise scenario.inadmissible(expected, "one that does", "object.polygon")
     edges = np.roll(corners, -1, axis=0) - corners
     turns = np.cross(edges, np.roll(edges, -1, axis=0))[:, 2]
     if camera.source is ImageSource.RENDERED and turns.min() < 0.0 < turns.max():
-        raise InadmissibleError(
-            place=scenario.place("object.polygon"),
-            expected="a convex object where images are rendered",
-            got="an outline that turns both ways",
-        )
+        expected = "a convex object where images are rendered"
+        raise scenario.inadmissible(expected, "an outline that turns both ways", "object.polygon")
 
 
 def _check_view(scenario: Scenario, view: DesiredView) -> None:
@@ -137,11 +129,9 @@ def check_cameras(scenario: Scenario) -> None:
     most_hz = 1.0 / settings.clock.control_period_s
     for name, rate_hz in (("camera", settings.camera.rate_hz), ("hand sensor", settings.hand_sensor.rate_hz)):
         if rate_hz is not None and rate_hz > most_hz * (1.0 + 1e-9):
-            raise InadmissibleError(
-                place=scenario.place(f"{name}.rate", "settings.clock.control period"),
-                expected=f'a rate of at most {most_hz:g} Hz, that of the control ticks, or "every tick"',
-                got=f"{rate_hz:g} Hz",
-            )
+            expected = f'a rate of at most {most_hz:g} Hz, that of the control ticks, or "every tick"'
+            got = f"{rate_hz:g} Hz"
+            raise scenario.inadmissible(expected, got, f"{name}.rate", "settings.clock.control period")
     hangs_m, table_m = settings.hand_sensor.overhead_position_in_base_m[2], settings.cell.table_height_m
     if settings.hand_sensor.kind is not HandSensorKind.EYE_IN_HAND and not hangs_m > table_m:
         raise InadmissibleError(
@@ -160,11 +150,8 @@ def refuse_gate(scenario: Scenario) -> None:
     """A rule of the gate asks something, of the visual servo, which has one, and of its full kind."""
     full = scenario.settings.avoidance.gate is GateKind.FULL
     if scenario.gate is not None and (scenario.driven or not full):
-        raise InadmissibleError(
-            place=scenario.place("gate"),
-            expected="the visual servo with its full gate, whose rule this is",
-            got="another controller" if scenario.driven else "the gate of reach alone",
-        )
+        got = "another controller" if scenario.driven else "the gate of reach alone"
+        raise scenario.inadmissible("the visual servo with its full gate, whose rule this is", got, "gate")
     if scenario.gate is not None and not any(scenario.gate.words):
         expected = "every hand within, or questions within"
         raise InadmissibleError(place=scenario.place("gate"), expected=expected, got="neither")
@@ -196,12 +183,9 @@ def refuse_late_drives(scenario: Scenario) -> None:
 def _refuse_shield(scenario: Scenario) -> None:
     """A shield sees hands by a sensor that stays where it is."""
     if scenario.shield is not None:
-        raise InadmissibleError(
-            place=scenario.place("shield"),
-            expected="a fixed hand sensor, which a shield sees by",
-            got="one in the hand, blind outside its view",
-            hint="hand sensor: {kind: surround}",
-        )
+        expected = "a fixed hand sensor, which a shield sees by"
+        hint = "hand sensor: {kind: surround}"
+        raise scenario.inadmissible(expected, "one in the hand, blind outside its view", "shield", hint=hint)
 
 
 def _check_ideal(scenario: Scenario, sensor: HandSensor) -> None:
@@ -210,12 +194,10 @@ def _check_ideal(scenario: Scenario, sensor: HandSensor) -> None:
     for name, words in _FAULTS.items():
         value = getattr(sensor, name)
         if value != getattr(faultless, name):
-            raise InadmissibleError(
-                place=scenario.place(f"hand sensor.{words}", "hand sensor"),
-                expected=f"an ideal hand sensor without a {words} of its own",
-                got=str(value.value) if isinstance(value, DetectorKind) else f"{value:g}",
-                hint='a sensor with faults is "kind: overhead" or "kind: eye in hand"',
-            )
+            expected = f"an ideal hand sensor without a {words} of its own"
+            hint = 'a sensor with faults is "kind: overhead" or "kind: eye in hand"'
+            got = str(value.value) if isinstance(value, DetectorKind) else f"{value:g}"
+            raise scenario.inadmissible(expected, got, f"hand sensor.{words}", "hand sensor", hint=hint)
 
 
 def _check_one_optics(scenario: Scenario) -> None:
@@ -224,11 +206,10 @@ def _check_one_optics(scenario: Scenario) -> None:
     for words in ("width", "height", "focal"):
         of_camera, of_sensor = getattr(camera, f"{words}_px"), getattr(sensor, f"{words}_px")
         if of_camera != of_sensor:
-            raise InadmissibleError(
-                place=scenario.place(f"hand sensor.{words}", f"camera.{words}", "hand sensor"),
-                expected=f"an eye-in-hand sensor with the camera's {words}, {of_camera:g} px",
-                got=f"{of_sensor:g} px",
-            )
+            expected = f"an eye-in-hand sensor with the camera's {words}, {of_camera:g} px"
+            got = f"{of_sensor:g} px"
+            place = scenario.place(f"hand sensor.{words}", f"camera.{words}", "hand sensor")
+            raise InadmissibleError(place=place, expected=expected, got=got)
 
 
 def check_decision_time(scenario: Scenario, avoider: Avoider, own: str) -> None:
@@ -239,20 +220,16 @@ def check_decision_time(scenario: Scenario, avoider: Avoider, own: str) -> None:
     try:
         decision_time_of(avoider)
     except AvoiderError as error:
-        raise InadmissibleError(
-            place=scenario.place("avoider"), expected="an avoider that declares a time", got=str(error)
-        ) from None
+        raise scenario.inadmissible("an avoider that declares a time", str(error), "avoider") from None
     cost = scenario.settings.avoidance.decision_time
     measured = cost.measured if isinstance(cost, DecisionTimes) else None
     if measured is None:
         return
     if measured.sha256 != own or (not own and measured.avoider != scenario.avoider):
-        raise InadmissibleError(
-            place=scenario.place("settings.avoidance.decision time"),
-            expected=f"a profile of the avoider {scenario.avoider}, as its file is now",
-            got=f"one of {measured.avoider}" + (f", sha256 {measured.sha256[:12]}..." if own else ""),
-            hint=f"safety-harness time {shlex.quote(scenario.avoider)} --out FILE.json",
-        )
+        expected = f"a profile of the avoider {scenario.avoider}, as its file is now"
+        hint = f"safety-harness time {shlex.quote(scenario.avoider)} --out FILE.json"
+        got = f"one of {measured.avoider}" + (f", sha256 {measured.sha256[:12]}..." if own else "")
+        raise scenario.inadmissible(expected, got, "settings.avoidance.decision time", hint=hint)
 
 
 def check_faults(scenario: Scenario) -> None:
@@ -261,23 +238,19 @@ def check_faults(scenario: Scenario) -> None:
         if isinstance(fault, FalseHand):
             _check_seen(scenario, number)
         if isinstance(fault, CameraHidden) and scenario.settings.camera.source is ImageSource.RENDERED:
-            raise InadmissibleError(
-                place=scenario.place(f"faults[{number}]"),
-                expected="exact or raster images of the camera that hands hide the object from",
-                got="rendered ones, in which hands cover pixels of the object as it is",
-            )
+            expected = "exact or raster images of the camera that hands hide the object from"
+            got = "rendered ones, in which hands cover pixels of the object as it is"
+            raise scenario.inadmissible(expected, got, f"faults[{number}]")
     settings = scenario.settings
     for kind, camera in ((HandSensorLate, settings.hand_sensor), (CameraLate, settings.camera)):
         late = [(n, fault.delay_s) for n, fault in enumerate(scenario.faults) if isinstance(fault, kind)]
         total_s = camera.latency_s + sum(delay_s for _, delay_s in late)
         period_s = max(1.0 / camera.rate_hz if camera.rate_hz else 0.0, settings.clock.control_period_s)
         if late and total_s / period_s + 2.0 > RING:
-            raise InadmissibleError(
-                place=scenario.place(f"faults[{late[-1][0]}].delay"),
-                expected=f"at most {RING - 2} pictures under way at a time, all latencies together",
-                got=f"{total_s:g} s, which is {total_s / period_s:.0f} pictures",
-                hint="a camera with a lower rate has fewer under way",
-            )
+            expected = f"at most {RING - 2} pictures under way at a time, all latencies together"
+            hint = "a camera with a lower rate has fewer under way"
+            got = f"{total_s:g} s, which is {total_s / period_s:.0f} pictures"
+            raise scenario.inadmissible(expected, got, f"faults[{late[-1][0]}].delay", hint=hint)
 
 
 def _check_seen(scenario: Scenario, number: int) -> None:
@@ -289,8 +262,6 @@ def _check_seen(scenario: Scenario, number: int) -> None:
     state = sensors(settings, scenario.seed, 0, pose).state
     place = fault_table(scenario.faults)[number]["vector_m"].copy()
     if not hand_box(state, inverse_transform(pose), place, np.zeros(5)):
-        raise InadmissibleError(
-            place=scenario.place(f"faults[{number}].at"),
-            expected="a false hand where the hand sensor could see one",
-            got=f"({', '.join(f'{1e3 * value:.0f}' for value in place)}) mm, which is out of its view",
-        )
+        expected = "a false hand where the hand sensor could see one"
+        got = f"({', '.join(f'{1e3 * value:.0f}' for value in place)}) mm, which is out of its view"
+        raise scenario.inadmissible(expected, got, f"faults[{number}].at")

@@ -50,12 +50,9 @@ def _property_of(claim: Claim, scenario: Scenario) -> Property:
             _refuse_what_every_run_keeps(formula, claim.place)
         return formula
     examples = [entry.example for entry in CATALOGUE]
-    raise InadmissibleError(
-        place=claim.place,
-        expected='a claim of the catalogue, or a formula such as "always hand distance > 50 mm"',
-        got=repr(claim.sentence),
-        hint=near_miss(claim.sentence, examples, most=3, all_of_them=ALL_CLAIMS),
-    )
+    expected = 'a claim of the catalogue, or a formula such as "always hand distance > 50 mm"'
+    hint = near_miss(claim.sentence, examples, most=3, all_of_them=ALL_CLAIMS)
+    raise InadmissibleError(place=claim.place, expected=expected, got=repr(claim.sentence), hint=hint)
 
 
 def _refuse_more_than_a_step(claim: Property, scenario: Scenario, place: Place) -> None:

@@ -143,9 +143,7 @@ def refuse_no_action(scenario: Scenario, driver: MadeDriver, driven_by: Callable
         controller.ask()
     except ControllerError as error:
         expected = f"a policy that answers for the arm {scenario.robot.label} and {rows} rows of hands"
-        raise InadmissibleError(
-            place=scenario.place("controller"), expected=expected, got=str(error)
-        ) from error
+        raise scenario.inadmissible(expected, str(error), "controller") from error
     driver.tried.add(key)
 
 
@@ -153,19 +151,13 @@ def refuse_no_images(scenario: Scenario, driver: MadeDriver) -> None:
     """InadmissibleError for a controller that sees images where none are rendered."""
     source = scenario.settings.camera.source
     if IMAGE in sees_of(driver.controller) and source is not ImageSource.RENDERED:
-        raise InadmissibleError(
-            place=scenario.place("camera.source", "controller"),
-            expected="rendered images, as the controller sees them: camera: {source: rendered}",
-            got=source.value,
-        )
+        expected = "rendered images, as the controller sees them: camera: {source: rendered}"
+        raise scenario.inadmissible(expected, source.value, "camera.source", "controller")
 
 
 def refuse_faults_of_avoider(scenario: Scenario) -> None:
     """InadmissibleError for a fault of an avoider where there is none."""
     for number, fault in enumerate(scenario.faults):
         if isinstance(fault, AvoiderLate | AvoiderNaN | AvoiderSilent):
-            raise InadmissibleError(
-                place=scenario.place(f"faults[{number}]", "faults"),
-                expected=f"faults of cameras, joints and brakes: {scenario.controller} asks no avoider",
-                got="one of the avoider",
-            )
+            expected = f"faults of cameras, joints and brakes: {scenario.controller} asks no avoider"
+            raise scenario.inadmissible(expected, "one of the avoider", f"faults[{number}]", "faults")

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.base.exceptions import InadmissibleError
 from safety_harness.base.geometry.arrays import ArrayN
 from safety_harness.cell.robot.description import ArmModel
 from safety_harness.cell.robot.distance import hand_distance, place_capsules
@@ -24,11 +23,9 @@ def check_hands(scenario: Scenario, arm: ArmModel, joint_position_rad: ArrayN) -
         leader = scenario.leader(hand)
         above_m = hand.apart_in_base_m[2] if isinstance(hand, JoinedHand) else 0.0
         if leader is None:
-            raise InadmissibleError(
-                place=scenario.place(f"hands[{number}].together with"),
-                expected="the name of an earlier hand that moves by itself",
-                got=f'"{hand.joined_to}"' if isinstance(hand, JoinedHand) else hand.name,
-            )
+            expected = "the name of an earlier hand that moves by itself"
+            got = f'"{hand.joined_to}"' if isinstance(hand, JoinedHand) else hand.name
+            raise scenario.inadmissible(expected, got, f"hands[{number}].together with")
         if isinstance(hand, MovingHand):
             _check_speeds(scenario, number, hand)
         for field, words, height_m in _ends(leader, scenario.duration_s):
@@ -39,12 +36,10 @@ def check_hands(scenario: Scenario, arm: ArmModel, joint_position_rad: ArrayN) -
             if height_m + above_m < table_m or too_high:
                 below = f"below the hand sensor, which a shield sees it by (z = {ceiling_m * 1e3:.0f} mm)"
                 above = f"above the table (z = {table_m * 1e3:.0f} mm)"
-                raise InadmissibleError(
-                    place=scenario.place(f"hands[{number}].{where}"),
-                    expected=f"a hand {below if too_high else above}",
-                    got=f"z = {(height_m + above_m) * 1e3:.0f} mm{words}",
-                    hint="hand sensor: {overhead position: [...]} hangs it higher" if too_high else "",
-                )
+                expected = f"a hand {below if too_high else above}"
+                hint = "hand sensor: {overhead position: [...]} hangs it higher" if too_high else ""
+                got = f"z = {(height_m + above_m) * 1e3:.0f} mm{words}"
+                raise scenario.inadmissible(expected, got, f"hands[{number}].{where}", hint=hint)
     _check_clear_of_the_robot(scenario, arm, joint_position_rad)
 
 
@@ -52,11 +47,9 @@ def _check_speeds(scenario: Scenario, number: int, hand: MovingHand) -> None:
     """Files are held to this when they are read; a scenario that a program made is here."""
     for index, move in enumerate(hand.moves):
         if not isinstance(move, Wait) and not move.speed_mps <= hand.max_move_speed_mps:
-            raise InadmissibleError(
-                place=scenario.place(f"hands[{number}].moves[{index}]"),
-                expected=f"a speed within the hand's bound of {hand.max_move_speed_mps:.4g} m/s",
-                got=f"{move.speed_mps:g} m/s",
-            )
+            expected = f"a speed within the hand's bound of {hand.max_move_speed_mps:.4g} m/s"
+            got = f"{move.speed_mps:g} m/s"
+            raise scenario.inadmissible(expected, got, f"hands[{number}].moves[{index}]")
 
 
 def _ceiling_m(scenario: Scenario) -> float:
@@ -112,8 +105,6 @@ def _check_clear_of_the_robot(
         )
         if not distance_m > 0.0:
             part = capsules.names[nearest].replace("_", " ")
-            raise InadmissibleError(
-                place=scenario.place(f"hands[{number}].starts at", f"hands[{number}].apart"),
-                expected="a hand that begins outside the robot, its forearm too",
-                got=f"one {-distance_m * 1e3:.0f} mm inside the {part}'s capsule",
-            )
+            expected = "a hand that begins outside the robot, its forearm too"
+            got = f"one {-distance_m * 1e3:.0f} mm inside the {part}'s capsule"
+            raise scenario.inadmissible(expected, got, f"hands[{number}].starts at", f"hands[{number}].apart")

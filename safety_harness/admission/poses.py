@@ -60,12 +60,11 @@ def start_joint_position(scenario: Scenario, arm: ArmModel) -> NDArray[np.float6
         outside = (joints < arm.position_lower_rad) | (joints > arm.position_upper_rad)
         if outside.any():
             worst = int(np.argmax(outside))
-            raise InadmissibleError(
-                place=scenario.place(START),
-                expected=f"{arm.joint_names[worst]} between {np.degrees(arm.position_lower_rad[worst]):.0f} "
-                f"and {np.degrees(arm.position_upper_rad[worst]):.0f} deg",
-                got=f"{np.degrees(joints[worst]):.1f} deg",
+            expected = (
+                f"{arm.joint_names[worst]} between {np.degrees(arm.position_lower_rad[worst]):.0f} "
+                f"and {np.degrees(arm.position_upper_rad[worst]):.0f} deg"
             )
+            raise scenario.inadmissible(expected, f"{np.degrees(joints[worst]):.1f} deg", START)
         return joints
     target = desired_transform_tcp_to_base(scenario.settings)
     if isinstance(start, PoseStart):
@@ -90,12 +89,9 @@ def check_posture(scenario: Scenario, arm: ArmModel) -> None:
     if isinstance(scenario.robot, OwnRobot) and given == DEFAULTS.cell.preferred_joint_position_rad:
         ends = np.clip([arm.position_lower_rad, arm.position_upper_rad], -np.pi, np.pi)
         middle = ", ".join(f"{angle:.0f} deg" for angle in np.degrees(ends.mean(axis=0)))
-        raise InadmissibleError(
-            place=scenario.place(POSTURE, "robot"),
-            expected="the joint angles near which an own arm works",
-            got="none",
-            hint=f"settings: {{cell: {{preferred joint position: [...]}}}}; the middle is [{middle}]",
-        )
+        expected = "the joint angles near which an own arm works"
+        hint = f"settings: {{cell: {{preferred joint position: [...]}}}}; the middle is [{middle}]"
+        raise scenario.inadmissible(expected, "none", POSTURE, "robot", hint=hint)
     _refuse_other_count(scenario, arm, len(given), POSTURE)
 
 
@@ -103,11 +99,8 @@ def check_stuck_joints(scenario: Scenario, arm: ArmModel) -> None:
     """Refuse a stuck joint that the arm does not have."""
     for number, fault in enumerate(scenario.faults):
         if isinstance(fault, JointStuck) and list(Joint).index(fault.joint) >= len(arm.joint_names):
-            raise InadmissibleError(
-                place=scenario.place(f"faults[{number}]", "faults"),
-                expected=f"one of the {len(arm.joint_names)} joints of the arm, counted from its foot",
-                got=fault.joint.value,
-            )
+            expected = f"one of the {len(arm.joint_names)} joints of the arm, counted from its foot"
+            raise scenario.inadmissible(expected, fault.joint.value, f"faults[{number}]", "faults")
 
 
 def check_obstacles(scenario: Scenario, arm: ArmModel, joint_position_rad: ArrayN) -> None:
@@ -116,11 +109,9 @@ def check_obstacles(scenario: Scenario, arm: ArmModel, joint_position_rad: Array
         capsules = cell_capsules(arm_capsules(scenario.robot), scenario.settings)
         distance_m = distance_from(box_records((obstacle,)), arm, capsules, joint_position_rad)
         if not distance_m > 0.0:
-            raise InadmissibleError(
-                place=scenario.place(f"obstacles[{number}]", "obstacles"),
-                expected="an obstacle that the arm is clear of where it starts",
-                got=f"one {1e3 * distance_m:.0f} mm away",
-            )
+            expected = "an obstacle that the arm is clear of where it starts"
+            got = f"one {1e3 * distance_m:.0f} mm away"
+            raise scenario.inadmissible(expected, got, f"obstacles[{number}]", "obstacles")
 
 
 def check_drives(scenario: Scenario, arm: ArmModel, joint_position_rad: ArrayN) -> None:
@@ -141,11 +132,8 @@ def check_drives(scenario: Scenario, arm: ArmModel, joint_position_rad: ArrayN) 
 
 def _refuse_other_count(scenario: Scenario, arm: ArmModel, count: int, field: str) -> None:
     if count != len(arm.joint_names):
-        raise InadmissibleError(
-            place=scenario.place(field, "robot"),
-            expected=f"{len(arm.joint_names)} angles, of {', '.join(arm.joint_names)}",
-            got=f"{count}",
-        )
+        expected = f"{len(arm.joint_names)} angles, of {', '.join(arm.joint_names)}"
+        raise scenario.inadmissible(expected, f"{count}", field, "robot")
 
 
 def _reached(
@@ -154,11 +142,9 @@ def _reached(
     preferred = np.array(scenario.settings.cell.preferred_joint_position_rad)
     found = inverse_kinematics(scenario.robot).nearest(transform_tcp_to_base, preferred)
     if found is None:
-        raise InadmissibleError(
-            place=scenario.place(field),
-            expected=f"a {pose} that the arm can reach within its joint limits",
-            got=f"the position {_millimetres(transform_tcp_to_base[:3, 3])}, which has no inverse kinematics",
-        )
+        expected = f"a {pose} that the arm can reach within its joint limits"
+        got = f"the position {_millimetres(transform_tcp_to_base[:3, 3])}, which has no inverse kinematics"
+        raise scenario.inadmissible(expected, got, field)
     return found
 
 
@@ -170,11 +156,8 @@ def _check_pose(
     geometric_jacobian(arm.joint_axes, transforms, jacobian)
     least, most = smallest_singular_value(jacobian), settings.motion.min_singular_value
     if not least > most:
-        raise InadmissibleError(
-            place=scenario.place(field, "settings.motion.min singular value"),
-            expected=f"a {pose} away from singularities (least singular value above {most:g})",
-            got=f"{least:.4f}",
-        )
+        expected = f"a {pose} away from singularities (least singular value above {most:g})"
+        raise scenario.inadmissible(expected, f"{least:.4f}", field, "settings.motion.min singular value")
     clearance_m = settings.avoidance.table_clearance_m
     if transforms[-1, 2, 3] < settings.cell.table_height_m + clearance_m:
         raise InadmissibleError(
@@ -191,12 +174,10 @@ def _check_in_view(
     moments = np.empty(MOMENT_COUNT)
     camera, polygon_in_base_m = SensorRecords(camera_state(settings).copy()), object_polygon_in_base(settings)
     if not exact_object(camera, polygon_in_base_m, transforms[-1], moments):
-        raise InadmissibleError(
-            place=scenario.place(field, *VIEW),
-            expected=f"a {pose} with the whole object in the camera's view",
-            got=f"the position {_millimetres(transforms[-1, :3, 3])}, from which it is not",
-            hint=_above(settings) if field == DESIRED else "",
-        )
+        expected = f"a {pose} with the whole object in the camera's view"
+        hint = _above(settings) if field == DESIRED else ""
+        got = f"the position {_millimetres(transforms[-1, :3, 3])}, from which it is not"
+        raise scenario.inadmissible(expected, got, field, *VIEW, hint=hint)
 
 
 def _above(settings: Settings) -> str:

@@ -7,15 +7,11 @@ here, and only here, draws are rejected.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
-from safety_harness.admission.admit import Admitted, Admitter, Looker, admit
+from safety_harness.admission.admit import Looker
 from safety_harness.base.exceptions import InadmissibleError, InputError, ModelError, refuse_other_type
-from safety_harness.cell.avoidance.avoider import Avoider
 from safety_harness.scenario.model import Scenario
 from safety_harness.space.space import ScenarioSpace
 
@@ -80,27 +76,6 @@ def draw_admissible(
     return AdmittedDraws(tuple(scenarios), drawn, dict(refused.most_common()))
 
 
-def admit_points(
-    space: ScenarioSpace, u: NDArray[np.float64], seeds: Iterable[int], *, avoider: Avoider | None = None
-) -> Iterator[Admitted | InputError]:
-    """For each point ``u`` (n, d) of the unit cube its scenario, ready to be run, or why it cannot be tried.
-
-    ``seeds`` (n,) are the scenarios' own; ``avoider`` takes the place of the ones that they name.  Values
-    are drawn for all points at once.  A mistake in the text itself is raised.
-    """
-    admitter = Admitter()
-    for k, (values, seed) in enumerate(zip(space.values_at(u), seeds, strict=True)):
-        try:
-            scenario = space.scenario(values, seed=seed, name=f"{space.name}#{k}")
-            one = admitter.admit(scenario) if avoider is None else admit(scenario, avoider=avoider)
-        except InputError as error:
-            if _is_a_mistake(error):
-                raise
-            yield error
-        else:
-            yield one
-
-
 def _is_a_mistake(error: InputError) -> bool:
     """Whether the text is to blame: an avoider that is missing, a claim that nobody knows."""
     return isinstance(error, ModelError) or (error.place.field or "").startswith(("avoider", "claims"))
@@ -109,12 +84,10 @@ def _is_a_mistake(error: InputError) -> bool:
 def _hopeless(space: ScenarioSpace, admitted: int, drawn: int, refused: Counter[str]) -> InadmissibleError:
     reason, count = refused.most_common(1)[0]
     simplest = space.simplest
-    return InadmissibleError(
-        place=simplest.place(reason.partition(":")[0]),
-        expected=f"a space of which at least one draw in {MAX_REJECTION_RATIO} can be tried",
-        got=f"{admitted} of {drawn} draws",
-        hint=f"{count} times it was {reason}",
-    )
+    expected = f"a space of which at least one draw in {MAX_REJECTION_RATIO} can be tried"
+    hint = f"{count} times it was {reason}"
+    got = f"{admitted} of {drawn} draws"
+    return simplest.inadmissible(expected, got, reason.partition(":")[0], hint=hint)
 
 
 def why_refused(error: InputError) -> str:

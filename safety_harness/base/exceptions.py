@@ -97,7 +97,7 @@ class InputError(SafetyHarnessError):
         return cls(place=Place(field=option), expected=expected, got=got, hint=hint)
 
     @classmethod
-    def of_file(cls, file: Path, expected: str, got: str, hint: str = "") -> Self:
+    def of_file(cls, file: Path | None, expected: str, got: str, hint: str = "") -> Self:
         """The error of a file as a whole."""
         return cls(place=Place(file=file), expected=expected, got=got, hint=hint)
 

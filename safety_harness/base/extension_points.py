@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from safety_harness.base.distribution import DISTRIBUTION, PYPROJECT
-from safety_harness.base.exceptions import MissingPackageError, Place
+from safety_harness.base.exceptions import MissingPackageError
 
 _Part = TypeVar("_Part")
 OWN_TITLES = ("scenario", "scenario space", "suite")  # of files that the core reads itself
@@ -195,12 +195,10 @@ def part_named(point: ExtensionPoint, name: str, kind: type[_Part]) -> _Part:
     for part in parts(point):
         if part.name == name and (found := load(part, kind)) is not None:
             return found
-    raise MissingPackageError(
-        place=Place(field=name),
-        expected=f"a package that adds the entry point {name} to {point}",
-        got="none that can be loaded" if name in names_of(point) else "none",
-        hint=f"pip install --force-reinstall {DISTRIBUTION}, or the package that added it",
-    )
+    expected = f"a package that adds the entry point {name} to {point}"
+    hint = f"pip install --force-reinstall {DISTRIBUTION}, or the package that added it"
+    got = "none that can be loaded" if name in names_of(point) else "none"
+    raise MissingPackageError.of_option(name, expected, got, hint)
 
 
 def _identities(part: object) -> set[str]:

@@ -11,7 +11,7 @@ from typer.core import TyperGroup
 
 from safety_harness.base.compiling import CompilationLine, watchers
 from safety_harness.base.distribution import DISTRIBUTION, foreign_files, installed_version
-from safety_harness.base.exceptions import MissingPackageError, Place, SafetyHarnessError
+from safety_harness.base.exceptions import MissingPackageError, SafetyHarnessError
 from safety_harness.base.extension_points import ExtensionPoint, RegisteredPart, load, parts, warn
 from safety_harness.cli.console import (
     BAD_INPUT,
@@ -132,9 +132,7 @@ def _absent(name: str, about: str, hint: str) -> Any:
 
     @commands.command(name, help=about, short_help=about, context_settings=settings)
     def absent() -> None:
-        raise MissingPackageError(
-            place=Place(field=name), expected="the package with this command", got="none", hint=hint
-        )
+        raise MissingPackageError.of_option(name, "the package with this command", "none", hint)
 
     found = commands_of(commands)[name]
     found.rich_help_panel = "Not installed"

@@ -26,7 +26,8 @@ from safety_harness.report.evidence import JudgedRun, basis_of
 from safety_harness.report.judge_job import A_CLAIM, judged_run, write_judged
 from safety_harness.report.knowledge import measured_lines, unmeasured_words
 from safety_harness.report.machine import refused_data, run_data
-from safety_harness.report.run_job import DATA, REPORT, result_lines, tested_line, watching_runs
+from safety_harness.report.run_job import result_lines, tested_line, watching_runs
+from safety_harness.report.run_result import DATA, REPORT
 from safety_harness.scenario.model import VISUAL_SERVO, Scenario
 from safety_harness.scenario.references import file_and_name
 from safety_harness.trace.compare import first_difference
@@ -83,12 +84,11 @@ def _with_program(stored: Trace, path: Path, avoider: str | None) -> Scenario:
         return with_avoider(stored.scenario, avoider)
     under_test = stored.scenario.under_test
     if is_a_program(under_test):
-        raise TraceError(
-            place=Place(file=path, field="controller" if stored.scenario.driven else "avoider"),
-            expected="the program named on the command line, since repeating the run executes it",
-            got=f"a trace made with {under_test}",
-            hint=replay_command(stored.scenario, path),
-        )
+        expected = "the program named on the command line, since repeating the run executes it"
+        hint = replay_command(stored.scenario, path)
+        got = f"a trace made with {under_test}"
+        place = Place(file=path, field="controller" if stored.scenario.driven else "avoider")
+        raise TraceError(place=place, expected=expected, got=got, hint=hint)
     return stored.scenario
 
 

@@ -32,8 +32,8 @@ from safety_harness.report.decisions import (
 )
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.possible_hands import possible_lines
-from safety_harness.report.run_job import DATA, REPORT, TRACES, RunResult
 from safety_harness.report.run_job import run as run_scenarios
+from safety_harness.report.run_result import DATA, REPORT, TRACES, RunResult
 from safety_harness.report.shielding import shield_lines
 from safety_harness.scenario.model import Verdict
 
@@ -82,9 +82,7 @@ def _say_summary(found: RunResult) -> None:
     say(*(f"shield: {line}" for line in shield_lines(traces)))
     say(*(f"gate: {line}" for line in possible_lines(traces)))
     say(*overruling_lines(overruling_of_each(traces)))
-    every = [same for one in found.runs for same in zip(one.as_expected, one.applicable, strict=True)]
-    verdicts = [same for same, applicable in every if applicable]
-    others = len(every) - len(verdicts)
+    verdicts, others = found.as_expected
     fallback = DecisionTally.of(traces).fallback
     say(
         f"{sum(verdicts)} of {len(verdicts)} verdicts as expected, "

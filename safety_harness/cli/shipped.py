@@ -9,7 +9,7 @@ from typing import Annotated
 
 from typer import Argument, Option, Typer
 
-from safety_harness.base.exceptions import OutputError, Place
+from safety_harness.base.exceptions import OutputError
 from safety_harness.base.shipped.contents import (
     PREFIX,
     ShippedKind,
@@ -67,9 +67,7 @@ def copy(
     for path, data in copies.items():
         if path.exists() and not overwrite and not (path.is_file() and path.read_bytes() == data):
             got = "another one; nothing was copied"
-            raise OutputError(
-                place=Place(file=path), expected="no file there yet", got=got, hint="--overwrite replaces it"
-            )
+            raise OutputError.of_file(path, "no file there yet", got, "--overwrite replaces it")
     for path, data in copies.items():
         with writing(path):
             path.parent.mkdir(parents=True, exist_ok=True)

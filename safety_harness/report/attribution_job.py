@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from safety_harness.admission.admit import Admitted, Admitter
@@ -18,7 +18,7 @@ from safety_harness.base.whole_file import write_text
 from safety_harness.cell.simulation.worlds import KINEMATIC, PYBULLET
 from safety_harness.report.attribution_picture import draw_attributions
 from safety_harness.report.page_parts import asset
-from safety_harness.report.run_job import RunResult
+from safety_harness.report.run_result import RunResult
 from safety_harness.report.search_attribution import confirming_line
 from safety_harness.report.shielding import slowings
 from safety_harness.report.svg import standalone
@@ -73,11 +73,10 @@ def attribute(
         for error in all_refused:
             output.explain(error)
         raise InputErrors(all_refused, left=len(admitted))
-    session = AttributionSession(confirm, output)
-    session.take_all([(one, ()) for one in admitted], len(admitted), "runs")
-    if not session.found:
+    found = attribute_all([(one, ()) for one in admitted], len(admitted), "runs", confirm, output)
+    if not found.attributions:
         output.say(f"{len(admitted)} runs without a violation: nothing to attribute")
-    return session.result()
+    return found
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -124,49 +123,40 @@ class AttributionResult:
         return self
 
 
-@dataclass
-class AttributionSession:
-    """What was attributed so far; the attributes are those of ``AttributionResult``."""
+def attribute_all(
+    runs: Iterable[tuple[Admitted, Sequence[Claim]]], count: int, unit: str, confirm: bool, output: Output
+) -> AttributionResult:
+    """Attribute and print the violations of runs until Ctrl-C: of these claims, or of all of a run's own."""
+    found: list[Attribution] = []
+    failed = interrupted = False
+    try:
+        with output.counting(count, unit) as show:
+            show(0)
+            for number, (admitted, claims) in enumerate(runs, start=1):
+                try:
+                    attributions, shield = attribute_run(admitted, claims), attribute_shield(admitted)
+                except Exception as error:  # one run's failure must not cost the others' answers
+                    failed = True
+                    output.say(f"error: {admitted.scenario.name} could not be run again: {described(error)}")
+                else:
+                    if shield is not None:
+                        output.result(f"{admitted.scenario.name}: {shield.words}")
+                        output.result(*(f"    {one}" for one in slowings(shield.trace)))
+                    for one in attributions:
+                        found.append(one)
+                        for line in _lines(one, admitted if confirm else None):
+                            output.result(line)
+                show(number)
+    except KeyboardInterrupt:
+        interrupted = True
+    return AttributionResult(tuple(found), failed, interrupted)
 
-    confirm: bool
-    output: Output = QUIET
-    found: list[Attribution] = field(default_factory=list)
-    failed: bool = False
-    interrupted: bool = False
 
-    def take_all(self, runs: Iterable[tuple[Admitted, Sequence[Claim]]], count: int, unit: str) -> None:
-        """Attribute runs until Ctrl-C: of each these claims, or all of its own."""
-        try:
-            with self.output.counting(count, unit) as show:
-                show(0)
-                for number, (admitted, claims) in enumerate(runs, start=1):
-                    self.take(admitted, claims)
-                    show(number)
-        except KeyboardInterrupt:
-            self.interrupted = True
-
-    def result(self) -> AttributionResult:
-        """Return what was found."""
-        return AttributionResult(tuple(self.found), self.failed, self.interrupted)
-
-    def take(self, admitted: Admitted, claims: Sequence[Claim] = ()) -> None:
-        """Attribute and print the violations of one run: of these claims, or of all of its own."""
-        try:
-            attributions, shield = attribute_run(admitted, claims), attribute_shield(admitted)
-        except Exception as error:  # one run's failure must not cost the others' answers
-            self.failed = True
-            self.output.say(f"error: {admitted.scenario.name} could not be run again: {described(error)}")
-            return
-        if shield is not None:
-            self.output.result(f"{admitted.scenario.name}: {shield.words}")
-            self.output.result(*(f"    {one}" for one in slowings(shield.trace)))
-        for one in attributions:
-            self.found.append(one)
-            margin = one.unit.margin_text(one.margin)
-            self.output.result(f"{one.scenario}: {one.claim.sentence}: {margin}: {one.words}")
-            if self.confirm and one.answer is not AttributionAnswer.NOT_ATTRIBUTED:
-                for again in confirmed(admitted, one):
-                    self.output.result(f"    {confirming_line(again, one)}")
+def _lines(one: Attribution, confirming: Admitted | None) -> Iterator[str]:
+    """Yield what is said of one violation, and what PyBullet says of the run ``confirming`` it."""
+    yield f"{one.scenario}: {one.claim.sentence}: {one.unit.margin_text(one.margin)}: {one.words}"
+    if confirming is not None and one.answer is not AttributionAnswer.NOT_ATTRIBUTED:
+        yield from (f"    {confirming_line(again, one)}" for again in confirmed(confirming, one))
 
 
 def _scenarios(
@@ -216,11 +206,9 @@ def _violated(trace: Trace, path: Path | None, avoider: str | None) -> Scenario:
         scenario = with_avoider(scenario, avoider)
     elif is_a_program(tested := scenario.under_test):
         option = option_of(tested)
-        raise TraceError(
-            place=Place(file=path, field=option.removeprefix("--")),
-            expected=f"the program named with {option}, since repeating the run executes it",
-            got=f"a trace made with {tested}",
-        )
+        expected = f"the program named with {option}, since repeating the run executes it"
+        got = f"a trace made with {tested}"
+        raise TraceError(place=Place(file=path, field=option.removeprefix("--")), expected=expected, got=got)
     evaluations = judge(trace, file=path)
     claims = tuple(
         replace(claim, expected=Verdict.VIOLATED)

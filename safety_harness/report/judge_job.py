@@ -5,22 +5,19 @@ from __future__ import annotations
 import shlex
 from collections.abc import Sequence
 from dataclasses import replace
-from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
 
 from safety_harness.admission.trial import judge
 from safety_harness.base.exceptions import InadmissibleError, InputError, LogError, Place
-from safety_harness.base.whole_file import writing
 from safety_harness.claims.properties.answered import with_expectation
 from safety_harness.report.evidence import JudgedRun
-from safety_harness.report.run_job import DATA, REPORT, TRACES
+from safety_harness.report.run_result import TRACES, saved, write_files
 from safety_harness.scenario.fields import SENTENCE, is_sentence
 from safety_harness.scenario.files import told
 from safety_harness.scenario.kinds import is_log, recorded_run
 from safety_harness.scenario.model import Claim, Verdict
 from safety_harness.scenario.units import shown
-from safety_harness.trace.store import load_trace, save_trace
+from safety_harness.trace.store import load_trace
 
 A_CLAIM = "a claim at least, there or as --claim SENTENCE: nothing is judged without"
 
@@ -49,12 +46,7 @@ def _of_log(path: Path, claims: Sequence[Claim], out: Path | None) -> JudgedRun:
     found = recorded_run(path, claims)
     if not found.trace.scenario.claims:
         raise LogError(place=Place(file=path, field="claims"), expected=A_CLAIM, got="none")
-    file = None
-    if out is not None:
-        file = out / TRACES / f"{found.trace.scenario.name}.trace"
-        with writing(file):
-            file.parent.mkdir(parents=True, exist_ok=True)
-            save_trace(found.trace, file, recordings=found.recordings)
+    file = None if out is None else saved(found.trace, out / TRACES, found.recordings)
     return JudgedRun(
         trace=found.trace,
         evaluations=judge(found.trace, file=path),
@@ -68,22 +60,6 @@ def write_judged(
     runs: Sequence[JudgedRun], refused: Sequence[InputError], out: Path, paths: Sequence[Path]
 ) -> None:
     """Write the report of runs that were judged without simulating; OutputError."""
-    from safety_harness.report.ci_formats import write_for_ci
-    from safety_harness.report.html import write_report
-    from safety_harness.report.machine import report_data, write_json
-
-    of_all: dict[str, Any] = {"interrupted": False, "refused": refused}
-    command = shlex.join(
-        ["safety-harness", "judge", *(str(told(path)) for path in paths), "--out", str(told(out))]
-    )
-    with writing(out / REPORT):
-        write_report(
-            out / REPORT,
-            runs,
-            title="Judged without simulating",
-            command=command,
-            generated_at=datetime.now(UTC),
-            **of_all,
-        )
-        write_json(out / DATA, report_data(runs, **of_all))
-        write_for_ci(out, runs)
+    words = ["safety-harness", "judge", *(str(told(path)) for path in paths), "--out", str(told(out))]
+    command, title = shlex.join(words), "Judged without simulating"
+    write_files(out, runs, title=title, command=command, interrupted=False, refused=refused)

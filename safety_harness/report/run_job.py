@@ -1,23 +1,19 @@
-"""Run scenarios and judge them: ``safety_harness.run``, its result, and the result's report."""
+"""Run scenarios and judge them: ``safety_harness.run``."""
 
 from __future__ import annotations
 
 import os
-import shlex
 import time
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import KW_ONLY, dataclass, field, replace
-from datetime import UTC, datetime
+from dataclasses import dataclass, field, replace
 from itertools import count
 from pathlib import Path
 from types import FunctionType
-from typing import Any
 
 from safety_harness.admission.admit import Admitted, admit
 from safety_harness.admission.avoiders import (
-    as_seen_from,
     command_line_reference,
     one_of,
     option_of,
@@ -33,28 +29,21 @@ from safety_harness.base.exceptions import InputError, OutputError, SafetyHarnes
 from safety_harness.base.extension_points import ExtensionPoint, part_named
 from safety_harness.base.extras import LOGS
 from safety_harness.base.input_errors import InputErrors, each_once, usable
-from safety_harness.base.interrupts import one_more_ctrl_c
-from safety_harness.base.output import AS_EXPECTED, BAD_INPUT, DIFFERS, INTERRUPTED, QUIET, Output
-from safety_harness.base.whole_file import write_text, writing
+from safety_harness.base.output import QUIET, Output
+from safety_harness.base.whole_file import writing
 from safety_harness.cell.simulation.worlds import REFERENCE, WorldEntry, world_named
 from safety_harness.claims.properties.against import Against, RunDifference
-from safety_harness.claims.properties.base import Evaluation
-from safety_harness.claims.properties.tally import ClaimTally, untested_lines
 from safety_harness.claims.properties.tried import TriedParts
 from safety_harness.report.decisions import fault_notes
-from safety_harness.report.evidence import JudgedRun, basis_of, notes_of, tallies, worst_verdict
+from safety_harness.report.evidence import JudgedRun, notes_of
+from safety_harness.report.run_result import TRACES, RunResult, save_mcap, saved
 from safety_harness.report.words import tested_words
 from safety_harness.scenario.expand import Gathered, gather
-from safety_harness.scenario.files import as_path, told
-from safety_harness.scenario.model import Scenario, Verdict
+from safety_harness.scenario.files import as_path
+from safety_harness.scenario.model import Scenario
 from safety_harness.scenario.ours import aside_lines
-from safety_harness.scenario.write import write_scenario
-from safety_harness.trace.store import save_trace
-from safety_harness.trace.trace import Trace
 
-REPORT, DATA = "report.html", "report.json"
-TRACES, OF_REFERENCE, EARLIER = "traces", "traces-against", ".earlier"
-GIVEN = "scenarios"  # of a folder that is written to: scenarios that were no files
+OF_REFERENCE, EARLIER = "traces-against", ".earlier"
 KINDS = "*.trace", "*/run.mcap", "*/LOG.yaml"
 
 ScenarioInput = str | Path | Scenario
@@ -118,14 +107,21 @@ def run(
     named = {option_of(tested or ""): tested, "--against": reference}
     options += [word for option, one in named.items() if one for word in (option, told_avoider(one))]
     options += [] if chosen is REFERENCE else ["--world", chosen.label]
-    session = RunSession(
-        where, [*paths, *objects], options, len(admitted), skipped, refused, chosen, mcap=mcap, output=output
-    )
+    differences, beside = list[RunDifference](), None
     if reference is not None:
         mine = "what each file names" if tested is None else told_avoider(tested)
-        session.against = Against(mine=mine, reference=told_avoider(reference), runs=session.differences)
+        beside = Against(mine=mine, reference=told_avoider(reference), runs=differences)
     output.say(*(f"skipped: {one}" for one in skipped))
-    return session.run(admitted, jobs)
+    asked = RunResult(
+        given=(*paths, *objects),
+        options=tuple(options),
+        planned=len(admitted),
+        skipped=tuple(skipped),
+        refused=tuple(refused),
+        against=beside,
+        mcap=mcap,
+    )
+    return RunSession(asked, where, chosen, output, differences).run(admitted, jobs)
 
 
 def _reference(given: str | Path | None) -> str | None:
@@ -182,184 +178,6 @@ def read_all(
     )
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class RunResult:
-    """The judged runs of one call of ``run``, and what became of the other inputs.
-
-    Args:
-        runs: The runs that came to an end, in order.
-        given: The scenarios as they were asked for.
-        options: The options of the command that makes the same runs.
-        planned: How many scenarios were to be run.
-        skipped: Scenarios that the avoider cannot take.
-        refused: Errors of inputs that kept no other from running.
-        failed: Scenarios that could not be simulated, and why.
-        against: The differences from the runs with the reference, if there is one.
-        repeated: What a second avoider answered to the questions of the runs; None if it was not asked.
-        interrupted: Ctrl-C ended the runs.
-        unwritable: Why no more was written.
-        mcap: Write each run as MCAP too.
-
-    """
-
-    runs: tuple[JudgedRun, ...]
-    _: KW_ONLY
-    given: tuple[Path | Scenario, ...] = ()
-    options: tuple[str, ...] = ()
-    planned: int = 0
-    skipped: tuple[NotTaken, ...] = ()
-    refused: tuple[InputError, ...] = ()
-    failed: tuple[str, ...] = ()
-    against: Against | None = None
-    repeated: RepeatabilityResult | None = None
-    interrupted: bool = False
-    unwritable: OutputError | None = None
-    mcap: bool = False
-
-    @property
-    def verdict(self) -> Verdict:
-        """The worst verdict of all claims; inconclusive without any."""
-        return worst_verdict(evaluation.verdict for run in self.runs for _, evaluation in run.judged_claims())
-
-    @property
-    def trace(self) -> Trace:
-        """The trace of the only run; InputError if there is not one alone."""
-        if len(self.runs) != 1:
-            raise InputError.of_option("RunResult.trace", "the result of one run", f"{len(self.runs)} runs")
-        return self.runs[0].trace
-
-    @property
-    def coverage(self) -> tuple[ClaimTally, ...]:
-        """How often each claim was exercised."""
-        return tallies(self.runs)
-
-    @property
-    def basis(self) -> str:
-        """What the verdicts rest on: the world, the exercised runs, and what nothing watched."""
-        return basis_of(self.runs)
-
-    @property
-    def exit_code(self) -> int:
-        """The command's exit code."""
-        if self.unwritable is not None:
-            return BAD_INPUT
-        if self.interrupted:
-            return INTERRUPTED
-        if self.refused:
-            return BAD_INPUT
-        every = [same for one in self.runs for same in zip(one.as_expected, one.applicable, strict=True)]
-        verdicts = [same for same, applicable in every if applicable]
-        if self.against is None:
-            untested = untested_lines(self.coverage)
-            good = all(verdicts) and bool(verdicts or not every) and not (untested or self.skipped)
-        else:  # what cannot be compared differs in nothing
-            good = len(self.against.runs) == self.planned and not self.against.worse
-        good &= self.repeated is None or not self.repeated.problem
-        return AS_EXPECTED if good and not self.failed else DIFFERS
-
-    def __getitem__(self, sentence: str) -> Evaluation:
-        """Return the evaluation of a claim by its sentence, the worst of several runs; InputError."""
-        found = [e for one in self.runs for claim, e in one.judged_claims() if claim.sentence == sentence]
-        if not found:
-            claims = dict.fromkeys(claim.sentence for one in self.runs for claim, _ in one.judged_claims())
-            raise InputError.of_option("RunResult[claim]", f"one of: {', '.join(claims)}", repr(sentence))
-        worst = worst_verdict(one.verdict for one in found)
-        return min(
-            (e for e in found if e.verdict is worst), key=lambda e: (e.margin is None, e.margin or 0.0)
-        )
-
-    def __repr__(self) -> str:
-        names = [one.trace.scenario.name for one in self.runs]
-        what = names[0] if len(names) == 1 else f"{len(names)} of {self.planned} scenarios"
-        kinds = [e.verdict for one in self.runs for _, e in one.judged_claims()]
-        counts = ", ".join(f"{kinds.count(kind)} {kind.value}" for kind in Verdict if kind in kinds)
-        return f"<{self.verdict.value}: {what}, claims: {counts or 'none'}. {self.basis}>"
-
-    def data(self) -> dict[str, Any]:
-        """Return what report.json holds; the traces have to be written first to have a hash."""
-        from safety_harness.report.machine import report_data
-
-        return report_data(self.runs, **self._of_all)
-
-    @property
-    def _of_all(self) -> dict[str, Any]:
-        return {
-            "interrupted": len(self.runs) < self.planned or self.interrupted,
-            "skipped": self.skipped,
-            "refused": self.refused,
-            "against": self.against,
-            "repeated": self.repeated,
-        }
-
-    def write(self, folder: str | Path, output: Output = QUIET) -> RunResult:
-        """Write report.html, report.json, report.sarif, summary.md, and each trace that is not there yet.
-
-        Scenarios that were no files are written too, since the report names the command that runs them again.
-        The result that is returned names the traces of the folder.  A first Ctrl-C lets it end.
-
-        Raises:
-            OutputError: The folder cannot be written.
-
-        """
-        from safety_harness.report.ci_formats import write_for_ci
-        from safety_harness.report.html import write_report
-        from safety_harness.report.machine import write_json
-
-        out = Path(folder)
-        path = out / REPORT
-        remark = f"writing {path}; Ctrl-C once more gives it up"
-        with writing(path), one_more_ctrl_c(output.say, remark) as asked:
-            runs = tuple(self._kept(one, out) for one in self.runs)
-            written = replace(self, runs=runs)
-            write_report(
-                path,
-                runs,
-                title="Safety verification of a hand-avoiding robot arm",
-                command=self._command(out),
-                generated_at=datetime.now(UTC),
-                **self._of_all,
-            )
-            write_json(out / DATA, written.data())
-            write_for_ci(out, runs)
-        return replace(written, interrupted=self.interrupted or asked())
-
-    def _kept(self, one: JudgedRun, out: Path) -> JudgedRun:
-        """Return the run with its trace in the folder."""
-        if one.trace_file is not None and one.trace_file.parent == out / TRACES:
-            return one
-        file = saved(one.trace, out / TRACES)
-        if self.mcap:
-            save_mcap(one, file)
-        return replace(one, trace_file=file, replay_command=replay_command(one.trace.scenario, file))
-
-    def _command(self, out: Path) -> str:
-        """Return the command line that makes these runs again."""
-        words = ["safety-harness", "run"]
-        for one in self.given:
-            file = one if isinstance(one, Path) else out / GIVEN / f"{one.name}.yaml"
-            if isinstance(one, Scenario):
-                write_text(file, write_scenario(as_seen_from(file.parent, one)))
-            words.append(str(told(file)))
-        return shlex.join([*words, "--out", str(told(out)), *self.options])
-
-
-def saved(trace: Trace, folder: Path) -> Path:
-    """Return the file of a folder to which a trace is written; OutputError."""
-    file = folder / f"{trace.scenario.name}.trace"
-    with writing(file):
-        file.parent.mkdir(parents=True, exist_ok=True)
-        save_trace(trace, file)
-    return file
-
-
-def save_mcap(one: JudgedRun, file: Path) -> Path:
-    """Return the folder beside a trace's file to which the run is written as MCAP."""
-    write_mcap = part_named(ExtensionPoint.RUN_FORMATS, "mcap", FunctionType)
-    folder = file.with_suffix("")
-    write_mcap(one.trace, one.evaluations, folder / "run.mcap")
-    return folder
-
-
 @dataclass
 class RunsShown:
     """Which of several scenarios is run, and how far it is."""
@@ -396,21 +214,15 @@ def watching_runs(scenarios: Sequence[Scenario], output: Output) -> Iterator[Run
 
 @dataclass
 class RunSession:
-    """The runs of one call while they are made; the attributes are those of ``RunResult``.
+    """The runs of one call while they are made; ``asked`` is the result with what is known of it before.
 
-    ``out`` keeps the traces as they come; None keeps them in memory alone.  ``against`` holds the
-    ``differences`` of the runs from those with a reference, if there is one.
+    ``out`` keeps the traces as they come; None keeps them in memory alone.  ``differences`` are those of the
+    runs from those with a reference, if there is one.
     """
 
+    asked: RunResult
     out: Path | None
-    given: Sequence[Path | Scenario]
-    options: Sequence[str]
-    planned: int
-    skipped: Sequence[NotTaken] = ()
-    refused: Sequence[InputError] = ()
     world: WorldEntry = REFERENCE
-    against: Against | None = None
-    mcap: bool = False
     output: Output = QUIET
     differences: list[RunDifference] = field(default_factory=list)
     runs: list[JudgedRun] = field(default_factory=list)
@@ -429,22 +241,16 @@ class RunSession:
         if self.unwritable is not None:
             self.output.explain(self.unwritable)
         if self.interrupted or self.unwritable is not None:
-            kept = f"the results of {len(self.runs)} of {self.planned} scenarios are kept"
+            kept = f"the results of {len(self.runs)} of {self.asked.planned} scenarios are kept"
             self.output.say(f"stopped before the end: {kept}")
         self._ask_again()
-        return RunResult(
-            tuple(self.runs),
-            given=tuple(self.given),
-            options=tuple(self.options),
-            planned=self.planned,
-            skipped=tuple(self.skipped),
-            refused=tuple(self.refused),
+        return replace(
+            self.asked,
+            runs=tuple(self.runs),
             failed=tuple(self.failed),
-            against=self.against,
             repeated=self.repeated,
             interrupted=self.interrupted,
             unwritable=self.unwritable,
-            mcap=self.mcap,
         )
 
     def _run_all(self, admitted: Sequence[Sequence[Admitted]], jobs: int | None) -> None:
@@ -486,7 +292,7 @@ class RunSession:
         )
         if file is not None:
             self.written.add(file)
-            if self.mcap:
+            if self.asked.mcap:
                 self.written.add(save_mcap(judged, file))
         return judged
 
@@ -494,7 +300,7 @@ class RunSession:
         self, left: Sequence[Sequence[Admitted]], apart: RunProcesses, progress: RunsShown
     ) -> None:
         """After Ctrl-C what has come to its end in other processes."""
-        for one, *_ in left if self.against is None else ():
+        for one, *_ in left if self.asked.against is None else ():
             if apart.is_done(one):
                 with suppress(Exception):
                     self._take(self._run_one(one, apart, TRACES, progress))
@@ -503,7 +309,7 @@ class RunSession:
         self.runs.append(judged)
         self.repeatability.add(judged.trace)
         say = self.output.say
-        if self.against is None:
+        if self.asked.against is None:
             self.output.result(*result_lines(judged))
             say(tested_line(judged))
         say(*(f"note: {judged.trace.scenario.name}: {note}" for note in fault_notes(judged.trace)))
@@ -512,12 +318,12 @@ class RunSession:
 
     def _compare(self, reference: JudgedRun) -> None:
         """The last run with that of the reference; only what the reference does not do is a result."""
-        assert self.against is not None
+        assert self.asked.against is not None
         mine, self.interrupted = self.runs[-1], not reference.trace.complete
         if not self.interrupted:
             pairs = zip(mine.evaluations, reference.evaluations, strict=True)
             self.differences.append(RunDifference.of(mine.trace, reference.trace, pairs))
-            self.output.result(*self.differences[-1].lines(self.against.reference))
+            self.output.result(*self.differences[-1].lines(self.asked.against.reference))
 
     def _fail(self, name: str, error: Exception) -> None:
         self.failed.append(f"{name} could not be run to its end: {type(error).__name__}: {error}")

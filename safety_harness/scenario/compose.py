@@ -58,9 +58,8 @@ class Library:
             data = read_bytes(path, most=MAX_BYTES, place=place or Place(file=path), error=ScenarioError)
             self._bytes += len(data)
             if self._bytes > MOST_BYTES:
-                raise ScenarioError(
-                    place=place or Place(file=path), expected=f"at most {MOST_BYTES:,} bytes", got="more"
-                )
+                expected = f"at most {MOST_BYTES:,} bytes"
+                raise ScenarioError(place=place or Place(file=path), expected=expected, got="more")
             text = decode(data, most=MAX_BYTES, file=path, error=ScenarioError)
             self._trees[key] = tree_of(text, path, place)
         return self._trees[key]
@@ -98,11 +97,8 @@ def variants(path: Path, library: Library) -> tuple[Variant, ...]:
     Files of results are called after it, and reports show its name: ScenarioError unless that will do.
     """
     if not path.stem.isprintable() or len(path.stem.encode()) > _LONGEST_NAME:
-        raise ScenarioError(
-            place=Place(file=path),
-            expected=f"a file with a name of printable characters, at most {_LONGEST_NAME} bytes",
-            got=repr(path.stem),
-        )
+        expected = f"a file with a name of printable characters, at most {_LONGEST_NAME} bytes"
+        raise ScenarioError.of_file(path, expected, repr(path.stem))
     tree = _extended(path, library, ())
     if not isinstance(tree, Mapping) or MATRIX not in _keys(tree):
         return (Variant(path.stem, tree),)

@@ -76,12 +76,11 @@ def profile_text(times: DecisionTimes) -> str:
 def refuse_wall_clock(scenario: Scenario, error: type[InputError], *, whose: str) -> None:
     """``error`` for a scenario whose runs do not repeat, where ``whose`` runs have to."""
     if scenario.settings.avoidance.decision_time is DecisionCost.WALL_CLOCK:
-        raise error(
-            place=scenario.place("settings.avoidance.decision time"),
-            expected=f"a time that does not depend on the machine: {whose} have to repeat",
-            got=DecisionCost.WALL_CLOCK.value,
-            hint="safety-harness run takes it for one scenario; a measured profile is taken here too",
-        )
+        expected = f"a time that does not depend on the machine: {whose} have to repeat"
+        hint = "safety-harness run takes it for one scenario; a measured profile is taken here too"
+        got = DecisionCost.WALL_CLOCK.value
+        place = scenario.place("settings.avoidance.decision time")
+        raise error(place=place, expected=expected, got=got, hint=hint)
 
 
 def _inline(field: Field) -> DecisionTimes:
@@ -111,12 +110,9 @@ def _profile(path: Path, place: Place) -> DecisionTimes:
     text = decode(data, most=MOST_BYTES, file=path, error=ScenarioError)
     found = _parsed(text)
     if found is None:
-        raise ScenarioError(
-            place=place,
-            expected=f"a profile of decision times ({FORMAT!r})",
-            got=f"another file: {path.name}",
-            hint='"safety-harness time AVOIDER --out FILE.json" measures one',
-        )
+        expected = f"a profile of decision times ({FORMAT!r})"
+        hint = '"safety-harness time AVOIDER --out FILE.json" measures one'
+        raise ScenarioError(place=place, expected=expected, got=f"another file: {path.name}", hint=hint)
     return found
 
 

@@ -68,9 +68,8 @@ class Gathered:
                     continue
                 self._seen.add(resolved(file))
                 if len(self._seen) > MOST_FILES:
-                    raise ScenarioError(
-                        place=place or Place(file=file), expected=f"at most {MOST_FILES:,} files", got="more"
-                    )
+                    expected = f"at most {MOST_FILES:,} files"
+                    raise ScenarioError(place=place or Place(file=file), expected=expected, got="more")
                 self._add_file(file, place, suites)
         except InputError as error:
             self.errors.append(error)
@@ -122,11 +121,8 @@ class Gathered:
     def take(self, scenario: Scenario) -> None:
         """Add a scenario; ScenarioError if its name is taken or there are too many."""
         if scenario.name in self._names:
-            raise ScenarioError(
-                place=Place(file=scenario.file),
-                expected="file names that tell the scenarios apart",
-                got=f"the name {scenario.name!r} again, after {self._names[scenario.name]}",
-            )
+            got = f"the name {scenario.name!r} again, after {self._names[scenario.name]}"
+            raise ScenarioError.of_file(scenario.file, "file names that tell the scenarios apart", got)
         if len(self._names) >= MOST_SCENARIOS:
             expected = f"at most {MOST_SCENARIOS:,} scenarios"
             raise ScenarioError(place=Place(file=scenario.file), expected=expected, got="more")

@@ -101,11 +101,10 @@ def decode(data: bytes, *, most: int, file: Path | None, error: type[InputError]
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as reason:
-        raise error(
-            place=Place(file=file, line=data.count(b"\n", 0, reason.start) + 1),
-            expected="text in UTF-8",
-            got=f"the byte 0x{data[reason.start]:02x}, which is not UTF-8 here",
-        ) from reason
+        expected = "text in UTF-8"
+        got = f"the byte 0x{data[reason.start]:02x}, which is not UTF-8 here"
+        place = Place(file=file, line=data.count(b"\n", 0, reason.start) + 1)
+        raise error(place=place, expected=expected, got=got) from reason
 
 
 def has_a_key(text: str) -> bool:
@@ -115,9 +114,7 @@ def has_a_key(text: str) -> bool:
 
 def foreign(file: Path, place: Place | None) -> ScenarioError:
     """What is said of a file that is not ours: nothing of what is in it."""
-    return ScenarioError(
-        place=place or Place(file=file),
-        expected=f"a scenario file, with keys such as {', '.join((*TITLES, 'hands'))}",
-        got=f"{file}, which is none",
-        hint="nothing of it is shown here: it may be anybody's",
-    )
+    expected = f"a scenario file, with keys such as {', '.join((*TITLES, 'hands'))}"
+    hint = "nothing of it is shown here: it may be anybody's"
+    got = f"{file}, which is none"
+    return ScenarioError(place=place or Place(file=file), expected=expected, got=got, hint=hint)

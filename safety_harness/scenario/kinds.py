@@ -161,12 +161,9 @@ def recorded_run(path: Path, claims: Sequence[Claim] = ()) -> Any:
 def titled(title: str) -> InputFile:
     """Return the kind of file of a title; MissingPackageError where no package adds it."""
     if (added := input_files().get(title)) is None:
-        raise MissingPackageError(
-            place=Place(field=f'files with the key "{title}"'),
-            expected=f"a package that adds the entry point {title} to safety_harness.inputs",
-            got="none",
-            hint=f"pip install --force-reinstall {DISTRIBUTION}",
-        )
+        expected = f"a package that adds the entry point {title} to safety_harness.inputs"
+        hint = f"pip install --force-reinstall {DISTRIBUTION}"
+        raise MissingPackageError.of_option(f'files with the key "{title}"', expected, "none", hint)
     return added
 
 

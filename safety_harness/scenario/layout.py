@@ -24,7 +24,7 @@ from ruamel.yaml.events import (
     SequenceEndEvent,
 )
 
-from safety_harness.base.exceptions import Place, ScenarioError
+from safety_harness.base.exceptions import ScenarioError
 from safety_harness.scenario.codec import Below, FreeKeys, KeyTable, Several, Value, scalar_text
 from safety_harness.scenario.compose import SPACE_KEY, is_space
 from safety_harness.scenario.nodes import Mapping, Node, Scalar, parse_tree
@@ -202,11 +202,8 @@ def laid_out(text: str, file: Path | None = None) -> str:
     lines = list(_head(root)) + _block(root, None if is_space(before) else _WHOLE_FILE)
     new = "\n".join(lines).strip("\n") + "\n"
     if meaning(parse_tree(new, file)) != meaning(before) or written_tree(new)[1] != comments:
-        raise ScenarioError(
-            place=Place(file=file),
-            expected="a file that can be laid out without a change of what it says",
-            got="one that cannot; it is left as it is",
-        )
+        expected = "a file that can be laid out without a change of what it says"
+        raise ScenarioError.of_file(file, expected, "one that cannot; it is left as it is")
     return new
 
 

@@ -6,7 +6,7 @@ resolves them.  Everything is in SI; the units that people write belong to ``rea
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from math import ceil
@@ -16,7 +16,7 @@ from typing import Any, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.base.exceptions import Place, ScenarioError, no_truth_value
+from safety_harness.base.exceptions import InadmissibleError, Place, ScenarioError, no_truth_value
 from safety_harness.base.settings import DEFAULTS, Settings, Vector3
 from safety_harness.scenario.codec import (
     POINT,
@@ -36,7 +36,7 @@ from safety_harness.scenario.faults import Fault
 from safety_harness.scenario.gate import GateRule
 from safety_harness.scenario.moves import LONGEST_S, MOVE, REACHING_MPS, SPEEDS, TREMOR, HandMove, Tremor
 from safety_harness.scenario.obstacles import Obstacle
-from safety_harness.scenario.robots import DIGEST, AnyRobot, Robot
+from safety_harness.scenario.robots import DIGEST, AnyRobot, OwnRobot, Robot
 from safety_harness.scenario.shield import Shield
 from safety_harness.scenario.units import ACCELERATION, NUMBER, SPEED, TIME
 
@@ -439,6 +439,19 @@ class Scenario:
         written = next((name for name in names if name in self.places), names[0])
         return self.places.get(written, Place(file=self.file, field=written))
 
+    def inadmissible(self, expected: str, got: str, *names: str, hint: str = "") -> InadmissibleError:
+        """Return the error of the fields ``names``, at the ``place`` of the first that the file has."""
+        return InadmissibleError(place=self.place(*names), expected=expected, got=got, hint=hint)
+
+    def with_files(self, name: Callable[[str], str]) -> Scenario:
+        """Return the scenario whose recordings and own arm are in files that ``name`` names otherwise."""
+        hands = (
+            replace(one, recording=Path(name(str(one.recording)))) if isinstance(one, RecordedHand) else one
+            for one in self.hands
+        )
+        robot = self.robot.named(name) if isinstance(self.robot, OwnRobot) else self.robot
+        return replace(self, hands=tuple(hands), robot=robot)
+
     def leader(self, hand: HandTrajectory) -> MovingHand | RecordedHand | None:
         """Who moves ``hand``: itself, or the hand before it that it is joined to (None: there is none)."""
         if not isinstance(hand, JoinedHand):
@@ -462,9 +475,8 @@ class Scenario:
         for slots in HAND_SLOTS:
             if len(self.hands) <= slots:
                 return slots
-        raise ScenarioError(
-            place=self.place("hands"), expected=f"at most {MAX_HANDS} hands", got=f"{len(self.hands)}"
-        )
+        expected = f"at most {MAX_HANDS} hands"
+        raise ScenarioError(place=self.place("hands"), expected=expected, got=f"{len(self.hands)}")
 
     @property
     def ticks(self) -> int:

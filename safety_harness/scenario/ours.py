@@ -69,11 +69,9 @@ def files_of(
         return [path], []
     found, known = [*yaml_files(path)], dict[Path, bool]()
     if not found:
-        raise ScenarioError(
-            place=place or Place(file=path),
-            expected="a folder with scenario files (*.yaml)",
-            got=f"none in {path}" if place else "none in it",
-        )
+        expected = "a folder with scenario files (*.yaml)"
+        got = f"none in {path}" if place else "none in it"
+        raise ScenarioError(place=place or Place(file=path), expected=expected, got=got)
     taken = [file for file in found if _is_wanted(file, wanted, known)] or found
     return taken, [file for file in found if file not in taken]
 

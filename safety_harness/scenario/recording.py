@@ -357,11 +357,10 @@ def _window(recording: Recording, hand: RecordedHand, places: Mapping[str, Place
     end_s = last_s if hand.to_s is None else hand.to_s
     if not first_s <= begin_s < end_s <= last_s:
         wrong = "to" if hand.to_s is not None and first_s <= begin_s < last_s else "from"
-        raise RecordingError(
-            place=places.get(wrong, Place(file=recording.file, field=TIME_COLUMN)),
-            expected=f'"from" before "to", both from {first_s:.12g} s to {last_s:.12g} s of {recording.file}',
-            got=f"from {begin_s:.12g} s to {end_s:.12g} s",
-        )
+        expected = f'"from" before "to", both from {first_s:.12g} s to {last_s:.12g} s of {recording.file}'
+        got = f"from {begin_s:.12g} s to {end_s:.12g} s"
+        place = places.get(wrong, Place(file=recording.file, field=TIME_COLUMN))
+        raise RecordingError(place=place, expected=expected, got=got)
     return begin_s, end_s
 
 
@@ -438,10 +437,9 @@ def _elbows_towards(
     forearm = np.array(towards_in_base_m) - hand_in_base_m
     distance_m = np.linalg.norm(forearm, axis=1, keepdims=True)
     if distance_m.min() < _NEAREST_ELBOW_M:
-        raise RecordingError(
-            place=places.get("elbow towards", Place(file=recording.file)),
-            expected=f"a point off the way of the hand in {recording.file}",
-            got="a hand that passes through it",
-        )
+        expected = f"a point off the way of the hand in {recording.file}"
+        got = "a hand that passes through it"
+        place = places.get("elbow towards", Place(file=recording.file))
+        raise RecordingError(place=place, expected=expected, got=got)
     elbows: NDArray[np.float64] = hand_in_base_m + length_m * forearm / distance_m
     return elbows

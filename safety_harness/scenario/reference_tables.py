@@ -340,35 +340,3 @@ def every_table() -> tuple[KeyTable, ...]:
     keys = tuple(key for _, key in loaded(ExtensionPoint.SCENARIO_KEYS, Key))
     added = [KeyTable(name="extensions", path="extensions", keys=keys)] if keys else []
     return tuple({id(table): table for table in (TOP, COMPOSED, SUITE, *TOP.below(), *added)}.values())
-
-
-def markdown(table: KeyTable) -> str:
-    """The table as a page shows it; keys of an inner mapping follow the key that they stand below."""
-    rows = ["| key | value | default | meaning |", "|---|---|---|---|"]
-    for key in table.keys:
-        rows.append(f"| `{key.name}` | {key.words} | {key.default} | {key.meaning} |")
-        for inner in (
-            key.value.tables if isinstance(key.value, Below) and not key.value.tables[0].path else ()
-        ):
-            rows += [
-                f"| `{key.name}`: `{one.name}` | {one.words} | {one.default} | {one.meaning} |"
-                for one in inner.keys
-            ]
-    return _joined(rows)
-
-
-def markdown_of_moves(moves: tuple[KeyTable, ...]) -> str:
-    """The moves as a page shows them, one row for each with its further keys."""
-    rows = ["| move | further keys | meaning |", "|---|---|---|"]
-    for table in moves:
-        named, *further = (f"`{key.name}` ({_kind(key)})" for key in table.keys)
-        rows.append(f"| {named} | {', '.join(further)} | {table.keys[0].meaning} |")
-    return _joined(rows)
-
-
-def _joined(rows: list[str]) -> str:
-    return "\n".join(rows).replace("|  |", "| |") + "\n"
-
-
-def _kind(key: Key) -> str:
-    return key.value.dimension.name if isinstance(key.value, QuantityValue) else key.value.words

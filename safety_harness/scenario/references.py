@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
 
@@ -31,6 +32,12 @@ def file_and_name(reference: str) -> tuple[str, str]:
     if file.endswith(".py"):
         return file, name
     return (reference, "") if reference.endswith((MODEL_SUFFIX, ONNX_SUFFIX)) else ("", "")
+
+
+def with_file(reference: str, name: Callable[[str], str]) -> str:
+    """Return a reference whose file, if it has one, is named as ``name`` says."""
+    file, within = file_and_name(reference)
+    return type(reference)(name(file) + (f":{within}" if within else "")) if file else reference
 
 
 def names_onnx(reference: str) -> bool:
@@ -87,7 +94,4 @@ def portable(path: str, folder: Path) -> str:
 
 def avoider_seen_from(folder: Path, reference: str, standing_in: Path) -> str:
     """An avoider's reference likewise; a name without a file stays as it is."""
-    file, name = file_and_name(reference)
-    if not file:
-        return reference
-    return seen_from(folder, file, standing_in) + (f":{name}" if name else "")
+    return with_file(reference, lambda file: seen_from(folder, file, standing_in))

@@ -57,9 +57,8 @@ class TemplateReader:
         """The template of a scenario and the parameters in it; ScenarioError for what is not understood."""
         entries = dict(root.entries("a mapping with the keys of a scenario"))
         if SPACE_KEY not in entries:
-            raise ScenarioError(
-                place=root.place, expected=f'the key "{SPACE_KEY}"', got=", ".join(entries) or "no keys"
-            )
+            expected = f'the key "{SPACE_KEY}"'
+            raise ScenarioError(place=root.place, expected=expected, got=", ".join(entries) or "no keys")
         if "scenario" in entries:
             raise entries["scenario"].error(f'the key "{SPACE_KEY}" alone', got='"scenario" as well')
         if SEED in entries:  # of the scenario that it extends: each draw has its own, or draws are copies

@@ -101,12 +101,10 @@ def space_from(
     for path, value in varied.items():
         steps = [int(index) if index else key for index, key in _STEP.findall(path)]
         if path not in nodes:
-            raise ScenarioError(
-                place=Place(file=scenario.file, field=path),
-                expected="the path of a value of the scenario",
-                got=path,
-                hint=near_miss(path, nodes),
-            )
+            expected = "the path of a value of the scenario"
+            hint = near_miss(path, nodes)
+            place = Place(file=scenario.file, field=path)
+            raise ScenarioError(place=place, expected=expected, got=path, hint=hint)
         tree = _replaced(tree, steps, _node(value, _unit(nodes[path])))
     assert isinstance(tree, MappingNode)
     entries = [

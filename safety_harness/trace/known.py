@@ -7,18 +7,16 @@ measured is stored as NaN, zero or -1, and must not be read: claims on it are in
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from enum import Enum
 from functools import cached_property
 from math import inf, isfinite
 from types import MappingProxyType
-from typing import Any, ClassVar, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.base.exceptions import Place, TraceError
-from safety_harness.scenario.model import Scenario
 from safety_harness.trace.records import DECISION, TICK
 
 OF_DECISIONS = "decision."
@@ -40,7 +38,7 @@ class Source(Enum):
     UNREPORTED = "not reported"  # of a simulated run: the controller does not say
 
 
-_NOWHERE = (Source.NONE, Source.UNREPORTED)
+NOWHERE = (Source.NONE, Source.UNREPORTED)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,7 +84,7 @@ class Measurement:
     @property
     def limited(self) -> bool:
         """Is anything in it unknown or uncertain?"""
-        return self.source in _NOWHERE or self.uncertainty > 0.0 or bool(self.gaps)
+        return self.source in NOWHERE or self.uncertainty > 0.0 or bool(self.gaps)
 
 
 NOT_MEASURED = Measurement(source=Source.NONE)
@@ -145,7 +143,7 @@ class Knowledge:
         """Those of ``names`` that were not measured at all."""
         if not self.columns:
             return ()
-        return tuple(name for name in names if self.of(name).source in _NOWHERE)
+        return tuple(name for name in names if self.of(name).source in NOWHERE)
 
     def unreported(self, names: Iterable[str]) -> bool:
         """Are all of ``names`` what the controller of a simulated run does not say?"""
@@ -163,7 +161,7 @@ class Knowledge:
     def measured(self, name: str, ticks: NDArray[np.void]) -> NDArray[np.bool_]:
         """(n,), or (n, hands) of a column of hands: at which of ``ticks`` (n,) it was measured."""
         shape = (len(ticks), *ticks.dtype[name].shape[: name in PER_HAND])
-        found = np.full(shape, self.of(name).source not in _NOWHERE)
+        found = np.full(shape, self.of(name).source not in NOWHERE)
         for gap in self.of(name).gaps:
             found[gap.first : gap.after, ... if gap.hand is None else gap.hand] = False
         return found
@@ -233,69 +231,3 @@ def measurement(
                 closer.append(Closer(first=first, after=after, uncertainty=float(within[first:after].max())))
     gaps, spans = tuple(gaps), tuple(closer)
     return Measurement(source=source, uncertainty=most, gaps=gaps, closer=spans, at_most_per_s=at_most_per_s)
-
-
-class _HasKnowledge(Protocol):
-    """A trace, as far as what is known of it goes; the class itself is built on ``Knowledge``."""
-
-    __dataclass_fields__: ClassVar[dict[str, Any]]
-
-    @property
-    def scenario(self) -> Scenario: ...
-    @property
-    def ticks(self) -> NDArray[np.void]: ...
-    @property
-    def decisions(self) -> NDArray[np.void]: ...
-    @property
-    def decision_latency_s(self) -> NDArray[np.float64]: ...
-    @property
-    def known(self) -> Knowledge: ...
-
-
-_Traced = TypeVar("_Traced", bound=_HasKnowledge)
-
-
-def knowing(trace: _Traced, columns: Mapping[str, Measurement]) -> _Traced:
-    """``trace`` with this known of ``columns``, beside what is known of others; what is not is blanked.
-
-    Numbers become NaN, indices -1, everything else zero or empty.  TraceError as for ``Knowledge`` and for
-    gaps beyond the last tick or of a hand that the scenario has not.
-    """
-    known = Knowledge({**trace.known.columns, **columns})
-    known.refuse_gaps_beyond(trace.ticks, len(trace.scenario.hands))
-    ticks, decisions = trace.ticks.copy(), trace.decisions.copy()
-    for name, one in columns.items():
-        records = decisions if name.startswith(OF_DECISIONS) else ticks
-        values = records[name.removeprefix(OF_DECISIONS)]
-        blank = np.nan if values.dtype.kind == "f" else -1 if name in _INDICES else np.zeros((), values.dtype)
-        if name.startswith(OF_DECISIONS):
-            values[...] = blank if one.source in _NOWHERE else values
-        elif one.source in _NOWHERE:
-            values[...] = blank
-        elif one.gaps:
-            values[~known.measured(name, ticks)] = blank
-    return replace(trace, ticks=ticks, decisions=decisions, known=known)
-
-
-_INDICES = ("decision", "hand_distance_capsule")
-
-
-def until(trace: _Traced, tick: int, why: str) -> _Traced:
-    """The run before ``tick``, cut short for the reason ``why``."""
-    before = trace.decisions["tick"] < tick
-    columns = {
-        name: replace(
-            one,
-            gaps=tuple(replace(g, after=min(g.after, tick)) for g in one.gaps if g.first < tick),
-            closer=tuple(replace(c, after=min(c.after, tick)) for c in one.closer if c.first < tick),
-        )
-        for name, one in trace.known.columns.items()
-    }
-    return replace(
-        trace,
-        ticks=trace.ticks[:tick],
-        decisions=trace.decisions[before],
-        decision_latency_s=trace.decision_latency_s[before],
-        ended=why,
-        known=Knowledge(columns),
-    )

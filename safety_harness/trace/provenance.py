@@ -22,7 +22,7 @@ import numpy as np
 
 from safety_harness.base.compiled import PACKAGE, cache_root, source_hash
 from safety_harness.base.distribution import installed_version
-from safety_harness.base.exceptions import InstallationError, Place
+from safety_harness.base.exceptions import InstallationError
 from safety_harness.base.extension_points import foreign_parts
 from safety_harness.base.whole_file import sha256_of, write_whole
 from safety_harness.trace.trace import Provenance
@@ -80,12 +80,9 @@ def shared_modules() -> dict[str, tuple[str, ...]]:
 def refuse_shared_modules() -> None:
     """InstallationError that names the packages: which of them ran is not told by what is installed."""
     for module, packages in shared_modules().items():
-        raise InstallationError(
-            place=Place(field=f"the module {module}"),
-            expected="one installed package that owns it",
-            got=" and ".join(packages),
-            hint="uninstall all of them, then install the one that is needed: they overwrite each other",
-        )
+        expected = "one installed package that owns it"
+        hint = "uninstall all of them, then install the one that is needed: they overwrite each other"
+        raise InstallationError.of_option(f"the module {module}", expected, " and ".join(packages), hint)
 
 
 def _imported(core: str) -> ModuleType | None:

@@ -31,7 +31,7 @@ from safety_harness.scenario.kinds import FileKind, refuse_other_kind
 from safety_harness.scenario.model import EDITION, MAX_HANDS, RecordedHand, Scenario
 from safety_harness.scenario.read import parse_scenario
 from safety_harness.scenario.recording import MAX_BYTES
-from safety_harness.scenario.references import file_and_name, portable
+from safety_harness.scenario.references import portable, with_file
 from safety_harness.scenario.robots import OwnRobot
 from safety_harness.scenario.typed_json import parsed, plain, typed
 from safety_harness.scenario.write import write_scenario
@@ -157,24 +157,12 @@ def _fields_alone(records: NDArray[np.void]) -> NDArray[np.void]:
 def _portable(scenario: Scenario) -> Scenario:
     """The scenario without a path that only this machine has."""
     folder = scenario.file.parent if scenario.file else Path()
-    avoider, controller = (
-        _portable_reference(one, folder) for one in (scenario.avoider, scenario.controller)
-    )
-    hands = tuple(
-        replace(hand, recording=Path(portable(str(hand.recording), folder)))
-        if isinstance(hand, RecordedHand)
-        else hand
-        for hand in scenario.hands
-    )
-    robot = scenario.robot
-    if isinstance(robot, OwnRobot):
-        robot = robot.named(lambda path: portable(path, folder))
-    return replace(scenario, avoider=avoider, controller=controller, hands=hands, robot=robot)
 
+    def name(path: str) -> str:
+        return portable(path, folder)
 
-def _portable_reference(reference: str, folder: Path) -> str:
-    file, name = file_and_name(reference)
-    return portable(file, folder) + (f":{name}" if name else "") if file else reference
+    avoider, controller = with_file(scenario.avoider, name), with_file(scenario.controller, name)
+    return replace(scenario.with_files(name), avoider=avoider, controller=controller)
 
 
 def _recording(scenario: Scenario, hand: RecordedHand) -> bytes:
@@ -182,11 +170,8 @@ def _recording(scenario: Scenario, hand: RecordedHand) -> bytes:
     folder = scenario.file.parent if scenario.file else Path()
     data = located(folder / hand.recording).read_bytes()
     if hashlib.sha256(data).hexdigest() != hand.motion.sha256:
-        raise TraceError(
-            place=Place(file=folder / hand.recording),
-            expected=f"the recording that the scenario was read with (sha256 {hand.motion.sha256[:12]}...)",
-            got="a file that has changed since",
-        )
+        expected = f"the recording that the scenario was read with (sha256 {hand.motion.sha256[:12]}...)"
+        raise TraceError.of_file(folder / hand.recording, expected, "a file that has changed since")
     return data
 
 

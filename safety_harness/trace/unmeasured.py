@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from safety_harness.base.exceptions import Place, TraceError
-from safety_harness.trace.known import OF_DECISIONS, Measurement, knowing
+from safety_harness.trace.known import NOWHERE, OF_DECISIONS, Knowledge, Measurement
 from safety_harness.trace.records import DECISION
 from safety_harness.trace.trace import Trace
 
@@ -48,9 +48,53 @@ def refuse_not_simulated(trace: Trace, file: Path | None = None) -> None:
     if trace.known.simulated:
         return
     sources = Counter(one.source.value for one in trace.known.columns.values() if one != Measurement())
-    raise TraceError(
-        place=Place(file=file, field="known"),
-        expected="a trace that was simulated, since only that can be run again",
-        got=f"columns that are {', '.join(f'{source} ({count})' for source, count in sources.items())}",
-        hint="" if file is None else f"safety-harness judge {file}",
+    expected = "a trace that was simulated, since only that can be run again"
+    hint = "" if file is None else f"safety-harness judge {file}"
+    got = f"columns that are {', '.join(f'{source} ({count})' for source, count in sources.items())}"
+    raise TraceError(place=Place(file=file, field="known"), expected=expected, got=got, hint=hint)
+
+
+def knowing(trace: Trace, columns: Mapping[str, Measurement]) -> Trace:
+    """``trace`` with this known of ``columns``, beside what is known of others; what is not is blanked.
+
+    Numbers become NaN, indices -1, everything else zero or empty.  TraceError as for ``Knowledge`` and for
+    gaps beyond the last tick or of a hand that the scenario has not.
+    """
+    known = Knowledge({**trace.known.columns, **columns})
+    known.refuse_gaps_beyond(trace.ticks, len(trace.scenario.hands))
+    ticks, decisions = trace.ticks.copy(), trace.decisions.copy()
+    for name, one in columns.items():
+        records = decisions if name.startswith(OF_DECISIONS) else ticks
+        values = records[name.removeprefix(OF_DECISIONS)]
+        blank = np.nan if values.dtype.kind == "f" else -1 if name in _INDICES else np.zeros((), values.dtype)
+        if name.startswith(OF_DECISIONS):
+            values[...] = blank if one.source in NOWHERE else values
+        elif one.source in NOWHERE:
+            values[...] = blank
+        elif one.gaps:
+            values[~known.measured(name, ticks)] = blank
+    return replace(trace, ticks=ticks, decisions=decisions, known=known)
+
+
+_INDICES = ("decision", "hand_distance_capsule")
+
+
+def until(trace: Trace, tick: int, why: str) -> Trace:
+    """The run before ``tick``, cut short for the reason ``why``."""
+    before = trace.decisions["tick"] < tick
+    columns = {
+        name: replace(
+            one,
+            gaps=tuple(replace(g, after=min(g.after, tick)) for g in one.gaps if g.first < tick),
+            closer=tuple(replace(c, after=min(c.after, tick)) for c in one.closer if c.first < tick),
+        )
+        for name, one in trace.known.columns.items()
+    }
+    return replace(
+        trace,
+        ticks=trace.ticks[:tick],
+        decisions=trace.decisions[before],
+        decision_latency_s=trace.decision_latency_s[before],
+        ended=why,
+        known=Knowledge(columns),
     )

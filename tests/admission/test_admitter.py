@@ -13,8 +13,8 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from onnx import TensorProto, helper, numpy_helper
 
-from safety_harness.admission.admit import Admitted, Admitter, admit, check
-from safety_harness.admission.spaces import admit_points, draw_admissible
+from safety_harness.admission.admit import Admitter, admit, check
+from safety_harness.admission.spaces import draw_admissible
 from safety_harness.base.exceptions import InputError
 from safety_harness.base.settings import DEFAULTS, Vector3
 from safety_harness.scenario.model import Scenario
@@ -191,8 +191,9 @@ claims: {hand distance never below 50 mm: holds}
 
 
 def test_each_point_of_a_space_has_the_radius_of_its_own() -> None:
-    found = list(admit_points(parse_space(TEXT), np.array([[0.0], [0.5], [1.0]]), range(3)))
-    assert [one.avoider.radius_m for one in found if isinstance(one, Admitted)] == pytest.approx(RADII_M)  # type: ignore[attr-defined]
+    space, admitter = parse_space(TEXT), Admitter()
+    found = [admitter.admit(space.at(np.array([u]), seed=0)) for u in (0.0, 0.5, 1.0)]
+    assert [one.avoider.radius_m for one in found] == pytest.approx(RADII_M)  # type: ignore[attr-defined]
 
 
 HAND_VARIES = TEXT.replace("opposite pose", "mc-dropout").replace(
@@ -203,10 +204,8 @@ HAND_VARIES = TEXT.replace("opposite pose", "mc-dropout").replace(
 
 def test_no_point_and_no_draw_is_let_through_for_those_before_it() -> None:
     space = parse_space(HAND_VARIES)
-    assert isinstance(next(admit_points(space, np.array([[0.2]]), range(1))), Admitted)
+    assert not Trials(space, in_kinematic)(np.array([[0.2]]), 0).refused[0]
     for several in ([[0.8]], [[0.2], [0.8]]):
-        with pytest.raises(InputError, match="another workspace"):
-            list(admit_points(space, np.array(several), range(len(several))))
         with pytest.raises(InputError, match="another workspace"):
             Trials(space, in_kinematic)(np.array(several), 0)
     with pytest.raises(InputError, match="another workspace"):

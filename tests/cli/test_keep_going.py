@@ -13,6 +13,7 @@ import pytest
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT
 from safety_harness.cli.scenario_commands import judge, run
 from safety_harness.report.run_job import RunSession
+from safety_harness.report.run_result import RunResult
 from tests.kinds_of_files import SCENARIO
 
 Captured = pytest.CaptureFixture[str]
@@ -133,7 +134,7 @@ def test_of_earlier_runs_nothing_is_lost_and_no_foreign_folder_is_touched(tmp_pa
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text(name)
         os.utime(tmp_path / name, (1e9, 1e9))
-    session = RunSession(tmp_path, (), (), 0)
+    session = RunSession(RunResult(), tmp_path)
     session.written.add(tmp_path / "traces" / "this.trace")  # on a disk whose clock is behind
     session.run([])
     there = sorted(one for one in tmp_path.glob("traces*/**/*") if one.is_file())
@@ -152,5 +153,5 @@ def test_a_link_to_a_trace_that_is_gone_is_renamed_too(tmp_path: Path) -> None:
     link.parent.mkdir()
     link.symlink_to("nowhere")
     os.utime(link, (1e9, 1e9), follow_symlinks=False)
-    RunSession(tmp_path, (), (), 0).run([])
+    RunSession(RunResult(), tmp_path).run([])
     assert link.with_name("gone.trace.earlier").is_symlink()

@@ -9,7 +9,7 @@ import pytest
 import safety_harness
 from safety_harness.base.exceptions import InputError
 from safety_harness.cli.scenario_commands import attribute as attribute_command
-from safety_harness.report.run_job import RunResult
+from safety_harness.report.run_result import RunResult
 from tests.kinds_of_files import VISIT
 
 TEXT = VISIT.partition("\nclaims:")[0].replace("tcp start", "avoider: opposite pose\ntcp start") + (

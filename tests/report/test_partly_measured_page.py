@@ -21,8 +21,9 @@ from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.html import render, write_report
 from safety_harness.report.machine import report_data
 from safety_harness.report.replay import replay_data
-from safety_harness.trace.known import COLUMNS_OF_A_TRACE, NOT_MEASURED, OF_DECISIONS, knowing
+from safety_harness.trace.known import COLUMNS_OF_A_TRACE, NOT_MEASURED, OF_DECISIONS
 from safety_harness.trace.trace import Trace
+from safety_harness.trace.unmeasured import knowing
 
 WHEN = datetime(2025, 11, 21, 9, 30, tzinfo=UTC)
 SAID = {"title": "Report", "command": "judge", "interrupted": False, "generated_at": WHEN}

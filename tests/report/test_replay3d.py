@@ -24,7 +24,8 @@ from safety_harness.report.packing import INF, NAN, as_attribute, packed
 from safety_harness.report.prediction_spread import UPPER, prediction_spread_m
 from safety_harness.report.replay import MOST_TICKS, Replays, kept_ticks, replay_data, start_s
 from safety_harness.scenario.robots import Robot
-from safety_harness.trace.known import Measurement, Source, knowing
+from safety_harness.trace.known import Measurement, Source
+from safety_harness.trace.unmeasured import knowing
 
 REPLAY_BYTES = 20_000
 

@@ -12,7 +12,7 @@ from safety_harness.base.exceptions import InputError
 from safety_harness.base.input_errors import InputErrors
 from safety_harness.cell.simulation.worlds import KINEMATIC
 from safety_harness.cli.scenario_commands import run as run_command
-from safety_harness.report.run_job import RunResult
+from safety_harness.report.run_result import RunResult
 from safety_harness.scenario.model import Verdict
 from safety_harness.trace.compare import first_difference
 from safety_harness.trace.store import load_trace

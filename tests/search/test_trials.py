@@ -22,8 +22,9 @@ from safety_harness.search.coverage import AXES, Coverage, CoverageCell, cell_of
 from safety_harness.search.findings import Outcomes
 from safety_harness.search.trials import Trials, in_kinematic, in_pybullet, least_hand_distance_m
 from safety_harness.space.read import parse_space
-from safety_harness.trace.known import NOT_MEASURED, Gap, Measurement, knowing
+from safety_harness.trace.known import NOT_MEASURED, Gap, Measurement
 from safety_harness.trace.trace import Trace
+from safety_harness.trace.unmeasured import knowing
 from tests.search.short_space import CRASHING, SHORT, TEXT
 
 POINTS = np.array([[0.5, 0.2, 0.05], [0.5, 0.2, 0.95], [0.5, 0.9, 0.95]])  # slow, fast, fast from the front

@@ -14,11 +14,12 @@ from safety_harness.claims.properties.measured import reads
 from safety_harness.scenario.model import Verdict
 from safety_harness.testing import SafetyViolation, assert_holds
 from safety_harness.testing.asserting import run_of
-from safety_harness.testing.plugin.payloads import judgements, junit_properties, payload
+from safety_harness.testing.plugin.payloads import EndedTest, junit_properties, of_text
 from safety_harness.testing.plugin.reporting import save_runs
 from safety_harness.testing.session import Judgement, Session, TestRun, begin
-from safety_harness.trace.known import NOT_MEASURED, Gap, Measurement, knowing
+from safety_harness.trace.known import NOT_MEASURED, Gap, Measurement
 from safety_harness.trace.trace import Trace
+from safety_harness.trace.unmeasured import knowing
 
 
 @dataclass(frozen=True)
@@ -86,7 +87,7 @@ def test_what_a_claim_lacks_goes_to_junit_and_through_a_worker(visit: Trace, ses
     session.test = TestRun("test_it.py::test_slow", draws=False)
     with pytest.raises(SafetyViolation):
         assert_holds(Slow(), partly_measured(visit))
-    (found,) = judgements(payload(session.test))
+    (found,) = of_text(EndedTest(run=session.test).text).run.judgements
     assert "mode" in found.evaluation.unmeasured
     assert "mode" in str(dict(junit_properties(session.test))["not measured"])
     assert "not measured" not in dict(junit_properties(TestRun("test_it.py::test_other", draws=False)))

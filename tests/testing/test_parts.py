@@ -21,7 +21,7 @@ from safety_harness.space.read import parse_space
 from safety_harness.testing import SafetyViolation, assert_holds, hand_distance, mm
 from safety_harness.testing.drawing import one_system
 from safety_harness.testing.failure_text import picture
-from safety_harness.testing.plugin.payloads import judgements, junit_properties, packed, payload, unpacked
+from safety_harness.testing.plugin.payloads import EndedTest, junit_properties, of_text
 from safety_harness.testing.session import Judgement, Run, Session, TestRun, begin
 from safety_harness.testing.simulating import Simulate, digest_of
 from safety_harness.testing.watching import folder_of, keep, kept_for
@@ -126,13 +126,13 @@ def test_a_kept_file_names_an_own_avoider_and_keeps_its_way_to_it(session: Sessi
 def test_what_is_sent_home_is_plain_and_comes_back_the_same() -> None:
     part = evaluation(Verdict.INCONCLUSIVE, None, worst_time_s=None)
     whole = evaluation(margin=np.float64(-0.25), parts=(part,))
-    assert unpacked(json.loads(json.dumps(packed(whole)))) == whole
     test = TestRun("a::b", draws=True)
     run = Run("some", "mine", 3, True, "PyBullet")
     test.note(Judgement(run, evaluation(Verdict.HOLDS, 0.5), Verdict.HOLDS), None)
     test.note(Judgement(run, whole, Verdict.HOLDS), None)
     test.note(Judgement(run, evaluation(Verdict.HOLDS, 0.7), Verdict.HOLDS), None)
-    home = judgements(json.loads(json.dumps(payload(test))))
+    test.failure = KeyError()
+    home = of_text(json.loads(json.dumps(EndedTest(run=test).text))).run.judgements
     assert [j.evaluation for j in home] == [j.evaluation for j in test.judgements]
     assert [j.run for j in home] == [run] * 3
     found = dict(junit_properties(test))

@@ -28,12 +28,11 @@ from safety_harness.trace.known import (
     Knowledge,
     Measurement,
     Source,
-    knowing,
-    until,
 )
 from safety_harness.trace.records import TICK
 from safety_harness.trace.store import load_trace, save_trace
 from safety_harness.trace.trace import Trace
+from safety_harness.trace.unmeasured import knowing, until
 
 EVERY_KIND = {
     "hand_position_in_base_m": Measurement(

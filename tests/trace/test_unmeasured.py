@@ -12,17 +12,17 @@ from partly_measured import UNSEEN, partly_measured
 from safety_harness.base.exceptions import TraceError
 from safety_harness.claims.properties.finite import bad_decisions, bad_ticks
 from safety_harness.trace.compare import first_difference
-from safety_harness.trace.known import (
-    COLUMNS_OF_A_TRACE,
-    NOT_MEASURED,
-    OF_DECISIONS,
-    Measurement,
-    Source,
-    knowing,
-)
+from safety_harness.trace.known import COLUMNS_OF_A_TRACE, NOT_MEASURED, OF_DECISIONS, Measurement, Source
 from safety_harness.trace.overruling import Overruling, is_measured
 from safety_harness.trace.trace import Trace
-from safety_harness.trace.unmeasured import as_measured, decided, measured, refuse_not_simulated, without_gaps
+from safety_harness.trace.unmeasured import (
+    as_measured,
+    decided,
+    knowing,
+    measured,
+    refuse_not_simulated,
+    without_gaps,
+)
 
 
 def with_anything(trace: Trace) -> Trace:

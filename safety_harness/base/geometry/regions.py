@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.base.exceptions import Place, RegionError
+from safety_harness.base.exceptions import RegionError
 from safety_harness.base.settings import Vector3
 
 Vector = NDArray[np.float64]
@@ -27,11 +27,8 @@ class Box:
             np.all(low < high) and np.all(np.isfinite(high - low))
         )
         if not right:
-            raise RegionError(
-                place=Place(field="box"),
-                expected="three finite lower bounds, each below its upper bound",
-                got=f"{self.low_m} and {self.high_m}",
-            )
+            expected = "three finite lower bounds, each below its upper bound"
+            raise RegionError.of_option("box", expected, f"{self.low_m} and {self.high_m}")
 
     @classmethod
     def about(cls, centre_m: Vector3, half_size_m: Vector3, factor: float = 1.0) -> Box:
@@ -91,11 +88,8 @@ class Region:
             np.array(self.hole.high_m) <= self.outer.high_m
         )
         if not inside or self.hole == self.outer:
-            raise RegionError(
-                place=Place(field="shell"),
-                expected="a hole inside the outer box that leaves something of it",
-                got=f"the hole {self.hole} in {self.outer}",
-            )
+            expected = "a hole inside the outer box that leaves something of it"
+            raise RegionError.of_option("shell", expected, f"the hole {self.hole} in {self.outer}")
 
     def contains(self, points_in_base_m: Vector) -> NDArray[np.bool_]:
         """``points_in_base_m`` (..., 3) -> (...): which are in the box and not in the hole.

@@ -136,12 +136,10 @@ def _found(name: str) -> Path | None:
 
 def _unknown(name: str, place: Place | None) -> ScenarioError:
     names = (PREFIX + one for one in (*FOLDERS, *(file.name for file in shipped_files())))
-    return ScenarioError(
-        place=place or Place(field=PREFIX + name),
-        expected="the name of something shipped",
-        got=repr(name),
-        hint=near_miss(PREFIX + name, names, most=3, all_of_them="safety-harness list"),
-    )
+    expected = "the name of something shipped"
+    hint = near_miss(PREFIX + name, names, most=3, all_of_them="safety-harness list")
+    got = repr(name)
+    return ScenarioError(place=place or Place(field=PREFIX + name), expected=expected, got=got, hint=hint)
 
 
 def shipped_name(path: Path) -> str:

@@ -58,12 +58,9 @@ def section_named(words: str) -> Section:
     for one in known:
         if asked and (asked in one.title.lower() or asked.replace(" ", "-") in one.name.lower()):
             return one
-    raise ScenarioError(
-        place=Place(field="docs"),
-        expected="a page, page#section, or words of a heading",
-        got=repr(words),
-        hint=near_miss(asked, (one.name for one in known), most=3) or "without any the first page is opened",
-    )
+    expected = "a page, page#section, or words of a heading"
+    hint = near_miss(asked, (one.name for one in known), most=3) or "without any the first page is opened"
+    raise ScenarioError.of_option("docs", expected, repr(words), hint)
 
 
 def path_of(section: Section) -> tuple[Path, str]:

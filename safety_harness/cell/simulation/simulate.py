@@ -22,11 +22,11 @@ from safety_harness.cell.simulation.kinematic_world import KinematicWorld
 from safety_harness.cell.simulation.world import BatchWorld, ShowsImages, World
 from safety_harness.cell.simulation.worlds import libraries_of
 from safety_harness.scenario.model import Scenario
-from safety_harness.trace.known import knowing
 from safety_harness.trace.provenance import provenance
 from safety_harness.trace.records import Limit, tick_dtype
 from safety_harness.trace.system import Component, SystemUnderTest, system_of
 from safety_harness.trace.trace import Trace, no_interventions, not_recorded
+from safety_harness.trace.unmeasured import knowing
 
 INTERRUPTED = "interrupted by the user"
 

@@ -34,9 +34,9 @@ from safety_harness.trace.known import (
     Measurement,
     Source,
     measurement,
-    until,
 )
 from safety_harness.trace.trace import Trace
+from safety_harness.trace.unmeasured import until
 
 Judge = TypeVar("Judge", bound=Callable[[Any, Trace], Evaluation])
 Ends = Callable[[Any, Trace, float], tuple[float, float, bool]]

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+import shlex
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -11,6 +12,8 @@ from safety_harness.testing.session import session as current
 
 if TYPE_CHECKING:
     from safety_harness.claims.properties.tally import ClaimTally
+    from safety_harness.testing.plugin.payloads import EndedTest
+    from safety_harness.testing.session import Judgement
 
 
 class Ending:
@@ -18,17 +21,22 @@ class Ending:
 
     def __init__(self, config: pytest.Config) -> None:
         self._config = config
-        self._sent: list[dict[str, Any]] = []
+        self._sent: list[EndedTest] = []
         self._unwritten = ""
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         """Take what a test judged."""
         sent = vars(report).get("safety_harness")
-        if sent is not None and any(
-            sent[what] for what in ("judged", "simulated", "swallowed", "replayed", "not_taken")
-        ):
-            sent["swallowed"] |= sent["failed"] and report.passed  # by a hook of somebody else's
-            self._sent.append(sent)
+        if sent is None:
+            return
+        from safety_harness.testing.plugin.payloads import of_text
+
+        one = of_text(sent)
+        if one.failed and report.passed:  # by a hook of somebody else's
+            one = replace(one, swallowed=True)
+        run = one.run
+        if run.judgements or one.simulated or one.swallowed or run.replayed or run.not_taken:
+            self._sent.append(one)
 
     @pytest.hookimpl(optionalhook=True)
     def pytest_testnodedown(self, node: Any) -> None:
@@ -38,7 +46,7 @@ class Ending:
     @pytest.hookimpl(tryfirst=True)
     def pytest_sessionfinish(self, session: pytest.Session) -> None:
         """A session in which a claim was never put to the test has failed; write the report."""
-        nothing = self._not_taken() and not any(sent["judged"] for sent in self._sent)
+        nothing = self._not_taken() and not self._judgements()
         if (self._untested() or self._unjudged() or nothing) and session.exitstatus == pytest.ExitCode.OK:
             session.exitstatus = pytest.ExitCode.TESTS_FAILED
         file = current().report
@@ -46,9 +54,8 @@ class Ending:
             from safety_harness.testing.plugin.reporting import write_reports
 
             whole = session.exitstatus in (pytest.ExitCode.OK, pytest.ExitCode.TESTS_FAILED)
-            self._unwritten = write_reports(
-                file, self._sent, self._tallies(), config=self._config, whole=whole
-            )
+            command = shlex.join(["pytest", *self._config.invocation_params.args])
+            self._unwritten = write_reports(file, self._sent, self._tallies(), command=command, whole=whole)
             if self._unwritten and whole:
                 session.exitstatus = pytest.ExitCode.TESTS_FAILED
 
@@ -83,8 +90,8 @@ class Ending:
                 red=True,
             )
         for sent in self._sent:
-            if sent["swallowed"]:
-                say(f"{sent['test']} passed, although assert_holds failed in it", red=True)
+            if sent.swallowed:
+                say(f"{sent.run.id} passed, although assert_holds failed in it", red=True)
         if self._fallback():
             say(self._fallback(), red=True)
         for line in (
@@ -102,8 +109,8 @@ class Ending:
         """How often the gate overruled the avoiders; each run counts once, whichever workers made it."""
         from safety_harness.trace.overruling import Overruling
 
-        runs = {run: counts for sent in self._sent for run, counts in sent["overruled"].items()}
-        return sum(map(Overruling.of_counts, runs.values()), Overruling()).words
+        runs = {run: one for sent in self._sent for run, one in sent.run.overruled.items()}
+        return sum(runs.values(), Overruling()).words
 
     def _against(self) -> list[str]:
         """What the reference does not do; tested only if no test drew its scenarios."""
@@ -115,12 +122,12 @@ class Ending:
         if now.against is None or not runs:
             return []
         mine = "each file's own avoider" if now.avoider is None else told_avoider(now.avoider)
-        drawn = not any(sent["draws"] for sent in self._sent)
+        drawn = not any(sent.run.draws for sent in self._sent)
         return list(Against(mine=mine, reference=told_avoider(now.against), runs=runs, drawn=drawn).lines())
 
     def _not_taken(self) -> list[str]:
         """How many tests were skipped since an avoider cannot take their scenario."""
-        avoiders = [sent["not_taken"] for sent in self._sent if sent["not_taken"]]
+        avoiders = [sent.run.not_taken for sent in self._sent if sent.run.not_taken]
         return [
             f"not run: {avoiders.count(name)} tests of scenarios that {name} cannot take"
             for name in dict.fromkeys(avoiders)
@@ -128,18 +135,13 @@ class Ending:
 
     def _of_another(self) -> list[str]:
         """Violations that files expect of their own avoider, and --avoider has too."""
-        found = dict.fromkeys(one for sent in self._sent for one in sent["of_another"])
+        found = dict.fromkeys(one for sent in self._sent for one in sent.run.of_another)
         return [f"expected of another than --avoider: it may be for another reason: {one}" for one in found]
 
     def _computing_times(self) -> list[str]:
-        from safety_harness.report.decisions import ComputingTime, lines_of
-        from safety_harness.trace.answer_times import AnswersTook
+        from safety_harness.report.decisions import lines_of
 
-        runs = (
-            ComputingTime(name, words, AnswersTook(*times))
-            for sent in self._sent
-            for name, words, times in sent["computing"]
-        )
+        runs = (one for sent in self._sent for one in sent.run.computing_times)
         return [f"computing time: {line}" for line in lines_of(runs)]
 
     def _untried(self) -> list[str]:
@@ -147,30 +149,30 @@ class Ending:
         from safety_harness.claims.properties.tried import TriedParts
 
         tried = TriedParts()
-        for parts in {run: parts for sent in self._sent for run, parts in sent["tried"].items()}.values():
-            for title, of_run in parts.items():
+        for one in {run: one for sent in self._sent for run, one in sent.run.tried.items()}.values():
+            for title, of_run in one.parts.items():
                 tried.join(title, of_run)
         return tried.lines()
 
     def _remarks(self) -> list[str]:
         from safety_harness.testing.failure_text import near
 
-        executed = dict.fromkeys(file for sent in self._sent for file in sent["executed"])
+        executed = dict.fromkeys(file for sent in self._sent for file in sent.executed)
         lines = [f"executed {file}" for file in executed]
-        kept = [Path(sent["kept"]) for sent in self._sent if sent["kept"]]
+        kept = [sent.run.kept for sent in self._sent if sent.run.kept]
         if kept:
             lines.append("scenarios of failures, tried first next time:")
             lines += [f"  {near(file)}" for file in kept]
-        tried = [sent for sent in self._sent if sent["replayed"]]
+        tried = [sent for sent in self._sent if sent.run.replayed]
         if tried:
-            files = sum(len(sent["replayed"]) for sent in tried)
-            passed = [Path(file) for sent in tried if not sent["failed"] for file in sent["replayed"]]
+            files = sum(len(sent.run.replayed) for sent in tried)
+            passed = [file for sent in tried if not sent.failed for file in sent.run.replayed]
             lines.append(f"earlier failures tried first: {files}, in tests that pass now: {len(passed)}")
             lines += [f"  {near(file)}" for file in passed]
-            as_kept = sum(len(sent["replayed"]) for sent in tried if sent["as_kept"])
+            as_kept = sum(len(sent.run.replayed) for sent in tried if sent.run.as_kept)
             lines += [f"  with the avoider of the file in which it is kept: {as_kept}"] if as_kept else []
         now = current()
-        if any(sent["draws"] for sent in self._sent) and not now.derandomize:
+        if any(sent.run.draws for sent in self._sent) and not now.derandomize:
             again = f"--hypothesis-seed={now.seed}"
             lines.append(f"profile {now.profile.name}; {again} draws the same scenarios again")
         if now.report is not None:
@@ -181,12 +183,10 @@ class Ending:
         """Of the runs in which the avoider did not answer: in how many decisions the fallback stood in."""
         from safety_harness.claims.properties.answered import ANSWERED, fallback_words
         from safety_harness.report.words import count_words
-        from safety_harness.testing.plugin.payloads import judgements
 
         found = {
             j.run: j.evaluation
-            for sent in self._sent
-            for j in judgements(sent)
+            for j in self._judgements()
             if j.evaluation.sentence == ANSWERED.example and (j.evaluation.margin or 0.0) < 0.0
         }
         missing = sum(-int(one.margin or 0.0) for one in found.values())
@@ -197,32 +197,31 @@ class Ending:
         """The simulated runs of which no test judged a claim, with the tests that made them."""
         from safety_harness.report.words import count_words
 
-        judged = {run for sent in self._sent for run in sent["judged_runs"]}
-        runs = {run: sent["test"] for sent in self._sent for run in {*sent["simulated"]} - judged}
+        judged = {run for sent in self._sent for run in sent.judged}
+        runs = {run: sent.run.id for sent in self._sent for run in {*sent.simulated} - judged}
         words = f"{count_words(len(runs), 'simulated run', 'simulated runs')} that nobody judged, in "
         return words * bool(runs) + ", ".join(dict.fromkeys(runs.values()))
 
     def _tested(self) -> list[str]:
         """What the verdicts are about, where anything but the avoider or controller is not the default."""
-        from safety_harness.testing.plugin.payloads import judgements
-
         runs: dict[str, set[str]] = {}
-        for run in (one.run for sent in self._sent for one in judgements(sent)):
+        for run in (one.run for one in self._judgements()):
             runs.setdefault(run.beside, set()).add(run.name.partition("#")[0])
         return [f"tested in {', '.join(sorted(names))}: {words}" for words, names in runs.items() if words]
 
     def _tallies(self) -> tuple[ClaimTally, ...]:
-        from safety_harness.testing.plugin.payloads import judgements, tallies_of
+        from safety_harness.testing.plugin.payloads import tallies_of
 
-        return tallies_of(j for sent in self._sent for j in judgements(sent))
+        return tallies_of(self._judgements())
+
+    def _judgements(self) -> list[Judgement]:
+        return [one for sent in self._sent for one in sent.run.judgements]
 
     def _basis(self) -> str:
         """What the verdicts of the session rest on."""
         from safety_harness.claims.properties.tally import basis_of_tallies
-        from safety_harness.testing.plugin.payloads import judgements
 
-        worlds = (j.run.world for sent in self._sent for j in judgements(sent))
-        return basis_of_tallies(worlds, self._tallies())
+        return basis_of_tallies((j.run.world for j in self._judgements()), self._tallies())
 
     def _untested(self) -> list[str]:
         return [tally.sentence for tally in self._tallies() if tally.untested] if self._sent else []

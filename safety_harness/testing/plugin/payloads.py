@@ -1,60 +1,49 @@
-"""What the end of a session needs of a test, as plain values that a worker can send."""
+"""What the end of a session needs of a test, as a worker can send it."""
 
 from __future__ import annotations
 
+import pickle
+from base64 import b64decode, b64encode
 from collections.abc import Iterable
-from dataclasses import astuple, replace
-from typing import Any
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 
-from safety_harness.claims.properties.against import ClaimDifference, RunDifference
-from safety_harness.claims.properties.base import Evaluation, Unit
+from safety_harness.claims.properties.against import RunDifference
+from safety_harness.claims.properties.base import Evaluation
 from safety_harness.claims.properties.tally import ClaimTally, Judged, basis_of_tallies, tally_claims
 from safety_harness.scenario.model import Verdict
 from safety_harness.seams.isolation.telling import executed
-from safety_harness.testing.session import Judgement, Run, TestRun
-from safety_harness.trace.overruling import Overruling
-
-Payload = dict[str, Any]
+from safety_harness.testing.session import Judgement, TestRun
 
 
-def payload(test: TestRun) -> Payload:
-    """Everything that the end of the session needs of ``test``."""
-    return {
-        "test": test.id,
-        "judged": [[*astuple(j.run), j.expected.value, packed(j.evaluation)] for j in test.judgements],
-        "kept": None if test.kept is None else str(test.kept),
-        "replayed": [str(file) for file in test.replayed],
-        "as_kept": test.as_kept,
-        "draws": test.draws,
-        "computing": [list(astuple(one)) for one in test.computing_times],
-        "overruled": {run: list(one.counts) for run, one in test.overruled.items()},
-        "tried": {run: one.parts for run, one in test.tried.items()},
-        "against": [
-            [
-                digest,
-                run.run,
-                *([one.proposals, one.replaced, one.stopped] for one in (run.mine, run.reference)),
-                [[packed(one.mine), packed(one.reference)] for one in run.claims],
-            ]
-            for digest, run in test.differences.items()
-        ],
-        "not_taken": test.not_taken,
-        "of_another": [*dict.fromkeys(test.of_another)],
-        "simulated": [],
-        "judged_runs": [],
-        "swallowed": False,
-        "traces": [],
-        "executed": list(executed.values()),
-        "failed": False,
-    }
+@dataclass(frozen=True, kw_only=True, eq=False)
+class EndedTest:
+    """A test that has ended, as a worker sends it home: what was judged in it, and what became of it.
+
+    ``run`` comes without its traces and errors.  ``simulated`` are runs of which somebody has to judge a
+    claim, ``judged`` those that it judged.  ``swallowed``: it passed although a claim failed in it.
+    ``traces`` are files for the report, each with the verdict that is expected of an evaluation.
+    """
+
+    run: TestRun
+    failed: bool = False
+    swallowed: bool = False
+    simulated: tuple[str, ...] = ()
+    judged: tuple[str, ...] = ()
+    traces: tuple[tuple[Path, Verdict, Evaluation], ...] = ()
+    executed: tuple[str, ...] = field(default_factory=lambda: tuple(executed.values()))
+
+    @property
+    def text(self) -> str:
+        """What ``of_text`` reads, of letters: reports of tests are plain values, also for other plug-ins."""
+        run = replace(self.run, worst={}, traces={}, fallback=None, failure=None, refused={})
+        return b64encode(pickle.dumps(replace(self, run=run))).decode()
 
 
-def judgements(sent: Payload) -> list[Judgement]:
-    """The judgements of a payload."""
-    return [
-        Judgement(Run(*run), unpacked(evaluation), Verdict(expected))
-        for *run, expected, evaluation in sent["judged"]
-    ]
+def of_text(text: str) -> EndedTest:
+    """Return the test that a process of this session sent."""
+    ended: EndedTest = pickle.loads(b64decode(text))
+    return ended
 
 
 def tallies_of(judged: Iterable[Judgement]) -> tuple[ClaimTally, ...]:
@@ -62,37 +51,15 @@ def tallies_of(judged: Iterable[Judgement]) -> tuple[ClaimTally, ...]:
     return tally_claims(Judged(run=j.run.name, evaluation=j.evaluation, expected=j.expected) for j in judged)
 
 
-def differences(every: Iterable[Payload]) -> list[RunDifference]:
-    """Of several payloads, each run once with all the claims that tests made of it."""
+def differences(every: Iterable[EndedTest]) -> list[RunDifference]:
+    """Of several tests, each run once with all the claims that they made of it."""
     runs: dict[str, RunDifference] = {}
-    for sent in every:
-        for digest, name, mine, reference, pairs in sent["against"]:
-            found = [ClaimDifference(mine=unpacked(a), reference=unpacked(b)) for a, b in pairs]
-            new = RunDifference(run=name, claims=(), mine=Overruling(*mine), reference=Overruling(*reference))
-            run = runs.setdefault(digest, new)
-            claims = {one.mine.sentence: one for one in (*run.claims, *found)}
-            runs[digest] = replace(run, claims=tuple(claims.values()))
+    for ended in every:
+        for digest, found in ended.run.differences.items():
+            before = runs.get(digest, found)
+            claims = {one.mine.sentence: one for one in (*before.claims, *found.claims)}
+            runs[digest] = replace(before, claims=tuple(claims.values()))
     return list(runs.values())
-
-
-def packed(evaluation: Evaluation) -> dict[str, Any]:
-    """An evaluation as plain values."""
-    e = evaluation
-    return vars(e) | {
-        "verdict": e.verdict.value,
-        "unit": e.unit.name,
-        "margin": None if e.margin is None else float(e.margin),
-        "worst_time_s": None if e.worst_time_s is None else float(e.worst_time_s),
-        "exercised": int(e.exercised),
-        "parts": list(map(packed, e.parts)),
-    }
-
-
-def unpacked(values: dict[str, Any]) -> Evaluation:
-    """The evaluation of such values."""
-    parts = tuple(map(unpacked, values["parts"]))
-    typed = {"verdict": Verdict(values["verdict"]), "unit": Unit[values["unit"]], "parts": parts}
-    return Evaluation(**values | typed | {"unmeasured": tuple(values["unmeasured"])})
 
 
 def junit_properties(test: TestRun) -> list[tuple[str, object]]:

@@ -7,14 +7,10 @@ results reads it there.  Of a test that draws its scenarios the worst run of eac
 from __future__ import annotations
 
 import hashlib
-import shlex
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
-
-import pytest
 
 from safety_harness.admission.avoiders import replay_command
 from safety_harness.base.exceptions import InputError
@@ -26,7 +22,7 @@ from safety_harness.report.html import write_report
 from safety_harness.report.machine import report_data, write_json
 from safety_harness.scenario.model import Claim, Verdict
 from safety_harness.testing.plugin.explained import explained
-from safety_harness.testing.plugin.payloads import Payload, packed, unpacked
+from safety_harness.testing.plugin.payloads import EndedTest
 from safety_harness.testing.session import TestRun, session
 from safety_harness.testing.simulating import digest_of
 from safety_harness.trace.store import load_trace, save_trace
@@ -34,8 +30,8 @@ from safety_harness.trace.store import load_trace, save_trace
 TITLE = "Safety properties of a hand-avoiding robot arm"
 
 
-def save_runs(test: TestRun, report: Path) -> list[list[Any]]:
-    """Write the traces of ``test``: [file, expected verdict, evaluation] of each claim, as plain data.
+def save_runs(test: TestRun, report: Path) -> tuple[tuple[Path, Verdict, Evaluation], ...]:
+    """Write the traces of ``test``: file, expected verdict and evaluation of each claim.
 
     Raises OSError.
     """
@@ -51,17 +47,16 @@ def save_runs(test: TestRun, report: Path) -> list[list[Any]]:
             folder.mkdir(parents=True, exist_ok=True)
             save_trace(trace, file, recordings=session().recordings)
             session().saved.add(file)
-        found.append([str(file), worst.expected.value, packed(worst.evaluation)])
-    return found
+        found.append((file, worst.expected, worst.evaluation))
+    return tuple(found)
 
 
 def write_reports(
-    file: Path, sent: Sequence[Payload], coverage: Sequence[ClaimTally], *, config: pytest.Config, whole: bool
+    file: Path, sent: Sequence[EndedTest], coverage: Sequence[ClaimTally], *, command: str, whole: bool
 ) -> str:
     """Write ``file`` and its JSON; why it cannot be done, or nothing.  ``whole``: no test is missing."""
     try:
         runs = list(_runs(sent))
-        command = shlex.join(["pytest", *config.invocation_params.args])
         write_report(
             file,
             runs,
@@ -79,15 +74,14 @@ def write_reports(
     return ""
 
 
-def _runs(sent: Sequence[Payload]) -> Iterator[JudgedRun]:
+def _runs(sent: Sequence[EndedTest]) -> Iterator[JudgedRun]:
     """One judged run for each trace, with all the claims that were made of it."""
-    by_file: dict[str, list[tuple[str, Verdict, Evaluation]]] = {}
+    by_file: dict[Path, list[tuple[str, Verdict, Evaluation]]] = {}
     for one in sent:
-        for name, expected, evaluation in one["traces"]:
-            judged = one["test"], Verdict(expected), unpacked(evaluation)
-            by_file.setdefault(name, []).append(judged)
-    for name, said in by_file.items():
-        trace = load_trace(Path(name))
+        for file, expected, evaluation in one.traces:
+            by_file.setdefault(file, []).append((one.run.id, expected, evaluation))
+    for file, said in by_file.items():
+        trace = load_trace(file)
         first: dict[str, tuple[Claim, Evaluation]] = {}  # of what several tests said of one claim
         for _, expected, evaluation in said:
             claim = Claim(sentence=evaluation.sentence, expected=expected)
@@ -99,7 +93,7 @@ def _runs(sent: Sequence[Payload]) -> Iterator[JudgedRun]:
         yield JudgedRun(
             trace=replace(trace, scenario=scenario),
             evaluations=(*(evaluation for _, evaluation in first.values()), *more),
-            replay_command=replay_command(scenario, Path(name)) if trace.known.simulated else "",
-            trace_file=Path(name),
+            replay_command=replay_command(scenario, file) if trace.known.simulated else "",
+            trace_file=file,
             notes=(*notes_of(scenario), *(f"judged by {test}" for test in tests)),
         )

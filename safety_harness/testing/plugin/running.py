@@ -11,6 +11,7 @@ import re
 import traceback
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from pathlib import Path
 from types import CodeType
 from typing import Any
@@ -26,7 +27,7 @@ from safety_harness.testing.drawing import gives_scenarios
 from safety_harness.testing.failure_text import in_store
 from safety_harness.testing.plugin.collecting import FileItem, SpaceClaimItem
 from safety_harness.testing.plugin.explained import JUDGES_ITSELF, TEST, explained
-from safety_harness.testing.plugin.payloads import junit_properties, payload
+from safety_harness.testing.plugin.payloads import EndedTest, junit_properties
 from safety_harness.testing.session import Judgement, TestRun, session
 from safety_harness.testing.watching import keep, watched
 
@@ -125,20 +126,20 @@ def complete(
         swallowed = any(j.evaluation.verdict is not j.expected for j in test.judgements)
         test.judgements = [j for j in test.judgements if j.evaluation.verdict is j.expected]
     now = session()
-    sent = payload(test) | {
-        "failed": report.failed,
-        "judged_runs": sorted(now.judged),
-        "swallowed": swallowed,
-    }
-    if not test.judges_itself and not isinstance(item, FileItem) and not (test.draws and test.judgements):
-        sent["simulated"] = sorted(now.simulated)
+    judges = test.judges_itself or isinstance(item, FileItem) or (test.draws and test.judgements)
+    ended = EndedTest(
+        run=test,
+        failed=report.failed,
+        swallowed=swallowed,
+        simulated=() if judges else tuple(sorted(now.simulated)),
+        judged=tuple(sorted(now.judged)),
+    )
     now.simulated, now.judged = set(), set()
-    file = session().report
-    if file is not None:
+    if now.report is not None:
         from safety_harness.testing.plugin.reporting import save_runs
 
-        sent["traces"] = save_runs(test, file)
-    vars(report)["safety_harness"] = sent
+        ended = replace(ended, traces=save_runs(test, now.report))
+    vars(report)["safety_harness"] = ended.text
     vars(item).pop("_hypothesis_failing_examples", None)  # a patch with a scenario's repr is of no use
 
 

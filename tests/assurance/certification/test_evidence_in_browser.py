@@ -19,7 +19,8 @@ from safety_harness.admission.trial import judge, run_kinematic
 from safety_harness.extensions.assurance.certification.page import render
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.scenario.read import read_scenario
-from safety_harness.trace.known import Gap, Measurement, Source, knowing
+from safety_harness.trace.known import Gap, Measurement, Source
+from safety_harness.trace.unmeasured import knowing
 
 SCENARIO = Path(__file__).parents[3] / "scenarios" / "fast-reach.yaml"
 FIRST = "document.querySelector('figure.replay')"

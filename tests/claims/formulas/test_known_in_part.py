@@ -52,10 +52,10 @@ from safety_harness.trace.known import (
     Gap,
     Measurement,
     Source,
-    knowing,
 )
 from safety_harness.trace.records import DECISION, TICK
 from safety_harness.trace.trace import Trace
+from safety_harness.trace.unmeasured import knowing
 
 HOLDS, VIOLATED, INCONCLUSIVE = Verdict.HOLDS, Verdict.VIOLATED, Verdict.INCONCLUSIVE
 SEED = 20261123

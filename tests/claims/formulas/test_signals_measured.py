@@ -32,9 +32,9 @@ from safety_harness.trace.known import (
     Gap,
     Measurement,
     Source,
-    knowing,
 )
 from safety_harness.trace.trace import Trace
+from safety_harness.trace.unmeasured import knowing
 
 SCENARIOS = Path(__file__).parents[3] / "scenarios"
 SEED = 20261123

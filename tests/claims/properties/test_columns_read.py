@@ -45,11 +45,10 @@ from safety_harness.trace.known import (
     Gap,
     Measurement,
     Source,
-    knowing,
-    until,
 )
 from safety_harness.trace.records import Mode
 from safety_harness.trace.trace import Trace
+from safety_harness.trace.unmeasured import knowing, until
 
 SEED = 20261123
 UNDONE = (GAIN_SWITCH, GAIN_SWITCH_WITHIN, GAIN_SWITCH_ITERATIONS, CONVERGED)

@@ -29,9 +29,9 @@ from safety_harness.trace.known import (
     Gap,
     Measurement,
     Source,
-    knowing,
 )
 from safety_harness.trace.trace import Trace
+from safety_harness.trace.unmeasured import knowing
 
 SCENARIOS = Path(__file__).parents[3] / "scenarios"
 HAND, ELBOW, DISTANCE = "hand_position_in_base_m", "elbow_position_in_base_m", "hand_distance_m"

@@ -25,9 +25,9 @@ from safety_harness.trace.known import (
     Gap,
     Measurement,
     Source,
-    knowing,
 )
 from safety_harness.trace.trace import Trace
+from safety_harness.trace.unmeasured import knowing
 
 SCENARIOS = Path(__file__).parents[3] / "scenarios"
 IN_KINEMATIC = {one.name: one for one in read_all_scenarios(SCENARIOS) if one.name != "rendered-images"}

@@ -29,8 +29,9 @@ from safety_harness.claims.properties.spread_calibration import (
     target_in_base_m,
 )
 from safety_harness.scenario.model import Verdict
-from safety_harness.trace.known import COLUMNS_OF_A_TRACE, NOT_MEASURED, knowing
+from safety_harness.trace.known import COLUMNS_OF_A_TRACE, NOT_MEASURED
 from safety_harness.trace.trace import Trace
+from safety_harness.trace.unmeasured import knowing
 
 Floats = NDArray[np.float64]
 LOW, HIGH = (

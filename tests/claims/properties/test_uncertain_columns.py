@@ -32,9 +32,10 @@ from safety_harness.claims.properties.touching import NoMovingPartTouches
 from safety_harness.claims.signals.true_motion import derived, first_untruth, tcp_velocity_moved_mps
 from safety_harness.scenario.model import Claim, Verdict
 from safety_harness.scenario.moves import FollowTcp, MoveTo, Tremor, Wait
-from safety_harness.trace.known import NOT_MEASURED, Measurement, Source, knowing
+from safety_harness.trace.known import NOT_MEASURED, Measurement, Source
 from safety_harness.trace.records import Limit
 from safety_harness.trace.trace import Trace
+from safety_harness.trace.unmeasured import knowing
 
 DRAWS = 40
 JOINTS, RATES = "joint_position_rad", "joint_velocity_radps"

@@ -16,9 +16,10 @@ from safety_harness.claims.properties.reaction import GivesWay, GivesWayToTrueHa
 from safety_harness.claims.signals.predictions import prediction_errors_m
 from safety_harness.claims.signals.true_motion import nearest_hand_m
 from safety_harness.scenario.model import Verdict
-from safety_harness.trace.known import Gap, Measurement, Source, knowing
+from safety_harness.trace.known import Gap, Measurement, Source
 from safety_harness.trace.records import Mode
 from safety_harness.trace.trace import Trace
+from safety_harness.trace.unmeasured import knowing
 
 Drawn = tuple[Property, Trace, tuple[str, ...]]
 DRAWS = 40

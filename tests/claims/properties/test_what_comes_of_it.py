@@ -34,9 +34,10 @@ from safety_harness.scenario.model import Claim, Scenario, Verdict
 from safety_harness.scenario.moves import MoveTo, Wait
 from safety_harness.scenario.read import read_scenario
 from safety_harness.seams.contract import UserController
-from safety_harness.trace.known import NOT_REPORTED, Measurement, Source, knowing
+from safety_harness.trace.known import NOT_REPORTED, Measurement, Source
 from safety_harness.trace.records import Mode
 from safety_harness.trace.trace import Trace
+from safety_harness.trace.unmeasured import knowing
 
 SCENARIOS = Path(__file__).parents[3] / "scenarios"
 PLACE, REACTS = KeepsItsPlace(within_m=0.005), ReactsWithin(within_s=0.12)

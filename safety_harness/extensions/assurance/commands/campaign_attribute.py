@@ -12,12 +12,11 @@ from safety_harness.extensions.assurance.campaign.attributed import ViolatedEpis
 from safety_harness.extensions.assurance.campaign.ledger import Ledger
 from safety_harness.extensions.assurance.campaign.session import plan_of
 from safety_harness.extensions.assurance.certification.verify_runs import programs_in
-from safety_harness.report.attribution_job import AttributionSession
+from safety_harness.report.attribution_job import attribute_all
 
 
 def attribute_ledger(path: Path, most: int, execute: bool, out: Path | None, confirm: bool) -> int:
     """Attribute the violations in a ledger, print, write; returns the exit code."""
-    session = AttributionSession(confirm, TERMINAL)
     with Ledger.open(path) as ledger, plan_of(ledger) as plan:
         programs = programs_in(plan)
         if programs and not execute:
@@ -26,5 +25,5 @@ def attribute_ledger(path: Path, most: int, execute: bool, out: Path | None, con
         violated = ViolatedEpisodes.first(ledger, most)
         say(violated.words)
         episodes = violated_episodes(plan, violated, programs=execute)
-        session.take_all(episodes, len(violated.claims), "episodes")
-    return conclude(session.result(), out)
+        found = attribute_all(episodes, len(violated.claims), "episodes", confirm, TERMINAL)
+    return conclude(found, out)

@@ -44,19 +44,12 @@ from safety_harness.scenario.model import Scenario
 from safety_harness.scenario.nodes import Mapping, Node, Scalar, Sequence
 from safety_harness.scenario.read import scenario_of
 from safety_harness.scenario.units import ANGLE, LENGTH, TIME, format_quantity
-from safety_harness.trace.known import (
-    COLUMNS_OF_A_TRACE,
-    NOT_MEASURED,
-    Gap,
-    Measurement,
-    Source,
-    knowing,
-    measurement,
-)
+from safety_harness.trace.known import COLUMNS_OF_A_TRACE, NOT_MEASURED, Gap, Measurement, Source, measurement
 from safety_harness.trace.provenance import provenance
 from safety_harness.trace.records import decision_dtype, tick_dtype
 from safety_harness.trace.system import Component, SystemUnderTest, system_of
 from safety_harness.trace.trace import Provenance, Trace
+from safety_harness.trace.unmeasured import knowing
 
 RECORDED = "recorded"  # the world of such a trace, and its avoider, which nobody knows
 HAND, ELBOW, PRESENT = "hand_position_in_base_m", "elbow_position_in_base_m", "hand_present"

@@ -15,9 +15,10 @@ from safety_harness.claims.properties.base import runs_of
 from safety_harness.claims.signals.true_motion import true_motion
 from safety_harness.extensions.field.logs.model import CellLog
 from safety_harness.extensions.field.logs.told import FIELDS, POSITIONS, Told, ToldStream, width_of
-from safety_harness.trace.known import OF_DECISIONS, Gap, Measurement, Source, knowing, measurement
+from safety_harness.trace.known import OF_DECISIONS, Gap, Measurement, Source, measurement
 from safety_harness.trace.records import decision_dtype
 from safety_harness.trace.trace import Trace
+from safety_harness.trace.unmeasured import knowing
 
 Floats = NDArray[np.float64]
 Truths = NDArray[np.bool_]
