@@ -8,7 +8,7 @@ BIN := $(VENV)/bin
 INSTALL := -m pip install --quiet --disable-pip-version-check --no-compile
 HERE := $(BIN)/python $(INSTALL) --constraint requirements.lock
 
-.PHONY: demo bits test test-all test-core rest slow light long shield-all warm check style types tables site-tests accessibility sample paper bench bench-all others docs wheel oracles mutation mutants bounds release setup clean
+.PHONY: demo bits test test-all test-core rest slow light long shield-all warm check style types tables site-tests accessibility sample paper bench bench-all bench-stale others docs wheel oracles mutation mutants bounds release setup clean
 
 demo: $(VENV)/installed
 	$(BIN)/safety-harness run scenarios --out reports/demo
@@ -102,17 +102,20 @@ verifai := verifai==2.2.0
 lock := uv==0.13.9
 
 # The long tables, hours; bench-loop, say, is one of them. A change of ratios: results.py --against REVISION.
-LONG := agreement altered_rows arms big_pages both_ends broken_programs busy campaign convergence convergence_in_pybullet crashes dataset decision \
-	environments evaluate_faults flat_bugs formulas found_in_spaces from_logs hands interval_coverage isolation kinematic \
-	kinematics_of_arms logs loop monitor overhead pages parts proof proof_decisions proof_questions public_urdfs rare_in_kinematic rates scenario_files search_power seam shield \
-	shipped_controllers soak spaces start_up student_in_spaces training \
-	whose_fault
+LONG := agreement arms big_pages busy campaign convergence crashes dataset decision environments \
+	evaluate_faults formulas hands interval_coverage isolation kinematic kinematics_of_arms logs loop \
+	monitor overhead parts proof proof_decisions public_urdfs rare_in_kinematic search_power seam shield \
+	shipped_controllers soak start_up student_in_spaces training whose_fault
 
 # What differs in results from the revision BASE, kept in reports/bits; at a landing with WHOLE=--whole
 bits: $(VENV)/benchmarks
 	$(BIN)/python benchmarks/bits.py $(BASE) $(WHOLE)
 
 bench-all: $(LONG:%=bench-%)
+
+# Which tables of benchmarks/ are older than what they depend on; 1 if one is too old.
+bench-stale: $(BIN)/python
+	$(BIN)/python benchmarks/stale.py
 
 bench-%: $(VENV)/benchmarks
 	$(BIN)/python benchmarks/$*.py

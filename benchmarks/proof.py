@@ -1,4 +1,4 @@
-"""What ``prove`` proves of the students; whether questions contradict it: ``proof_questions.py``.
+"""What ``prove`` proves of the students, and whether the checker refuses altered certificates.
 
 Run: python benchmarks/proof.py [MINUTES a claim] (a quarter of an hour of processor time): PROOF.md.
 

@@ -1,11 +1,12 @@
-"""The table of ratios: run what offers ratios, write RESULTS.md.
+"""The table of ratios: run what offers ratios, print the table and write it to RESULTS.md.
 
 Run: python benchmarks/results.py [NAME]..., or python benchmarks/results.py --against REVISION.
 
 Each benchmark runs in a process of its own.  Ratios are formed between sides that take turns, so that they
-bear a busy machine better than seconds do; the load stands beside them all the same.  With names only those
-run, and nothing is written.  With --against nothing is run: the table of a revision (HEAD, say) is compared
-with the one that is there, and the exit code is 1 if a ratio got worse.
+bear a busy machine better than seconds do; the load stands beside them all the same.  All of them together
+have LIMIT_S.  A script that has not ended by then is killed, and its row says so.  With names only those run,
+and nothing is written.  With --against nothing is run: the table of a revision (HEAD, say) is compared with
+the one that is there, and the exit code is 1 if a ratio got worse.
 """
 
 from __future__ import annotations
@@ -15,8 +16,10 @@ import json
 import os
 import platform
 import re
+import signal
 import subprocess
 import sys
+import time
 from dataclasses import asdict
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
@@ -30,6 +33,7 @@ from safety_harness.extensions.assurance.campaign.session import processor
 
 HERE = Path(__file__).parent
 RESULTS = HERE / "RESULTS.md"
+LIMIT_S = 20 * 60  # of all benchmarks together
 BENCHMARKS = (
     "loop",
     "decision",
@@ -54,19 +58,35 @@ seconds. From start to exit: `START_UP.md`; what an installation weighs: `docs/i
 """
 
 
-def measured(name: str) -> list[Ratio]:
-    """What a script's ``ratios()`` gives, in a process of its own; why not, as a row, if it gives nothing."""
+def measured(name: str, within_s: float = LIMIT_S) -> list[Ratio]:
+    """Return what a script's ``ratios()`` gives, or one row that says why it gives nothing.
+
+    The script runs in a process of its own.  After ``within_s`` it is killed, with the processes that it
+    started.
+    """
     command = [sys.executable, __file__, "--json", name]
-    done = subprocess.run(command, capture_output=True, text=True)
-    if done.returncode != 0:
-        last = (done.stderr.strip().splitlines() or ["it ended without a word"])[-1]
+    piped = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    with subprocess.Popen(command, start_new_session=True, **piped) as script:
+        try:
+            out, errors = script.communicate(timeout=max(within_s, 0.0))
+        except subprocess.TimeoutExpired:
+            os.killpg(script.pid, signal.SIGKILL)
+            return [Ratio.missing(name, f"not done after {LIMIT_S // 60} minutes of all benchmarks")]
+    if script.returncode != 0:
+        last = (errors.strip().splitlines() or ["it ended without a word"])[-1]
         return [Ratio.missing(name, last)]
-    return [Ratio(**row) for row in json.loads(done.stdout.splitlines()[-1])]
+    return [Ratio(**row) for row in json.loads(out.splitlines()[-1])]
 
 
 def load() -> str:
     """The load averages of one minute, or a dash where there are none."""
     return f"{os.getloadavg()[0]:.1f}" if hasattr(os, "getloadavg") else "-"
+
+
+def revision() -> str:
+    """Return the abbreviated revision of this checkout, with -dirty where files differ from it."""
+    command = ["git", "describe", "--always", "--dirty", "--exclude=*"]
+    return subprocess.run(command, capture_output=True, text=True, cwd=HERE).stdout.strip() or "no revision"
 
 
 def row_of(ratio: Ratio, script: str, loads: str) -> str:
@@ -87,7 +107,8 @@ def table(rows: list[tuple[Ratio, str, str]]) -> str:
         except PackageNotFoundError:
             versions.append(f"{library} not installed")
     where = (
-        f"{datetime.datetime.now(datetime.UTC):%Y-%m-%d}, {platform.system()} {platform.machine()}, "
+        f"At {revision()}, {datetime.datetime.now(datetime.UTC):%Y-%m-%d}, "
+        f"{platform.system()} {platform.machine()}, "
         f"{os.cpu_count()} cores of {processor()}, Python {platform.python_version()}; "
         f"{', '.join(versions)}.\n\n"
     )
@@ -139,7 +160,7 @@ def compare(revision: str) -> int:
 
 
 def main(arguments: list[str]) -> int:
-    """Run, print as it goes, and write the table if all were run; 1 if a script failed."""
+    """Run, print the table and each script's minutes, and write the table if all ran; 1 if one failed."""
     if arguments[:1] == ["--json"]:
         rows = import_module(arguments[1]).ratios()
         print(json.dumps([asdict(row) for row in rows]))
@@ -151,15 +172,16 @@ def main(arguments: list[str]) -> int:
         print(f"expected names of {', '.join(BENCHMARKS)}; got {', '.join(sorted(unknown))}", file=sys.stderr)
         return 2
     found: list[tuple[Ratio, str, str]] = []
+    began_s = time.monotonic()
     for name in names:
-        before = load()
-        rows = measured(name)
+        before, since_s = load(), time.monotonic()
+        rows = measured(name, LIMIT_S - (since_s - began_s))
         loads = f"{before} to {load()}"
         found += [(row, name, loads) for row in rows]
-        for row in rows:
-            print(f"{name}: {row}", flush=True)
+        print(f"{name}: {(time.monotonic() - since_s) / 60:.1f} minutes", file=sys.stderr, flush=True)
         if not arguments:
             RESULTS.write_text(table(found), encoding="utf-8")
+    print(table(found), end="")
     return int(any(ratio.verdict == "not measured" and ratio.what == name for ratio, name, _ in found))
 
 

@@ -6,6 +6,7 @@ import ast
 import math
 import re
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import results
@@ -86,7 +87,7 @@ def test_a_ratio_changed_if_none_of_its_turns_is_among_those_before(
 def test_every_script_is_run_by_bench_all_or_writes_a_page() -> None:
     (listed,) = re.findall(r"^LONG := ((?:.*\\\n)*.*)$", (BENCHMARKS.parent / "Makefile").read_text(), re.M)
     scripts = {file.stem for file in BENCHMARKS.glob("*.py") if "__main__" in file.read_text()}
-    asked_by_others = {"results", "overhead_of_others", "bits", "bits_items"}
+    asked_by_others = {"results", "overhead_of_others", "bits", "bits_items", "stale"}
     writers = {"gallery", "model_cards", "mutants", "sample_reports", "smallest_breaks"}
     of_hours = {"million", "fair_trial"}  # and told where to write, or what to measure
     of_other_software = {"drives", "accessibility"}  # MuJoCo and axe-core, which nothing else here needs
@@ -98,6 +99,35 @@ def test_a_benchmark_that_fails_is_a_row_that_says_so() -> None:
     (row,) = results.measured("no_such_benchmark")
     assert row.verdict == "not measured"
     assert "no_such_benchmark" in row.note
+
+
+def test_a_benchmark_that_takes_too_long_is_killed_and_said_to_be_late() -> None:
+    (row,) = results.measured("loop", within_s=0.05)
+    assert row.verdict == "not measured"
+    assert "20 minutes" in row.note
+
+
+def test_all_benchmarks_together_have_one_limit(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    left_s: dict[str, float] = {}
+
+    def taking_eleven_minutes(name: str, within_s: float) -> list[Ratio]:
+        left_s[name] = within_s
+        clock.append(clock[-1] + min(660.0, within_s))
+        return [Ratio.of(name, [2.0])]
+
+    clock = [100.0]
+    monkeypatch.setattr(results, "measured", taking_eleven_minutes)
+    monkeypatch.setattr(results, "time", SimpleNamespace(monotonic=lambda: clock[-1]))
+    assert results.main(["loop", "decision", "formulas"]) == 0
+    assert left_s == {"loop": 1200.0, "decision": 540.0, "formulas": 0.0}
+    printed = capsys.readouterr().out
+    assert [line.split(" | ")[0] for line in printed.splitlines() if line.endswith(".py` |")] == [
+        "| loop",
+        "| decision",
+        "| formulas",
+    ]
 
 
 def test_a_name_that_there_is_not_is_refused(capsys: pytest.CaptureFixture[str]) -> None:

@@ -72,7 +72,7 @@ def test_what_a_program_does_wrong_costs_one_episode(way: str, tmp_path: Path) -
 
 
 def test_mutated_frames_cost_their_episode_or_are_answers(tmp_path: Path) -> None:
-    """Fifty of the thousand of ``benchmarks/broken_programs.py``."""
+    """Fifty frames by lot, each mutation six times or more."""
     broken = BrokenProgram(tmp_path, "says")
     refused = 0
     for seed, mutation in zip(range(50), itertools.cycle(MUTATIONS.values())):
