@@ -116,7 +116,7 @@ def test_the_shipped_arms_have_the_numbers_that_they_had_bit_for_bit(name: str) 
         assert one.position_upper_rad.tolist() == [float(limit["upper"]) for limit in limits]
         assert one.velocity_limit_radps.tolist() == [float(limit["velocity"]) for limit in limits]
         assert one.effort_limit.tolist() == [float(limit["effort"]) for limit in limits]
-        assert one.name == name
+        assert one.name == robot.get("name")
         assert one.chain["joint_origins"].tobytes() == one.joint_origins.tobytes()
 
 

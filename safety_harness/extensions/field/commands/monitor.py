@@ -155,6 +155,7 @@ def _cell(
     """The cell of a file, or one of which only so much is said."""
     from safety_harness.base.exceptions import InputError, SettingsError
     from safety_harness.extensions.field.monitoring.cell import cell_taken, read_cell
+    from safety_harness.scenario.robots import Robot
 
     if file is not None:
         for option, value in (("--robot", robot), ("--hand", hands), ("--period", period)):
@@ -165,7 +166,7 @@ def _cell(
         if robot is None:
             hint = "safety-harness monitor --robot ur10 --claim 'always hand distance > 50 mm'"
             raise SettingsError.of_option("monitor", "a LOG.yaml, or --robot", "neither", hint)
-        name = robot.upper() if robot.upper() in ("UR10", "UR5", "UR3") else robot
+        name = next((one.value for one in Robot if one.value.lower() == robot.lower()), robot)
         named = hands or (["hand"] if any("hand" in claim for claim in claims) else [])
         try:
             found = cell_taken(name, named, period or "8 ms", claims)
