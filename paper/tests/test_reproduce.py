@@ -8,6 +8,7 @@ import shutil
 from pathlib import Path
 
 import pytest
+import typer
 from typer.testing import CliRunner
 
 from safety_harness.base.exceptions import MissingPackageError
@@ -142,6 +143,7 @@ def test_a_place_that_cannot_be_written_is_said(tmp_path: Path, capsys: pytest.C
 
 def test_without_the_package_the_command_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(main, "parts", lambda point: ())
+    monkeypatch.setattr(typer.testing, "_get_command", typer.main.get_command)  # tests keep that of all parts
     answer = CliRunner().invoke(app, ["reproduce", "all", "--scale", "quick"])
     assert isinstance(answer.exception, MissingPackageError), repr(answer.exception) + answer.output
     assert "pip install ./paper" in str(answer.exception)
