@@ -141,8 +141,8 @@ def check_cameras(scenario: Scenario) -> None:
         )
     if settings.hand_sensor.kind is HandSensorKind.IDEAL:
         _check_ideal(scenario, settings.hand_sensor)
+    _refuse_shield(scenario, settings.hand_sensor.kind)
     if settings.hand_sensor.kind is HandSensorKind.EYE_IN_HAND:
-        _refuse_shield(scenario)
         _check_one_optics(scenario)
 
 
@@ -180,12 +180,12 @@ def refuse_late_drives(scenario: Scenario) -> None:
         )
 
 
-def _refuse_shield(scenario: Scenario) -> None:
-    """A shield sees hands by a sensor that stays where it is."""
-    if scenario.shield is not None:
-        expected = "a fixed hand sensor, which a shield sees by"
+def _refuse_shield(scenario: Scenario, kind: HandSensorKind) -> None:
+    """A shield rests on a hand sensor that sees the whole cell."""
+    if scenario.shield is not None and kind not in (HandSensorKind.IDEAL, HandSensorKind.SURROUND):
+        expected = "a hand sensor that sees the whole cell, by which a shield sees"
         hint = "hand sensor: {kind: surround}"
-        raise scenario.inadmissible(expected, "one in the hand, blind outside its view", "shield", hint=hint)
+        raise scenario.inadmissible(expected, f"{kind.value}, blind outside its view", "shield", hint=hint)
 
 
 def _check_ideal(scenario: Scenario, sensor: HandSensor) -> None:

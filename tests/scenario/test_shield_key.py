@@ -60,9 +60,12 @@ def test_what_is_none_is_refused(written: str, said: str) -> None:
         parse_scenario(TEXT + written)
 
 
-def test_a_sensor_in_the_hand_is_no_eye_for_it() -> None:
-    blind = parse_scenario(TEXT + "shield: speed and separation\nhand sensor: {kind: eye in hand}\n")
-    with pytest.raises(InadmissibleError, match=r":7: shield: expected a fixed hand sensor"):
+@pytest.mark.parametrize("kind", ["eye in hand", "overhead"])
+def test_a_shield_does_not_rest_on_a_sensor_that_sees_a_part_of_the_cell(kind: str) -> None:
+    blind = parse_scenario(TEXT + f"shield: speed and separation\nhand sensor: {{kind: {kind}}}\n")
+    with pytest.raises(
+        InadmissibleError, match=r":7: shield: expected a hand sensor that sees the whole cell"
+    ):
         check(blind)
 
 
