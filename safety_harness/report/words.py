@@ -60,8 +60,8 @@ _PER_METRE = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
 
 
 def with_minus(text: str) -> str:
-    """Hyphens before digits as minus signs."""
-    return re.sub(r"-(?=[\d.])", "\u2212", text)
+    """Hyphens that begin a number as minus signs, not those within a name."""
+    return re.sub(r"(?<!\w)-(?=[\d.])|(?<=\de)-(?=\d)", "\u2212", text)
 
 
 def count_words(count: int, one: str, many: str) -> str:

@@ -20,10 +20,15 @@ from safety_harness.report.words import (
     milliseconds_words,
     point_words,
     setting_words,
+    with_minus,
 )
 from safety_harness.scenario.model import Verdict
 from safety_harness.scenario.robots import Drives, OwnRobot, Payload, Robot, StopTimes
 from safety_harness.trace.records import Check, Limit
+
+
+def test_a_minus_sign_begins_a_number_and_no_part_of_a_name() -> None:
+    assert with_minus("hands-12: -5.6 mm, (-.5), 1e-05") == "hands-12: \u22125.6 mm, (\u2212.5), 1e\u221205"
 
 
 def test_the_defaults_differ_from_themselves_nowhere() -> None:
