@@ -131,11 +131,16 @@ def basis_of(runs: Sequence[JudgedRun], coverage: Sequence[ClaimTally] | None = 
     return basis_of_tallies((made_in(run.trace) for run in runs), coverage or tallies(runs))
 
 
+def as_expected(runs: Iterable[JudgedRun]) -> tuple[list[bool], int]:
+    """Whether each verdict is the expected one, and how many claims do not concern what was tested."""
+    pairs = [same for run in runs for same in zip(run.as_expected, run.applicable, strict=True)]
+    own = [expected for expected, applicable in pairs if applicable]
+    return own, len(pairs) - len(own)
+
+
 def answer(runs: Sequence[JudgedRun]) -> str:
     """All verdicts in one sentence: how many are as expected, and what they are."""
-    applicable = [one for run in runs for one in run.applicable]
-    expected = [one for run in runs for one in run.as_expected]
-    expected = [same for same, own in zip(expected, applicable, strict=True) if own]
+    expected, others = as_expected(runs)
     holds, violated, nothing = (sum(run.count(verdict) for run in runs) for verdict in Verdict)
     if not all(expected):
         of_violated = f"{violated} {'is' if violated == 1 else 'are'} violated"
@@ -147,7 +152,7 @@ def answer(runs: Sequence[JudgedRun]) -> str:
         (holds, f"{holds} {'holds' if holds == 1 else 'hold'}"),
         (violated, of_violated),
         (nothing, f"{nothing} {'decides' if nothing == 1 else 'decide'} nothing"),
-        (others := applicable.count(False), f"{others} not applicable to the controller"),
+        (others, f"{others} not applicable to the controller"),
     )
     words = ", ".join(one for count, one in parts if count) or "no claim was judged"
     return f"{sum(expected)} of {len(expected)} as expected: {words}."

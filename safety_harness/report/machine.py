@@ -22,17 +22,19 @@ from safety_harness.claims.properties.tally import ClaimTally
 from safety_harness.report.decisions import (
     DecisionTally,
     are_counted,
+    asks_of_hands,
     computing_time_lines,
     overruling_of_each,
+    refused_for_possible,
 )
 from safety_harness.report.evidence import JudgedRun, basis_of, tallies
 from safety_harness.report.knowledge import known_data
-from safety_harness.report.possible_hands import asks_of_hands, refused_for_possible
 from safety_harness.report.shielding import shield_data
 from safety_harness.scenario.files import told
 from safety_harness.trace.overruling import Overruling, is_measured
 
 FORMAT = "safety-harness report 1"
+COUNTED = ("runs", "exercised", "occasions", "holds", "violated", "inconclusive", "unmeasured")
 
 
 def write_json(path: Path, found: dict[str, Any]) -> None:
@@ -150,13 +152,7 @@ def _coverage(tally: ClaimTally) -> dict[str, Any]:
     worst = tally.worst
     return {
         "claim": tally.sentence,
-        "runs": tally.runs,
-        "exercised": tally.exercised,
-        "occasions": tally.occasions,
-        "holds": tally.holds,
-        "violated": tally.violated,
-        "inconclusive": tally.inconclusive,
-        "unmeasured": tally.unmeasured,
+        **{name: getattr(tally, name) for name in COUNTED},
         "worst_margin_si": _number(worst.evaluation.margin) if worst else None,
         "worst_scenario": worst.run if worst else None,
         "untested": tally.untested,
