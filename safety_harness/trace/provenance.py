@@ -22,7 +22,6 @@ import numpy as np
 
 from safety_harness.base.compiled import PACKAGE, cache_root, source_hash
 from safety_harness.base.distribution import installed_version
-from safety_harness.base.exceptions import InstallationError
 from safety_harness.base.extension_points import foreign_parts
 from safety_harness.base.whole_file import sha256_of, write_whole
 from safety_harness.trace.trace import Provenance
@@ -75,14 +74,6 @@ def shared_modules() -> dict[str, tuple[str, ...]]:
         for module, packages in owners.items()
         if len(packages) > 1
     }
-
-
-def refuse_shared_modules() -> None:
-    """InstallationError that names the packages: which of them ran is not told by what is installed."""
-    for module, packages in shared_modules().items():
-        expected = "one installed package that owns it"
-        hint = "uninstall all of them, then install the one that is needed: they overwrite each other"
-        raise InstallationError.of_option(f"the module {module}", expected, " and ".join(packages), hint)
 
 
 def _imported(core: str) -> ModuleType | None:
