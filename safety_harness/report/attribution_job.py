@@ -16,10 +16,9 @@ from safety_harness.base.output import AS_EXPECTED, DIFFERS, INTERRUPTED, QUIET,
 from safety_harness.base.shipped.contents import located
 from safety_harness.base.whole_file import write_text
 from safety_harness.cell.simulation.worlds import KINEMATIC, PYBULLET
-from safety_harness.report.attribution_picture import draw_attributions
 from safety_harness.report.page_parts import asset
 from safety_harness.report.run_result import RunResult
-from safety_harness.report.search_attribution import confirming_line
+from safety_harness.report.search_attribution import confirming_line, draw_attributions
 from safety_harness.report.shielding import slowings
 from safety_harness.report.svg import standalone
 from safety_harness.scenario.expand import gather
