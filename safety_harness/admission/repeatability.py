@@ -22,6 +22,7 @@ from safety_harness.admission.admit import Admitter, first_question
 from safety_harness.admission.avoiders import Avoiders, is_a_program
 from safety_harness.admission.trial import run_trial
 from safety_harness.base.exceptions import InputError, NoAnswerError, SimulationError, printable
+from safety_harness.base.output import Output
 from safety_harness.cell.avoidance.asking import (
     Answer,
     OutOfProcessAvoider,
@@ -235,6 +236,15 @@ class Repeatability:
             apart=any(isinstance(second.avoider, OutOfProcessAvoider) for second in again.seconds.values()),
             together=any(second.answers_many for second in again.seconds.values()),
         )
+
+    def reported(self, output: Output) -> RepeatabilityResult | None:
+        """``check``, and say what came out; None where Ctrl-C came."""
+        try:
+            found = self.check()
+        except KeyboardInterrupt:
+            return None
+        output.say(f"{'error: ' if found.problem else ''}{found.line}")
+        return found
 
     def _only_controllers_broke_off(self) -> bool:
         """Is there nothing to ask or to drive, of runs that ask no avoider?"""

@@ -349,14 +349,9 @@ class RunSession:
 
     def _ask_again(self) -> None:
         """Does the avoider answer alike when it is asked again?  Not after an interruption."""
-        if not self.runs or self.interrupted or self.unwritable is not None:
-            return
-        try:
-            self.repeated = self.repeatability.check()
-        except KeyboardInterrupt:
-            self.interrupted = True
-        else:
-            self.output.say(f"{'error: ' if self.repeated.problem else ''}{self.repeated.line}")
+        if self.runs and not self.interrupted and self.unwritable is None:
+            self.repeated = self.repeatability.reported(self.output)
+            self.interrupted = self.repeated is None
 
 
 def result_lines(run: JudgedRun) -> Iterator[str]:

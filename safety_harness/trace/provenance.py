@@ -34,10 +34,8 @@ LIBRARIES = {
     "cv2": "cv2",
 }
 OF_EVERY_RUN = ("numpy", "numba")
-DATA, ROBOTS = (
-    "robot data",
-    PACKAGE / "cell" / "robot" / "data" / "ur_description",
-)  # by a hash over the files
+DATA = "robot data"
+ROBOTS = PACKAGE / "cell" / "robot" / "data" / "ur_description"
 ELSEWHERE = "onnxruntime"  # it is loaded in another process, for a stranger's file
 ONE_OWNER = (*LIBRARIES, ELSEWHERE, "scipy", "safetensors")
 _OWNED = re.compile(rf"\n({'|'.join(ONE_OWNER)})(?:/|\.[^,/\n]*(?:py|so|pyd),)")
