@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.base.exceptions import Place, SettingsError
+from safety_harness.base.exceptions import SettingsError
 from safety_harness.base.settings import Settings
 
 NARROWEST_CONE_RAD = np.radians(1.0)  # rejection sampling would hardly end in a narrower one
@@ -44,17 +44,12 @@ class CandidateCap:
             settings.cell.desired_tcp_position_in_base_m, avoidance.nominal_hand_position_in_base_m
         )
         if not np.linalg.norm(axis) > 0.0:
-            raise SettingsError(
-                place=Place(field="nominal hand position"),
-                expected="a nominal hand position apart from the desired TCP position",
-                got="the same position",
-            )
+            expected = "a nominal hand position apart from the desired TCP position"
+            raise SettingsError.of_option("nominal hand position", expected, "the same position")
         if not avoidance.candidate_cone_rad >= NARROWEST_CONE_RAD:
-            raise SettingsError(
-                place=Place(field="candidate cone"),
-                expected=f"a candidate cone of at least {np.degrees(NARROWEST_CONE_RAD):.0f} deg",
-                got=f"{np.degrees(avoidance.candidate_cone_rad):g} deg",
-            )
+            expected = f"a candidate cone of at least {np.degrees(NARROWEST_CONE_RAD):.0f} deg"
+            got = f"{np.degrees(avoidance.candidate_cone_rad):g} deg"
+            raise SettingsError.of_option("candidate cone", expected, got)
         return cls(
             axis / np.linalg.norm(axis),
             avoidance.radius_m,
