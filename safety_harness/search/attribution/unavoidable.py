@@ -137,23 +137,20 @@ def _immovable(
     A ball about a point at the distance r from the axis has within it one about the point's foot on the axis,
     smaller by r, wherever the joint is.
     """
-    rows, starts, ends, radii = [], [], [], []
+    parts: list[tuple[int, Array3, Array3, float]] = []
     axis = transforms[1, :3, :3] @ axis_in_link
     for k, link in enumerate(capsules.link_index):
+        start, end = capsules.start_in_link[k], capsules.end_in_link[k]
         if link == 0:
-            rows.append(k)
-            starts.append(capsules.start_in_link[k])
-            ends.append(capsules.end_in_link[k])
-            radii.append(float(capsules.radius_m[k]))
-        for inner in (capsules.start_in_link[k], capsules.end_in_link[k]) if link == 1 else ():
+            parts.append((k, start, end, float(capsules.radius_m[k])))
+        for inner in (start, end) if link == 1 else ():
             aside = transforms[1, :3, :3] @ inner
             foot = (aside @ axis) * axis
             radius_m = float(capsules.radius_m[k] - np.linalg.norm(aside - foot))
             if radius_m > 0.0:
-                rows.append(k)
-                starts.append(transforms[1, :3, 3] + foot)
-                ends.append(transforms[1, :3, 3] + foot)
-                radii.append(radius_m)
+                place = transforms[1, :3, 3] + foot
+                parts.append((k, place, place, radius_m))
+    rows, starts, ends, radii = zip(*parts, strict=True)
     body = CapsuleSet(
         names=tuple(capsules.names[k] for k in rows),
         link_index=np.zeros(len(rows), np.int64),
