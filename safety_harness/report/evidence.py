@@ -7,13 +7,44 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from math import inf, isfinite
 from pathlib import Path
+from typing import TypedDict
 
+from safety_harness.admission.repeatability import RepeatabilityResult
+from safety_harness.admission.taking import NotTaken
+from safety_harness.base.exceptions import InputError
+from safety_harness.claims.properties.against import Against
 from safety_harness.claims.properties.answered import DEFAULT_CLAIM, by_default, is_claimed
 from safety_harness.claims.properties.base import Evaluation, Unit
 from safety_harness.claims.properties.tally import ClaimTally, Judged, basis_of_tallies, made_in, tally_claims
 from safety_harness.report.words import unknown_files
 from safety_harness.scenario.model import Claim, RecordedHand, Scenario, Verdict
 from safety_harness.trace.trace import Trace
+
+
+class AboutRuns(TypedDict, total=False):
+    """What a report says of all its runs together.
+
+    ``coverage`` is how often each claim was put to the test, where that was in more runs than are shown;
+    ``skipped`` is what an avoider could not take, ``refused`` what could not be used at all, ``against`` what
+    is worse than with a reference, ``repeated`` what a second avoider answered to their questions.
+    """
+
+    coverage: Sequence[ClaimTally] | None
+    skipped: Sequence[NotTaken]
+    refused: Sequence[InputError]
+    against: Against | None
+    repeated: RepeatabilityResult | None
+
+
+_NOTHING: AboutRuns = {"coverage": None, "skipped": (), "refused": (), "against": None, "repeated": None}
+
+
+def with_defaults(about: AboutRuns) -> AboutRuns:
+    """Return it with what was left out; TypeError for any other keyword."""
+    if others := about.keys() - _NOTHING.keys():
+        raise TypeError(f"unknown keywords: {', '.join(sorted(others))}")
+    return _NOTHING | about
+
 
 _SEVERITY = (Verdict.VIOLATED, Verdict.INCONCLUSIVE, Verdict.HOLDS)
 
