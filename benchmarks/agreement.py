@@ -15,11 +15,12 @@ import one_thread  # noqa: F401 (before every library that reads its variables)
 # isort: split
 
 import argparse
+import json
 import sys
 import time
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -28,10 +29,10 @@ from admitted_points import admit_points
 from safety_harness.admission.admit import Admitted, admit
 from safety_harness.admission.agreement import (
     AGREEMENT_FILE,
+    FORMAT,
     Agreement,
     LargestDifference,
     present_source,
-    to_json,
 )
 from safety_harness.admission.claims import property_of
 from safety_harness.admission.trial import run_many, run_trial
@@ -204,7 +205,8 @@ def main() -> None:
     for one in found.differences:
         print(f"  {one.what:24}{one.largest:10.3g}  {one.scenario}")
     if given.write:
-        AGREEMENT_FILE.write_text(to_json(found))
+        text = json.dumps({"format": FORMAT, **asdict(found)}, indent=1)
+        AGREEMENT_FILE.write_text(text + "\n")
 
 
 if __name__ == "__main__":

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import stdtrit
+from scipy.special import bdtr, stdtrit
 
-from safety_harness.base.proportions import LEVEL, Proportion, median_rank, sign_test
+from safety_harness.base.proportions import LEVEL, Proportion, sign_test
 
 BOOTSTRAP_DRAWS = 4000
 _TAIL = (1.0 - LEVEL) / 2.0
@@ -141,3 +141,11 @@ def differences(first: ArrayLike, second: ArrayLike) -> NDArray[np.float64]:
     if a.shape != b.shape:
         raise ValueError(f"expected as many of the one as of the other; got {a.shape} and {b.shape}")
     return a - b
+
+
+def median_rank(n: int, chance: float) -> int:
+    """The greatest r for which the r-th smallest of n is above the median with at most ``chance``; 0 if none.
+
+    That is P(Bin(n, 1/2) < r) <= chance, whatever the distribution.
+    """
+    return int(np.count_nonzero(bdtr(np.arange(0, n // 2), n, 0.5) <= chance))

@@ -27,6 +27,7 @@ from safety_harness.cell.simulation.exact_views import exact_object
 from safety_harness.extensions.lab.learning.dataset import seen
 from safety_harness.extensions.lab.learning.evaluation import leaf
 from safety_harness.extensions.lab.learning.image_error import ImageErrors
+from safety_harness.extensions.lab.learning.many_candidates import draw_many
 from safety_harness.space.regions import paper_seen
 from safety_harness_paper.trials import run, starts_of
 from safety_harness_paper.work import Json, Task
@@ -60,7 +61,7 @@ def _selections(settings: Settings, tcps: int, seed: int) -> list[Json]:
     cap, errors = CandidateCap.of(settings), ImageErrors.of(settings)
     desired = np.array(settings.cell.desired_tcp_position_in_base_m)
     starts = seen(settings).tcp.draw(rng, tcps)
-    candidates = starts[:, None] + cap.draw_many([rng] * tcps)  # (tcps, 100, 3)
+    candidates = starts[:, None] + draw_many(cap, [rng] * tcps)  # (tcps, 100, 3)
     by_pose = np.linalg.norm(candidates - desired, axis=2)
     found = []
     for raster in (False, True):

@@ -14,6 +14,7 @@ from safety_harness_paper.intervals import (
     differences,
     mean_of,
     median_of,
+    median_rank,
     share_of,
 )
 
@@ -118,3 +119,9 @@ def test_pairs_that_do_not_fit_are_refused() -> None:
         Paired.of([True], [True, False])
     with pytest.raises(ValueError, match="as many"):
         differences([1.0], [1.0, 2.0])
+
+
+@pytest.mark.parametrize("n", [1, 5, 6, 25, 100, 5000])
+def test_the_rank_of_a_median_is_the_greatest_that_misses_seldom_enough(n: int) -> None:
+    rank = median_rank(n, 0.025)
+    assert stats.binom.cdf(rank - 1, n, 0.5) <= 0.025 < stats.binom.cdf(rank, n, 0.5)

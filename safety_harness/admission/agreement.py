@@ -6,8 +6,7 @@ its judgement import, so that a change of a page or of a search does not make it
 
 from __future__ import annotations
 
-import json
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
@@ -71,13 +70,8 @@ def present_source() -> str:
     return source_hash_of(PACKAGE / "admission" / "trial.py")
 
 
-def to_json(agreement: Agreement) -> str:
-    """The text of ``AGREEMENT_FILE``."""
-    return json.dumps({"format": FORMAT, **asdict(agreement)}, indent=1) + "\n"
-
-
 def from_json(text: str) -> Agreement:
-    """What ``to_json`` wrote.  InputError for anything else."""
+    """Return what such a file holds: its format and the fields.  InputError for anything else."""
     found = of_format(parsed(text, AGREEMENT_FILE, "an agreement of two worlds"), FORMAT, AGREEMENT_FILE)
     del found["format"]
     return typed(found, Agreement, AGREEMENT_FILE)

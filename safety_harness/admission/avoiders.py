@@ -18,7 +18,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from safety_harness.base.exceptions import InadmissibleError, Place, near_miss, refuse_other_type
+from safety_harness.base.exceptions import InadmissibleError, Place, TraceError, near_miss, refuse_other_type
 from safety_harness.base.settings import DEFAULTS, Settings
 from safety_harness.base.shipped.contents import is_shipped, located
 from safety_harness.cell.avoidance.avoider import Avoider
@@ -250,6 +250,24 @@ def replay_command(
         named = told_avoider(os.path.abspath(reference) if file_and_name(reference)[0] else reference)
         command += [option_of(scenario.under_test), named]
     return shlex.join(command)
+
+
+def with_program(
+    scenario: Scenario, tested: str | None, file: Path | None = None, by: str = "replay"
+) -> Scenario:
+    """The scenario of a trace in ``file`` with what the user names; TraceError for a program not named anew.
+
+    A trace may come from anybody, and repeating it, ``by`` which command, must not execute what it says.
+    """
+    if tested is not None:
+        return with_avoider(scenario, tested)
+    if is_a_program(scenario.under_test):
+        option, got = option_of(scenario.under_test), f"a trace made with {scenario.under_test}"
+        place = Place(file=file, field=option.removeprefix("--"))
+        expected = f"the program named with {option}, since repeating the run executes it"
+        hint = "" if file is None else replay_command(scenario, file, by=by)
+        raise TraceError(place=place, expected=expected, got=got, hint=hint)
+    return scenario
 
 
 def scenario_of_avoider(reference: str) -> Scenario:

@@ -29,10 +29,8 @@ def check_hands(scenario: Scenario, arm: ArmModel, joint_position_rad: ArrayN) -
         if isinstance(hand, MovingHand):
             _check_speeds(scenario, number, hand)
         for field, words, height_m in _ends(leader, scenario.duration_s):
-            where, too_high = (
-                "apart" if isinstance(hand, JoinedHand) else field,
-                height_m + above_m > ceiling_m,
-            )
+            where = "apart" if isinstance(hand, JoinedHand) else field
+            too_high = height_m + above_m > ceiling_m
             if height_m + above_m < table_m or too_high:
                 below = f"below the hand sensor, which a shield sees it by (z = {ceiling_m * 1e3:.0f} mm)"
                 above = f"above the table (z = {table_m * 1e3:.0f} mm)"

@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from heapq import nsmallest
 from operator import attrgetter
+from typing import ClassVar
 
 import numpy as np
 
@@ -21,6 +22,7 @@ from safety_harness.admission.admit import Admitter, first_question
 from safety_harness.admission.avoiders import Avoiders, is_a_program
 from safety_harness.admission.trial import run_trial
 from safety_harness.base.exceptions import InputError, NoAnswerError, SimulationError, printable
+from safety_harness.base.output import Output
 from safety_harness.cell.avoidance.asking import (
     Answer,
     OutOfProcessAvoider,
@@ -59,6 +61,7 @@ class RepeatabilityResult:
     words: str = ""
     apart: bool = False
     together: bool = False
+    _repeated: ClassVar[str] = "answers"
 
     @property
     def problem(self) -> str:
@@ -67,20 +70,23 @@ class RepeatabilityResult:
 
     @property
     def remembers(self) -> str:
-        """That the avoider is no function of its question, in words; empty if that was not seen."""
-        return f"{self.words}; {self.differing} of {self.asked} answers differ" if self.differing else ""
+        """That it is no function of its question, or does not repeat itself; empty if that was not seen."""
+        differ = f"{self.differing} of {self.asked} {self._repeated} differ"
+        return f"{self.words}; {differ}" if self.differing else ""
 
     @property
     def line(self) -> str:
         """What came out."""
-        if self.words:
-            return self.remembers or self.words
+        return self.remembers or self.words or f"repeatability: {self._alike}"
+
+    @property
+    def _alike(self) -> str:
         if not self.asked:
-            return "repeatability: the avoider was asked nothing that could be asked again"
+            return "the avoider was asked nothing that could be asked again"
         where = "a second avoider in a process of its own" if self.apart else "a second avoider"
         ways = "alone, in another order and together" if self.together else "alone and in another order"
         asked = f"{self.asked} of {self.questions} questions asked again of {where}"
-        return f"repeatability: {asked}, {ways}: the same answers"
+        return f"{asked}, {ways}: the same answers"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,6 +97,7 @@ class DrivenAgain(RepeatabilityResult):
     """
 
     of_avoider: bool = False
+    _repeated: ClassVar[str] = "runs"
 
     @property
     def who(self) -> str:
@@ -98,19 +105,11 @@ class DrivenAgain(RepeatabilityResult):
         return "avoider" if self.of_avoider else "controller"
 
     @property
-    def remembers(self) -> str:
-        """That it carries something over or does not repeat itself, in words; empty if that was not seen."""
-        return f"{self.words}; {self.differing} of {self.asked} runs differ" if self.differing else ""
-
-    @property
-    def line(self) -> str:
-        """What came out."""
-        if self.words:
-            return self.remembers or self.words
+    def _alike(self) -> str:
         if not self.asked:
-            return f"repeatability: the {self.who} ended no run that could be driven again"
+            return f"the {self.who} ended no run that could be driven again"
         again = f"{self.asked} of {self.questions} runs driven again by a fresh {self.who}"
-        return f"repeatability: {again}: the same to the last bit"
+        return f"{again}: the same to the last bit"
 
 
 @dataclass(frozen=True)
@@ -237,6 +236,15 @@ class Repeatability:
             apart=any(isinstance(second.avoider, OutOfProcessAvoider) for second in again.seconds.values()),
             together=any(second.answers_many for second in again.seconds.values()),
         )
+
+    def reported(self, output: Output) -> RepeatabilityResult | None:
+        """``check``, and say what came out; None where Ctrl-C came."""
+        try:
+            found = self.check()
+        except KeyboardInterrupt:
+            return None
+        output.say(f"{'error: ' if found.problem else ''}{found.line}")
+        return found
 
     def _only_controllers_broke_off(self) -> bool:
         """Is there nothing to ask or to drive, of runs that ask no avoider?"""

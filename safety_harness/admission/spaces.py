@@ -66,19 +66,12 @@ def draw_admissible(
             looker.look(scenario)
             scenarios.append(scenario)
         except InputError as error:
-            if _is_a_mistake(error):
-                raise
+            refused[why_refused(error)] += 1
             last = error
-            refused[f"{error.place.field}: expected {error.expected}"] += 1
         drawn += 1
         if on_draw is not None:
             on_draw(drawn)
     return AdmittedDraws(tuple(scenarios), drawn, dict(refused.most_common()))
-
-
-def _is_a_mistake(error: InputError) -> bool:
-    """Whether the text is to blame: an avoider that is missing, a claim that nobody knows."""
-    return isinstance(error, ModelError) or (error.place.field or "").startswith(("avoider", "claims"))
 
 
 def _hopeless(space: ScenarioSpace, admitted: int, drawn: int, refused: Counter[str]) -> InadmissibleError:
@@ -93,8 +86,9 @@ def _hopeless(space: ScenarioSpace, admitted: int, drawn: int, refused: Counter[
 def why_refused(error: InputError) -> str:
     """The reason, the same for points that are refused alike: "field: expected ...".
 
-    Raises ``error`` where the text is to blame.
+    Raises ``error`` where the text is to blame: an avoider that is missing, a claim that nobody knows.
     """
-    if _is_a_mistake(error) or error.place.field in ("--avoider", "--against"):
+    field = error.place.field or ""
+    if isinstance(error, ModelError) or field.startswith(("avoider", "claims", "--avoider", "--against")):
         raise error
     return f"{error.place.field}: expected {error.expected}"

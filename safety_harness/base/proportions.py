@@ -73,11 +73,3 @@ def sign_test(more: int, fewer: int) -> float:
     Of episodes that only one of two systems violates it is McNemar's.
     """
     return min(1.0, 2.0 * float(scipy.special.bdtr(min(more, fewer), more + fewer, 0.5)))
-
-
-def median_rank(n: int, chance: float) -> int:
-    """The greatest r for which the r-th smallest of n is above the median with at most ``chance``; 0 if none.
-
-    That is P(Bin(n, 1/2) < r) <= chance, whatever the distribution.
-    """
-    return int(np.count_nonzero(scipy.special.bdtr(np.arange(0, n // 2), n, 0.5) <= chance))

@@ -113,10 +113,11 @@ def _key_data(table: KeyTable, key: Key) -> dict[str, object]:
 
 
 def _key_lines(table: KeyTable, key: Key) -> Iterator[str]:
+    said = _key_data(table, key)
     yield f"{key.name}, of {table.where}"
-    yield f"  means    {_plain(key.meaning)}"
-    yield f"  takes    {_plain(_takes(key))}"
-    yield f"  default  {'none: it has to be given' if key.default == REQUIRED else _plain(key.default)}"
+    yield f"  means    {said['means']}"
+    yield f"  takes    {said['takes']}"
+    yield f"  default  {said['default'] or 'none: it has to be given'}"
     for number, line in enumerate(key.lines.splitlines()):
         yield f"  {'example' if number == 0 else '       '}  {line}"
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from safety_harness.admission.admit import Admitted, admit
-from safety_harness.admission.avoiders import is_a_program, replay_command, with_avoider
+from safety_harness.admission.avoiders import with_program
 from safety_harness.admission.repeatability import MOST, Repeatability
 from safety_harness.admission.trial import run_trial
 from safety_harness.base.exceptions import InputError, Place, TraceError
@@ -28,7 +28,7 @@ from safety_harness.report.knowledge import measured_lines, unmeasured_words
 from safety_harness.report.machine import refused_data, run_data
 from safety_harness.report.run_job import result_lines, tested_line, watching_runs
 from safety_harness.report.run_result import DATA, REPORT
-from safety_harness.scenario.model import VISUAL_SERVO, Scenario
+from safety_harness.scenario.model import VISUAL_SERVO
 from safety_harness.scenario.references import file_and_name
 from safety_harness.trace.compare import first_difference
 from safety_harness.trace.store import load_trace
@@ -46,7 +46,7 @@ def replay(path: Path, avoider: str | None = None) -> int:
     stored = load_trace(path)
     refuse_not_simulated(stored, path)
     world = world_of_trace(stored.provenance.world)
-    admitted = admit(_with_program(stored, path, avoider))
+    admitted = admit(with_program(stored.scenario, avoider, path))
     _refuse_other(stored, admitted, path)
     with watching_runs([stored.scenario], TERMINAL) as progress:
         progress.begin(0)
@@ -76,20 +76,6 @@ def replay(path: Path, avoider: str | None = None) -> int:
         changes=[line.strip() for line in changed],
     )
     return AS_EXPECTED if difference is None and not repeated.problem else DIFFERS
-
-
-def _with_program(stored: Trace, path: Path, avoider: str | None) -> Scenario:
-    """The scenario of a trace, with the avoider that the user names."""
-    if avoider is not None:
-        return with_avoider(stored.scenario, avoider)
-    under_test = stored.scenario.under_test
-    if is_a_program(under_test):
-        expected = "the program named on the command line, since repeating the run executes it"
-        hint = replay_command(stored.scenario, path)
-        got = f"a trace made with {under_test}"
-        place = Place(file=path, field="controller" if stored.scenario.driven else "avoider")
-        raise TraceError(place=place, expected=expected, got=got, hint=hint)
-    return stored.scenario
 
 
 def _refuse_other(stored: Trace, admitted: Admitted, path: Path) -> None:

@@ -29,9 +29,9 @@ from safety_harness.report.decisions import (
     computing_time_lines,
     overruling_lines,
     overruling_of_each,
+    possible_lines,
 )
-from safety_harness.report.evidence import JudgedRun
-from safety_harness.report.possible_hands import possible_lines
+from safety_harness.report.evidence import JudgedRun, as_expected
 from safety_harness.report.run_job import run as run_scenarios
 from safety_harness.report.run_result import DATA, REPORT, TRACES, RunResult
 from safety_harness.report.shielding import shield_lines
@@ -82,7 +82,7 @@ def _say_summary(found: RunResult) -> None:
     say(*(f"shield: {line}" for line in shield_lines(traces)))
     say(*(f"gate: {line}" for line in possible_lines(traces)))
     say(*overruling_lines(overruling_of_each(traces)))
-    verdicts, others = found.as_expected
+    verdicts, others = as_expected(found.runs)
     fallback = DecisionTally.of(traces).fallback
     say(
         f"{sum(verdicts)} of {len(verdicts)} verdicts as expected, "

@@ -8,18 +8,17 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from safety_harness.admission.admit import Admitted, Admitter
-from safety_harness.admission.avoiders import is_a_program, one_of, option_of, with_avoider
+from safety_harness.admission.avoiders import one_of, with_avoider, with_program
 from safety_harness.admission.trial import judge
-from safety_harness.base.exceptions import InputError, Place, ScenarioError, TraceError, described
+from safety_harness.base.exceptions import InputError, Place, ScenarioError, described
 from safety_harness.base.input_errors import InputErrors, each_once, usable
 from safety_harness.base.output import AS_EXPECTED, DIFFERS, INTERRUPTED, QUIET, Output
 from safety_harness.base.shipped.contents import located
 from safety_harness.base.whole_file import write_text
 from safety_harness.cell.simulation.worlds import KINEMATIC, PYBULLET
-from safety_harness.report.attribution_picture import draw_attributions
 from safety_harness.report.page_parts import asset
 from safety_harness.report.run_result import RunResult
-from safety_harness.report.search_attribution import confirming_line
+from safety_harness.report.search_attribution import confirming_line, draw_attributions
 from safety_harness.report.shielding import slowings
 from safety_harness.report.svg import standalone
 from safety_harness.scenario.expand import gather
@@ -201,14 +200,7 @@ def _scenarios(
 def _violated(trace: Trace, path: Path | None, avoider: str | None) -> Scenario:
     """Return the scenario of a trace, with the claims that the trace violates alone."""
     refuse_not_simulated(trace, path)
-    scenario = trace.scenario
-    if avoider is not None:
-        scenario = with_avoider(scenario, avoider)
-    elif is_a_program(tested := scenario.under_test):
-        option = option_of(tested)
-        expected = f"the program named with {option}, since repeating the run executes it"
-        got = f"a trace made with {tested}"
-        raise TraceError(place=Place(file=path, field=option.removeprefix("--")), expected=expected, got=got)
+    scenario = with_program(trace.scenario, avoider, path, by="attribute")
     evaluations = judge(trace, file=path)
     claims = tuple(
         replace(claim, expected=Verdict.VIOLATED)

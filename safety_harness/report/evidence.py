@@ -7,13 +7,44 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from math import inf, isfinite
 from pathlib import Path
+from typing import TypedDict
 
+from safety_harness.admission.repeatability import RepeatabilityResult
+from safety_harness.admission.taking import NotTaken
+from safety_harness.base.exceptions import InputError
+from safety_harness.claims.properties.against import Against
 from safety_harness.claims.properties.answered import DEFAULT_CLAIM, by_default, is_claimed
 from safety_harness.claims.properties.base import Evaluation, Unit
 from safety_harness.claims.properties.tally import ClaimTally, Judged, basis_of_tallies, made_in, tally_claims
 from safety_harness.report.words import unknown_files
 from safety_harness.scenario.model import Claim, RecordedHand, Scenario, Verdict
 from safety_harness.trace.trace import Trace
+
+
+class AboutRuns(TypedDict, total=False):
+    """What a report says of all its runs together.
+
+    ``coverage`` is how often each claim was put to the test, where that was in more runs than are shown;
+    ``skipped`` is what an avoider could not take, ``refused`` what could not be used at all, ``against`` what
+    is worse than with a reference, ``repeated`` what a second avoider answered to their questions.
+    """
+
+    coverage: Sequence[ClaimTally] | None
+    skipped: Sequence[NotTaken]
+    refused: Sequence[InputError]
+    against: Against | None
+    repeated: RepeatabilityResult | None
+
+
+_NOTHING: AboutRuns = {"coverage": None, "skipped": (), "refused": (), "against": None, "repeated": None}
+
+
+def with_defaults(about: AboutRuns) -> AboutRuns:
+    """Return it with what was left out; TypeError for any other keyword."""
+    if others := about.keys() - _NOTHING.keys():
+        raise TypeError(f"unknown keywords: {', '.join(sorted(others))}")
+    return _NOTHING | about
+
 
 _SEVERITY = (Verdict.VIOLATED, Verdict.INCONCLUSIVE, Verdict.HOLDS)
 
@@ -131,11 +162,16 @@ def basis_of(runs: Sequence[JudgedRun], coverage: Sequence[ClaimTally] | None = 
     return basis_of_tallies((made_in(run.trace) for run in runs), coverage or tallies(runs))
 
 
+def as_expected(runs: Iterable[JudgedRun]) -> tuple[list[bool], int]:
+    """Whether each verdict is the expected one, and how many claims do not concern what was tested."""
+    pairs = [same for run in runs for same in zip(run.as_expected, run.applicable, strict=True)]
+    own = [expected for expected, applicable in pairs if applicable]
+    return own, len(pairs) - len(own)
+
+
 def answer(runs: Sequence[JudgedRun]) -> str:
     """All verdicts in one sentence: how many are as expected, and what they are."""
-    applicable = [one for run in runs for one in run.applicable]
-    expected = [one for run in runs for one in run.as_expected]
-    expected = [same for same, own in zip(expected, applicable, strict=True) if own]
+    expected, others = as_expected(runs)
     holds, violated, nothing = (sum(run.count(verdict) for run in runs) for verdict in Verdict)
     if not all(expected):
         of_violated = f"{violated} {'is' if violated == 1 else 'are'} violated"
@@ -147,7 +183,7 @@ def answer(runs: Sequence[JudgedRun]) -> str:
         (holds, f"{holds} {'holds' if holds == 1 else 'hold'}"),
         (violated, of_violated),
         (nothing, f"{nothing} {'decides' if nothing == 1 else 'decide'} nothing"),
-        (others := applicable.count(False), f"{others} not applicable to the controller"),
+        (others, f"{others} not applicable to the controller"),
     )
     words = ", ".join(one for count, one in parts if count) or "no claim was judged"
     return f"{sum(expected)} of {len(expected)} as expected: {words}."

@@ -8,19 +8,15 @@ from dataclasses import replace
 from datetime import datetime
 from itertools import groupby
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
-from safety_harness.admission.repeatability import RepeatabilityResult
-from safety_harness.admission.taking import NotTaken
-from safety_harness.base.exceptions import InputError, refuse_other_type
+from safety_harness.base.exceptions import refuse_other_type
 from safety_harness.base.proportions import share_words
 from safety_harness.base.whole_file import write_whole
-from safety_harness.claims.properties.against import Against
-from safety_harness.claims.properties.tally import ClaimTally
 from safety_harness.report.decisions import (
     MOST_DECISION_ROWS,
     DecisionTally,
@@ -35,7 +31,15 @@ from safety_harness.report.decisions import (
     overruling_of_each,
     tested_words,
 )
-from safety_harness.report.evidence import JudgedRun, answer, basis_of, notes_of, tallies
+from safety_harness.report.evidence import (
+    AboutRuns,
+    JudgedRun,
+    answer,
+    basis_of,
+    notes_of,
+    tallies,
+    with_defaults,
+)
 from safety_harness.report.knowledge import measured_rows
 from safety_harness.report.machine import refused_data
 from safety_harness.report.page_parts import MOST_OPEN, added_sections, render_page
@@ -74,34 +78,19 @@ def write_report(
     command: str,
     interrupted: bool,
     generated_at: datetime,
-    coverage: Sequence[ClaimTally] | None = None,
-    skipped: Sequence[NotTaken] = (),
-    refused: Sequence[InputError] = (),
-    against: Against | None = None,
-    repeated: RepeatabilityResult | None = None,
+    **about: Unpack[AboutRuns],
 ) -> None:
     """Write the report on ``runs`` to ``path``, whole or not at all; it asks nothing of the network.
 
     ``command`` is the command line that made the report; ``interrupted`` says that more runs were planned
-    than are here.  ``coverage`` is how often each claim was put to the test, where that was in more runs than
-    are shown; ``skipped`` is what an avoider could not take, ``refused`` what could not be used at all,
-    ``against`` what is worse than with a reference, ``repeated`` what a second avoider answered to their
-    questions.  Folders that are missing are made.  Raises OSError.
+    than are here.  ``about`` are ``coverage``, ``skipped``, ``refused``, ``against`` and ``repeated``, each
+    of which may be left out, as ``AboutRuns`` has them.  Folders that are missing are made.  Raises OSError.
     """
     path = as_path(path, "write_report(path)")
     for run in runs:
         refuse_other_type("write_report(runs)", run, JudgedRun)
     page = render(
-        runs,
-        title=title,
-        command=command,
-        interrupted=interrupted,
-        generated_at=generated_at,
-        coverage=coverage,
-        skipped=skipped,
-        refused=refused,
-        against=against,
-        repeated=repeated,
+        runs, title=title, command=command, interrupted=interrupted, generated_at=generated_at, **about
     )
     write_whole(path, page)
 
@@ -113,14 +102,11 @@ def render(
     command: str,
     interrupted: bool,
     generated_at: datetime,
-    coverage: Sequence[ClaimTally] | None = None,
-    skipped: Sequence[NotTaken] = (),
-    refused: Sequence[InputError] = (),
-    against: Against | None = None,
-    repeated: RepeatabilityResult | None = None,
+    **about: Unpack[AboutRuns],
 ) -> str:
     """The page as text; the same arguments give the same bytes."""
-    summary = _summary(runs, whole=not (interrupted or skipped or refused))
+    said = with_defaults(about)
+    summary = _summary(runs, whole=not (interrupted or said["skipped"] or said["refused"]))
     summary["interrupted"] = interrupted
     fallback = summary["decisions"].fallback
     replays = Replays()
@@ -141,12 +127,12 @@ def render(
         parted=_parted(sections),
         most_full=MOST_IN_FULL,
         most_open=MOST_OPEN,
-        coverage=tallies(runs) if coverage is None else coverage,
-        basis=basis_of(runs, coverage),
-        skipped=skipped,
-        refused=refused_data(refused),
-        against=against,
-        repeated=repeated,
+        coverage=tallies(runs) if said["coverage"] is None else said["coverage"],
+        basis=basis_of(runs, said["coverage"]),
+        skipped=said["skipped"],
+        refused=refused_data(said["refused"]),
+        against=said["against"],
+        repeated=said["repeated"],
         most_decisions=MOST_DECISION_ROWS,
         share=share_words,
         count=count_words,

@@ -9,30 +9,29 @@ from dataclasses import asdict
 from datetime import UTC, datetime
 from math import isfinite
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
-from safety_harness.admission.repeatability import RepeatabilityResult
-from safety_harness.admission.taking import NotTaken
 from safety_harness.base.exceptions import InputError
 from safety_harness.base.whole_file import write_whole
-from safety_harness.claims.properties.against import Against
 from safety_harness.claims.properties.answered import AvoiderAnswered
 from safety_harness.claims.properties.base import SI_UNITS, Evaluation
 from safety_harness.claims.properties.tally import ClaimTally
 from safety_harness.report.decisions import (
     DecisionTally,
     are_counted,
+    asks_of_hands,
     computing_time_lines,
     overruling_of_each,
+    refused_for_possible,
 )
-from safety_harness.report.evidence import JudgedRun, basis_of, tallies
+from safety_harness.report.evidence import AboutRuns, JudgedRun, basis_of, tallies, with_defaults
 from safety_harness.report.knowledge import known_data
-from safety_harness.report.possible_hands import asks_of_hands, refused_for_possible
 from safety_harness.report.shielding import shield_data
 from safety_harness.scenario.files import told
 from safety_harness.trace.overruling import Overruling, is_measured
 
 FORMAT = "safety-harness report 1"
+COUNTED = ("runs", "exercised", "occasions", "holds", "violated", "inconclusive", "unmeasured")
 
 
 def write_json(path: Path, found: dict[str, Any]) -> None:
@@ -41,14 +40,7 @@ def write_json(path: Path, found: dict[str, Any]) -> None:
 
 
 def report_data(
-    runs: Sequence[JudgedRun],
-    *,
-    interrupted: bool,
-    coverage: Sequence[ClaimTally] | None = None,
-    skipped: Sequence[NotTaken] = (),
-    refused: Sequence[InputError] = (),
-    against: Against | None = None,
-    repeated: RepeatabilityResult | None = None,
+    runs: Sequence[JudgedRun], *, interrupted: bool, **about: Unpack[AboutRuns]
 ) -> dict[str, Any]:
     """What came out of ``runs``, in types that JSON has.
 
@@ -66,6 +58,9 @@ def report_data(
     none; one that is not finite is the text "inf", "-inf" or "nan", since JSON has no such number.
     ``trace_sha256`` is of the trace file as it is now.  Raises OSError.
     """
+    said = with_defaults(about)
+    coverage, against, repeated = said["coverage"], said["against"], said["repeated"]
+    skipped = said["skipped"]
     return {
         "format": FORMAT,
         "made_at": datetime.now(UTC).isoformat(),
@@ -79,7 +74,7 @@ def report_data(
         "skipped": [
             {"scenario": one.scenario, "avoider": one.avoider, "reason": str(one.error)} for one in skipped
         ],
-        "refused": refused_data(refused),
+        "refused": refused_data(said["refused"]),
         "against": None if against is None else against.as_json(),
         "repeatability": None if repeated is None else asdict(repeated),
     }
@@ -150,13 +145,7 @@ def _coverage(tally: ClaimTally) -> dict[str, Any]:
     worst = tally.worst
     return {
         "claim": tally.sentence,
-        "runs": tally.runs,
-        "exercised": tally.exercised,
-        "occasions": tally.occasions,
-        "holds": tally.holds,
-        "violated": tally.violated,
-        "inconclusive": tally.inconclusive,
-        "unmeasured": tally.unmeasured,
+        **{name: getattr(tally, name) for name in COUNTED},
         "worst_margin_si": _number(worst.evaluation.margin) if worst else None,
         "worst_scenario": worst.run if worst else None,
         "untested": tally.untested,

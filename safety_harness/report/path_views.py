@@ -16,6 +16,7 @@ from safety_harness.base.geometry.arrays import Array3
 from safety_harness.base.settings import Cell, Settings
 from safety_harness.cell.robot.kinematics import links_in_base
 from safety_harness.cell.robot.robots import arm_model
+from safety_harness.cell.simulation.cameras import object_polygon_in_base
 from safety_harness.report.axes import Axes, Picture, Share
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.svg import HANDS, Floats, Ink, keep_extremes
@@ -148,8 +149,7 @@ def name_table(axes: Axes, cell: Cell) -> None:
 
 def draw_close_up_frame(axes: Axes, trace: Trace, axis: int) -> None:
     """What part of the whole view the close-up shows."""
-    low, high = close_up_mm(trace)
-    x, y = rectangle(low, high, axis)
+    x, y = rectangle(*close_up_mm(trace), axis)
     axes.line(x, y, Ink.MUTED, width=0.8)
 
 
@@ -161,11 +161,7 @@ def rectangle(low: Array3, high: Array3, axis: int) -> Floats:
 
 def draw_cell(axes: Axes, settings: Settings, axis: int) -> None:
     """Object, desired TCP and, from the side, the table's edge."""
-    cell, shape = settings.cell, settings.object
-    c, s = np.cos(shape.yaw_rad), np.sin(shape.yaw_rad)
-    corners = np.zeros((len(shape.polygon_m), 3))
-    corners[:, :2] = np.array(shape.polygon_m) @ np.array([[c, s], [-s, c]])
-    corners = (corners + shape.position_in_base_m) * MM
+    cell, corners = settings.cell, object_polygon_in_base(settings) * MM
     if axis == 2:
         axes.hline(cell.table_height_m * MM, Ink.TEXT, width=1.6)
     axes.area(corners[:, 0], corners[:, axis], Ink.OBJECT, opacity=0.18)

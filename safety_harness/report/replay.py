@@ -13,12 +13,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.base.settings import HandSensorKind, Object, Settings
+from safety_harness.base.settings import HandSensorKind, Settings
 from safety_harness.cell.controller.records import overhead_transform_sensor_to_base
 from safety_harness.cell.perception.camera import transform_camera_to_tcp
 from safety_harness.cell.robot.capsules import CapsuleSet
 from safety_harness.cell.robot.description import ArmModel
 from safety_harness.cell.robot.robots import arm_capsules, arm_model
+from safety_harness.cell.simulation.cameras import object_polygon_in_base
 from safety_harness.cell.simulation.truth import cell_capsules
 from safety_harness.claims.properties.protective_separation import times_left_s
 from safety_harness.claims.signals.separation import REACHING_MPS, lengths
@@ -109,7 +110,7 @@ def replay_data(run: JudgedRun) -> dict[str, Any]:
         "critical_distance_m": settings.avoidance.critical_distance_m,
         "table_height_m": settings.cell.table_height_m,
         "desired_tcp_in_base_m": list(settings.cell.desired_tcp_position_in_base_m),
-        "object_in_base_m": _object(settings.object),
+        "object_in_base_m": [rounded(corner) for corner in object_polygon_in_base(settings)],
         "boxes_in_base_m": [_faces(box) for box in trace.scenario.obstacles],
         "views": _views(settings),
         "tracks": used,
@@ -215,13 +216,6 @@ def _views(settings: Settings) -> list[dict[str, Any]]:
 def _corners(optics: Any, depth_m: float) -> list[list[float]]:  # a Camera or a HandSensor
     half = 0.5 * depth_m / optics.focal_px * np.array([optics.width_px, optics.height_px])
     return [rounded(np.array([*half * sign, depth_m])) for sign in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
-
-
-def _object(shape: Object) -> list[list[float]]:
-    c, s = np.cos(shape.yaw_rad), np.sin(shape.yaw_rad)
-    corners = np.zeros((len(shape.polygon_m), 3))
-    corners[:, :2] = np.array(shape.polygon_m) @ np.array([[c, s], [-s, c]])
-    return [rounded(corner) for corner in corners + shape.position_in_base_m]
 
 
 def _faces(box: Obstacle) -> list[list[list[float]]]:

@@ -184,25 +184,23 @@ class RunsShown:
 
     scenarios: Sequence[Scenario]
     show: Callable[..., None]
-    _before: int = 0
+    _number: int = 0
     _shown: int = 0
-    _words: str = ""
-    _at: str = ""
-    _ticks: int = field(default=0, init=False)
 
     def begin(self, number: int) -> None:
         """Scenario ``number`` starts."""
-        name = self.scenarios[number].name
-        self._before = sum(s.ticks + 1 for s in self.scenarios[:number])
-        self._ticks, self._shown = self.scenarios[number].ticks + 1, 0
-        self._words, self._at = name, f"[{number + 1}/{len(self.scenarios)}] "
-        self.show(self._before, self._words, self._at)
+        self._number = number
+        self._show(0)
 
     def tick(self, done: int) -> None:
         """``done`` ticks of the current scenario are over; shown every 50, and at its end."""
-        if done - self._shown >= 50 or done >= self._ticks:
-            self._shown = done
-            self.show(self._before + done, self._words, self._at)
+        if done - self._shown >= 50 or done > self.scenarios[self._number].ticks:
+            self._show(done)
+
+    def _show(self, done: int) -> None:
+        before, self._shown = sum(s.ticks + 1 for s in self.scenarios[: self._number]), done
+        name, at = self.scenarios[self._number].name, f"[{self._number + 1}/{len(self.scenarios)}] "
+        self.show(before + done, name, at)
 
 
 @contextmanager
@@ -351,14 +349,9 @@ class RunSession:
 
     def _ask_again(self) -> None:
         """Does the avoider answer alike when it is asked again?  Not after an interruption."""
-        if not self.runs or self.interrupted or self.unwritable is not None:
-            return
-        try:
-            self.repeated = self.repeatability.check()
-        except KeyboardInterrupt:
-            self.interrupted = True
-        else:
-            self.output.say(f"{'error: ' if self.repeated.problem else ''}{self.repeated.line}")
+        if self.runs and not self.interrupted and self.unwritable is None:
+            self.repeated = self.repeatability.reported(self.output)
+            self.interrupted = self.repeated is None
 
 
 def result_lines(run: JudgedRun) -> Iterator[str]:

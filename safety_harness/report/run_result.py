@@ -21,7 +21,7 @@ from safety_harness.base.whole_file import write_text, writing
 from safety_harness.claims.properties.against import Against
 from safety_harness.claims.properties.base import Evaluation
 from safety_harness.claims.properties.tally import ClaimTally, untested_lines
-from safety_harness.report.evidence import JudgedRun, basis_of, tallies, worst_verdict
+from safety_harness.report.evidence import JudgedRun, as_expected, basis_of, tallies, worst_verdict
 from safety_harness.scenario.files import told
 from safety_harness.scenario.model import Scenario, Verdict
 from safety_harness.scenario.write import write_scenario
@@ -89,14 +89,6 @@ class RunResult:
         return basis_of(self.runs)
 
     @property
-    def as_expected(self) -> tuple[list[bool], int]:
-        """Whether each verdict is the expected one, and how many claims do not concern what was tested."""
-        applicable = [one for run in self.runs for one in run.applicable]
-        expected = [one for run in self.runs for one in run.as_expected]
-        own = [same for same, applies in zip(expected, applicable, strict=True) if applies]
-        return own, applicable.count(False)
-
-    @property
     def exit_code(self) -> int:
         """The command's exit code."""
         if self.unwritable is not None:
@@ -106,7 +98,7 @@ class RunResult:
         if self.refused:
             return BAD_INPUT
         if self.against is None:
-            verdicts, others = self.as_expected
+            verdicts, others = as_expected(self.runs)
             untested = untested_lines(self.coverage)
             good = all(verdicts) and bool(verdicts or not others) and not (untested or self.skipped)
         else:  # what cannot be compared differs in nothing

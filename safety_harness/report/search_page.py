@@ -18,14 +18,13 @@ from safety_harness.base.proportions import share_words
 from safety_harness.cell.simulation.worlds import KINEMATIC, PYBULLET
 from safety_harness.claims.properties.against import Against
 from safety_harness.claims.properties.base import Evaluation, Unit
-from safety_harness.report.attribution_picture import draw_attributions
 from safety_harness.report.axes import Axes, Picture, stairs
 from safety_harness.report.coverage_map import coverage_map
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.page_parts import MOST_OPEN, render_page
 from safety_harness.report.path_views import path_views, shown_moment
 from safety_harness.report.replay import Replays
-from safety_harness.report.search_attribution import FaultsOfSearch, findings_of
+from safety_harness.report.search_attribution import FaultsOfSearch, draw_attributions, findings_of
 from safety_harness.report.svg import DASHES, Ink, plain
 from safety_harness.report.words import margin_words, with_minus
 from safety_harness.scenario.files import told

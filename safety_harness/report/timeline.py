@@ -7,7 +7,7 @@ from the TCP.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from itertools import cycle
 
 import numpy as np
@@ -107,8 +107,9 @@ def timeline(run: JudgedRun, *, prefix: str) -> str:
     _mode_panel(panels[0], trace, end_s)
     distance_panel(panels[1], run)
     predicted_panel(panels[2], trace)
-    length_error_panel(panels[3], trace)
-    shape_error_panel(panels[4], trace)
+    errors = _seen(trace, "feature_error")
+    error_panel(panels[3], trace, "Feature errors, lengths, mm", errors[:, :3] * MM, LENGTHS)
+    error_panel(panels[4], trace, OF_SHAPES, errors[:, 3:], SHAPES)
     sse_panel(panels[5], trace)
     speed_panel(panels[6], run)
     joint_panel(panels[7], trace)
@@ -255,20 +256,17 @@ def predicted_panel(axes: Axes, trace: Trace) -> None:
     _limit_lines(axes, [("critical distance", critical_m * MM)])
 
 
-def length_error_panel(axes: Axes, trace: Trace) -> None:
-    """The errors of x_n, y_n and a_n."""
-    errors = _seen(trace, "feature_error") * MM
-    names = (("x\u2099", Ink.TCP), ("y\u2099", Ink.HAND_1), ("a\u2099", Ink.GREEN))
+LENGTHS = (("x\u2099", Ink.TCP), ("y\u2099", Ink.HAND_1), ("a\u2099", Ink.GREEN))
+SHAPES = (("\u03b3", Ink.HAND_2), ("\u03b4", Ink.PREDICTED), ("\u03b1", Ink.SKY))
+OF_SHAPES = "Feature errors, \u03b3 and \u03b4 (no unit), \u03b1 (rad)"
+
+
+def error_panel(
+    axes: Axes, trace: Trace, title: str, errors: Floats, names: Iterable[tuple[str, Ink]]
+) -> None:
+    """Errors (n, 3) of features with these names, where the object was in view."""
     lines = [(name, errors[:, i], ink, DASHES[i]) for i, (name, ink) in enumerate(names)]
-    _panel(axes, trace, "Feature errors, lengths, mm", lines, zero=True)
-
-
-def shape_error_panel(axes: Axes, trace: Trace) -> None:
-    """The errors of gamma, delta and alpha."""
-    errors = _seen(trace, "feature_error")
-    names = (("\u03b3", Ink.HAND_2), ("\u03b4", Ink.PREDICTED), ("\u03b1", Ink.SKY))
-    lines = [(name, errors[:, 3 + i], ink, DASHES[i]) for i, (name, ink) in enumerate(names)]
-    _panel(axes, trace, "Feature errors, \u03b3 and \u03b4 (no unit), \u03b1 (rad)", lines, zero=True)
+    _panel(axes, trace, title, lines, zero=True)
 
 
 def sse_panel(axes: Axes, trace: Trace) -> None:

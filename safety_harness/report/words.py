@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import math
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import fields, is_dataclass
 from enum import Enum, IntFlag
 from typing import Any
@@ -76,26 +75,6 @@ def margin_words(evaluation: Evaluation) -> str:
         return f"at least {BEYOND_M * 1e3:.0f} mm"
     text = evaluation.margin_text()
     return "\u2013" if text == "-" else with_minus(text)
-
-
-def rounded_up(share: float) -> str:
-    """An upper bound with three digits, none of which makes it look better than it is."""
-    return _rounded(share, math.ceil)
-
-
-def rounded_down(share: float) -> str:
-    """A lower bound likewise."""
-    return _rounded(share, math.floor)
-
-
-def _rounded(share: float, to_whole: Callable[[float], int]) -> str:
-    """What is a number of three digits already, but for an error of a float's, stays it."""
-    if not 0.0 < share < 1.0:
-        return f"{share:g}"
-    digit = 10.0 ** (math.floor(math.log10(share)) - 2)
-    near = round(share / digit)
-    whole = near if abs(share / digit - near) < 1e-9 else to_whole(share / digit)
-    return f"{min(whole * digit, 1.0):.3g}"
 
 
 def milliseconds_words(time_s: float) -> str:

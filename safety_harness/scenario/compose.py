@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import itertools
 import math
-import os
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
@@ -19,7 +18,7 @@ from safety_harness.base.shipped.contents import located
 from safety_harness.scenario.fields import Field
 from safety_harness.scenario.files import ALL, decode, foreign, has_a_key, read_bytes, resolved
 from safety_harness.scenario.nodes import Mapping, Node, Scalar, Sequence, parse_tree
-from safety_harness.scenario.references import avoider_seen_from, file_and_name, seen_from
+from safety_harness.scenario.references import avoider_seen_from, seen_from
 from safety_harness.scenario.robots import FILES, robot_seen_from
 from safety_harness.scenario.units import shown
 
@@ -251,23 +250,11 @@ def _moved(node: Node, folder: Path, to: Path) -> Node:
         **{key: lambda text: robot_seen_from(to, text, folder) for key in ("robot", "arm")},
         **{key: lambda text: seen_from(to, text, folder) for key in FILES},
     }
-    return _rewritten(node, words, None)
+    return rewritten(node, words)
 
 
-def with_relative_paths(node: Node, folder: Path) -> Node:
-    """A tree in which no avoider, controller or recording has an absolute path, as seen from ``folder``."""
-
-    def relative(text: str) -> str:
-        file, name = file_and_name(text)
-        path = Path(os.path.expanduser(file or text))
-        if not path.is_absolute():
-            return text
-        return os.path.relpath(resolved(path), resolved(folder)) + f":{name}" * bool(name)
-
-    return _rewritten(node, dict.fromkeys(("avoider", "controller", "recording"), relative), None)
-
-
-def _rewritten(node: Node, words: dict[str, _Rewrite], rewrite: _Rewrite | None) -> Node:
+def rewritten(node: Node, words: dict[str, _Rewrite], rewrite: _Rewrite | None = None) -> Node:
+    """Return the tree in which texts below the keys of ``words`` are what these make of them."""
     if isinstance(node, Scalar):
         if rewrite is None or not node.text:
             return node
@@ -275,11 +262,11 @@ def _rewritten(node: Node, words: dict[str, _Rewrite], rewrite: _Rewrite | None)
         parts = options.split(", ") if first else [options]
         return replace(node, text=first + ", ".join(map(rewrite, parts)))
     if isinstance(node, Sequence):
-        return replace(node, items=tuple(_rewritten(item, words, rewrite) for item in node.items))
+        return replace(node, items=tuple(rewritten(item, words, rewrite) for item in node.items))
     entries = []
     for key, value in node.entries:
         listed = key.text in FILES and isinstance(value, Sequence)  # capsules of a tool, and no file of them
-        entries.append((key, _rewritten(value, words, None if listed else words.get(key.text, rewrite))))
+        entries.append((key, rewritten(value, words, None if listed else words.get(key.text, rewrite))))
     return replace(node, entries=tuple(entries))
 
 

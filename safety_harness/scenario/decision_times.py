@@ -7,11 +7,12 @@ stands in it, so that a trace is complete in itself.
 from __future__ import annotations
 
 import json
-import math
 from dataclasses import asdict, fields
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated
+
+import msgspec
 
 from safety_harness.base.exceptions import InputError, Place, ScenarioError
 from safety_harness.base.settings import DecisionCost, DecisionTimes, Measured
@@ -116,17 +117,25 @@ def _profile(path: Path, place: Place) -> DecisionTimes:
     return found
 
 
+class _Profile(msgspec.Struct):
+    """What a profile's file holds."""
+
+    format: str
+    avoider: str
+    sha256: str
+    machine: str
+    questions: Annotated[int, msgspec.Meta(gt=0)]
+    quantiles_s: Annotated[tuple[float, ...], msgspec.Meta(min_length=2, max_length=MOST_QUANTILES)]
+
+
 @lru_cache(maxsize=16)  # the scenarios of a space name the same one over and over
 def _parsed(text: str) -> DecisionTimes | None:
     try:
-        found = json.loads(text)
-        measured = Measured(**{key: found[key] for key in KEYS[1:]})
-        times_s = tuple(map(float, found["quantiles_s"]))
-        whole = found["format"] == FORMAT and 2 <= len(times_s) <= MOST_QUANTILES
-        texts: list[Any] = [measured.avoider, measured.machine, measured.sha256 or "none"]
-        whole = whole and all(isinstance(text, str) and is_sentence(text) for text in texts)
-        whole = whole and type(measured.questions) is int and measured.questions > 0
-        whole = whole and all(map(math.isfinite, times_s)) and _rise(times_s)
-    except (ValueError, TypeError, KeyError, RecursionError, OverflowError):
+        found = msgspec.json.decode(text, type=_Profile)
+    except (ValueError, RecursionError):
         return None
-    return DecisionTimes(quantiles_s=times_s, measured=measured) if whole else None
+    texts = (found.avoider, found.machine, found.sha256 or "none")
+    if found.format != FORMAT or not all(map(is_sentence, texts)) or not _rise(found.quantiles_s):
+        return None
+    measured = Measured(**{key: getattr(found, key) for key in KEYS[1:]})
+    return DecisionTimes(quantiles_s=found.quantiles_s, measured=measured)

@@ -94,10 +94,8 @@ class Gathered:
                 if scenario.name.endswith("]"):
                     same = rows.setdefault(replace(scenario, name=""), scenario.name)
                     if same != scenario.name:  # it would hold under a name that says otherwise
-                        place, got = (
-                            Place(file=file, field="matrix"),
-                            f"{scenario.name} is the same as {same}",
-                        )
+                        place = Place(file=file, field="matrix")
+                        got = f"{scenario.name} is the same as {same}"
                         raise ScenarioError(place=place, expected="rows that differ", got=got)
                 self.take(scenario)
         except InputError as error:

@@ -178,9 +178,8 @@ class Field(NamedTuple):
         for key, field in entries:
             if key not in allowed:
                 hint = (hints or {}).get(key) or near_miss(key, allowed)
-                raise field.error(
-                    f"one of the keys {', '.join(allowed)}", got=f'the key "{shown(key)}"', hint=hint
-                )
+                expected = f"one of the keys {', '.join(allowed)}"
+                raise field.error(expected, got=f'the key "{shown(key)}"', hint=hint)
         return Fields(self, dict(entries))
 
 

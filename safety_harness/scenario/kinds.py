@@ -30,14 +30,21 @@ _UTF_16 = (b"\xff\xfe", b"\xfe\xff")
 
 
 class FileKind(Enum):
-    """A kind of file or folder: what a message calls it, and what to type for it."""
+    """A kind of file or folder: what a message calls it with its article, and what to type for it.
 
-    SCENARIO = "a scenario", "safety-harness run {file}"
-    SPACE = "a scenario space", "safety-harness fuzz {file}, or sample {file} for scenarios that run takes"
-    SUITE = "a suite of scenarios", "safety-harness run {file}"
-    PLAN = "a plan", "safety-harness certify {file}, or campaign run {file} for its runs alone"
-    PROOF = "a plan of proofs", "safety-harness prove {file}"
-    LOG = "the log of a cell", "safety-harness judge {file}"
+    ``names`` are the titles of our YAML, or the formats of our JSON, that are of this kind.
+    """
+
+    SCENARIO = "a scenario", "safety-harness run {file}", "scenario"
+    SPACE = (
+        "a scenario space",
+        "safety-harness fuzz {file}, or sample {file} for scenarios that run takes",
+        "scenario space",
+    )
+    SUITE = "a suite of scenarios", "safety-harness run {file}", "suite"
+    PLAN = "a plan", "safety-harness certify {file}, or campaign run {file} for its runs alone", "plan"
+    PROOF = "a plan of proofs", "safety-harness prove {file}", "proof"
+    LOG = "the log of a cell", "safety-harness judge {file}", "log"
     TRACE = "a trace", "safety-harness replay {file}, or judge {file}"
     LEDGER = "the ledger of a campaign", "safety-harness campaign status {file}"
     MODEL = "a model", "safety-harness evaluate {file}, or run FILE --avoider {file}"
@@ -49,15 +56,19 @@ class FileKind(Enum):
     )
     PYTHON = "a Python file", "safety-harness evaluate {file}:{name}, or run FILE --avoider {file}:{name}"
     PAGE = "a page for a browser", "open it there"
-    RUNS = "the figures of runs", ""
-    EVIDENCE = "a part of an evidence report", "safety-harness verify {folder}"
-    SCORES = "the figures of an evaluation", "its page is {folder}/evaluation.html"
-    SELFTEST = "the figures of a selftest", "safety-harness certify PLAN --selftest {file}"
-    DECLARATION = "the declaration of a plan", "safety-harness verify REPORT --declared {file}"
-    SEAL = "the seal of a report", "safety-harness verify REPORT --seal {file}"
-    CERTIFICATE = "the certificate of a proof", "safety-harness prove --check {file}"
-    CELL = "a recorded cell beside the worlds", "safety-harness certify PLAN --cell {file}"
-    TIMES = "measured decision times", "a scenario draws from them: safety-harness explain decision time"
+    RUNS = "the figures of runs", "", "report"
+    EVIDENCE = "a part of an evidence report", "safety-harness verify {folder}", "evidence", "manifest"
+    SCORES = "the figures of an evaluation", "its page is {folder}/evaluation.html", "scores"
+    SELFTEST = "the figures of a selftest", "safety-harness certify PLAN --selftest {file}", "selftest"
+    DECLARATION = "the declaration of a plan", "safety-harness verify REPORT --declared {file}", "declaration"
+    SEAL = "the seal of a report", "safety-harness verify REPORT --seal {file}", "seal"
+    CERTIFICATE = "the certificate of a proof", "safety-harness prove --check {file}", "certificate"
+    CELL = "a recorded cell beside the worlds", "safety-harness certify PLAN --cell {file}", "recorded cell"
+    TIMES = (
+        "measured decision times",
+        "a scenario draws from them: safety-harness explain decision time",
+        "decision times",
+    )
     TABLE = "a table", "a recorded motion is named by a scenario: safety-harness explain recording"
     REPORT = "the folder of an evidence report", "safety-harness verify {file}"
     DATASET = "the folder of a data set", "safety-harness train mc-dropout --data {file}"
@@ -66,47 +77,22 @@ class FileKind(Enum):
     EMPTY = "an empty file", "safety-harness new OTHER.yaml writes a scenario to start from"
     BINARY = "a binary file", ""
 
-    @property
-    def words(self) -> str:
-        """With its article."""
-        return str(self.value[0])
-
-    @property
-    def command(self) -> str:
-        """What to type for it."""
-        return str(self.value[1])
+    def __init__(self, words: str, command: str, *names: str) -> None:
+        self.words, self.command, self.names = words, command, names
 
 
 Kind = FileKind | InputFile  # of the core's own messages, or of a package that adds it
 
 
-_BY_FORMAT = {
-    "report": FileKind.RUNS,
-    "evidence": FileKind.EVIDENCE,
-    "manifest": FileKind.EVIDENCE,
-    "scores": FileKind.SCORES,
-    "selftest": FileKind.SELFTEST,
-    "declaration": FileKind.DECLARATION,
-    "seal": FileKind.SEAL,
-    "certificate": FileKind.CERTIFICATE,
-    "recorded cell": FileKind.CELL,
-    "decision times": FileKind.TIMES,
-}
-_BY_TITLE = {
-    "scenario": FileKind.SCENARIO,
-    "scenario space": FileKind.SPACE,
-    "suite": FileKind.SUITE,
-    "plan": FileKind.PLAN,
-    "proof": FileKind.PROOF,
-}
-_TITLES: dict[Kind | None, str] = {FileKind.LOG: "log", **{kind: title for title, kind in _BY_TITLE.items()}}
+_NAMED = {name: kind for kind in FileKind for name in kind.names}
+_TITLED = {FileKind.SCENARIO, FileKind.SPACE, FileKind.SUITE, FileKind.PLAN, FileKind.PROOF}
 _BY_SUFFIX = {".py": FileKind.PYTHON, ".onnx": FileKind.ONNX, ".csv": FileKind.TABLE}
 _IN_FOLDERS = (
     ("manifest.json", "manifest", FileKind.REPORT),
     ("manifest.json", "dataset", FileKind.DATASET),
     ("report.json", "report", FileKind.RUN_FOLDER),
 )
-JSON = frozenset(_BY_FORMAT.values())
+JSON = frozenset(_NAMED.values()) - _TITLED - {FileKind.LOG}
 FOLDERS = frozenset({FileKind.REPORT, FileKind.DATASET, FileKind.RUN_FOLDER, FileKind.FOLDER})
 _BINARIES = frozenset({FileKind.TRACE, FileKind.LEDGER, FileKind.MODEL, FileKind.ONNX})
 
@@ -132,8 +118,8 @@ def added_input(path: Path) -> InputFile | None:
     kind = kind_of(path)
     if isinstance(kind, InputFile):
         return kind
-    title = _TITLES.get(kind, "")
-    return input_files().get(title) if title in added_titles() else None
+    titles = kind.names[:1] if kind in _TITLED or kind is FileKind.LOG else ()
+    return next((input_files().get(title) for title in titles if title in added_titles()), None)
 
 
 def added_titles() -> set[str]:
@@ -198,7 +184,7 @@ def command_for(path: Path, found: Kind, *wanted: Kind) -> str:
     if found is FileKind.FOLDER:
         inside = _first_in(path, {*wanted})
         return f"name a file in it, such as {shlex.quote(str(inside))}" if inside else ""
-    if found is FileKind.EMPTY and not {*wanted} & {*_BY_TITLE.values()}:
+    if found is FileKind.EMPTY and not {*wanted} & _TITLED:
         return ""
     if found in (FileKind.PAGE, FileKind.RUNS, FileKind.EVIDENCE):
         beside = kind_of(path.parent)
@@ -274,16 +260,16 @@ def _text_kind(path: Path, text: str) -> Kind | None:
         return FileKind.PAGE
     form = _format_of(text) if begin.startswith("{") else None
     if form is not None:
-        return _BY_FORMAT.get(form)
+        return _NAMED.get(form)
     if all(one.search(text) for one in _LOG):
         return FileKind.LOG
     keys = {*TOP_KEY.findall(text)}
     titles = keys & {*TITLES, "plan", "proof"}
     if not titles:
-        added = (title for title in added_titles() if title not in _TITLES.values())
+        added = (title for title in added_titles() if title not in _NAMED)
         title = next((one for one in added if re.search(rf"^{re.escape(one)}:", text, re.M)), "")
         return input_files().get(title) if title else None
-    return _BY_TITLE[titles.pop()] if len(titles) == 1 else None
+    return _NAMED[titles.pop()] if len(titles) == 1 else None
 
 
 def _format_of(text: str) -> str | None:

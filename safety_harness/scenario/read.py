@@ -144,10 +144,9 @@ def _choose_controller(given: Fields, values: dict[str, Any]) -> None:
     if values["controller"] == VISUAL_SERVO:
         return
     if "avoider" in given:
-        raise given.required("avoider").error(
-            "no avoider beside another controller than the visual servo, which alone asks one",
-            got=f"one, and the controller {shown(values['controller'])}",
-        )
+        expected = "no avoider beside another controller than the visual servo, which alone asks one"
+        got = f"one, and the controller {shown(values['controller'])}"
+        raise given.required("avoider").error(expected, got=got)
     values["avoider"] = NO_AVOIDER
 
 
@@ -157,11 +156,9 @@ def refuse_distributions(root: Field) -> None:
         return
     for key, field in root.entries("a scenario"):
         if key == SPACE_KEY:
-            raise field.error(
-                "one scenario",
-                got="a scenario space",
-                hint="safety-harness fuzz searches it, and sample draws scenarios from it",
-            )
+            expected = "one scenario"
+            hint = "safety-harness fuzz searches it, and sample draws scenarios from it"
+            raise field.error(expected, got="a scenario space", hint=hint)
         if key not in _PROSE:
             for one in walk(field):
                 _refuse_distribution(one)
@@ -239,11 +236,10 @@ def _moving_hand(given: Fields) -> MovingHand:
     if hand.elbow_towards_in_base_m == shifted(hand.starts_at_in_base_m, hand.shift_in_base_m):
         raise given.required("elbow towards").error("a point other than where the hand starts")
     if hand.tremor is not None and hand.tremor.max_speed_mps >= hand.max_speed_mps:
-        raise given.required("tremor").error(
-            f"a tremor slower than the hand's bound of {hand.max_speed_mps:g} m/s",
-            got=f"one of up to {hand.tremor.max_speed_mps:.3g} m/s",
-            hint='2 pi times amplitude times rate; the bound is the hand\'s key "speed at most"',
-        )
+        expected = f"a tremor slower than the hand's bound of {hand.max_speed_mps:g} m/s"
+        hint = '2 pi times amplitude times rate; the bound is the hand\'s key "speed at most"'
+        got = f"one of up to {hand.tremor.max_speed_mps:.3g} m/s"
+        raise given.required("tremor").error(expected, got=got, hint=hint)
     for move, field in zip(hand.moves, given.required("moves").items("a list of moves"), strict=True):
         _check_move(move, dict(field.entries("a move")), hand)
     return hand
@@ -304,11 +300,9 @@ def _refuse_too_fast(given: Fields, hand: RecordedHand) -> None:
     fastest_mps = hand.motion.max_speed_mps
     if fastest_mps > bound_mps:
         field = given.required("speed factor" if hand.speed_factor > 1.0 else "speed at most")
-        raise field.error(
-            f"a hand that is never faster than {bound_mps:g} m/s",
-            got=f"one of {fastest_mps:.3f} m/s",
-            hint=f"speed at most: {math.ceil(fastest_mps * 10.0) / 10.0:g} m/s, if it is meant",
-        )
+        expected = f"a hand that is never faster than {bound_mps:g} m/s"
+        hint = f"speed at most: {math.ceil(fastest_mps * 10.0) / 10.0:g} m/s, if it is meant"
+        raise field.error(expected, got=f"one of {fastest_mps:.3f} m/s", hint=hint)
 
 
 def _recording(given: Fields, path: Path, digest: str, carried: Mapping[str, bytes]) -> Recording:
@@ -336,11 +330,9 @@ def _elbow_track(given: Fields, values: Mapping[str, Any], recording: Recording)
         return track
     same_side = recording.elbow_of(values["track"])
     if same_side is None:
-        raise given.whole.error(
-            'the key "elbow track" or "elbow towards"',
-            got="neither, and the recording has no elbow of the same side",
-            hint=f"its tracks: {', '.join(map(shown, recording.tracks))}",
-        )
+        hint = f"its tracks: {', '.join(map(shown, recording.tracks))}"
+        got = "neither, and the recording has no elbow of the same side"
+        raise given.whole.error('the key "elbow track" or "elbow towards"', got=got, hint=hint)
     return same_side
 
 

@@ -135,9 +135,8 @@ def _check_time(time_s: NDArray[np.float64], lines: list[int], file: Path) -> No
         raise _error(file, lines[index], TIME_COLUMN, expected="a time", got="an empty cell")
     for index in np.flatnonzero(np.diff(time_s) < _SHORTEST_STEP_S):
         got = f"{time_s[index + 1]:.12g} s after {time_s[index]:.12g} s"
-        raise _error(
-            file, lines[index + 1], TIME_COLUMN, expected="a time later than the one before", got=got
-        )
+        expected = "a time later than the one before"
+        raise _error(file, lines[index + 1], TIME_COLUMN, expected=expected, got=got)
 
 
 def _number(cell: str, file: Path, line: int | np.int64, column: str, largest: float) -> float:

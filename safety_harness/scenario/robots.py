@@ -500,10 +500,8 @@ def _urdf(given: Fields, carried: Mapping[str, bytes]) -> Path:
     if "urdf" in given:
         return _path(given.required("urdf"))
     package = given.required("package")
-    text, asked = (
-        package.sentence("the name of a URDF in an installed package"),
-        given.optional("urdf sha256"),
-    )
+    text = package.sentence("the name of a URDF in an installed package")
+    asked = given.optional("urdf sha256")
     try:
         return urdf_of_package(text, package.place)
     except ScenarioError:

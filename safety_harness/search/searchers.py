@@ -38,6 +38,5 @@ def searcher_named(name: str) -> MakesSearcher:
             return make
     names = [make.name for make in SEARCHERS]
     refuse_other_type("searcher_named(name)", name, str, expected=f"one of {', '.join(names)}")
-    raise ScenarioError.of_option(
-        "searcher", f"one of {', '.join(names)}", repr(name), near_miss(name, names)
-    )
+    expected = f"one of {', '.join(names)}"
+    raise ScenarioError.of_option("searcher", expected, repr(name), near_miss(name, names))

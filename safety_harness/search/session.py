@@ -269,12 +269,8 @@ class SearchSession:
     def _ask_again(self) -> None:
         """Does the avoider answer alike when it is asked again?  Not after an interruption."""
         if not self.interrupted:
-            try:
-                self.repeated = self.trials.repeatability.check()
-            except KeyboardInterrupt:
-                self.findings.interrupted = True
-            else:
-                self.output.say(f"{'error: ' if self.repeated.problem else ''}{self.repeated.line}")
+            self.repeated = self.trials.repeatability.reported(self.output)
+            self.findings.interrupted = self.repeated is None
 
     def _origin(self, group: Group, searcher: str) -> list[str]:
         """Where the counterexample of a group comes from, and that its avoider does not answer alike."""

@@ -45,9 +45,8 @@ def fixed_quantity(field: Field, text: str | None = None) -> tuple[float, str]:
     number = _NUMBER.match(text.strip())
     unit = normal_unit(text.strip()[number.end() :]) if number else ""
     if number is None or (unit and unit not in _DIMENSIONS):
-        raise field.error(
-            "a quantity such as 80 mm or 0.5 m/s", got=shown(text), hint=near_miss(unit, _DIMENSIONS)
-        )
+        expected = "a quantity such as 80 mm or 0.5 m/s"
+        raise field.error(expected, got=shown(text), hint=near_miss(unit, _DIMENSIONS))
     dimension = _DIMENSIONS[unit] if unit else NUMBER
     return parse_quantity(text, dimension, field.place), dimension.si
 

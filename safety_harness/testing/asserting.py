@@ -10,6 +10,7 @@ from dataclasses import replace
 from math import isfinite
 from pathlib import Path
 
+from safety_harness.admission.avoiders import told_avoider
 from safety_harness.admission.claims import property_of
 from safety_harness.base.exceptions import (
     InadmissibleError,
@@ -20,19 +21,20 @@ from safety_harness.base.exceptions import (
 )
 from safety_harness.claims.formulas.claim import FormulaClaim
 from safety_harness.claims.formulas.formula import Formula
-from safety_harness.claims.properties.against import ClaimDifference
+from safety_harness.claims.properties.against import ClaimDifference, RunDifference, VerdictChange
 from safety_harness.claims.properties.answered import AvoiderAnswered, by_default
 from safety_harness.claims.properties.base import Evaluation, Property, inconclusive, unreadable
 from safety_harness.claims.properties.measured import columns_read_by
 from safety_harness.claims.properties.tally import made_in
 from safety_harness.report.words import tested_words
 from safety_harness.scenario.model import Claim, Scenario, Verdict
-from safety_harness.testing.against import against_reference, is_shared, note_of
 from safety_harness.testing.failure_text import failure_text
 from safety_harness.testing.session import Judgement, Run, session
-from safety_harness.testing.simulating import original, run_key
+from safety_harness.testing.simulating import digest_of, original, run_key, simulate
+from safety_harness.trace.overruling import Overruling
 from safety_harness.trace.trace import Trace
 
+_WORSE = (VerdictChange.NEW, VerdictChange.DEEPER, VerdictChange.SILENT)
 TRUTH = ("joint_position_rad", "joint_velocity_radps", "transform_tcp_to_base", "hand_position_in_base_m")
 
 
@@ -198,3 +200,52 @@ def _caller() -> Place:
     if frame is None:
         return Place(field="assert_holds")
     return Place(file=Path(frame.f_code.co_filename), line=frame.f_lineno, field="assert_holds")
+
+
+def against_reference(
+    trace: Trace, mine: Evaluation, judge: Callable[[Trace], Evaluation]
+) -> ClaimDifference | None:
+    """The same claim in the same scenario with the reference, noted for the summary; None without one."""
+    if session().against is None:
+        return None
+    other = simulate.with_reference(trace)
+    found = ClaimDifference(mine=mine, reference=judge(other))
+    test = session().test
+    if test is not None and test.counts:
+        new = RunDifference(
+            run=trace.scenario.name,
+            claims=(),
+            mine=Overruling.of([trace]),
+            reference=Overruling.of([other]),
+        )
+        run = test.differences.setdefault(digest_of(trace.scenario), new)
+        claims = (*run.claims, found)
+        test.differences[digest_of(trace.scenario)] = replace(run, claims=claims)
+    return found
+
+
+def is_shared(found: ClaimDifference | None) -> bool:
+    """Does the reference do no better?  Then the running test does not fail for it, and is skipped."""
+    test = session().test
+    if found is None or test is None or found.change in _WORSE:
+        return False
+    test.shared.append(f"{found.mine.sentence}: {_words(found)}")
+    return True
+
+
+def note_of(found: ClaimDifference) -> str:
+    """For a failure: what the reference does in the same scenario."""
+    return f"{found.change.value}: {found.words(_name())}"
+
+
+def _words(found: ClaimDifference) -> str:
+    mine, other = found.mine, found.reference
+    if mine.verdict is other.verdict:
+        return (
+            f"{other.verdict.value} with {_name()} too ({mine.margin_text()} against {other.margin_text()})"
+        )
+    return f"{mine.verdict.value}, and {other.verdict.value} with {_name()}"
+
+
+def _name() -> str:
+    return told_avoider(session().against or "")

@@ -22,7 +22,6 @@ import numpy as np
 
 from safety_harness.base.compiled import PACKAGE, cache_root, source_hash
 from safety_harness.base.distribution import installed_version
-from safety_harness.base.exceptions import InstallationError
 from safety_harness.base.extension_points import foreign_parts
 from safety_harness.base.whole_file import sha256_of, write_whole
 from safety_harness.trace.trace import Provenance
@@ -35,10 +34,8 @@ LIBRARIES = {
     "cv2": "cv2",
 }
 OF_EVERY_RUN = ("numpy", "numba")
-DATA, ROBOTS = (
-    "robot data",
-    PACKAGE / "cell" / "robot" / "data" / "ur_description",
-)  # by a hash over the files
+DATA = "robot data"
+ROBOTS = PACKAGE / "cell" / "robot" / "data" / "ur_description"
 ELSEWHERE = "onnxruntime"  # it is loaded in another process, for a stranger's file
 ONE_OWNER = (*LIBRARIES, ELSEWHERE, "scipy", "safetensors")
 _OWNED = re.compile(rf"\n({'|'.join(ONE_OWNER)})(?:/|\.[^,/\n]*(?:py|so|pyd),)")
@@ -75,14 +72,6 @@ def shared_modules() -> dict[str, tuple[str, ...]]:
         for module, packages in owners.items()
         if len(packages) > 1
     }
-
-
-def refuse_shared_modules() -> None:
-    """InstallationError that names the packages: which of them ran is not told by what is installed."""
-    for module, packages in shared_modules().items():
-        expected = "one installed package that owns it"
-        hint = "uninstall all of them, then install the one that is needed: they overwrite each other"
-        raise InstallationError.of_option(f"the module {module}", expected, " and ".join(packages), hint)
 
 
 def _imported(core: str) -> ModuleType | None:

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import pytest
 
 from safety_harness.admission.agreement import (
+    FORMAT,
     Agreement,
     LargestDifference,
     from_json,
     measured_agreement,
     present_source,
-    to_json,
 )
 from safety_harness.base.exceptions import InputError
 
@@ -33,6 +33,10 @@ EXAMPLE = Agreement(
     differences=(LargestDifference("TCP position [m]", 3e-4, "stuck"),),
     left_out=(),
 )
+
+
+def to_json(agreement: Agreement) -> str:
+    return json.dumps({"format": FORMAT, **asdict(agreement)})
 
 
 def test_what_is_written_is_read_back() -> None:

@@ -5,7 +5,7 @@ import pytest
 import scipy.stats
 from disagreement import noted
 
-from safety_harness.base.proportions import Proportion, median_rank, share_words, sign_test
+from safety_harness.base.proportions import Proportion, share_words, sign_test
 
 
 @pytest.mark.parametrize("trials", [1, 2, 7, 59, 1_000, 30_000])
@@ -33,12 +33,6 @@ def test_the_sign_test_is_the_binomial_one(more: int, fewer: int) -> None:
     exact = scipy.stats.binomtest(more, more + fewer).pvalue if more + fewer else 1.0
     assert sign_test(more, fewer) == pytest.approx(exact)
     assert sign_test(more, fewer) == sign_test(fewer, more)
-
-
-@pytest.mark.parametrize("n", [1, 5, 6, 25, 100, 5000])
-def test_the_rank_of_a_median_is_the_greatest_that_misses_seldom_enough(n: int) -> None:
-    rank = median_rank(n, 0.025)
-    assert scipy.stats.binom.cdf(rank - 1, n, 0.5) <= 0.025 < scipy.stats.binom.cdf(rank, n, 0.5)
 
 
 @pytest.mark.parametrize(

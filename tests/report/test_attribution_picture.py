@@ -5,7 +5,7 @@ from __future__ import annotations
 from xml.etree import ElementTree
 
 from safety_harness.claims.properties.base import Unit
-from safety_harness.report.attribution_picture import LONGEST_PX, draw_attributions
+from safety_harness.report.search_attribution import LONGEST_PX, draw_attributions
 from safety_harness.scenario.model import Claim, Verdict
 from safety_harness.search.attribution.attribute import Attribution, AttributionAnswer
 from safety_harness.search.attribution.tally import AttributionTally

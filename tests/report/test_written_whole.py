@@ -34,3 +34,10 @@ def test_a_report_is_written_whole_or_not_at_all(tmp_path: Path, monkeypatch: py
 def test_text_that_cannot_be_encoded_does_not_lose_the_report(tmp_path: Path) -> None:
     write_report(tmp_path / "r.html", [], title="\udcff", command="c", interrupted=False, generated_at=WHEN)
     assert "\\udcff" in (tmp_path / "r.html").read_text(encoding="utf-8")
+
+
+def test_a_keyword_that_no_report_has_is_not_left_out_silently(tmp_path: Path) -> None:
+    arguments = {"title": "t", "command": "c", "interrupted": False, "generated_at": WHEN}
+    with pytest.raises(TypeError, match="unknown keywords: skiped"):
+        write_report(tmp_path / "r.html", [], **arguments, skiped=())
+    assert not list(tmp_path.iterdir())

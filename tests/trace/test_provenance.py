@@ -13,11 +13,10 @@ from pathlib import Path
 import pytest
 from examples import scenario
 
-from safety_harness.base.exceptions import InstallationError
 from safety_harness.base.settings import DEFAULTS, ImageSource
 from safety_harness.cell.simulation.worlds import libraries_of
 from safety_harness.trace import provenance as software
-from safety_harness.trace.provenance import provenance, refuse_shared_modules, shared_modules
+from safety_harness.trace.provenance import provenance, shared_modules
 from safety_harness.trace.trace import Provenance
 
 
@@ -119,15 +118,12 @@ def test_two_packages_that_own_one_module_are_named(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, how: dict[str, str]
 ) -> None:
     assert shared_modules() == {}
-    refuse_shared_modules()
     installed(tmp_path, "opencv-python", "9.9.9", **how)
     monkeypatch.syspath_prepend(str(tmp_path))
     forget()
     first, second = shared_modules()["cv2"]
     assert first == "opencv-python 9.9.9"
     assert second.startswith("opencv-python-headless ")
-    with pytest.raises(InstallationError, match=r"the module cv2: .*opencv-python 9\.9\.9 and opencv-"):
-        refuse_shared_modules()
 
 
 def test_the_same_package_found_twice_is_no_second_owner(

@@ -8,14 +8,12 @@ that direction, which covers exactly a quarter of the sphere.  R and sigma are o
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.base.compiled import compiled
-from safety_harness.base.exceptions import Place, SettingsError
+from safety_harness.base.exceptions import SettingsError
 from safety_harness.base.settings import Settings
 
 NARROWEST_CONE_RAD = np.radians(1.0)  # rejection sampling would hardly end in a narrower one
@@ -46,17 +44,12 @@ class CandidateCap:
             settings.cell.desired_tcp_position_in_base_m, avoidance.nominal_hand_position_in_base_m
         )
         if not np.linalg.norm(axis) > 0.0:
-            raise SettingsError(
-                place=Place(field="nominal hand position"),
-                expected="a nominal hand position apart from the desired TCP position",
-                got="the same position",
-            )
+            expected = "a nominal hand position apart from the desired TCP position"
+            raise SettingsError.of_option("nominal hand position", expected, "the same position")
         if not avoidance.candidate_cone_rad >= NARROWEST_CONE_RAD:
-            raise SettingsError(
-                place=Place(field="candidate cone"),
-                expected=f"a candidate cone of at least {np.degrees(NARROWEST_CONE_RAD):.0f} deg",
-                got=f"{np.degrees(avoidance.candidate_cone_rad):g} deg",
-            )
+            expected = f"a candidate cone of at least {np.degrees(NARROWEST_CONE_RAD):.0f} deg"
+            got = f"{np.degrees(avoidance.candidate_cone_rad):g} deg"
+            raise SettingsError.of_option("candidate cone", expected, got)
         return cls(
             axis / np.linalg.norm(axis),
             avoidance.radius_m,
@@ -70,7 +63,7 @@ class CandidateCap:
 
         Rejection terminates: with sigma 45 degrees some 61 % of the draws fall into the cone.
         """
-        frame = self._frame()
+        frame = self.frame()
         kept = np.empty((0, 3))
         while len(kept) < self.count:
             azimuth, elevation = rng.normal(0.0, self.sigma_rad, (2, 2 * self.count))  # both from the axis
@@ -80,26 +73,7 @@ class CandidateCap:
             kept = np.concatenate([kept, directions[inside]])
         return self.radius_m * kept[: self.count]
 
-    def draw_many(self, generators: Sequence[np.random.Generator]) -> NDArray[np.float64]:
-        """(n, count, 3) offsets, set k from generator k: what ``draw`` gives, to rounding, but much faster.
-
-        One generator may stand more than once; it is then drawn from in turn.
-        """
-        frame = self._frame()
-        offsets = np.empty((len(generators), self.count, 3))
-        angles = np.empty((len(generators), 2, 2 * self.count))
-        for k, rng in enumerate(generators):
-            rng.standard_normal(out=angles[k])
-        kept = np.zeros(len(generators), np.int64)
-        while True:
-            _keep(self.sigma_rad * angles, frame, np.cos(self.cone_rad), self.radius_m, offsets, kept)
-            short = np.flatnonzero(kept < self.count)
-            if not len(short):
-                return offsets
-            for one in short.tolist():
-                generators[one].standard_normal(out=angles[one])
-
-    def _frame(self) -> NDArray[np.float64]:
+    def frame(self) -> NDArray[np.float64]:
         """(3, 3) rows: the axis, the horizontal direction beside it, and up."""
         vertical = abs(self.axis_in_base[2]) > 1.0 - 1e-12  # then any direction will do as the side
         side = np.array([0.0, 1.0, 0.0]) if vertical else np.cross([0.0, 0.0, 1.0], self.axis_in_base)
@@ -138,31 +112,3 @@ def continuous_optimum(settings: Settings, tcp_in_base: NDArray[np.float64]) -> 
     rim = np.cos(cap.cone_rad) * axis + np.sin(cap.cone_rad) * beside
     optimum: NDArray[np.float64] = tcp_in_base + cap.radius_m * np.where(in_cap[:, None], direct, rim)
     return optimum
-
-
-@compiled
-def _keep(
-    angles_rad: NDArray[np.float64],  # (n, 2, m): azimuths, elevations
-    frame: NDArray[np.float64],  # (3, 3) rows: axis, side, up
-    least_cosine: float,
-    radius_m: float,
-    offsets_out: NDArray[np.float64],  # (n, count, 3)
-    kept: NDArray[np.int64],  # (n,) how many there are already; counted on
-) -> None:
-    """Append to every set that is not full the directions that lie within the cone."""
-    sets, _, proposals = angles_rad.shape
-    count = offsets_out.shape[1]
-    for k in range(sets):
-        for i in range(proposals):
-            if kept[k] == count:
-                break
-            cos_elevation = np.cos(angles_rad[k, 1, i])
-            along = cos_elevation * np.cos(angles_rad[k, 0, i])
-            if along >= least_cosine:
-                aside = cos_elevation * np.sin(angles_rad[k, 0, i])
-                upward = np.sin(angles_rad[k, 1, i])
-                for j in range(3):
-                    offsets_out[k, kept[k], j] = radius_m * (
-                        along * frame[0, j] + aside * frame[1, j] + upward * frame[2, j]
-                    )
-                kept[k] += 1

@@ -241,9 +241,7 @@ def writing_to(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise OutputError(
-            place=Place(file=path), expected="a file that can be written", got=error.strerror or str(error)
-        ) from error
+        raise OutputError.of_file(path, "a file that can be written", error.strerror or str(error)) from error
 
 
 def refuse_foreign_cell(network: NetworkUse, settings: Settings, path: Path) -> None:

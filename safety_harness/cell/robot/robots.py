@@ -139,11 +139,9 @@ def refuse_unfit(robot: AnyRobot) -> None:
         return
     found = _sha256_of(robot.files[0])
     if found != robot.urdf_sha256:
-        raise ArmFileError.of_file(
-            robot.files[0],
-            f"the URDF that the scenario was read with (sha256 {str(robot.urdf_sha256)[:12]}...)",
-            "a file that has changed since" if found else "no file of that name",
-        )
+        expected = f"the URDF that the scenario was read with (sha256 {str(robot.urdf_sha256)[:12]}...)"
+        got = "a file that has changed since" if found else "no file of that name"
+        raise ArmFileError.of_file(robot.files[0], expected, got)
     read_capsules(robot.files[1], _own(robot, meshes=True), text=robot.capsules_text)
 
 
@@ -215,9 +213,8 @@ def _softly_limited(arm: ArmModel) -> ArmModel:
     """The same arm, whose joints end where its <safety_controller> says."""
     lower, upper = arm.soft_limits_rad.T
     if np.isnan(lower).all():
-        raise ArmFileError.of_file(
-            arm.file, "a <safety_controller> with soft limits", "none", "drop `soft limits`"
-        )
+        expected = "a <safety_controller> with soft limits"
+        raise ArmFileError.of_file(arm.file, expected, "none", "drop `soft limits`")
     return replace(
         arm,
         position_lower_rad=np.fmax(arm.position_lower_rad, lower),

@@ -225,9 +225,8 @@ def _parse(file: Path, text: bytes) -> tuple[Element, dict[Element, int]]:
     parser, open_tags = expat.ParserCreate(), list[str]()
 
     def refused(expected: str, got: str, hint: str = "") -> ArmFileError:
-        return ArmFileError(
-            place=Place(file, parser.CurrentLineNumber), expected=expected, got=got, hint=hint
-        )
+        place = Place(file, parser.CurrentLineNumber)
+        return ArmFileError(place=place, expected=expected, got=got, hint=hint)
 
     def start(tag: str, attributes: dict[str, str]) -> None:
         if tag.startswith("xacro:"):

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple, NewType
 import numpy as np
 from numpy.typing import NDArray
 
-from safety_harness.base.exceptions import Place, SettingsError
+from safety_harness.base.exceptions import SettingsError
 from safety_harness.base.geometry.arrays import Array4x4
 from safety_harness.base.seeds import Branch, generator
 from safety_harness.base.settings import HandSensorKind, ImageSource, Object, ObjectKind, Settings
@@ -184,9 +184,7 @@ def _timing(field: str, rate_hz: float | None, latency_s: float, settings: Setti
     period_s = 0.0 if rate_hz is None else 1.0 / rate_hz
     under_way = latency_s / max(period_s, settings.clock.control_period_s) + 2.0
     if under_way > RING:
-        raise SettingsError(
-            place=Place(field=f"{field}.latency"),
-            expected=f"at most {RING - 2} frames under way at a time",
-            got=f"{latency_s:g} s, which is {under_way - 2.0:.0f} frames",
-        )
+        expected = f"at most {RING - 2} frames under way at a time"
+        got = f"{latency_s:g} s, which is {under_way - 2.0:.0f} frames"
+        raise SettingsError.of_option(f"{field}.latency", expected, got)
     return period_s, latency_s

@@ -75,12 +75,9 @@ def refuse_rendered(scenario: Scenario, world: str) -> None:
     }
     for key, asked in rendered.items():
         if asked:
-            raise InadmissibleError(
-                place=scenario.place(key),
-                expected=f"exact or raster images in the {world} world, which has no renderer",
-                got="rendered",
-                hint="the PyBullet world renders",
-            )
+            expected = f"exact or raster images in the {world} world, which has no renderer"
+            hint = "the PyBullet world renders"
+            raise InadmissibleError(place=scenario.place(key), expected=expected, got="rendered", hint=hint)
 
 
 class RecordedWorld:

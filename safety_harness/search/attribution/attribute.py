@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from enum import Enum
 from itertools import combinations
 from math import inf, isnan
-from typing import Protocol
+from typing import Any, Protocol
 
 from safety_harness.admission.admit import Admitted
 from safety_harness.admission.claims import property_of
@@ -193,7 +193,7 @@ def attribute(
                 continue
             why = f"the kinematic replay does not reproduce it: {evaluation.verdict.value}"
         if seen[number]:
-            found.append(tell.made(AttributionAnswer.NOT_ATTRIBUTED, margin, why))
+            found.append(tell.made(answer=AttributionAnswer.NOT_ATTRIBUTED, margin=margin, why=why))
     return _jointly(found)
 
 
@@ -256,7 +256,7 @@ class _Told:
         """
         why = why_unavoidable(self.trials.system, self.prop)
         if why:
-            return self.made(AttributionAnswer.UNAVOIDABLE, margin, why)
+            return self.made(answer=AttributionAnswer.UNAVOIDABLE, margin=margin, why=why)
         judged_before = ABOUT_PROPOSALS in self.prop.sentence
         replays = self.replays((one,) for one in changes if not (judged_before and one.chosen))
         helping = _least(replays, self.prop.sentence)
@@ -265,7 +265,7 @@ class _Told:
             paired = self.replays(one.changes + other.changes for one, other in pairs)
             replays, helping = replays + paired, _least(paired, self.prop.sentence)
         answer = AttributionAnswer.ATTRIBUTED if helping else AttributionAnswer.NOTHING_HELPED
-        return self.made(answer, margin, "", replays, helping)
+        return self.made(answer=answer, margin=margin, replays=replays, helping=helping)
 
     def replays(self, wanted: Iterable[Changes]) -> tuple[Replay, ...]:
         """What became of the claim after each list of changes, but for those that change nothing."""
@@ -277,26 +277,11 @@ class _Told:
         evaluation = self.evaluation(run)
         return Replay(changes, Outcome.of(evaluation), evaluation.margin)
 
-    def made(
-        self,
-        answer: AttributionAnswer,
-        margin: float | None,
-        why: str,
-        replays: tuple[Replay, ...] = (),
-        helping: tuple[Replay, ...] = (),
-    ) -> Attribution:
-        """What is said of the claim."""
+    def made(self, **said: Any) -> Attribution:
+        """What is said of the claim; ``said`` are the other fields of an ``Attribution``."""
         scenario = self.trials.system.scenario
-        return Attribution(
-            scenario=scenario.name,
-            claim=scenario.claims[self.number],
-            unit=self.prop.unit,
-            answer=answer,
-            margin=margin,
-            why=why,
-            replays=replays,
-            helping=helping,
-        )
+        claim, unit = scenario.claims[self.number], self.prop.unit
+        return Attribution(scenario=scenario.name, claim=claim, unit=unit, **said)
 
 
 def _rank(ingredients: Iterable[Ingredient]) -> list[int]:

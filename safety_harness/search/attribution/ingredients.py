@@ -6,7 +6,7 @@ ingredient are taken out with it.  What changes nothing is not tried.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, fields, replace
 from enum import Enum
 from functools import reduce
@@ -114,6 +114,15 @@ class Altered(Admitted):
         return self if scenario == self.scenario else replace(self, scenario=scenario)
 
 
+def setting(group: str, values: Callable[[Settings], Mapping[str, Any]]) -> Callable[[Altered], Altered]:
+    """Return a change of some values in one group of the settings."""
+
+    def alter(settings: Settings) -> Settings:
+        return replace(settings, **{group: replace(getattr(settings, group), **values(settings))})
+
+    return lambda system: system.with_settings(alter)
+
+
 @dataclass(frozen=True, eq=False)
 class Change:
     """One way of changing an ingredient; ``alter`` gives back what it got if there is nothing to change.
@@ -211,16 +220,11 @@ def _in_a_tick(system: Altered) -> Altered:
     if on_time is system and declared and decision_time_of(system.avoider) == 0.0:
         return system
     tick = DecisionTimes(quantiles_s=(settings.clock.control_period_s,))
-    return on_time.with_settings(lambda s: replace(s, avoidance=replace(s.avoidance, decision_time=tick)))
+    return setting("avoidance", lambda s: {"decision_time": tick})(on_time)
 
 
-def _other_gate(system: Altered) -> Altered:
-    def alter(settings: Settings) -> Settings:
-        full = settings.avoidance.gate is GateKind.FULL
-        gate = GateKind.REACH if full else GateKind.FULL
-        return replace(settings, avoidance=replace(settings.avoidance, gate=gate))
-
-    return system.with_settings(alter)
+def _other_gate(settings: Settings) -> dict[str, GateKind]:
+    return {"gate": GateKind.REACH if settings.avoidance.gate is GateKind.FULL else GateKind.FULL}
 
 
 def _stops(system: Altered) -> Altered:
@@ -258,11 +262,7 @@ def _exact_camera(system: Altered) -> Altered:
 
 
 def _predicting(horizon_s: Callable[[Settings], float]) -> Callable[[Altered], Altered]:
-    def alter(settings: Settings) -> Settings:
-        horizon = replace(settings.hand_filter, prediction_horizon_s=horizon_s(settings))
-        return replace(settings, hand_filter=horizon)
-
-    return lambda system: system.with_settings(alter)
+    return setting("hand_filter", lambda settings: {"prediction_horizon_s": horizon_s(settings)})
 
 
 def _time_to_stop_s(settings: Settings) -> float:
@@ -294,12 +294,11 @@ def _sound_drives(system: Altered) -> Altered:
 def _avoiding_from(distance_m: Callable[[Settings], float]) -> Callable[[Altered], Altered]:
     """A larger critical distance; one that would be smaller changes nothing."""
 
-    def alter(settings: Settings) -> Settings:
+    def larger(settings: Settings) -> dict[str, float]:
         before_m = settings.avoidance.critical_distance_m
-        after_m = max(before_m, min(distance_m(settings), FARTHEST_M))
-        return replace(settings, avoidance=replace(settings.avoidance, critical_distance_m=after_m))
+        return {"critical_distance_m": max(before_m, min(distance_m(settings), FARTHEST_M))}
 
-    return lambda system: system.with_settings(alter)
+    return setting("avoidance", larger)
 
 
 def _at_default(group: str, name: str) -> Callable[[Altered], Altered]:
@@ -386,7 +385,7 @@ CHANGES: tuple[Change, ...] = (
     Change(Ingredient.SETTINGS, "all at their defaults", _all_at_default),
     Change(Ingredient.DRIVES, "ideal", _sound_drives),
     Change(Ingredient.SERVOING, "ideal camera", _exact_camera),
-    Change(Ingredient.GATE, "the other kind", _other_gate, True),
+    Change(Ingredient.GATE, "the other kind", setting("avoidance", _other_gate), True),
     Change(Ingredient.PREDICTION, "none", _predicting(lambda settings: 0.0), True),
     Change(Ingredient.PREDICTION, "as far as a stop takes", _predicting(_time_to_stop_s), True),
     Change(Ingredient.FALLBACK, "protective stop", _stops, True),

@@ -8,11 +8,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from safety_harness.admission.admit import Admitted
-from safety_harness.base.settings import Settings
 from safety_harness.claims.properties.base import Evaluation
 from safety_harness.claims.properties.touching import NO_MOVING_PART_TOUCHES
 from safety_harness.search.attribution.attribute import Outcome, ReplaysInWorld
-from safety_harness.search.attribution.ingredients import Altered
+from safety_harness.search.attribution.ingredients import Altered, setting
 from safety_harness.trace.trace import Trace
 
 
@@ -51,7 +50,7 @@ def attribute_shield(admitted: Admitted) -> ShieldAttribution | None:
     system = Altered.of(admitted)
     systems = [system, replace(system, scenario=replace(system.scenario, shield=None))]
     if admitted.driver is None:
-        systems.append(system.with_settings(_never_avoiding))
+        systems.append(setting("avoidance", lambda _: {"critical_distance_m": 0.0})(system))
     traces = ReplaysInWorld()(systems)
     for one in traces:
         if isinstance(one, Exception):
@@ -59,7 +58,3 @@ def attribute_shield(admitted: Admitted) -> ShieldAttribution | None:
     found = [one for one in traces if isinstance(one, Trace)]
     said = [NO_MOVING_PART_TOUCHES.prop.evaluate(one) for one in found]
     return ShieldAttribution(found[0], said[0], said[1], said[2] if len(said) > 2 else None)
-
-
-def _never_avoiding(settings: Settings) -> Settings:
-    return replace(settings, avoidance=replace(settings.avoidance, critical_distance_m=0.0))

@@ -137,23 +137,20 @@ def _immovable(
     A ball about a point at the distance r from the axis has within it one about the point's foot on the axis,
     smaller by r, wherever the joint is.
     """
-    rows, starts, ends, radii = [], [], [], []
+    parts: list[tuple[int, Array3, Array3, float]] = []
     axis = transforms[1, :3, :3] @ axis_in_link
     for k, link in enumerate(capsules.link_index):
+        start, end = capsules.start_in_link[k], capsules.end_in_link[k]
         if link == 0:
-            rows.append(k)
-            starts.append(capsules.start_in_link[k])
-            ends.append(capsules.end_in_link[k])
-            radii.append(float(capsules.radius_m[k]))
-        for inner in (capsules.start_in_link[k], capsules.end_in_link[k]) if link == 1 else ():
+            parts.append((k, start, end, float(capsules.radius_m[k])))
+        for inner in (start, end) if link == 1 else ():
             aside = transforms[1, :3, :3] @ inner
             foot = (aside @ axis) * axis
             radius_m = float(capsules.radius_m[k] - np.linalg.norm(aside - foot))
             if radius_m > 0.0:
-                rows.append(k)
-                starts.append(transforms[1, :3, 3] + foot)
-                ends.append(transforms[1, :3, 3] + foot)
-                radii.append(radius_m)
+                place = transforms[1, :3, 3] + foot
+                parts.append((k, place, place, radius_m))
+    rows, starts, ends, radii = zip(*parts, strict=True)
     body = CapsuleSet(
         names=tuple(capsules.names[k] for k in rows),
         link_index=np.zeros(len(rows), np.int64),
@@ -193,11 +190,9 @@ class SettledWay:
             )
         hands, count = hands_at_start(settled), scenario.ticks + 1
         who = scenario.hands.index(leader) if leader is not None else number
-        own, period_s, ways_m = (
-            hands.state[who],
-            scenario.settings.clock.control_period_s,
-            np.empty((count, 2, 3)),
-        )
+        own = hands.state[who]
+        period_s = scenario.settings.clock.control_period_s
+        ways_m = np.empty((count, 2, 3))
         ends = who if seeks is not None else -1
         ticks: int = _follow(hands.state, hands.moves, hands.samples, number, ends, period_s, ways_m)
         reached = seeks is not None and own["current"] >= own["count"]
@@ -241,10 +236,8 @@ def _at_what_cannot_move(free: FreeArm, way: SettledWay, minimum_m: float, radii
     sizes_m = radii.radius_m, radii.forearm_radius_m
     thick_m = max(sizes_m) + float(free.body.radius_m.max())
     thick_m += float(np.linalg.norm(free.ends_m - free.centre_m, axis=2).max())
-    middle_m, half_m = (
-        (way.hand_m + way.elbow_m) / 2.0,
-        np.linalg.norm(way.hand_m - way.elbow_m, axis=1) / 2.0,
-    )
+    middle_m = (way.hand_m + way.elbow_m) / 2.0
+    half_m = np.linalg.norm(way.hand_m - way.elbow_m, axis=1) / 2.0
     near = np.linalg.norm(middle_m - free.centre_m, axis=1) - half_m - thick_m < minimum_m
     for time_s, hand, elbow in zip(way.time_s[near], way.hand_m[near], way.elbow_m[near], strict=True):
         distance_m, which = hand_distance(free.body.records, free.ends_m, hand, elbow, *sizes_m)

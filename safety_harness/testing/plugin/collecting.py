@@ -26,8 +26,16 @@ from safety_harness.scenario.kinds import recorded_run
 from safety_harness.scenario.model import Claim, Scenario, Verdict
 from safety_harness.space.read import space_of
 from safety_harness.space.space import ScenarioSpace
-from safety_harness.testing.against import against_reference, is_shared
-from safety_harness.testing.asserting import aim, refuse_fallback, require, run_of, settle, violation_of
+from safety_harness.testing.asserting import (
+    against_reference,
+    aim,
+    is_shared,
+    refuse_fallback,
+    require,
+    run_of,
+    settle,
+    violation_of,
+)
 from safety_harness.testing.drawing import drawn, first_of, one_system
 from safety_harness.testing.plugin.explained import TEST, explained
 from safety_harness.testing.session import Judgement, Run, TestRun, session

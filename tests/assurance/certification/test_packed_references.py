@@ -11,9 +11,8 @@ import pytest
 from safety_harness.base.exceptions import ScenarioError
 from safety_harness.cli.console import AS_EXPECTED, DIFFERS
 from safety_harness.cli.validate import validate
-from safety_harness.extensions.assurance.campaign.plan import read_packable, read_plan
+from safety_harness.extensions.assurance.campaign.plan import read_packable, read_plan, with_relative_paths
 from safety_harness.extensions.assurance.commands.certify import certify, verify
-from safety_harness.scenario.compose import with_relative_paths
 from safety_harness.scenario.nodes import parse_tree, references_in
 from tests.assurance.campaign.plans import PLAN, TEXT
 from tests.cell.avoidance.test_onnx_names import columns

@@ -6,7 +6,8 @@ from typing import Any
 
 import pytest
 
-from safety_harness.base.exceptions import InputError
+from safety_harness.base.exceptions import InputError, InstallationError
+from safety_harness.extensions.assurance.certification import certify
 from safety_harness.extensions.assurance.certification.findings import of_selftest
 from safety_harness.extensions.assurance.certification.tools import FaultState, read_oracles, read_selftest
 from safety_harness.extensions.selftest.document import document
@@ -120,3 +121,11 @@ def test_every_state_of_a_self_test_can_be_read(tmp_path: Path) -> None:
     for state in FaultState:
         more = FOUND | {"faults": [*FOUND["faults"], {"state": state.value}]}
         read_selftest(written(tmp_path, more))
+
+
+def test_nothing_is_certified_with_two_packages_that_own_one_module(monkeypatch: pytest.MonkeyPatch) -> None:
+    certify.refuse_shared_modules()
+    owners = {"cv2": ("opencv-python 9.9.9", "opencv-python-headless 4.1")}
+    monkeypatch.setattr(certify, "shared_modules", lambda: owners)
+    with pytest.raises(InstallationError, match=r"the module cv2: .*opencv-python 9\.9\.9 and opencv-"):
+        certify.refuse_shared_modules()

@@ -35,8 +35,8 @@ from safety_harness.extensions.assurance.commands.campaign import (
     run,
     status,
 )
+from safety_harness.extensions.assurance.statistics.rounding import rounded_up
 from safety_harness.extensions.assurance.statistics.sample import EpisodeOutcome
-from safety_harness.report.words import rounded_up
 from safety_harness.trace.store import load_trace
 from tests.assurance.campaign.benches import row_of
 from tests.assurance.campaign.plans import PLAN, ledger_in, plan_in

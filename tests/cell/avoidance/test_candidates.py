@@ -96,21 +96,6 @@ def test_what_can_never_be_drawn_is_refused() -> None:
     assert angles(narrow, drawn(narrow)).max() <= np.radians(1.5) + 1e-7
 
 
-@pytest.mark.parametrize("cone_deg", [5.0, 60.0, 170.0])
-def test_many_sets_at_once_are_the_sets_drawn_one_by_one(cone_deg: float) -> None:
-    """A narrow cone leaves most sets short after the first draw, so that the refill is compared too."""
-    cap = CandidateCap.of(with_avoidance(candidate_cone_rad=np.radians(cone_deg)))
-    many = cap.draw_many([np.random.default_rng(seed) for seed in range(20)])
-    assert many == pytest.approx(np.array([drawn(cap, seed) for seed in range(20)]), abs=1e-15)
-
-
-def test_one_generator_may_serve_many_sets() -> None:
-    rng = np.random.default_rng(3)
-    first, second = CAP.draw_many([rng, rng])
-    assert not np.isin(first, second).any()
-    assert first == pytest.approx(drawn(CAP, 3), abs=1e-15)
-
-
 def test_at_the_desired_position_rounding_does_not_choose_the_optimum() -> None:
     """Two ways to compute one pose differ by 1e-16 m, two worlds by 1e-11: both get the axis."""
     desired = np.array(DEFAULTS.cell.desired_tcp_position_in_base_m)

@@ -16,7 +16,7 @@ from safety_harness.cell.perception.hand_boxes import position_from_box
 from safety_harness.cell.perception.hand_filter import filter_parameters
 from safety_harness.cell.perception.possible_hands import possible_half_widths_m
 from safety_harness.cell.perception.tracking import no_tracks
-from safety_harness.report.possible_hands import possible_lines, refused_for_possible
+from safety_harness.report.decisions import possible_lines, refused_for_possible
 from safety_harness.scenario.read import parse_scenario
 from safety_harness.scenario.write import write_scenario
 

@@ -7,6 +7,7 @@ docs/campaigns.md is the reference of the file.
 from __future__ import annotations
 
 import hashlib
+import os
 import tempfile
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
@@ -38,9 +39,9 @@ from safety_harness.extensions.assurance.campaign.plan_keys import (
     SEARCH,
     STRATUM,
 )
-from safety_harness.scenario.compose import Library, only_variant, with_relative_paths
+from safety_harness.scenario.compose import Library, only_variant, rewritten
 from safety_harness.scenario.fields import Field, Fields
-from safety_harness.scenario.files import as_path
+from safety_harness.scenario.files import as_path, resolved
 from safety_harness.scenario.kinds import FileKind, kind_of, refuse_other_kind
 from safety_harness.scenario.model import (
     EDITION,
@@ -52,7 +53,7 @@ from safety_harness.scenario.model import (
     Scenario,
     Verdict,
 )
-from safety_harness.scenario.nodes import Scalar, references_in
+from safety_harness.scenario.nodes import Node, Scalar, references_in
 from safety_harness.scenario.references import file_and_name, portable
 from safety_harness.scenario.units import FRACTION
 from safety_harness.space.read import space_of
@@ -313,6 +314,19 @@ def _strata(at: Field, folder: Path, library: Library) -> tuple[Stratum, ...]:
         tree = with_relative_paths(found.tree, file.parent)  # as a report names them, wherever it lies
         strata.append(Stratum(name, space_of(tree, file, name=found.name), runs))
     return tuple(strata)
+
+
+def with_relative_paths(node: Node, folder: Path) -> Node:
+    """A tree in which no avoider, controller or recording has an absolute path, as seen from ``folder``."""
+
+    def relative(text: str) -> str:
+        file, name = file_and_name(text)
+        path = Path(os.path.expanduser(file or text))
+        if not path.is_absolute():
+            return text
+        return os.path.relpath(resolved(path), resolved(folder)) + f":{name}" * bool(name)
+
+    return rewritten(node, dict.fromkeys(("avoider", "controller", "recording"), relative))
 
 
 def _claims(

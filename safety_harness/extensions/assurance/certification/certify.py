@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
+from safety_harness.base.exceptions import InstallationError
 from safety_harness.base.interrupts import one_more_ctrl_c
 from safety_harness.base.output import Output
 from safety_harness.extensions.assurance.campaign.ledger import Ledger
@@ -43,7 +44,7 @@ from safety_harness.extensions.assurance.certification.tools import (
 )
 from safety_harness.report.search_job import SearchResult, fuzz
 from safety_harness.space.read import read_space
-from safety_harness.trace.provenance import refuse_shared_modules
+from safety_harness.trace.provenance import shared_modules
 
 WatchCampaign = Callable[[Plan, Output], AbstractContextManager[Callable[[CampaignRunner], None]]]
 
@@ -160,3 +161,11 @@ class Certification:
             output=output,
         )
         return found.kept(one.folder, output)
+
+
+def refuse_shared_modules() -> None:
+    """InstallationError that names the packages: which of them ran is not told by what is installed."""
+    for module, packages in shared_modules().items():
+        expected = "one installed package that owns it"
+        hint = "uninstall all of them, then install the one that is needed: they overwrite each other"
+        raise InstallationError.of_option(f"the module {module}", expected, " and ".join(packages), hint)

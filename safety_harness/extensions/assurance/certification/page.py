@@ -38,12 +38,12 @@ from safety_harness.extensions.assurance.certification.tables import TABLES
 from safety_harness.extensions.assurance.certification.verdicts import confidence_words, percent
 from safety_harness.extensions.lab.pages.proof_page import SCALE, STATES, drawn_maps
 from safety_harness.extensions.lab.pages.question_maps import key_of
-from safety_harness.report.attribution_picture import draw_attributions
 from safety_harness.report.coverage_map import coverage_map
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.page_parts import added_sections, render_page
 from safety_harness.report.path_views import path_views, shown_moment
 from safety_harness.report.replay import Replays
+from safety_harness.report.search_attribution import draw_attributions
 from safety_harness.report.timeline import timeline
 
 MEANINGS = {

@@ -20,7 +20,7 @@ from safety_harness.extensions.assurance.certification.evidence import (
     ClaimStatus,
     OverrulingResult,
 )
-from safety_harness.report.words import rounded_down, rounded_up
+from safety_harness.extensions.assurance.statistics.rounding import rounded_down, rounded_up
 
 
 def standing_of(

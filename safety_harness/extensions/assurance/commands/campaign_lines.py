@@ -24,8 +24,9 @@ from safety_harness.extensions.assurance.campaign.summary import (
 from safety_harness.extensions.assurance.certification.verdicts import confidence_words, percent
 from safety_harness.extensions.assurance.statistics.binomial import ProbabilityBounds
 from safety_harness.extensions.assurance.statistics.paired import PairedComparison
+from safety_harness.extensions.assurance.statistics.rounding import rounded_down, rounded_up
 from safety_harness.extensions.assurance.statistics.sample import EpisodeOutcome
-from safety_harness.report.words import rounded_down, rounded_up, tested_words
+from safety_harness.report.words import tested_words
 
 _MOST_REASONS = 5
 

@@ -21,11 +21,12 @@ from safety_harness.extensions.assurance.campaign.summary import (
     fallback_of,
 )
 from safety_harness.extensions.assurance.statistics.binomial import ProbabilityBounds
+from safety_harness.extensions.assurance.statistics.rounding import rounded_down, rounded_up
 from safety_harness.extensions.assurance.statistics.sample import EpisodeOutcome
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.page_parts import render_page
 from safety_harness.report.replay import Replays
-from safety_harness.report.words import rounded_down, rounded_up, with_minus
+from safety_harness.report.words import with_minus
 from safety_harness.scenario.files import told
 from safety_harness.trace.store import load_trace
 

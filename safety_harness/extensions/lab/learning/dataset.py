@@ -28,6 +28,7 @@ from safety_harness.base.geometry.regions import Region
 from safety_harness.base.settings import Settings
 from safety_harness.cell.avoidance.candidates import CandidateCap, continuous_optimum
 from safety_harness.extensions.lab.learning.image_error import ImageErrors
+from safety_harness.extensions.lab.learning.many_candidates import draw_many
 from safety_harness.scenario.robots import Robot
 from safety_harness.space.regions import paper_seen, region_named
 
@@ -242,7 +243,7 @@ def candidates_of(settings: Settings, tcp_in_base: Vectors, seed: int, numbers: 
     ``tcp_in_base`` (n, 3) are all TCPs; a candidate is its TCP and an offset within the cap.
     """
     generators = [stream(seed, Stream.CANDIDATES, int(number)) for number in numbers]
-    positions: Vectors = CandidateCap.of(settings).draw_many(generators)
+    positions: Vectors = draw_many(CandidateCap.of(settings), generators)
     positions += tcp_in_base[numbers, None]
     return positions
 
@@ -283,7 +284,7 @@ def label_floor(settings: Settings, tcp_in_base: Vectors, *, seed: int, redraws:
     for start in range(0, len(way), TCPS_A_REDRAW):
         group = slice(start, start + TCPS_A_REDRAW)
         labels = np.empty((len(way[group]), redraws, 3))
-        _furthest_along(cap.draw_many([rng] * redraws), way[group], labels)
+        _furthest_along(draw_many(cap, [rng] * redraws), way[group], labels)
         variances[group] = labels.var(axis=1, ddof=1)
         deviations[group] = np.abs(labels - np.median(labels, axis=1, keepdims=True)).mean(axis=1)
     return LabelFloor(np.sqrt(variances.mean(axis=0)), deviations.mean(axis=0), redraws)

@@ -1,0 +1,59 @@
+"""Candidates of many questions at once, as data sets need them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from safety_harness.base.compiled import compiled
+from safety_harness.cell.avoidance.candidates import CandidateCap
+
+
+def draw_many(cap: CandidateCap, generators: Sequence[np.random.Generator]) -> NDArray[np.float64]:
+    """(n, count, 3) offsets, set k from generator k: what ``cap.draw`` gives, to rounding, but much faster.
+
+    One generator may stand more than once; it is then drawn from in turn.
+    """
+    frame = cap.frame()
+    offsets = np.empty((len(generators), cap.count, 3))
+    angles = np.empty((len(generators), 2, 2 * cap.count))
+    for k, rng in enumerate(generators):
+        rng.standard_normal(out=angles[k])
+    kept = np.zeros(len(generators), np.int64)
+    while True:
+        _keep(cap.sigma_rad * angles, frame, np.cos(cap.cone_rad), cap.radius_m, offsets, kept)
+        short = np.flatnonzero(kept < cap.count)
+        if not len(short):
+            return offsets
+        for one in short.tolist():
+            generators[one].standard_normal(out=angles[one])
+
+
+@compiled
+def _keep(
+    angles_rad: NDArray[np.float64],  # (n, 2, m): azimuths, elevations
+    frame: NDArray[np.float64],  # (3, 3) rows: axis, side, up
+    least_cosine: float,
+    radius_m: float,
+    offsets_out: NDArray[np.float64],  # (n, count, 3)
+    kept: NDArray[np.int64],  # (n,) how many there are already; counted on
+) -> None:
+    """Append to every set that is not full the directions that lie within the cone."""
+    sets, _, proposals = angles_rad.shape
+    count = offsets_out.shape[1]
+    for k in range(sets):
+        for i in range(proposals):
+            if kept[k] == count:
+                break
+            cos_elevation = np.cos(angles_rad[k, 1, i])
+            along = cos_elevation * np.cos(angles_rad[k, 0, i])
+            if along >= least_cosine:
+                aside = cos_elevation * np.sin(angles_rad[k, 0, i])
+                upward = np.sin(angles_rad[k, 1, i])
+                for j in range(3):
+                    offsets_out[k, kept[k], j] = radius_m * (
+                        along * frame[0, j] + aside * frame[1, j] + upward * frame[2, j]
+                    )
+                kept[k] += 1
