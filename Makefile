@@ -195,7 +195,7 @@ newest := highest
 oldest newest: %: .venv-%/versions
 	.venv-$@/bin/python -m pip check
 	.venv-$@/bin/safety-harness run scenarios/rendered-images.yaml --out reports/$@
-	.venv-$@/bin/python -m pytest -q --assert=plain -W ignore::DeprecationWarning -p no:cacheprovider $(ASKING) -k 'not type_check and not test_rare and not doc'
+	.venv-$@/bin/python -m pytest -q --assert=plain -W ignore::DeprecationWarning -p no:cacheprovider $(QUICK) $(ASKING) -k 'not type_check and not test_rare and not doc'
 
 # Beside what other people install.
 CROWD := torch==2.13.0 stable-baselines3 gymnasium mujoco pin rosbags
