@@ -10,8 +10,9 @@ from __future__ import annotations
 
 import time
 import weakref
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,6 @@ import numpy as np
 from safety_harness.base.exceptions import (
     AvoiderError,
     InadmissibleError,
-    InputError,
     ModelError,
     NoAnswerError,
     Place,
@@ -36,11 +36,14 @@ from safety_harness.cell.avoidance.asking import (
     answer_of,
 )
 from safety_harness.cell.avoidance.avoider import Proposal, Vector
-from safety_harness.cell.avoidance.isolation.frames import Made
-from safety_harness.cell.avoidance.isolation.host import Host, RefusedError, Wanted, host_of
+from safety_harness.cell.avoidance.isolation.host import Host, host_of
+from safety_harness.cell.avoidance.isolation.messages import Made
 from safety_harness.cell.avoidance.model_file import onnx_bytes
+from safety_harness.scenario.fields import is_sentence
 from safety_harness.seams.contract import Seen
-from safety_harness.seams.isolation.channel import GoneError
+from safety_harness.seams.isolation.channel import GoneError, NonsenseError
+from safety_harness.seams.isolation.connection import RefusedError, refusing
+from safety_harness.seams.isolation.messages import Make
 from safety_harness.seams.isolation.python_file import source_of
 
 ATTEMPTS = 3  # to make it anew, one after another
@@ -51,19 +54,20 @@ ONNX_S = 60.0  # to be loaded and asked twice: the runtime computes at once what
 class IsolatedAvoider(OutOfProcessAvoider):
     """One avoider in the process of its file."""
 
-    def __init__(self, host: Host, wanted: Wanted) -> None:
+    def __init__(self, host: Host, make: Callable[[int], Make], within_s: float) -> None:
         """Make it there; RefusedError, or GoneError if the process does not live to say so."""
         self._number = next(host.numbers)
         with host.lock:
-            made = _first_made(host, self._number, wanted)
+            made = host.introduce(make(self._number), Made, within_s)
             self._generation = host.generation
+        if not is_sentence(made.name):
+            raise NonsenseError
         self.name = made.name
         self.spread_threshold_m = made.spread_threshold_m
         self.decision_time_s = made.decision_time_s
         self.takes_many = made.takes_many
         self.sees = made.sees
-        self._host = host
-        self._wanted = wanted
+        self._host, self._make, self._within_s = host, make, within_s
         self._asked = False
         self._rehearsal: Question | None = None  # its first question, if it survived that
         weakref.finalize(self, host.drop, self._number).atexit = False
@@ -120,10 +124,10 @@ class IsolatedAvoider(OutOfProcessAvoider):
         why = ""
         for _ in range(ATTEMPTS):
             try:
-                self._host.make(self._number, self._wanted)
+                self._host.introduce(self._make(self._number), Made, self._within_s)
                 self._generation = self._host.generation
                 if self._rehearsal is not None:
-                    again = self._rehearsal._replace(limit_s=self._wanted.within_s)
+                    again = self._rehearsal._replace(limit_s=self._within_s)
                     list(self._host.ask(self._number, [again], together=False))
                 return
             except RefusedError as error:
@@ -133,20 +137,6 @@ class IsolatedAvoider(OutOfProcessAvoider):
                 why, self._rehearsal = str(error), None
                 self._host.end()
         raise SimulationError(f"the avoider {self.name!r} could not be made once more: {why}")
-
-
-def _first_made(host: Host, number: int, wanted: Wanted) -> Made:
-    """Once more in a new process if that of earlier avoiders is gone."""
-    new = not host.alive
-    try:
-        return host.make(number, wanted)
-    except RefusedError:
-        raise
-    except BaseException as error:  # after Ctrl-C, who knows what it will say next
-        host.end()
-        if new or not isinstance(error, GoneError):
-            raise
-    return _first_made(host, number, wanted)
 
 
 def _looked_at(answer: Answer) -> Answer:
@@ -165,8 +155,10 @@ def isolated_avoider(path: Path, name: str, place: Place) -> IsolatedAvoider:
 
     InadmissibleError at ``place`` if there is none, or the process does not live to say so.
     """
-    wanted, expected = Wanted({"attribute": name}, PROGRAM_S), f"{path.name} to give an avoider {name}"
-    return _of_file(path, source_of(path, place), wanted, expected, InadmissibleError, place)
+    source, expected = source_of(path, place), f"{path.name} to give an avoider {name}"
+    make = partial(Make.of, path, source, name)
+    with refusing(InadmissibleError, expected, PROGRAM_S, place):
+        return IsolatedAvoider(host_of(path, source), make, PROGRAM_S)
 
 
 def isolated_onnx(path: Path, settings: Settings, layout: str = "") -> IsolatedAvoider:
@@ -176,29 +168,9 @@ def isolated_onnx(path: Path, settings: Settings, layout: str = "") -> IsolatedA
     ``layout`` says what its inputs and outputs hold (``onnx_names``).
     """
     ONNX.require(f"the avoider {path.name}")
-    question = {
-        "hand": settings.avoidance.nominal_hand_position_in_base_m,
-        "tcp": settings.cell.desired_tcp_position_in_base_m,
-        "layout": layout,
-    }
-    wanted, expected = Wanted(question, ONNX_S), "an ONNX file that can be loaded and answers twice"
-    return _of_file(path, onnx_bytes(path), wanted, expected, ModelError)
-
-
-def _of_file(
-    path: Path,
-    source: bytes,
-    wanted: Wanted,
-    expected: str,
-    error: type[InputError],
-    place: Place | None = None,
-) -> IsolatedAvoider:
-    """The avoider, or the ``error`` at ``place``; without one at the field that the process tells."""
-    try:
-        return IsolatedAvoider(host_of(path, source), wanted)
-    except RefusedError as said:
-        at = place or Place(file=path, field=said.field or None)
-        raise error(place=at, expected=said.expected, got=said.got, hint=said.hint) from said
-    except GoneError as gone:
-        within = f" within {wanted.within_s:g} s" if gone.hung else ""
-        raise error(place=place or Place(file=path), expected=expected + within, got=str(gone)) from gone
+    source, expected = onnx_bytes(path), "an ONNX file that can be loaded and answers twice"
+    hand = settings.avoidance.nominal_hand_position_in_base_m
+    tcp = settings.cell.desired_tcp_position_in_base_m
+    make = partial(Make.of, path, source, layout, onnx=True, hand=hand, tcp=tcp)
+    with refusing(ModelError, expected, ONNX_S, None, path):
+        return IsolatedAvoider(host_of(path, source), make, ONNX_S)
