@@ -12,7 +12,7 @@ import pytest
 from safety_harness.base.exceptions import InadmissibleError
 from safety_harness.seams.isolation.channel import GoneError
 from safety_harness.seams.isolation.connection import Connection, binary_wire, process_of, refusing
-from safety_harness.seams.isolation.messages import Drop, Failed, Make
+from safety_harness.seams.isolation.messages import Failed, Make
 from safety_harness.seams.isolation.process import Process
 from tests.seams import adding
 from tests.seams.adding import PLACE, Add, Added
@@ -59,7 +59,7 @@ def test_objects_are_made_asked_and_forgotten_by_number(
         assert connection.introduce(make("Mine", 7), Added, 30.0) == Added(1.0, "mine")
         assert connection.introduce(make("Mine", 8), Added, 30.0) == Added(2.0, "mine")
         assert asked(connection, 0.5, 0.25, number=8) == Added(0.75)
-        connection.say(Drop(8), 30.0)
+        connection.forget(8)
         assert asked(connection, 0.0, 0.0, number=8) == Failed("add raised: KeyError: 8")
     executed, printed = caplog.messages
     assert executed.startswith("executes ")

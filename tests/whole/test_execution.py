@@ -13,7 +13,7 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from safety_harness.cell.avoidance.isolation import host
+from safety_harness.cell.avoidance.isolation import isolated
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT
 from safety_harness.cli.main import app
 from safety_harness.extensions.assurance.campaign.ledger import Ledger
@@ -150,7 +150,7 @@ def folder(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     shutil.copytree(made, folder, ignore=shutil.ignore_patterns("executed"))
     monkeypatch.chdir(folder)
     monkeypatch.setattr(telling, "executed", {})
-    host._hosts[0].cache_clear()  # processes that live from a test before
+    isolated._connections[0].cache_clear()  # processes that live from a test before
     return folder
 
 

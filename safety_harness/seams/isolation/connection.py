@@ -8,10 +8,13 @@ from __future__ import annotations
 import logging
 import os
 import socket
+import threading
 import weakref
+from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -19,7 +22,7 @@ import msgspec
 
 from safety_harness.base.exceptions import InputError, Place, printable
 from safety_harness.seams.isolation.channel import NO_OUTPUT, Channel, GoneError, NonsenseError
-from safety_harness.seams.isolation.messages import ProcessMessage, Refused, framed, packed, plain
+from safety_harness.seams.isolation.messages import Drop, ProcessMessage, Refused, framed, packed, plain
 from safety_harness.seams.isolation.process import Process
 from safety_harness.seams.isolation.telling import Heard, say_it_is_executed
 
@@ -85,13 +88,15 @@ class RefusedError(Exception):
 class Connection:
     """A connection that is begun by ``start``, and may be begun anew when its other end is gone.
 
-    ``generation`` counts the processes; what was made in an earlier one is no more.
+    ``generation`` counts the processes; what was made in an earlier one is no more.  Who shares it takes a
+    number of ``numbers`` for each object, and holds the ``lock`` while one is asked.
     """
 
     def __init__(self, start: Callable[[], Peer], wire: Wire) -> None:
         self._start, self._wire = start, wire
         self._peer: Peer | None = None
-        self.generation = 0
+        self.generation, self.numbers, self.lock = 0, count(1), threading.RLock()
+        self._forgotten: deque[int] = deque()
 
     @property
     def alive(self) -> bool:
@@ -131,7 +136,13 @@ class Connection:
 
     def say(self, message: ProcessMessage, limit_s: float) -> None:
         """Send a message; GoneError if it is not taken within the limit."""
+        while self._forgotten:
+            self._channel.send(self._wire.sent(Drop(self._forgotten.popleft())), limit_s)
         self._channel.send(self._wire.sent(message), limit_s)
+
+    def forget(self, number: int) -> None:
+        """Drop an object before the next thing is said: this may be called amid another message."""
+        self._forgotten.append(number)
 
     def hear(self, limit_s: float) -> Any:
         """Return what is said next; GoneError if that is nothing within the limit, or no message."""

@@ -8,11 +8,13 @@ the same text.
 
 from __future__ import annotations
 
+import logging
 import time
 import weakref
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -34,18 +36,35 @@ from safety_harness.cell.avoidance.asking import (
     OutOfProcessAvoider,
     Question,
     answer_of,
+    limit_of,
 )
 from safety_harness.cell.avoidance.avoider import Proposal, Vector
-from safety_harness.cell.avoidance.isolation.host import Host, host_of
-from safety_harness.cell.avoidance.isolation.messages import Made
+from safety_harness.cell.avoidance.isolation.messages import (
+    MOST_ANSWER_BYTES,
+    Answered,
+    Ask,
+    Made,
+    from_the_child,
+)
 from safety_harness.cell.avoidance.model_file import onnx_bytes
 from safety_harness.scenario.fields import is_sentence
 from safety_harness.seams.contract import Seen
 from safety_harness.seams.isolation.channel import GoneError, NonsenseError
-from safety_harness.seams.isolation.connection import RefusedError, refusing
+from safety_harness.seams.isolation.connection import (
+    Connection,
+    RefusedError,
+    binary_wire,
+    process_of,
+    refusing,
+)
 from safety_harness.seams.isolation.messages import Make
+from safety_harness.seams.isolation.process import Process
 from safety_harness.seams.isolation.python_file import source_of
 
+SEND_S = 10.0
+KEPT = 2  # processes that are kept though no avoider lives in them
+LOGGER = logging.getLogger("safety_harness.avoider")
+CHILD = "safety_harness.cell.avoidance.isolation.child"
 ATTEMPTS = 3  # to make it anew, one after another
 PROGRAM_S = 300.0  # to be imported, and to answer for the first time
 ONNX_S = 60.0  # to be loaded and asked twice: the runtime computes at once what depends on no input
@@ -54,12 +73,12 @@ ONNX_S = 60.0  # to be loaded and asked twice: the runtime computes at once what
 class IsolatedAvoider(OutOfProcessAvoider):
     """One avoider in the process of its file."""
 
-    def __init__(self, host: Host, make: Callable[[int], Make], within_s: float) -> None:
+    def __init__(self, connection: Connection, make: Callable[[int], Make], within_s: float) -> None:
         """Make it there; RefusedError, or GoneError if the process does not live to say so."""
-        self._number = next(host.numbers)
-        with host.lock:
-            made = host.introduce(make(self._number), Made, within_s)
-            self._generation = host.generation
+        self._number = next(connection.numbers)
+        with connection.lock:
+            made = connection.introduce(make(self._number), Made, within_s)
+            self._generation = connection.generation
         if not is_sentence(made.name):
             raise NonsenseError
         self.name = made.name
@@ -67,10 +86,10 @@ class IsolatedAvoider(OutOfProcessAvoider):
         self.decision_time_s = made.decision_time_s
         self.takes_many = made.takes_many
         self.sees = made.sees
-        self._host, self._make, self._within_s = host, make, within_s
+        self._connection, self._make, self._within_s = connection, make, within_s
         self._asked = False
         self._rehearsal: Question | None = None  # its first question, if it survived that
-        weakref.finalize(self, host.drop, self._number).atexit = False
+        weakref.finalize(self, connection.forget, self._number).atexit = False
 
     def propose(
         self,
@@ -90,7 +109,7 @@ class IsolatedAvoider(OutOfProcessAvoider):
     def answers(self, questions: Sequence[Question], *, together: bool) -> list[Answer]:
         """As ``OutOfProcessAvoider`` has it.  What is asked together and not answered is asked in turn."""
         found: list[Answer] = []
-        with self._host.lock:
+        with self._connection.lock:
             together = together and self.takes_many
             survived = True
             while len(found) < len(questions):
@@ -98,11 +117,11 @@ class IsolatedAvoider(OutOfProcessAvoider):
                 begun_s = time.perf_counter()
                 try:
                     self._be_there()
-                    for answer in self._host.ask(self._number, rest, together=together):
+                    for answer in self._answered(rest, together=together):
                         found.append(_looked_at(answer))
                         begun_s = time.perf_counter()
                 except GoneError as gone:
-                    self._host.end()
+                    self._connection.end()
                     survived = False
                     if not together and gone.hung:
                         raise NoAnswerError(self.name, rest[0].limit_s) from None
@@ -110,32 +129,41 @@ class IsolatedAvoider(OutOfProcessAvoider):
                         found.append(Answer(fault=str(gone), latency_s=time.perf_counter() - begun_s))
                     together = False
                 except BaseException:  # Ctrl-C: its answer would be taken for that to the next question
-                    self._host.end()
+                    self._connection.end()
                     raise
             if not self._asked:
                 self._asked = True
                 self._rehearsal = questions[0] if survived else None
         return found
 
+    def _answered(self, questions: list[Question], *, together: bool) -> Iterator[Answer]:
+        """The answers as they come, as they were sent; GoneError at the one that does not."""
+        self._connection.say(Ask.of(self._number, questions, together), SEND_S)
+        for k, question in enumerate(questions):
+            said = self._connection.hear(limit_of(questions) if together else question.limit_s)
+            if not isinstance(said, Answered) or said.number != k:
+                raise NonsenseError
+            yield said.answer
+
     def _be_there(self) -> None:
         """Made anew if need be, and asked its first question again, so that no decision pays for that."""
-        if self._host.alive and self._generation == self._host.generation:
+        if self._connection.alive and self._generation == self._connection.generation:
             return
         why = ""
         for _ in range(ATTEMPTS):
             try:
-                self._host.introduce(self._make(self._number), Made, self._within_s)
-                self._generation = self._host.generation
+                self._connection.introduce(self._make(self._number), Made, self._within_s)
+                self._generation = self._connection.generation
                 if self._rehearsal is not None:
                     again = self._rehearsal._replace(limit_s=self._within_s)
-                    list(self._host.ask(self._number, [again], together=False))
+                    list(self._answered([again], together=False))
                 return
             except RefusedError as error:
                 why = str(error)
                 break
             except GoneError as error:
                 why, self._rehearsal = str(error), None
-                self._host.end()
+                self._connection.end()
         raise SimulationError(f"the avoider {self.name!r} could not be made once more: {why}")
 
 
@@ -150,6 +178,26 @@ def _looked_at(answer: Answer) -> Answer:
     return replace(answer_of(answer.proposal, threshold_m), latency_s=latency_s)
 
 
+def _connected(path: Path, source: bytes, *, silent: bool = False) -> Connection:
+    start = process_of(path, source, LOGGER, partial(Process.python, CHILD), silent=silent)
+    return Connection(start, binary_wire(from_the_child.decode, MOST_ANSWER_BYTES))
+
+
+# By the file and its text; the last of these are in use.  A few stay ready though nobody uses them at the
+# moment: the process of another ends when its last avoider is gone.
+_connections = [lru_cache(KEPT)(_connected)]
+
+
+@contextmanager
+def processes_apart() -> Iterator[None]:
+    """Avoiders made within share no process, and no memory, with those made before; nobody hears them."""
+    _connections.append(lru_cache(KEPT)(partial(_connected, silent=True)))
+    try:
+        yield
+    finally:
+        _connections.pop()
+
+
 def isolated_avoider(path: Path, name: str, place: Place) -> IsolatedAvoider:
     """The avoider called ``name`` in a Python file, which is executed in another process.
 
@@ -158,7 +206,7 @@ def isolated_avoider(path: Path, name: str, place: Place) -> IsolatedAvoider:
     source, expected = source_of(path, place), f"{path.name} to give an avoider {name}"
     make = partial(Make.of, path, source, name)
     with refusing(InadmissibleError, expected, PROGRAM_S, place):
-        return IsolatedAvoider(host_of(path, source), make, PROGRAM_S)
+        return IsolatedAvoider(_connections[-1](path, source), make, PROGRAM_S)
 
 
 def isolated_onnx(path: Path, settings: Settings, layout: str = "") -> IsolatedAvoider:
@@ -173,4 +221,4 @@ def isolated_onnx(path: Path, settings: Settings, layout: str = "") -> IsolatedA
     tcp = settings.cell.desired_tcp_position_in_base_m
     make = partial(Make.of, path, source, layout, onnx=True, hand=hand, tcp=tcp)
     with refusing(ModelError, expected, ONNX_S, None, path):
-        return IsolatedAvoider(host_of(path, source), make, ONNX_S)
+        return IsolatedAvoider(_connections[-1](path, source), make, ONNX_S)
