@@ -21,6 +21,7 @@ from safety_harness.cell.controller.out_of_process.messages import (
     MadeController,
     Ready,
     Reset,
+    SaidRow,
     SaidRows,
     to_the_process,
 )
@@ -48,7 +49,7 @@ class _Controllers(ServedKind):
         many = self.another is not None and IMAGE not in sees and DECISIONS not in reports
         return MadeController(PROTOCOL, controller.name, sees, reports, many, answers_many(controller))
 
-    def answers(self, told: Reset | ActOnRows) -> Iterator[Ready | SaidRows]:
+    def answers(self, told: Reset | ActOnRows) -> Iterator[Ready | SaidRow | SaidRows]:
         yield self._reset(told) if isinstance(told, Reset) else self._act(told)
 
     def _reset(self, told: Reset) -> Ready:
@@ -61,14 +62,16 @@ class _Controllers(ServedKind):
         self._answers = LaneAnswers(len(self.made), len(told.arm.joint_names), self.reports)
         return Ready()
 
-    def _act(self, told: ActOnRows) -> SaidRows:
+    def _act(self, told: ActOnRows) -> SaidRow | SaidRows:
         own, answers = told.lanes, self._answers
         controllers = [self.made[lane] for lane in own]
         if not told.together:
-            action = self._alone(controllers[0], told)
-            answers.take(own[0], action)
+            action, (lane,) = self._alone(controllers[0], told), own
+            answers.take(lane, action)
+            by_joints, stop = bool(answers.by_joints[lane]), bool(answers.stop[lane])
+            wanted = (answers.joints if by_joints else answers.twists)[lane].tobytes()
             decision = getattr(action.report, "decision", None) if DECISIONS in self.reports else None
-            return SaidRows(told.tick, [one[own[0]].tobytes() for one in answers.columns], {}, decision)
+            return SaidRow(told.tick, wanted, by_joints, stop, int(answers.modes[lane]), decision)
         period_s, *layout, sent = told.seen
         rows = np.frombuffer(sent).reshape(len(own), -1)
         why = ask_together(controllers, own, rows, period_s, layout_of(*layout), answers, self.file)

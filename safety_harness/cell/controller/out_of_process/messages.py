@@ -11,7 +11,7 @@ from typing import Any, ClassVar, TypeVar
 
 import msgspec
 import numpy as np
-from msgspec import Struct, field
+from msgspec import Struct
 from msgspec.structs import asdict
 
 from safety_harness.base.settings import Settings
@@ -143,21 +143,31 @@ class SaidStop(ProcessMessage, tag="stop", forbid_unknown_fields=True):
     report: SaidReport | None = None
 
 
-class SaidRows(ProcessMessage, tag="acted", forbid_unknown_fields=True):
+class SaidRow(ProcessMessage, tag="row", forbid_unknown_fields=True):
+    """The answer of a single lane: ``wanted`` (6,) of the TCP, or (n,) of the joints, as ``LaneAnswers``."""
+
+    tick: int
+    wanted: bytes
+    by_joints: bool
+    stop: bool
+    mode: int
+    decision: Decision | None
+
+
+class SaidRows(ProcessMessage, tag="rows", forbid_unknown_fields=True):
     """The answers of all lanes that were asked at that tick: the columns of ``LaneAnswers``, a row each.
 
-    ``why`` has the lanes that cannot go on; ``decision`` is that of a single one.
+    ``why`` has the lanes that cannot go on.
     """
 
     tick: int
     columns: list[bytes]
-    why: dict[int, str] = field(default_factory=dict)
-    decision: Decision | None = None
+    why: dict[int, str]
 
 
 SaidByProgram = Ready | Welcome | SaidMove | SaidStop | Failed | Refused
 said_by_program: msgspec.json.Decoder[SaidByProgram] = msgspec.json.Decoder(SaidByProgram)
-said_by_process = decoder_of(Ready | MadeController | SaidRows | Failed | Refused)
+said_by_process = decoder_of(Ready | MadeController | SaidRow | SaidRows | Failed | Refused)
 to_the_process = decoder_of(Make | Reset | ActOnRows)
 
 
@@ -184,17 +194,17 @@ def seen_at(tick: int, seen: Seen, lane: int) -> ActOnRows:
     return ActOnRows(tick, [lane], packed_seen(seen), image=told)
 
 
-def action_in(said: SaidRows) -> Action:
+def action_in(said: SaidRow) -> Action:
     """The action of a single lane; ValueError for what is none."""
-    twists, joints, by_joints, stop, modes = said.columns
-    mode = int(np.frombuffer(modes, np.int64).item())
-    report = Report(mode=None if mode == NOT_REPORTED else Mode(mode), decision=said.decision)
-    if any(stop):
+    report, wanted = None, np.frombuffer(said.wanted)
+    if said.mode != NOT_REPORTED or said.decision is not None:
+        mode = None if said.mode == NOT_REPORTED else Mode(said.mode)
+        report = Report(mode=mode, decision=said.decision)
+    if said.stop:
         return Stop(report=report)
-    if any(by_joints):
-        return Move(joint_velocity_radps=np.frombuffer(joints), report=report)
-    twist = np.frombuffer(twists)
-    return Move(tcp_velocity_mps=twist[:3], tcp_angular_velocity_radps=twist[3:], report=report)
+    if said.by_joints:
+        return Move(joint_velocity_radps=wanted, report=report)
+    return Move(tcp_velocity_mps=wanted[:3], tcp_angular_velocity_radps=wanted[3:], report=report)
 
 
 def action_of(said: SaidMove | SaidStop) -> Action:

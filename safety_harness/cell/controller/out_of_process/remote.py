@@ -23,6 +23,7 @@ from safety_harness.cell.controller.out_of_process.messages import (
     Ready,
     Reset,
     SaidMove,
+    SaidRow,
     SaidRows,
     SaidStop,
     Welcome,
@@ -81,7 +82,7 @@ class RemoteController:
         tick, self._tick = self._tick, self._tick + 1
         limit_s = self._clock.wall_limit_s
         if isinstance(self._said, MadeController):
-            return self._asked(seen_at(tick, seen, self._lane), limit_s, SaidRows, action_in)
+            return self._asked(seen_at(tick, seen, self._lane), limit_s, SaidRow, action_in)
         return self._asked(Act(tick, fields_of(seen, self.sees)), limit_s, SaidMove | SaidStop, action_of)
 
     def act_together(
@@ -126,7 +127,7 @@ class RemoteController:
             self._connection.say(told, limit_s)
             said = self._connection.hear(limit_s)
             if isinstance(said, kind):
-                asked, tick = (getattr(one, "tick", None) for one in (told, said))
+                asked, tick = getattr(told, "tick", None), getattr(said, "tick", None)
                 if tick != asked:
                     raise NonsenseError(f"it answered tick {tick} when it was asked for tick {asked}")
                 return read(said)
