@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import os
+import resource
 import select
 import signal
 import sys
@@ -23,6 +24,7 @@ import msgspec
 from safety_harness.base.exceptions import ControllerError, InputError, described, printable
 from safety_harness.seams.isolation.messages import (
     HEADER,
+    MEMORY_BYTES,
     MOST_WORDS,
     Drop,
     Failed,
@@ -93,7 +95,8 @@ class _Ends:
     """Where it reads what we say and writes what it says, in frames."""
 
     def __init__(self, question_fd: int, answer_fd: int) -> None:
-        """The process ends when we do, from here on."""
+        """The process keeps the limits from here on, and ends when we do."""
+        limit()
         for fd in (question_fd, answer_fd):
             os.set_inheritable(fd, False)
         os.register_at_fork(after_in_child=lambda: _close(question_fd, answer_fd))
@@ -118,6 +121,14 @@ class _Ends:
                 stream.flush()
         self._answered.write(framed(packed(message)))
         self._answered.flush()
+
+
+def limit(process: int = 0) -> None:
+    """Bound the data of a process, of this one for 0, to MEMORY_BYTES; it leaves no core behind."""
+    for kind, most in ((resource.RLIMIT_DATA, MEMORY_BYTES), (resource.RLIMIT_CORE, 0)):
+        _, hard = resource.prlimit(process, kind)
+        least = most if hard == resource.RLIM_INFINITY else min(most, hard)
+        resource.prlimit(process, kind, (least, least))
 
 
 def _close(*fds: int) -> None:

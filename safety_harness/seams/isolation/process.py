@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import resource
 import signal
 import subprocess
 import sys
@@ -14,7 +13,7 @@ import weakref
 from collections.abc import Callable, Sequence
 
 from safety_harness.seams.isolation.channel import Channel, GoneError
-from safety_harness.seams.isolation.messages import MEMORY_BYTES
+from safety_harness.seams.isolation.child import limit
 from safety_harness.seams.isolation.opened import environment
 
 BOOT = (
@@ -62,15 +61,13 @@ class Process:
         assert output is not None
         self.channel = Channel(question, answer, output.fileno(), hear, self._ended)
         self._finish = weakref.finalize(self, _finish, self.owner, self._child, (question, answer))
-        for kind, most in ((resource.RLIMIT_DATA, MEMORY_BYTES), (resource.RLIMIT_CORE, 0)):
-            with contextlib.suppress(OSError):  # it has ended already
-                _, hard = resource.prlimit(self._child.pid, kind)
-                least = most if hard == resource.RLIM_INFINITY else min(most, hard)
-                resource.prlimit(self._child.pid, kind, (least, least))
+        with contextlib.suppress(OSError):  # it has ended already
+            if by_stdio:
+                limit(self._child.pid)
 
     @classmethod
     def python(cls, module: str, hear: Callable[[bytes], None]) -> Process:
-        """A Python that runs ``main`` of a module of ours with the two descriptors."""
+        """A Python that runs ``main`` of a module of ours with the two descriptors, and limits itself."""
         return cls([sys.executable, "-P", "-u", "-c", BOOT, module, json.dumps(sys.path)], hear)
 
     def end(self) -> None:
