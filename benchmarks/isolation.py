@@ -82,7 +82,7 @@ def begun_anew(there: IsolatedAvoider) -> list[float]:
     """Milliseconds from the end of a process to the first answer of the next."""
     question, begun = Question(HAND, TCP, 0, 10.0), []
     for _ in range(BEGUN):
-        there._host.end()
+        there._connection.end()
         begun.append(microseconds(lambda: there.answers([question], together=False), 1) / 1e3)
     return begun
 

@@ -33,7 +33,7 @@ from safety_harness.cell.avoidance.asking import (
 )
 from safety_harness.cell.avoidance.avoider import Avoider, shown_to
 from safety_harness.cell.avoidance.flaky import Asked, asked_in, difference
-from safety_harness.cell.avoidance.isolation.host import processes_apart
+from safety_harness.cell.avoidance.isolation.isolated import processes_apart
 from safety_harness.cell.simulation.worlds import world_of_trace
 from safety_harness.scenario.model import Scenario
 from safety_harness.trace.trace import Trace

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from safety_harness.base.exceptions import ControllerError
 from safety_harness.seams.contract import (
     HAND_BOXES,
     HANDS,
@@ -84,8 +85,10 @@ PackedSeen = tuple[float, int, int, tuple[str, ...], bytes]  # period, hands, jo
 
 
 def packed_seen(seen: Seen) -> PackedSeen:
-    """What is seen, as the harness made it, to be sent."""
+    """What is seen, as the harness made it, to be sent; ControllerError for anything else."""
     own = seen.__dict__
+    if "_row" not in own:
+        raise ControllerError("what is seen was not made by the harness, and cannot be sent")
     layout: SeenLayout = own["_makers"]
     return seen.period_s, layout.hand_slots, layout.joints, layout.sees, own["_row"].tobytes()
 
@@ -94,10 +97,10 @@ def unpacked(sent: PackedSeen) -> Seen:
     """As it was packed."""
     period_s, hand_slots, joints, sees, numbers = sent
     row = np.frombuffer(numbers)
-    return Seen.of_row(row.item(0), period_s, _layout(hand_slots, joints, sees), row)
+    return Seen.of_row(row.item(0), period_s, layout_of(hand_slots, joints, sees), row)
 
 
-_layout = lru_cache(maxsize=64)(SeenLayout)
+layout_of = lru_cache(maxsize=64)(SeenLayout)
 _LAST = {
     JOINTS: "tcp_position_in_base_m",
     HANDS: "hands",

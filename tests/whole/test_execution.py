@@ -13,12 +13,12 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from safety_harness.cell.avoidance.isolation import host
+from safety_harness.cell.avoidance.isolation import isolated
 from safety_harness.cli.console import AS_EXPECTED, BAD_INPUT
 from safety_harness.cli.main import app
 from safety_harness.extensions.assurance.campaign.ledger import Ledger
 from safety_harness.extensions.assurance.campaign.plan import read_plan
-from safety_harness.seams.isolation import telling
+from safety_harness.seams.isolation import process, telling
 from tests.assurance.campaign.plans import PLAN
 from tests.search.short_space import TEXT
 
@@ -150,7 +150,7 @@ def folder(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     shutil.copytree(made, folder, ignore=shutil.ignore_patterns("executed"))
     monkeypatch.chdir(folder)
     monkeypatch.setattr(telling, "executed", {})
-    host._shared.clear()  # processes that live from a test before
+    isolated._connections[0].cache_clear()  # processes that live from a test before
     return folder
 
 
@@ -177,7 +177,7 @@ def test_a_command_that_looks_executes_nothing(
     def begun(*_: object) -> None:
         raise AssertionError("a process was begun")
 
-    monkeypatch.setattr(host, "Process", begun)
+    monkeypatch.setattr(process.Process, "__init__", begun)
     words, code = LOOKS[name]
     command = name if name.startswith(GROUPS) else name.split()[0]
     found = CliRunner().invoke(app, [*command.split(), *words.split()])

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from safetensors import SafetensorError, deserialize
 from safetensors.numpy import save
 
-from safety_harness.base.exceptions import ModelError, OutputError, Place
+from safety_harness.base.exceptions import InputError, ModelError, OutputError, Place
 from safety_harness.base.settings import Settings, Vector3
 from safety_harness.base.whole_file import replacing
 from safety_harness.scenario.decision_times import LONGEST_S
@@ -212,11 +212,14 @@ def load_model(path: Path) -> Model:
     return _parse(model_bytes(path, "a model file", most=LARGEST_BYTES), path)
 
 
-def model_bytes(path: Path, kind: str, *, most: int) -> bytes:
-    """The whole of a regular file of at most ``most`` bytes; ModelError for anything else."""
-    data = read_bytes(path, most=most, place=Place(file=path), error=ModelError)
+def model_bytes(
+    path: Path, kind: str, *, most: int, place: Place | None = None, error: type[InputError] = ModelError
+) -> bytes:
+    """The whole of a regular file of at most ``most`` bytes; an ``error`` for anything else."""
+    place = place or Place(file=path)
+    data = read_bytes(path, most=most, place=place, error=error)
     if len(data) > most:
-        refuse(path, None, f"{kind} of at most {most} bytes", "a larger one")
+        raise error(place=place, expected=f"{kind} of at most {most} bytes", got="a larger one")
     return data
 
 
@@ -342,9 +345,9 @@ def _tensors(
     return tensors
 
 
-def onnx_bytes(path: Path) -> bytes:
-    """The whole of an ONNX file; ModelError for none, or one that is too large."""
-    return model_bytes(path, "an ONNX file", most=LARGEST_ONNX_BYTES)
+def onnx_bytes(path: Path, place: Place | None = None, error: type[InputError] = ModelError) -> bytes:
+    """The whole of an ONNX file; an ``error`` at ``place``, or at the file, for none or a large one."""
+    return model_bytes(path, "an ONNX file", most=LARGEST_ONNX_BYTES, place=place, error=error)
 
 
 def onnx_metadata(path: Path, data: bytes) -> dict[str, str]:

@@ -43,7 +43,7 @@ from safety_harness.cell.avoidance.model_file import (
     network_use,
     refuse,
 )
-from safety_harness.cell.avoidance.onnx_graph import refuse_chance, refuse_dependence
+from safety_harness.cell.avoidance.onnx_file import OnnxFile
 from safety_harness.cell.avoidance.onnx_names import (
     FLOATS,
     HAND,
@@ -53,9 +53,6 @@ from safety_harness.cell.avoidance.onnx_names import (
     SPREAD,
     TCP,
     NamedQuantity,
-    Tensor,
-    laid_out,
-    layout_of,
 )
 from safety_harness.scenario.decision_times import LONGEST_S
 from safety_harness.scenario.typed_json import of_format, parsed
@@ -72,9 +69,7 @@ class OnnxAvoider:
     name: str
     spread_threshold_m: float | None
     decision_time_s: float
-    _session: Any
-    _inputs: list[Tensor]
-    _outputs: list[Tensor]
+    _file: OnnxFile
     _exported: NetworkUse | None
 
     @classmethod
@@ -87,8 +82,8 @@ class OnnxAvoider:
         answers in another shape, or not twice the same, is refused.
         """
         try:
-            session = open_session(path, data)
-            own = dict(session.get_modelmeta().custom_metadata_map)
+            file = OnnxFile(path, data, layout)
+            own = file.metadata
             use = _exported(path, own[KEY]) if KEY in own else None
             threshold_m = _number(path, own, THRESHOLD) if use is None else use.spread_threshold_m
             plain_s = _number(path, own, CARD_TIME, most=LONGEST_S) or 0.0
@@ -98,8 +93,8 @@ class OnnxAvoider:
             required = {*takes} - {SEED} | {POSITION}
             if use is not None or threshold_m is not None:
                 required |= {SPREAD}  # without it no threshold would ever be met
-            inputs, outputs = laid_out(path, session, layout_of(layout), takes, GIVEN, required)
-            avoider = cls(name, threshold_m, time_s, session, inputs, outputs, use)
+            file.lay_out(takes, GIVEN, required)
+            avoider = cls(name, threshold_m, time_s, file, use)
             avoider._try(path, hand, tcp)
         except UnicodeDecodeError as error:  # of a damaged name
             raise ModelError(place=Place(file=path), expected="names in UTF-8", got=error.reason) from error
@@ -127,14 +122,7 @@ class OnnxAvoider:
         }
         if self._exported is not None and self._exported.dropout is not Dropout.NONE:
             arrays[MASKS] = drawn_masks(self._exported, seeds)
-        feed = {one.name: one.packed(arrays) for one in self._inputs}
-        values = self._session.run([one.name for one in self._outputs], feed)
-        widths = dict.fromkeys(GIVEN, 3)
-        return {
-            name: value
-            for one, found in zip(self._outputs, values, strict=True)
-            for name, value in one.split(found, widths)
-        }
+        return self._file.answers(arrays, dict.fromkeys(GIVEN, 3))
 
     def _try(self, path: Path, hand: Vector, tcp: Vector) -> None:
         """The same question twice."""
@@ -172,39 +160,6 @@ def mask_shape(use: NetworkUse) -> tuple[int, int, int]:
 def drawn_masks(use: NetworkUse, seeds: NDArray[np.uint64]) -> NDArray[np.bool_]:
     """(n, passes, places, units) of what ``LearnedAvoider`` keeps for these seeds (n,)."""
     return np.array([masks(seed, *mask_shape(use), use.dropout_probability) for seed in seeds])
-
-
-def open_session(path: Path, data: bytes) -> Any:
-    """Return the file in onnxruntime: one thread, in order, no file beside it.
-
-    Raise ModelError if the runtime cannot load it, if it draws random numbers, or if its answer depends on
-    the runtime's optimisation.
-    """
-    session = _session(path, data, optimised=True)
-    refuse_chance(path, data)
-    refuse_dependence(path, session, _session(path, data, optimised=False))
-    return session
-
-
-def _session(path: Path, data: bytes, *, optimised: bool) -> Any:
-    import onnxruntime  # an extra: who asks for one has looked
-
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = options.inter_op_num_threads = 1
-    options.execution_mode = onnxruntime.ExecutionMode.ORT_SEQUENTIAL
-    options.use_deterministic_compute = True
-    if not optimised:
-        options.graph_optimization_level = onnxruntime.GraphOptimizationLevel.ORT_DISABLE_ALL
-    options.log_severity_level = 4  # what is wrong comes as an exception
-    options.add_session_config_entry("session.load_model_format", "ONNX")
-    # External data are sought in a folder, which this file is not: there are none.
-    options.add_session_config_entry("session.model_external_initializers_file_folder_path", str(path))
-    try:
-        return onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
-    except Exception as error:  # onnxruntime's own have no common base but Exception
-        hint = "torch.onnx.export(..., external_data=False) stores the tensors in the file itself"
-        hint = hint if "xternal data" in str(error) else ""
-        refuse(path, None, "an ONNX file that onnxruntime can load", described(error), hint)
 
 
 def _taken(exported: NetworkUse | None) -> dict[str, NamedQuantity]:

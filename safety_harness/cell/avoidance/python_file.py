@@ -8,18 +8,18 @@ from typing import NoReturn
 
 from safety_harness.base.exceptions import AvoiderError, InadmissibleError, Place
 from safety_harness.cell.avoidance.avoider import Avoider, decision_time_of, shown_to, spread_threshold_of
-from safety_harness.scenario.fields import SENTENCE, is_sentence
-from safety_harness.seams.isolation.python_file import made_by, raised
+from safety_harness.seams.isolation.python_file import made_by, raised, refuse_lacking
 from safety_harness.seams.isolation.python_file import refuse_undefined as refuse_undefined_there
 
 AVOIDER = Place(field="avoider")  # who asked for it knows the place of the reference to it
 QUESTION = ("hand_position_in_base_m", "tcp_position_in_base_m", "seed")  # the keywords of propose
+METHODS = ("propose",)
 HINT = "safety-harness docs avoiders#a-python-file"
 
 
 def refuse_undefined(path: Path, name: str, place: Place) -> None:
     """InadmissibleError at ``place`` unless the file is Python and seems to define an avoider ``name``."""
-    refuse_undefined_there(path, name, ("propose",), place, HINT)
+    refuse_undefined_there(path, name, METHODS, place, HINT)
 
 
 def avoider_in(path: Path, source: bytes, name: str) -> Avoider:
@@ -33,11 +33,12 @@ def avoider_in(path: Path, source: bytes, name: str) -> Avoider:
 def _admissible(path: Path, found: object, name: str) -> Avoider:
     """``found`` if it has what an avoider needs."""
     try:
-        propose, called = getattr(found, "propose", None), getattr(found, "name", None)
+        refuse_lacking(found, name, METHODS, AVOIDER, HINT)
+        propose = found.propose  # type: ignore[attr-defined]  # as has just been looked at
+    except InadmissibleError:
+        raise
     except Exception as error:  # a user's property
         raise raised(path, AVOIDER, f"{name} to have a name and a propose", error) from error
-    if not callable(propose):
-        _refuse(AVOIDER, f"{name} to have a method propose", f"none in a {type(found).__name__}")
     question = QUESTION + (("seen",) if getattr(found, "sees", None) else ())
     asked = f"propose(*, {', '.join(question)})"
     try:
@@ -47,8 +48,6 @@ def _admissible(path: Path, found: object, name: str) -> Avoider:
         _refuse(AVOIDER, f"{name} to have {asked}", f"propose{signature}")
     except ValueError:
         pass  # a function that is not written in Python does not tell
-    if not isinstance(called, str) or not is_sentence(called):
-        _refuse(AVOIDER, f"{name} to have a name, {SENTENCE}", repr(called))
     avoider: Avoider = found  # type: ignore[assignment]  # as has just been looked at
     for read, attribute, kind in (
         (spread_threshold_of, "spread_threshold_m", "a length"),

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from safety_harness.base.exceptions import ControllerError, described, printable
 from safety_harness.cell.controller.arrays import Arrays, observed
-from safety_harness.seams.contract import MODE, Move, Moves, Report, Seen, Stop, UserController
+from safety_harness.seams.contract import IMAGE, MODE, Move, Moves, Report, Seen, Stop, UserController
 from safety_harness.seams.rows import SeenLayout, seen_dtype
 from safety_harness.trace.records import Mode
 
@@ -148,13 +148,12 @@ def ask_together(
     period_s: float,
     layout: SeenLayout,
     answers: LaneAnswers,
-    sendable: Any = None,
     file: str | None = None,
 ) -> dict[int, str]:
     """Ask the controller of each of ``lanes`` (n,); why a lane cannot go on, of those that cannot.
 
     ``rows`` (n, wanted), read-only, are what they see, and ``controllers`` (n,) theirs; the answers
-    go to the ``lanes`` of ``answers``.  ``sendable`` is applied to each action, ``file`` is the user's.
+    go to the ``lanes`` of ``answers``; ``file`` is the user's.
     Whatever an ``act_many`` raises, or returns amiss, is raised.
     """
     kind: Any = type(controllers[0])
@@ -164,8 +163,7 @@ def ask_together(
     why: dict[int, str] = {}
     for controller, lane, row in zip(controllers, lanes, rows, strict=True):
         try:
-            action: object = controller.act(Seen.of_row(row.item(0), period_s, layout, row))
-            answers.take(lane, action if sendable is None else sendable(action))
+            answers.take(lane, controller.act(Seen.of_row(row.item(0), period_s, layout, row)))
         except ControllerError as error:
             why[lane] = in_act(error)
         except (Exception, SystemExit) as error:  # a user's code may raise anything
@@ -185,7 +183,7 @@ def columns_of(rows: Floats, period_s: float, layout: SeenLayout) -> Arrays:
     whole = np.zeros((len(rows), dtype.itemsize // 8))
     whole[:, : rows.shape[1]] = rows
     seen: Arrays = {"time_s": rows[:, 0].copy(), "period_s": np.float64(period_s)}  # type: ignore[dict-item]
-    return seen | observed(whole.view(dtype)[:, 0], layout.sees)
+    return seen | observed(whole.view(dtype)[:, 0], [word for word in layout.sees if word != IMAGE])
 
 
 def lanes_of(live: Iterable[bool]) -> list[int]:

@@ -6,7 +6,7 @@ Nothing here waits for a compiler.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,7 @@ SeenRows = NDArray[np.void]  # (n,) SEEN
 Arrays = dict[str, NDArray[np.generic]]  # by name, of n rows each
 
 
-def observed(seen: SeenRows, sees: tuple[str, ...]) -> Arrays:
+def observed(seen: SeenRows, sees: Iterable[str]) -> Arrays:
     """What ``sees`` name, of each of n; names and frames are those of the contract's ``Seen``.
 
     ``seen`` (n,) SEEN.

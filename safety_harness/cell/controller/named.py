@@ -13,11 +13,9 @@ from safety_harness.base.extension_points import ExtensionPoint, part_named
 from safety_harness.base.extras import ONNX
 from safety_harness.base.shipped.contents import located
 from safety_harness.cell.controller.out_of_process.references import (
-    of_onnx,
+    of_file,
     of_program,
-    of_python,
     program_sha256,
-    refuse_no_program,
 )
 from safety_harness.cell.controller.python_file import HINT, METHODS, checked_controller
 from safety_harness.cell.controller.stop_when_near import StopWhenNear
@@ -70,7 +68,7 @@ def controller_of(reference: str, folder: Path | None, place: Place = CONTROLLER
     if names_a_program(reference):
         return of_program(reference, place)
     path, name = controller_file(reference, folder, place)
-    return of_onnx(path, name, place) if names_onnx(reference) else of_python(path, name, place)
+    return of_file(path, name, place, onnx=names_onnx(reference))
 
 
 def _opened(opener: ControllerOpener, reference: str, place: Place) -> UserController:
@@ -92,7 +90,7 @@ def refuse_unusable_controller(reference: str, folder: Path | None, place: Place
         part_named(ExtensionPoint.CONTROLLERS, way, ControllerOpener)
         return
     if names_a_program(reference):
-        refuse_no_program(reference, place)
+        of_program(reference, place)
         return
     path, name = controller_file(reference, folder, place)
     if not names_onnx(reference):

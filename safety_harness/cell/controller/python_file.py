@@ -5,9 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from safety_harness.base.exceptions import ControllerError, InadmissibleError, Place
-from safety_harness.scenario.fields import SENTENCE, is_sentence
 from safety_harness.seams.contract import UserController, reports_of, sees_of
-from safety_harness.seams.isolation.python_file import made_by
+from safety_harness.seams.isolation.python_file import made_by, refuse_lacking
 
 METHODS = ("reset", "act")
 HINT = "safety-harness docs controllers"
@@ -20,14 +19,7 @@ def controller_in(path: Path, source: bytes, name: str, place: Place) -> UserCon
 
 def checked_controller(found: object, name: str, place: Place) -> UserController:
     """``found`` if it has what the contract asks for; InadmissibleError at ``place`` says what is missing."""
-    for method in METHODS:
-        if not callable(getattr(found, method, None)):
-            expected, got = f"{name} to have a method {method}", f"none in a {type(found).__name__}"
-            raise InadmissibleError(place=place, expected=expected, got=got, hint=HINT)
-    called = getattr(found, "name", None)
-    if not isinstance(called, str) or not is_sentence(called):
-        expected = f"{name} to have a name, {SENTENCE}"
-        raise InadmissibleError(place=place, expected=expected, got=repr(called))
+    refuse_lacking(found, name, METHODS, place, HINT)
     controller: UserController = found  # type: ignore[assignment]  # as has just been looked at
     try:
         sees_of(controller)

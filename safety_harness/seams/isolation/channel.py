@@ -7,7 +7,7 @@ import select
 import time
 from collections.abc import Callable
 
-from safety_harness.seams.isolation.frames import HEADER, length_of
+from safety_harness.seams.isolation.messages import HEADER, length_of
 
 NO_OUTPUT = -1
 AT_ONCE = 65_536  # bytes that are read in one go

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import re
 import sys
 from collections.abc import Mapping
 from contextlib import suppress
@@ -18,6 +19,7 @@ from safety_harness.base.whole_file import sha256_of as whole_hash
 
 DECLARED = "HARNESS_FILES"
 _JOURNAL = "SAFETY_HARNESS_JOURNAL"  # the descriptor at which a process notes them
+_NOTED = re.compile(rb"([0-9a-f]{64}) ([0-9a-f]{64}|) (.+)$", re.MULTILINE)
 _MARKS = (".git", "pyproject.toml", "setup.py", "setup.cfg")
 _LIBRARIES = (str(Path(__file__).parents[2]), sys.prefix)
 _SEEN_AS = {"open": 0, "import": 1, "ctypes.dlopen": 0, "sqlite3.connect": 0}  # events, and where the file is
@@ -38,13 +40,13 @@ def noted(begin: int) -> tuple[list[tuple[str, str, str]], int]:
     """What was noted from that byte of the journal on, and where the journal ends now.
 
     (SHA-256 of the module, path, SHA-256 of the file), which is empty for one that the module writes itself:
-    that is its memory, and no part of it.
+    that is its memory, and no part of it.  Whatever else the module writes there is passed over.
     """
     journal = _journals.get(os.getpid())
     data = b"" if journal is None else os.pread(journal, os.fstat(journal).st_size - begin, begin)
     whole = data[: data.rfind(b"\n") + 1]
-    lines = (line.split(b" ", 2) for line in whole.splitlines())
-    found = [(module.decode(), os.fsdecode(path), sha256.decode()) for module, sha256, path in lines]
+    noted = _NOTED.findall(whole)
+    found = [(module.decode(), os.fsdecode(path), sha256.decode()) for module, sha256, path in noted]
     return found, begin + len(whole)
 
 

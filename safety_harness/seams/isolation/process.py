@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import resource
 import signal
 import subprocess
 import sys
@@ -14,7 +13,7 @@ import weakref
 from collections.abc import Callable, Sequence
 
 from safety_harness.seams.isolation.channel import Channel, GoneError
-from safety_harness.seams.isolation.frames import MEMORY_BYTES
+from safety_harness.seams.isolation.child import limit
 from safety_harness.seams.isolation.opened import environment
 
 BOOT = (
@@ -29,6 +28,7 @@ class Process:
     It is started as ``command``.  What we say it reads, and what it says it writes, at two descriptors whose
     numbers are added to the command; its output is then what comes from standard output and error.  A program
     that is spoken to ``by_stdio`` uses standard input and output for that, and its output is standard error.
+    It has MEMORY_BYTES for its data.
     """
 
     def __init__(
@@ -61,22 +61,14 @@ class Process:
         assert output is not None
         self.channel = Channel(question, answer, output.fileno(), hear, self._ended)
         self._finish = weakref.finalize(self, _finish, self.owner, self._child, (question, answer))
+        with contextlib.suppress(OSError):  # it has ended already
+            if by_stdio:
+                limit(self._child.pid)
 
     @classmethod
     def python(cls, module: str, hear: Callable[[bytes], None]) -> Process:
         """A Python that runs ``main`` of a module of ours with the two descriptors, and limits itself."""
         return cls([sys.executable, "-P", "-u", "-c", BOOT, module, json.dumps(sys.path)], hear)
-
-    @classmethod
-    def program(cls, command: Sequence[str], hear: Callable[[bytes], None]) -> Process:
-        """A user's program, spoken to by standard input and output; it has MEMORY_BYTES for its data."""
-        process = cls(command, hear, by_stdio=True)
-        for kind, most in ((resource.RLIMIT_DATA, MEMORY_BYTES), (resource.RLIMIT_CORE, 0)):
-            with contextlib.suppress(OSError):  # it has ended already
-                _, hard = resource.prlimit(process._child.pid, kind)
-                least = most if hard == resource.RLIM_INFINITY else min(most, hard)
-                resource.prlimit(process._child.pid, kind, (least, least))
-        return process
 
     def end(self) -> None:
         """Kill it and what it forked; hear its last words."""

@@ -16,6 +16,7 @@ from pathlib import Path
 from types import ModuleType
 
 from safety_harness.base.exceptions import InadmissibleError, Place, described
+from safety_harness.scenario.fields import SENTENCE, is_sentence
 from safety_harness.scenario.files import read_bytes
 from safety_harness.seams.isolation.opened import DECLARED, declare, watch
 
@@ -118,6 +119,18 @@ def made_by(path: Path, source: bytes, name: str, what: str, place: Place, hint:
             raise raised(path, place, expected, error) from error
     made: object = found
     return made
+
+
+def refuse_lacking(found: object, name: str, methods: Sequence[str], place: Place, hint: str) -> None:
+    """InadmissibleError at ``place`` unless what the file calls ``name`` has these methods, and a name."""
+    for method in methods:
+        if not callable(getattr(found, method, None)):
+            expected, got = f"{name} to have a method {method}", f"none in a {type(found).__name__}"
+            raise InadmissibleError(place=place, expected=expected, got=got, hint=hint)
+    called = getattr(found, "name", None)
+    if not isinstance(called, str) or not is_sentence(called):
+        expected = f"{name} to have a name, {SENTENCE}"
+        raise InadmissibleError(place=place, expected=expected, got=repr(called), hint=hint)
 
 
 def _module(path: Path, source: bytes, place: Place) -> ModuleType:

@@ -333,7 +333,7 @@ def test_a_file_that_ends_the_process_of_others_costs_them_their_memory_alone(ma
     assert count(asked(first)) == 1
     os.environ["ENDS"] = "1"
     try:
-        first._host.end()
+        first._connection.end()
         with pytest.raises(InadmissibleError, match="ended with exit status 4"):
             make(before="import os, sys\nif os.environ.get('ENDS'): os._exit(4)\n")
     finally:
@@ -344,7 +344,7 @@ def test_a_file_that_ends_the_process_of_others_costs_them_their_memory_alone(ma
 def test_what_is_no_answer_there_is_none_here(make: Make, monkeypatch: pytest.MonkeyPatch) -> None:
     avoider = make()
     sent = Answer(Proposal(np.array([np.inf, 0.0, 0.0]), np.zeros(3)))
-    monkeypatch.setattr(avoider._host, "ask", lambda *args, **kwargs: iter([sent]))
+    monkeypatch.setattr(avoider, "_answered", lambda *args, **kwargs: iter([sent]))
     assert "not finite" in avoider.answers([Question(HAND, HERE, 0, 1.0)], together=False)[0].fault
 
 

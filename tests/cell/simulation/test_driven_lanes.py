@@ -73,6 +73,9 @@ class Raises(Bad):
 class Nan(Bad):
     def fail(self): return Move(tcp_velocity_mps=[0.0, float("nan"), 0.0])
 
+class Words(Bad):
+    def fail(self): return Move(tcp_velocity_mps=["a", "b", "c"])
+
 class Leaves(Bad):
     def fail(self): os._exit(3)
 """
@@ -141,7 +144,12 @@ def test_lanes_are_the_runs_one_by_one(file: Path, who: str) -> None:
 
 @pytest.mark.parametrize(
     ("who", "why"),
-    [("Raises", "ValueError: gain"), ("Nan", "not finite"), ("Leaves", "exit status 3")],
+    [
+        ("Raises", "ValueError: gain"),
+        ("Nan", "not finite"),
+        ("Words", "real numbers"),
+        ("Leaves", "exit status 3"),
+    ],
 )
 def test_what_one_does_costs_its_own_run_with_the_same_words(file: Path, who: str, why: str) -> None:
     admitted = driven_by(f"{file}:{who}", *varied()[:4])

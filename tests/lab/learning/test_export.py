@@ -20,7 +20,8 @@ from safety_harness.base.exceptions import AvoiderError, ModelError, OutputError
 from safety_harness.cell.avoidance.avoider import checked
 from safety_harness.cell.avoidance.learned import LearnedAvoider
 from safety_harness.cell.avoidance.model_file import KEY, Calibration, Dropout, Model
-from safety_harness.cell.avoidance.onnx_model import OnnxAvoider, open_session
+from safety_harness.cell.avoidance.onnx_file import open_session
+from safety_harness.cell.avoidance.onnx_model import OnnxAvoider
 from safety_harness.extensions.lab.learning import export as module
 from safety_harness.extensions.lab.learning.export import WholeFunction, difference, drawn_masks, write_export
 

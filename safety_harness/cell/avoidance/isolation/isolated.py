@@ -8,10 +8,13 @@ the same text.
 
 from __future__ import annotations
 
+import logging
 import time
 import weakref
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
+from functools import lru_cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +22,6 @@ import numpy as np
 from safety_harness.base.exceptions import (
     AvoiderError,
     InadmissibleError,
-    InputError,
     ModelError,
     NoAnswerError,
     Place,
@@ -34,15 +36,35 @@ from safety_harness.cell.avoidance.asking import (
     OutOfProcessAvoider,
     Question,
     answer_of,
+    limit_of,
 )
 from safety_harness.cell.avoidance.avoider import Proposal, Vector
-from safety_harness.cell.avoidance.isolation.frames import Made
-from safety_harness.cell.avoidance.isolation.host import Host, RefusedError, Wanted, host_of
+from safety_harness.cell.avoidance.isolation.messages import (
+    MOST_ANSWER_BYTES,
+    Answered,
+    Ask,
+    Made,
+    from_the_child,
+)
 from safety_harness.cell.avoidance.model_file import onnx_bytes
+from safety_harness.scenario.fields import is_sentence
 from safety_harness.seams.contract import Seen
-from safety_harness.seams.isolation.channel import GoneError
+from safety_harness.seams.isolation.channel import GoneError, NonsenseError
+from safety_harness.seams.isolation.connection import (
+    Connection,
+    RefusedError,
+    binary_wire,
+    process_of,
+    refusing,
+)
+from safety_harness.seams.isolation.messages import Make
+from safety_harness.seams.isolation.process import Process
 from safety_harness.seams.isolation.python_file import source_of
 
+SEND_S = 10.0
+KEPT = 2  # processes that are kept though no avoider lives in them
+LOGGER = logging.getLogger("safety_harness.avoider")
+CHILD = "safety_harness.cell.avoidance.isolation.child"
 ATTEMPTS = 3  # to make it anew, one after another
 PROGRAM_S = 300.0  # to be imported, and to answer for the first time
 ONNX_S = 60.0  # to be loaded and asked twice: the runtime computes at once what depends on no input
@@ -51,22 +73,23 @@ ONNX_S = 60.0  # to be loaded and asked twice: the runtime computes at once what
 class IsolatedAvoider(OutOfProcessAvoider):
     """One avoider in the process of its file."""
 
-    def __init__(self, host: Host, wanted: Wanted) -> None:
+    def __init__(self, connection: Connection, make: Callable[[int], Make], within_s: float) -> None:
         """Make it there; RefusedError, or GoneError if the process does not live to say so."""
-        self._number = next(host.numbers)
-        with host.lock:
-            made = _first_made(host, self._number, wanted)
-            self._generation = host.generation
+        self._number = next(connection.numbers)
+        with connection.lock:
+            made = connection.introduce(make(self._number), Made, within_s)
+            self._generation = connection.generation
+        if not is_sentence(made.name):
+            raise NonsenseError
         self.name = made.name
         self.spread_threshold_m = made.spread_threshold_m
         self.decision_time_s = made.decision_time_s
         self.takes_many = made.takes_many
         self.sees = made.sees
-        self._host = host
-        self._wanted = wanted
+        self._connection, self._make, self._within_s = connection, make, within_s
         self._asked = False
         self._rehearsal: Question | None = None  # its first question, if it survived that
-        weakref.finalize(self, host.drop, self._number).atexit = False
+        weakref.finalize(self, connection.forget, self._number).atexit = False
 
     def propose(
         self,
@@ -86,7 +109,7 @@ class IsolatedAvoider(OutOfProcessAvoider):
     def answers(self, questions: Sequence[Question], *, together: bool) -> list[Answer]:
         """As ``OutOfProcessAvoider`` has it.  What is asked together and not answered is asked in turn."""
         found: list[Answer] = []
-        with self._host.lock:
+        with self._connection.lock:
             together = together and self.takes_many
             survived = True
             while len(found) < len(questions):
@@ -94,11 +117,11 @@ class IsolatedAvoider(OutOfProcessAvoider):
                 begun_s = time.perf_counter()
                 try:
                     self._be_there()
-                    for answer in self._host.ask(self._number, rest, together=together):
+                    for answer in self._answered(rest, together=together):
                         found.append(_looked_at(answer))
                         begun_s = time.perf_counter()
                 except GoneError as gone:
-                    self._host.end()
+                    self._connection.end()
                     survived = False
                     if not together and gone.hung:
                         raise NoAnswerError(self.name, rest[0].limit_s) from None
@@ -106,47 +129,42 @@ class IsolatedAvoider(OutOfProcessAvoider):
                         found.append(Answer(fault=str(gone), latency_s=time.perf_counter() - begun_s))
                     together = False
                 except BaseException:  # Ctrl-C: its answer would be taken for that to the next question
-                    self._host.end()
+                    self._connection.end()
                     raise
             if not self._asked:
                 self._asked = True
                 self._rehearsal = questions[0] if survived else None
         return found
 
+    def _answered(self, questions: list[Question], *, together: bool) -> Iterator[Answer]:
+        """The answers as they come, as they were sent; GoneError at the one that does not."""
+        self._connection.say(Ask.of(self._number, questions, together), SEND_S)
+        for k, question in enumerate(questions):
+            said = self._connection.hear(limit_of(questions) if together else question.limit_s)
+            if not isinstance(said, Answered) or said.number != k:
+                raise NonsenseError
+            yield said.answer
+
     def _be_there(self) -> None:
         """Made anew if need be, and asked its first question again, so that no decision pays for that."""
-        if self._host.alive and self._generation == self._host.generation:
+        if self._connection.alive and self._generation == self._connection.generation:
             return
         why = ""
         for _ in range(ATTEMPTS):
             try:
-                self._host.make(self._number, self._wanted)
-                self._generation = self._host.generation
+                self._connection.introduce(self._make(self._number), Made, self._within_s)
+                self._generation = self._connection.generation
                 if self._rehearsal is not None:
-                    again = self._rehearsal._replace(limit_s=self._wanted.within_s)
-                    list(self._host.ask(self._number, [again], together=False))
+                    again = self._rehearsal._replace(limit_s=self._within_s)
+                    list(self._answered([again], together=False))
                 return
             except RefusedError as error:
                 why = str(error)
                 break
             except GoneError as error:
                 why, self._rehearsal = str(error), None
-                self._host.end()
+                self._connection.end()
         raise SimulationError(f"the avoider {self.name!r} could not be made once more: {why}")
-
-
-def _first_made(host: Host, number: int, wanted: Wanted) -> Made:
-    """Once more in a new process if that of earlier avoiders is gone."""
-    new = not host.alive
-    try:
-        return host.make(number, wanted)
-    except RefusedError:
-        raise
-    except BaseException as error:  # after Ctrl-C, who knows what it will say next
-        host.end()
-        if new or not isinstance(error, GoneError):
-            raise
-    return _first_made(host, number, wanted)
 
 
 def _looked_at(answer: Answer) -> Answer:
@@ -160,13 +178,35 @@ def _looked_at(answer: Answer) -> Answer:
     return replace(answer_of(answer.proposal, threshold_m), latency_s=latency_s)
 
 
+def _connected(path: Path, source: bytes, *, silent: bool = False) -> Connection:
+    start = process_of(path, source, LOGGER, partial(Process.python, CHILD), silent=silent)
+    return Connection(start, binary_wire(from_the_child.decode, MOST_ANSWER_BYTES))
+
+
+# By the file and its text; the last of these are in use.  A few stay ready though nobody uses them at the
+# moment: the process of another ends when its last avoider is gone.
+_connections = [lru_cache(KEPT)(_connected)]
+
+
+@contextmanager
+def processes_apart() -> Iterator[None]:
+    """Avoiders made within share no process, and no memory, with those made before; nobody hears them."""
+    _connections.append(lru_cache(KEPT)(partial(_connected, silent=True)))
+    try:
+        yield
+    finally:
+        _connections.pop()
+
+
 def isolated_avoider(path: Path, name: str, place: Place) -> IsolatedAvoider:
     """The avoider called ``name`` in a Python file, which is executed in another process.
 
     InadmissibleError at ``place`` if there is none, or the process does not live to say so.
     """
-    wanted, expected = Wanted({"attribute": name}, PROGRAM_S), f"{path.name} to give an avoider {name}"
-    return _of_file(path, source_of(path, place), wanted, expected, InadmissibleError, place)
+    source, expected = source_of(path, place), f"{path.name} to give an avoider {name}"
+    make = partial(Make.of, path, source, name)
+    with refusing(InadmissibleError, expected, PROGRAM_S, place):
+        return IsolatedAvoider(_connections[-1](path, source), make, PROGRAM_S)
 
 
 def isolated_onnx(path: Path, settings: Settings, layout: str = "") -> IsolatedAvoider:
@@ -176,29 +216,9 @@ def isolated_onnx(path: Path, settings: Settings, layout: str = "") -> IsolatedA
     ``layout`` says what its inputs and outputs hold (``onnx_names``).
     """
     ONNX.require(f"the avoider {path.name}")
-    question = {
-        "hand": settings.avoidance.nominal_hand_position_in_base_m,
-        "tcp": settings.cell.desired_tcp_position_in_base_m,
-        "layout": layout,
-    }
-    wanted, expected = Wanted(question, ONNX_S), "an ONNX file that can be loaded and answers twice"
-    return _of_file(path, onnx_bytes(path), wanted, expected, ModelError)
-
-
-def _of_file(
-    path: Path,
-    source: bytes,
-    wanted: Wanted,
-    expected: str,
-    error: type[InputError],
-    place: Place | None = None,
-) -> IsolatedAvoider:
-    """The avoider, or the ``error`` at ``place``; without one at the field that the process tells."""
-    try:
-        return IsolatedAvoider(host_of(path, source), wanted)
-    except RefusedError as said:
-        at = place or Place(file=path, field=said.field or None)
-        raise error(place=at, expected=said.expected, got=said.got, hint=said.hint) from said
-    except GoneError as gone:
-        within = f" within {wanted.within_s:g} s" if gone.hung else ""
-        raise error(place=place or Place(file=path), expected=expected + within, got=str(gone)) from gone
+    source, expected = onnx_bytes(path), "an ONNX file that can be loaded and answers twice"
+    hand = settings.avoidance.nominal_hand_position_in_base_m
+    tcp = settings.cell.desired_tcp_position_in_base_m
+    make = partial(Make.of, path, source, layout, onnx=True, hand=hand, tcp=tcp)
+    with refusing(ModelError, expected, ONNX_S, None, path):
+        return IsolatedAvoider(_connections[-1](path, source), make, ONNX_S)

@@ -1,21 +1,21 @@
-"""What is said between us and a controller elsewhere, one message a turn; docs/controller-protocol.md.
+"""Messages between the harness and a controller elsewhere, one a turn; docs/controller-protocol.md.
 
-To a program it goes as JSON, an object a line; to a process of ours, which runs a Python file or an ONNX
-policy, as MessagePack behind a length, with what is seen as a row of numbers.  Each side decodes what the
-other may say and nothing else; no pickle.
+To a program they are JSON, an object a line.  To a process of ours, which runs a Python file or an ONNX
+policy, they are MessagePack in frames, with what is seen and what is answered as rows of numbers.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from enum import IntEnum
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import msgspec
 import numpy as np
 from msgspec import Struct
+from msgspec.structs import asdict
 
 from safety_harness.base.settings import Settings
+from safety_harness.cell.controller.answers import NOT_REPORTED
 from safety_harness.seams.contract import (
     REPORTS,
     SIGHTS,
@@ -28,17 +28,19 @@ from safety_harness.seams.contract import (
     Start,
     Stop,
 )
+from safety_harness.seams.isolation.messages import Failed, Make, ProcessMessage, Refused, decoder_of
+from safety_harness.seams.rows import PackedSeen, packed_seen
 from safety_harness.trace.records import DecisionOutcome, Mode, Trigger
 
 PROTOCOL = "safety-harness controller 1"
 MOST_BYTES = 65_536  # of what a controller says
-MOST_WORDS = 240  # of why it failed: what a trace keeps
+WANTS_ACTION = "it has to say how to move"
 
 Numbers = list[float]
 AnEnum = TypeVar("AnEnum", bound=IntEnum)
 
 
-class Hello(Struct, tag="hello", tag_field="say"):
+class Hello(ProcessMessage, tag="hello"):
     """The first message to a program."""
 
     protocol: str = PROTOCOL
@@ -46,54 +48,47 @@ class Hello(Struct, tag="hello", tag_field="say"):
     reports: tuple[str, ...] = tuple(one.word for one in REPORTS)
 
 
-class MakeController(Struct, tag="make", tag_field="say"):
-    """The first message to a process of ours: a controller of that file, ``wanted`` says in JSON which."""
-
-    wanted: str
-    source: bytes
-
-
-class Reset(Struct, tag="reset", tag_field="say"):
+class Reset(ProcessMessage, tag="reset"):
     """Begin an episode; ``seed`` is digits, since many readers of JSON keep 53 bits of a number."""
 
+    call: ClassVar[str] = "reset"
+    wants: ClassVar[str] = 'after a reset it has to say "ready"'
     settings: Settings
-    arm: Any  # DrivenArm
-    start: Any  # Start
+    arm: DrivenArm
+    start: Start
     seed: str
     lane: int = 0  # of a process that has a controller for each
 
 
-class Act(Struct, tag="act", tag_field="say"):
+class Act(ProcessMessage, tag="act"):
     """What is seen at that tick, to a program: the fields of ``Seen``."""
 
+    call: ClassVar[str] = "act"
+    wants: ClassVar[str] = WANTS_ACTION
     tick: int
     seen: dict[str, Any]
 
 
-class ActOnRow(Struct, tag="row", tag_field="say"):
-    """What is seen at that tick, to a process of ours: a row of SEEN, with room for so many hands."""
+class ActOnRows(ProcessMessage, tag="rows"):
+    """What the controllers of those lanes see at that tick, to a process of ours: a row each.
 
+    ``together``: in one call, if they take many; else there is one lane.
+    """
+
+    call: ClassVar[str] = "act"
+    wants: ClassVar[str] = WANTS_ACTION
     tick: int
-    hand_slots: int
-    row: bytes
-    lane: int = 0
+    lanes: list[int]
+    seen: PackedSeen
+    together: bool = False
     image: tuple[float, bool, int, bytes] | None = None  # time [s], new, width [px], pixels of a new one
 
 
-class ActOnRows(Struct, tag="rows", tag_field="say"):
-    """What the controllers of those lanes see at that tick, a row each, with room for so many hands."""
-
-    tick: int
-    lanes: list[int]
-    hand_slots: int
-    rows: bytes
-
-
-class Ready(Struct, tag="ready", tag_field="say", forbid_unknown_fields=True):
+class Ready(ProcessMessage, tag="ready", forbid_unknown_fields=True):
     """The episode may begin."""
 
 
-class Welcome(Struct, tag="hello", tag_field="say", forbid_unknown_fields=True):
+class Welcome(ProcessMessage, tag="hello", forbid_unknown_fields=True):
     """What a controller says of itself."""
 
     protocol: str
@@ -102,7 +97,7 @@ class Welcome(Struct, tag="hello", tag_field="say", forbid_unknown_fields=True):
     reports: tuple[str, ...] = ()
 
 
-class MadeController(Welcome, tag="made", tag_field="say", forbid_unknown_fields=True):
+class MadeController(Welcome, tag="made", forbid_unknown_fields=True):
     """That of a process of ours.
 
     ``many``: it can make a controller for each of many lanes; ``together``: one call answers for them all.
@@ -131,7 +126,7 @@ class SaidReport(Struct, forbid_unknown_fields=True):
     decision: SaidDecision | None = None
 
 
-class SaidMove(Struct, tag="move", tag_field="say", forbid_unknown_fields=True):
+class SaidMove(ProcessMessage, tag="move", forbid_unknown_fields=True):
     """How to move from that tick to the next."""
 
     tick: int
@@ -141,14 +136,25 @@ class SaidMove(Struct, tag="move", tag_field="say", forbid_unknown_fields=True):
     report: SaidReport | None = None
 
 
-class SaidStop(Struct, tag="stop", tag_field="say", forbid_unknown_fields=True):
+class SaidStop(ProcessMessage, tag="stop", forbid_unknown_fields=True):
     """A protective stop at that tick."""
 
     tick: int
     report: SaidReport | None = None
 
 
-class SaidRows(Struct, tag="rows", tag_field="say", forbid_unknown_fields=True):
+class SaidRow(ProcessMessage, tag="row", forbid_unknown_fields=True):
+    """The answer of a single lane: ``wanted`` (6,) of the TCP, or (n,) of the joints, as ``LaneAnswers``."""
+
+    tick: int
+    wanted: bytes
+    by_joints: bool
+    stop: bool
+    mode: int
+    decision: Decision | None
+
+
+class SaidRows(ProcessMessage, tag="rows", forbid_unknown_fields=True):
     """The answers of all lanes that were asked at that tick: the columns of ``LaneAnswers``, a row each.
 
     ``why`` has the lanes that cannot go on.
@@ -159,39 +165,10 @@ class SaidRows(Struct, tag="rows", tag_field="say", forbid_unknown_fields=True):
     why: dict[int, str]
 
 
-class Failed(Struct, tag="failed", tag_field="say", forbid_unknown_fields=True):
-    """The episode cannot go on, and why."""
-
-    why: str
-
-
-class NoController(Struct, tag="none", tag_field="say"):
-    """The file gives no controller: what was expected, what came, where to read on."""
-
-    expected: str
-    got: str
-    hint: str
-
-
-SaidByProgram = Ready | Welcome | SaidMove | SaidStop | Failed | NoController
-Said = SaidByProgram | MadeController | SaidRows
-Told = MakeController | Reset | ActOnRow | ActOnRows
-json_said: msgspec.json.Decoder[SaidByProgram] = msgspec.json.Decoder(SaidByProgram)
-binary_said: msgspec.msgpack.Decoder[Said] = msgspec.msgpack.Decoder(Said)
-to_the_process: msgspec.msgpack.Decoder[Told] = msgspec.msgpack.Decoder(Told)
-
-
-def _plain(value: object) -> object:
-    """Arrays of numbers as lists, pixels as bytes (base64 in JSON)."""
-    if isinstance(value, np.ndarray):
-        return value.tobytes() if value.dtype == np.uint8 else value.tolist()
-    if isinstance(value, np.generic):
-        return value.item()
-    raise TypeError(f"no numbers, text or array of those: {type(value).__name__}")
-
-
-as_json = msgspec.json.Encoder(enc_hook=_plain).encode
-as_binary = msgspec.msgpack.Encoder(enc_hook=_plain).encode
+SaidByProgram = Ready | Welcome | SaidMove | SaidStop | Failed | Refused
+said_by_program: msgspec.json.Decoder[SaidByProgram] = msgspec.json.Decoder(SaidByProgram)
+said_by_process = decoder_of(Ready | MadeController | SaidRow | SaidRows | Failed | Refused)
+to_the_process = decoder_of(Make | Reset | ActOnRows)
 
 
 def fields_of(seen: Seen, sees: tuple[str, ...]) -> dict[str, Any]:
@@ -207,77 +184,27 @@ def fields_of(seen: Seen, sees: tuple[str, ...]) -> dict[str, Any]:
     return found
 
 
-def arm_from(said: Mapping[str, Any]) -> DrivenArm:
-    """The arm of a ``Reset``."""
-    names = tuple(said["joint_names"])
-    rest = {name: _array(value) for name, value in said.items() if name != "joint_names"}
-    return DrivenArm(joint_names=names, **rest)
+def seen_at(tick: int, seen: Seen, lane: int) -> ActOnRows:
+    """What is seen at that tick, to a process of ours; ControllerError if the harness did not make it."""
+    image = seen.__dict__.get("image")
+    told = None
+    if image is not None:
+        pixels = image.pixels.tobytes() if image.new or tick == 0 else b""
+        told = (image.time_s, image.new, image.pixels.shape[1], pixels)
+    return ActOnRows(tick, [lane], packed_seen(seen), image=told)
 
 
-def start_from(said: Mapping[str, Any]) -> Start:
-    """The start of a ``Reset``."""
-    return Start(**{name: _array(value) for name, value in said.items()})
-
-
-def _array(value: Any) -> Any:
-    """Read-only, as the contract has it."""
-    if not isinstance(value, list):
-        return value
-    array = np.array(value, dtype=np.float64)
-    array.flags.writeable = False
-    return array
-
-
-def action_said(action: Action, tick: int) -> SaidMove | SaidStop:
-    """An action for the way back; TypeError, ValueError or AttributeError for what is none."""
-    report = None if action.report is None else _report_said(action.report)
-    if isinstance(action, Stop):
-        return SaidStop(tick, report)
-    return SaidMove(
-        tick,
-        _numbers(action.tcp_velocity_mps),
-        _numbers(action.tcp_angular_velocity_radps),
-        _numbers(action.joint_velocity_radps),
-        report,
-    )
-
-
-def as_sent(action: Action) -> Action:
-    """What comes out at the other end; as ``action_said`` for what cannot be sent."""
-    report = action.report
-    plain = report is None or (type(report.mode) is Mode and report.decision is None)
-    values: tuple[object, ...] = ()
-    if isinstance(action, Move):
-        values = action.tcp_velocity_mps, action.tcp_angular_velocity_radps, action.joint_velocity_radps
-    if plain and all(value is None or _is_floats(value) for value in values):
-        return action
-    return action_of(binary_said.decode(as_binary(action_said(action, 0))))  # type: ignore[arg-type]
-
-
-def _is_floats(value: Any) -> bool:
-    return type(value) is np.ndarray and value.dtype == np.float64
-
-
-def _numbers(value: Any) -> Any:
-    return value.tolist() if isinstance(value, np.ndarray) else value
-
-
-def _report_said(report: Report) -> SaidReport:
-    decision = report.decision
-    return SaidReport(
-        None if report.mode is None else word_of(Mode(report.mode)),
-        None
-        if decision is None
-        else SaidDecision(
-            _numbers(decision.hand_position_in_base_m),
-            _numbers(decision.proposed_position_in_base_m),
-            _numbers(decision.chosen_position_in_base_m),
-            word_of(DecisionOutcome(decision.outcome)),
-            word_of(Trigger(decision.trigger)),
-            _numbers(decision.spread_m),
-            decision.spread_threshold_m,
-        ),
-    )
+def action_in(said: SaidRow) -> Action:
+    """The action of a single lane; ValueError for what is none."""
+    report, wanted = None, np.frombuffer(said.wanted)
+    if said.mode != NOT_REPORTED or said.decision is not None:
+        mode = None if said.mode == NOT_REPORTED else Mode(said.mode)
+        report = Report(mode=mode, decision=said.decision)
+    if said.stop:
+        return Stop(report=report)
+    if said.by_joints:
+        return Move(joint_velocity_radps=wanted, report=report)
+    return Move(tcp_velocity_mps=wanted[:3], tcp_angular_velocity_radps=wanted[3:], report=report)
 
 
 def action_of(said: SaidMove | SaidStop) -> Action:
@@ -298,25 +225,18 @@ def _floats(value: Numbers | None) -> Any:
 
 
 def _report_of(said: SaidReport) -> Report:
-    decision = said.decision
-    return Report(
-        mode=None if said.mode is None else _meant(Mode, said.mode, "mode"),
-        decision=None
-        if decision is None
-        else Decision(
-            hand_position_in_base_m=np.array(decision.hand_position_in_base_m),
-            proposed_position_in_base_m=_or_nan(decision.proposed_position_in_base_m),
-            chosen_position_in_base_m=_or_nan(decision.chosen_position_in_base_m),
-            outcome=_meant(DecisionOutcome, decision.outcome, "outcome"),
-            trigger=_meant(Trigger, decision.trigger, "trigger"),
-            spread_m=_or_nan(decision.spread_m),
-            spread_threshold_m=np.nan if decision.spread_threshold_m is None else decision.spread_threshold_m,
-        ),
-    )
+    mode = None if said.mode is None else _meant(Mode, said.mode, "mode")
+    return Report(mode=mode, decision=None if said.decision is None else _decision_of(said.decision))
 
 
-def _or_nan(value: Numbers | None) -> Any:
-    return np.full(3, np.nan) if value is None else np.array(value, dtype=np.float64)
+def _decision_of(said: SaidDecision) -> Decision:
+    told = {
+        name: _floats(value) if isinstance(value, list) else value for name, value in asdict(said).items()
+    }
+    told["outcome"] = _meant(DecisionOutcome, said.outcome, "outcome")
+    told["trigger"] = _meant(Trigger, said.trigger, "trigger")
+    nowhere = dict.fromkeys(("proposed_position_in_base_m", "chosen_position_in_base_m"), np.full(3, np.nan))
+    return Decision(**nowhere | {name: value for name, value in told.items() if value is not None})
 
 
 def word_of(value: IntEnum) -> str:

@@ -27,11 +27,12 @@ from numpy.typing import NDArray
 from safety_harness.base.exceptions import on_one_line
 from safety_harness.base.settings import Settings
 from safety_harness.cell.avoidance.model_file import refuse
-from safety_harness.cell.avoidance.onnx_model import open_session
-from safety_harness.cell.avoidance.onnx_names import ANY, FLOATS, NamedQuantity, dtype_of, laid_out, layout_of
+from safety_harness.cell.avoidance.onnx_file import OnnxFile
+from safety_harness.cell.avoidance.onnx_names import ANY, FLOATS, NamedQuantity, dtype_of
+from safety_harness.cell.controller.answers import columns_of
 from safety_harness.cell.controller.arrays import Arrays, observed
 from safety_harness.seams.contract import IMAGE, SIGHTS, Action, DrivenArm, Move, Seen, Start, Stop
-from safety_harness.seams.rows import SeenLayout, seen_dtype
+from safety_harness.seams.rows import seen_dtype
 
 MOVES = ("tcp_velocity_mps", "tcp_angular_velocity_radps", "joint_velocity_radps")
 STOP, NEXT, NAME, TICKS = "stop", "next_", "name", "ticks"
@@ -51,24 +52,22 @@ class OnnxPolicy:
 
         ``layout`` says what inputs and outputs hold whose names do not (``onnx_names``).
         """
-        self._session = open_session(path, data)
-        own = dict(self._session.get_modelmeta().custom_metadata_map)
+        self._file = file = OnnxFile(path, data, layout)
+        own, session = file.metadata, file.session
         name = on_one_line(own.get(NAME, f"ONNX policy {path.name}"))
         self.name = f"{name}:{layout}" if layout else name
         self._hold = _ticks(path, own.get(TICKS, "1"))
-        laid = layout_of(layout)
-        given = {name for one in self._session.get_outputs() for name in laid.get(one.name, (one.name,))}
-        carried = [one for one in self._session.get_inputs() if NEXT + one.name in given]
+        given = {name for one in session.get_outputs() for name in file.layout.get(one.name, (one.name,))}
+        carried = [one for one in session.get_inputs() if NEXT + one.name in given]
         states = {one.name: NamedQuantity(None, TYPES) for one in carried}
         takes = {name: kind for name, (_, kind) in _KNOWN.items()} | states
         gives = GIVEN | {NEXT + name: kind for name, kind in states.items()}
-        self._inputs, self._outputs = laid_out(path, self._session, laid, takes, gives, set())
+        file.lay_out(takes, gives, set())
         if not any(name in MOVES for name in given):
             refuse(path, None, f"an output of: {', '.join(MOVES)}", f"the outputs {', '.join(given)}")
         self._states = {one.name: _zeros(path, one) for one in carried}
-        words = {_KNOWN[name][0] for one in self._inputs for name in one.holds if name not in states}
+        words = {_KNOWN[name][0] for one in file.inputs for name in one.holds if name not in states}
         self.sees = tuple(sight.word for sight in SIGHTS if sight.word in words)
-        self._arrays = tuple(word for word in self.sees if word != IMAGE)
         self._state: dict[str, NDArray[Any]] = {}
         self._joints, self._left = 0, 0
         self._action: Action = Stop()
@@ -90,34 +89,21 @@ class OnnxPolicy:
         return self._action
 
     def _answer(self, seen: Seen) -> Action:
-        feed = self._fed(seen)
-        values = self._session.run([one.name for one in self._outputs], feed)
         widths = dict.fromkeys(MOVES, 3) | {MOVES[2]: self._joints, STOP: 1}
-        pairs = zip(self._outputs, values, strict=True)
-        found = dict(pair for one, value in pairs for pair in one.split(value, widths))
+        found = self._file.answers(self._observed(seen), widths)
         self._state = {name: found[NEXT + name] for name in self._states}
         if STOP in found and not float(found[STOP].reshape(-1)[0]) <= 0.5:
             return Stop()
         moves = {name: np.asarray(found[name], np.float64) for name in MOVES if name in found}
         return Move(**{name: value[0] for name, value in moves.items()})
 
-    def _fed(self, seen: Seen) -> dict[str, NDArray[Any]]:
-        """The inputs, of the row that ``seen`` is made of."""
+    def _observed(self, seen: Seen) -> Arrays:
+        """Return what the inputs hold, of the row that ``seen`` is made of."""
         own = seen.__dict__
-        layout, row = own["_makers"], own["_row"]
-        arrays: Arrays = observed(_whole(row, layout, self._joints), self._arrays)
+        arrays = columns_of(own["_row"][None], seen.period_s, own["_makers"])
         if IMAGE in self.sees:
             arrays[IMAGE] = seen.image.pixels[None]
-        arrays |= self._state
-        return {one.name: one.packed(arrays) for one in self._inputs}
-
-
-def _whole(row: NDArray[np.float64], layout: SeenLayout, joints: int) -> NDArray[np.void]:
-    """(1,) SEEN of a row that ends with what is wanted of it."""
-    dtype = seen_dtype(layout.hand_slots, joints)
-    numbers = np.zeros(dtype.itemsize // 8)
-    numbers[: len(row)] = row
-    return numbers.view(dtype)
+        return arrays | self._state
 
 
 def _known() -> Iterator[tuple[str, tuple[str, NamedQuantity]]]:

@@ -10,89 +10,103 @@ unix:PATH         a program that listens at a Unix socket
 from __future__ import annotations
 
 import hashlib
+import logging
 import os
 import re
 import shlex
 import shutil
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 from safety_harness.base.exceptions import InadmissibleError, Place
 from safety_harness.base.extras import ONNX
 from safety_harness.base.whole_file import sha256_of as whole_hash
-from safety_harness.cell.controller.out_of_process.lines import (
-    FileLine,
-    Line,
-    ProgramLine,
-    RefusedControllerError,
-    SocketLine,
+from safety_harness.cell.avoidance.model_file import onnx_bytes
+from safety_harness.cell.controller.out_of_process.messages import (
+    MOST_BYTES,
+    Hello,
+    said_by_process,
+    said_by_program,
 )
 from safety_harness.cell.controller.out_of_process.remote import RemoteController
 from safety_harness.cell.controller.python_file import checked_controller
-from safety_harness.scenario.files import read_bytes
 from safety_harness.scenario.references import EXEC, TCP, UNIX
 from safety_harness.seams.contract import UserController
-from safety_harness.seams.isolation.channel import GoneError
+from safety_harness.seams.isolation.connection import (
+    Connection,
+    Peer,
+    Socket,
+    Wire,
+    binary_wire,
+    json_wire,
+    process_of,
+    refusing,
+)
+from safety_harness.seams.isolation.messages import Make, ProcessMessage
 from safety_harness.seams.isolation.opened import DECLARED
+from safety_harness.seams.isolation.process import Process
 from safety_harness.seams.isolation.python_file import source_of
 
 LOOPBACK = ("localhost", "127.0.0.1")
-MOST_ONNX_BYTES = 256 * 2**20
+LOGGER = logging.getLogger("safety_harness.controller")
+PYTHON_S = 300.0  # to be imported
+BEGIN_S = 60.0  # to start, or to take the connection, and to say hello
+CHILD = "safety_harness.cell.controller.out_of_process.child"
 _DECLARING = re.compile(rb"^[ \t#/;%%-]*%s *[=:] *(\[[^\]]*\]|.*)$" % DECLARED.encode(), re.MULTILINE)
+Making = Callable[[], UserController]
 _BRACKETS = str.maketrans("[](),;", "      ")
 
 
-def made_from(begun: Callable[[], Line], what: str, place: Place) -> UserController:
-    """The controller at the end of a line; InadmissibleError at ``place`` if there is none."""
-    line = begun()
-    try:
-        controller = RemoteController(line)
-    except RefusedControllerError as said:
-        raise InadmissibleError(place=place, expected=said.expected, got=said.got, hint=said.hint) from said
-    except GoneError as gone:
-        within = f" within {line.begin_s:g} s" if gone.hung else ""
-        expected = f"{what} to be a controller{within}"
-        raise InadmissibleError(place=place, expected=expected, got=str(gone)) from gone
-    try:
-        return checked_controller(controller, what, place)
-    except InadmissibleError:
-        line.end()
-        raise
+def of_file(path: Path, name: str, place: Place, *, onnx: bool) -> Making:
+    """What makes controllers of a file, each in a process of its own.
 
-
-def of_python(path: Path, name: str, place: Place) -> Callable[[], UserController]:
-    """What makes controllers of a Python file, each in a process of its own."""
-    source = source_of(path, place)
-    return lambda: made_from(lambda: FileLine(path, source, name), f"{name} of {path.name}", place)
-
-
-def of_onnx(path: Path, layout: str, place: Place) -> Callable[[], UserController]:
-    """What makes controllers of an ONNX file of this layout; MissingPackageError without onnxruntime."""
-    ONNX.require(f"the controller {path.name}")
-    source = read_bytes(path, most=MOST_ONNX_BYTES, place=place, error=InadmissibleError)
-    if len(source) > MOST_ONNX_BYTES:
-        expected = f"an ONNX file of at most {MOST_ONNX_BYTES:,} bytes"
-        raise InadmissibleError(place=place, expected=expected, got="a larger one")
-    return lambda: made_from(lambda: FileLine(path, source, layout), path.name, place)
-
-
-def of_program(reference: str, place: Place) -> Callable[[], UserController]:
-    """What makes controllers of ``exec:``, ``tcp:`` and ``unix:``, each with a process or connection."""
-    if reference.startswith(EXEC):
-        command, executable = _command(reference, place)
-        return lambda: made_from(
-            lambda: ProgramLine(command, executable, _contents(command, executable)), executable.name, place
-        )
-    address = _address(reference, place)
-    return lambda: made_from(lambda: SocketLine(address), f"who listens at {reference}", place)
-
-
-def refuse_no_program(reference: str, place: Place) -> None:
-    """InadmissibleError at ``place`` for a program that is not there, or no address; nothing is executed."""
-    if reference.startswith(EXEC):
-        _command(reference, place)
+    ``name`` is the attribute of a Python file, or the layout of an ``onnx`` policy: that is a
+    MissingPackageError without onnxruntime.
+    """
+    if onnx:
+        ONNX.require(f"the controller {path.name}")
+        what, source = path.name, onnx_bytes(path, place, InadmissibleError)
     else:
-        _address(reference, place)
+        what, source = f"{name} of {path.name}", source_of(path, place)
+    first = partial(Make.of, path, source, name, onnx=onnx)
+    made = partial(_made, binary_wire(said_by_process.decode, MOST_BYTES), first, PYTHON_S, place)
+    return lambda: made(what, process_of(path, source, LOGGER, partial(Process.python, CHILD)))
+
+
+def of_program(reference: str, place: Place) -> Making:
+    """What makes controllers of ``exec:``, ``tcp:`` and ``unix:``, each with a process or connection.
+
+    InadmissibleError at ``place`` for a program that is not there, or no address; nothing is executed yet.
+    """
+    made = partial(_made, json_wire(said_by_program.decode, MOST_BYTES), Hello, BEGIN_S, place)
+    if not reference.startswith(EXEC):
+        start = partial(Socket, _address(reference, place), BEGIN_S)
+        return lambda: made(f"who listens at {reference}", start)
+    command, executable = _command(reference, place)
+    begin = partial(Process, command, by_stdio=True)
+    return lambda: made(
+        executable.name, process_of(executable, _contents(command, executable), LOGGER, begin)
+    )
+
+
+def _made(
+    wire: Wire,
+    first: Callable[[], ProcessMessage],
+    within_s: float,
+    place: Place,
+    what: str,
+    start: Callable[[], Peer],
+) -> UserController:
+    """The controller that is there; InadmissibleError at ``place`` if there is none."""
+    connection = Connection(start, wire)
+    try:
+        with refusing(InadmissibleError, f"{what} to be a controller", within_s, place):
+            controller = RemoteController(connection, first, within_s)
+        return checked_controller(controller, what, place)
+    except BaseException:
+        connection.end()
+        raise
 
 
 def program_sha256(reference: str, place: Place) -> str:

@@ -24,7 +24,8 @@ from safety_harness.base.exceptions import ModelError, OutputError, Place
 from safety_harness.base.whole_file import replacing
 from safety_harness.cell.avoidance.learned import LearnedAvoider
 from safety_harness.cell.avoidance.model_file import KEY, Dropout, Model, metadata_of, writing_to
-from safety_harness.cell.avoidance.onnx_model import EXPORT_FORMAT, drawn_masks, open_session
+from safety_harness.cell.avoidance.onnx_file import open_session
+from safety_harness.cell.avoidance.onnx_model import EXPORT_FORMAT, drawn_masks
 from safety_harness.cell.avoidance.onnx_names import HAND, MASKS, POSITION, SPREAD, TCP
 from safety_harness.extensions.lab.learning.networks import Network, load_tensors, network_of
 from safety_harness.scenario.references import ONNX_SUFFIX

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from examples import VISIT, scenario
 
-from safety_harness.admission.admit import Admitted, admit
+from safety_harness.admission.admit import Admitted, Admitter, admit
 from safety_harness.admission.avoiders import with_avoider
 from safety_harness.admission.trial import run_kinematic
 from safety_harness.base.exceptions import InadmissibleError, ModelError
 from safety_harness.cell.controller.out_of_process.onnx_policy import OnnxPolicy
-from safety_harness.scenario.model import Driver
+from safety_harness.scenario.model import NO_AVOIDER, Driver
 from safety_harness.seams.contract import Move
 from safety_harness.trace.records import TRACKS_PER_HAND
 from tests.cell.controller.out_of_process.test_onnx_policy import TCP, VELOCITY, begun, moved, policy, seen
@@ -46,12 +47,20 @@ def test_the_names_of_ml_agents_are_laid_out(tmp_path: Path) -> None:
     assert str(trace.system.controller.name) == f"ONNX policy mine.onnx:{layout}"
 
 
+def test_a_link_by_the_name_of_a_policy_is_read_as_one(tmp_path: Path) -> None:
+    """As download caches have it: the file that it leads to has no suffix."""
+    write(tmp_path, {TCP: (1, 3)}, {VELOCITY: (1, 3)}).rename(tmp_path / "blob")
+    (tmp_path / "mine.onnx").symlink_to(tmp_path / "blob")
+    named = replace(scenario(duration_s=0.04), controller=str(tmp_path / "mine.onnx"), avoider=NO_AVOIDER)
+    assert run_kinematic(Admitter().admit(named)).complete
+
+
 def test_arrays_are_the_columns_of_one_input_and_outputs_are_taken_apart() -> None:
     """Three of the TCP, and all rows of hands: half of them are a velocity, and a rate of turning."""
     data = policy([("Mul", ["obs", "half"], ["action"])], {"obs": (1, "n")}, {"action": (1, "n")})
     made = begun(data, f"obs={TCP},{ROWS},action={VELOCITY},tcp_angular_velocity_radps")
     assert made.sees == ("joints", "hands")
-    feed = made._fed(seen(made.sees))["obs"]
+    feed = made._file.fed(made._observed(seen(made.sees)))["obs"]
     assert feed.shape == (1, 3 + 3 * TRACKS_PER_HAND)
     assert feed[0, :6].tolist() == [0.7, -0.1, 0.3, 0.5, -0.2, 0.3]
     action = made.act(seen(made.sees))

@@ -74,15 +74,23 @@ class Mine:
 NOISE = """for fd in range(3, 500):
         try: os.write(fd, b'noise' * 20)
         except OSError: pass"""
+LONG = NOISE.replace("b'noise' * 20", "b'AVO2' + b'\\xff' * 4")
 BAD = {
     "leave": ("import os; os._exit(4)", "act: its process ended with exit status 4"),
     "crash": ("import ctypes; ctypes.string_at(0)", "act: its process was ended by SIGSEGV"),
     "hang": ("while True: pass", f"act: it gave no answer within {WALL_LIMIT_S:g} s of wall time"),
     "memory": ("bytearray(5 << 30)", "act raised: MemoryError"),
-    "object": ("return Move(tcp_velocity_mps=object())", "act returned a Move that cannot be sent"),
-    "words": ("return Move(tcp_velocity_mps=['a', 'b', 'c'])", "it said is no message"),
-    "many": ("return Move(joint_velocity_radps=np.zeros(100_000))", "nonsense"),
+    "object": (
+        "return Move(tcp_velocity_mps=object())",
+        "returned a tcp_velocity_mps other than real",
+    ),
+    "words": (
+        "return Move(tcp_velocity_mps=['a', 'b', 'c'])",
+        "returned a tcp_velocity_mps other than real",
+    ),
+    "many": ("return Move(joint_velocity_radps=np.zeros(100_000))", "float64 of the shape (100000,)"),
     "noise": (NOISE, "nonsense"),
+    "long": (LONG, "nonsense"),
 }
 
 

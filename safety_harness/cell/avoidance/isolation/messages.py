@@ -1,0 +1,56 @@
+"""Messages between the harness and the process of a user's avoider."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from msgspec import Meta
+
+from safety_harness.cell.avoidance.asking import Answer, Question
+from safety_harness.cell.avoidance.avoider import LARGEST, Vector
+from safety_harness.scenario.decision_times import LONGEST_S
+from safety_harness.seams.isolation.messages import Drop, Failed, Make, ProcessMessage, Refused, decoder_of
+from safety_harness.seams.rows import PackedSeen, packed_seen, unpacked
+
+MOST_ANSWER_BYTES = 131_072
+MOST_ANSWER_WORDS = 960  # bytes; a trace keeps 240 characters
+
+
+class Ask(ProcessMessage, tag="ask"):
+    """Questions to the avoider of that number, packed; ``together``: in one call if it takes many."""
+
+    number: int
+    questions: list[tuple[Vector, Vector, int, float, PackedSeen | None]]
+    together: bool
+
+    @classmethod
+    def of(cls, number: int, questions: list[Question], together: bool) -> Ask:
+        """Pack what is seen."""
+        packed = [(*one[:4], None if one.seen is None else packed_seen(one.seen)) for one in questions]
+        return cls(number, packed, together)
+
+    @property
+    def asked(self) -> list[Question]:
+        """The questions as they were."""
+        return [Question(*one[:4], None if one[4] is None else unpacked(one[4])) for one in self.questions]
+
+
+class Made(ProcessMessage, tag="made"):
+    """What an avoider says of itself."""
+
+    name: str
+    spread_threshold_m: Annotated[float, Meta(ge=0.0, le=LARGEST)] | None
+    decision_time_s: Annotated[float, Meta(ge=0.0, le=LONGEST_S)]
+    takes_many: bool
+    sees: tuple[str, ...]
+
+
+class Answered(ProcessMessage, tag="answered"):
+    """The answer to the question of that number, among those asked for, not yet looked at."""
+
+    number: int
+    answer: Answer
+
+
+to_the_child = decoder_of(Make | Ask | Drop)
+from_the_child = decoder_of(Made | Refused | Answered | Failed)
