@@ -32,11 +32,10 @@ class Ending:
         from safety_harness.testing.plugin.payloads import of_text
 
         one = of_text(sent)
-        if one.failed and report.passed:  # by a hook of somebody else's
-            one = replace(one, swallowed=True)
         run = one.run
         if run.judgements or one.simulated or one.swallowed or run.replayed or run.not_taken:
-            self._sent.append(one)
+            hidden = one.failed and report.passed  # by a hook of somebody else's
+            self._sent.append(replace(one, swallowed=one.swallowed or hidden))
 
     @pytest.hookimpl(optionalhook=True)
     def pytest_testnodedown(self, node: Any) -> None:
