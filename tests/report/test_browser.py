@@ -269,8 +269,10 @@ TITLES = "return [...document.querySelectorAll('.verdicts tbody th a')].map((one
 
 
 def test_a_long_table_finds_and_sorts_rows_that_were_never_laid_out(browser: Any, long_report: str) -> None:
+    from selenium.webdriver.support.ui import WebDriverWait
+
     show(browser, long_report, width=1280)
-    assert len(browser.execute_script(TITLES)) == 40
+    WebDriverWait(browser, 30).until(lambda _: len(browser.execute_script(TITLES)) == 40)
     counted = browser.find_element("css selector", ".filter output")
     assert counted.text == "390 rows, the first 40 shown"
     find = browser.find_element("css selector", ".filter input")
