@@ -54,7 +54,7 @@ run = $(2) $(BIN)/python $(SUITE) $(1) || { $(2) $(BIN)/python -m pytest --last-
 TOY := tests/base/test_extension_points.py
 # The tests of the core that need little machine code, and the others; those of the wings and of the whole.
 LIGHT := $(addprefix tests/,scenario space trace base testing/test_parts.py testing/test_partly_measured.py) --ignore=$(TOY)
-CORE := $(addprefix tests/,cell cli claims search report admission testing/plugin test_shipped_scenarios.py)
+CORE := $(addprefix tests/,seams cell cli claims search report admission testing/plugin test_shipped_scenarios.py)
 WINGS := assurance field lab selftest gym arms
 OTHERS = $(addprefix tests/,$(WINGS) whole) $(REST)
 REST := tests/docs tests/packaging $(addprefix tests/test_,architecture.py array_shapes.py collection_order.py public_names.py \

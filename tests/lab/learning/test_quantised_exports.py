@@ -27,8 +27,12 @@ pytestmark = pytest.mark.filterwarnings("ignore")  # of exporters about themselv
 
 
 @pytest.mark.parametrize("ours", [True, False])
-def test_a_quantised_network_answers_to_its_own_digits(tmp_path: Path, ours: bool) -> None:
+def test_a_quantised_network_answers_to_its_own_digits(
+    tmp_path: Path, ours: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Of ``export`` too, whose shapes agree with those that the quantiser infers."""
+    monkeypatch.setattr(sys, "path", [one for one in sys.path if Path(one).name != "examples"])
+    monkeypatch.delitem(sys.modules, "onnx_model", raising=False)  # an example of ours has this name
     before = [*sys.path], {*sys.modules}
     from onnxruntime.quantization import QuantType, quantize_dynamic
 
