@@ -19,7 +19,6 @@ from browsing import started
 from examples import VISIT, run, scenario
 from hypothesis import settings
 
-from safety_harness.cli.main import app
 from safety_harness.trace.trace import Trace
 
 TESTS = Path(__file__).parent
@@ -36,10 +35,8 @@ PARTS = (
 # What "make test" leaves to "make slow"; .ci/slow.py writes the list from measured times.
 SLOW = frozenset((TESTS / "slow.txt").read_text().split())
 
-# Of one tree of commands, which takes longer to make than most of them to answer: made at once, before a test
-# changes where Python looks for packages.
+# Of one tree of commands, which takes longer to make than most of them to answer.
 typer.testing._get_command = lru_cache(typer.testing._get_command)  # type: ignore[attr-defined]
-typer.testing._get_command(app)  # type: ignore[attr-defined]
 NO_PYBULLET = find_spec("pybullet") is None
 asked_for_pybullet = [False]  # by the test that runs
 
