@@ -95,15 +95,18 @@ CAUSES = """
 - `nan_by_place` was missed by `fuzz`, and is not now: 37 of 100 runs met no answer, and none was
   confirmed in PyBullet. A reference that always answers has a margin of 0, which is all that *the
   avoider answered* has to give, and was held to a tolerance of 0.1.
-- `stays_by_place`, `into_the_table` and `other_hand` violate no claim of reaching-hands more often: the
-  gate refuses what is wrong, and the opposite pose takes its place. `fuzz` now compares what the gate
-  overrules too, and names them by that. In 300 runs anywhere the gate overruled a greater share of
-  `into_the_table` in 14 runs and a lesser in 3; of another training (24 and 18) and of int8 (27 and 21)
-  it does not count. These two and `too_far` (52 and 21) were looked at before the rule was fixed.
+- `stays_by_place` and `other_hand` violate no claim of reaching-hands more often: the gate refuses what
+  is wrong, and the opposite pose takes its place. `fuzz` now compares what the gate overrules too, and names
+  them by that. With a limit of 5 % in its test it also named `into_the_table`, and `onnx_int8`, which is
+  harmless: the limit is 1 % since. Then 100 runs miss `into_the_table`; a search of the default 1,000
+  runs names it (overruled more in 51 of 1,000 runs anywhere, less in 10). The rows of these two are of the
+  limit of 1 %, the others of 5 %.
+- 14 of the rows of `evaluate --against` are of the code before an answer counted only where each yardstick
+  leads away. The same answers have no such finding in `evaluate`.
 - `towards_by_seed` was missed by `evaluate` alone with 1,000 questions: its fault is on 10 % of them,
   and the yardsticks lead towards the hand on up to 10 % as well, on others. An answer now counts where
   each yardstick leads away: 8.2 % of its answers.
-- `fuzz` misses four that no claim of the space is about, and that the gate does not see. Of
+- `fuzz` also misses four that no claim of the space is about, and that the gate does not see. Of
   `sure_where_unseen` it overrules less, for want of doubt. `stale_normalisation` violates `proposals
   lead away to within 10 mm` alone in 28 of 300 runs anywhere, and its reference alone in 20; `at most 50
   % of proposals overruled` in 5 and 37. `x_and_y_swapped` (5 and 29) and `answers_after_96_ms` are

@@ -25,6 +25,7 @@ from safety_harness.search.trials import Trials
 from safety_harness.trace.trace import Trace
 
 CHANCE = 0.05  # of all claims together that an avoider as good as the reference is found worse
+SELDOM = 0.01  # of one avoider, that more of it is overruled: int8 weights were named at 0.05
 OFTEN = 0.03  # of all runs: int8 weights or another training alone violate a claim in 2 % of them
 PAIRS = 72  # of runs for each claim, shared evenly among its groups
 MOST_GROUPS = 6
@@ -79,13 +80,13 @@ def keep_differences(trials: Trials, findings: Findings, draw: Callable[[], Tria
 def more_overruled(trials: Trials, draw: Callable[[], Trials]) -> str:
     """Say that the gate overrules the avoider in more runs than the reference; empty if it does not.
 
-    Runs anywhere decide, by ``CHANCE`` and ``OFTEN``; where those of the search give no hint, none are drawn.
+    Runs anywhere decide, by ``SELDOM`` and ``OFTEN``; where those of the search give no hint, none are drawn.
     """
     if trials.reference is None or not np.greater(*_overruled(trials.differences)):
         return ""
     drawn = draw().differences
     more, less = _overruled(drawn)
-    return (more - less > OFTEN * len(drawn) and sign_test(more, less) < CHANCE) * (
+    return (more - less > OFTEN * len(drawn) and sign_test(more, less) < SELDOM) * (
         f"the gate overruled a greater share of its proposals than of {trials.reference.name}'s in {more} of "
         f"{len(drawn)} runs anywhere in the space, and a lesser share in {less}"
     )
