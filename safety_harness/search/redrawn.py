@@ -25,7 +25,7 @@ from safety_harness.search.trials import Trials
 from safety_harness.trace.trace import Trace
 
 CHANCE = 0.05  # of all claims together that an avoider as good as the reference is found worse
-SELDOM = 0.01  # of one avoider, that more of it is overruled: int8 weights were named at 0.05
+SELDOM = 0.01  # the chance of the test on overruling: at 0.05 it named int8 weights, which are harmless
 OFTEN = 0.03  # of all runs: int8 weights or another training alone violate a claim in 2 % of them
 PAIRS = 72  # of runs for each claim, shared evenly among its groups
 MOST_GROUPS = 6
@@ -86,7 +86,9 @@ def more_overruled(trials: Trials, draw: Callable[[], Trials]) -> str:
         return ""
     drawn = draw().differences
     more, less = _overruled(drawn)
-    return (more - less > OFTEN * len(drawn) and sign_test(more, less) < SELDOM) * (
+    if more - less <= OFTEN * len(drawn) or sign_test(more, less) >= SELDOM:
+        return ""
+    return (
         f"the gate overruled a greater share of its proposals than of {trials.reference.name}'s in {more} of "
         f"{len(drawn)} runs anywhere in the space, and a lesser share in {less}"
     )

@@ -258,7 +258,8 @@ class SearchSession:
         try:
             for one in filter(None, [self.findings, self.baseline] if not self.interrupted else []):
                 self.flips += keep_differences(self.trials, one, lambda: self._drawn)
-                self.overruled = self.overruled or more_overruled(self.trials, lambda: self._drawn)
+            if not self.interrupted:
+                self.overruled = more_overruled(self.trials, lambda: self._drawn)
         except KeyboardInterrupt:
             self.findings.interrupted = True
         for line in self.flips:

@@ -37,9 +37,7 @@ MM = 1e3  # metres and seconds in thousandths
 class FindingLimits:
     """When a figure becomes a finding."""
 
-    towards: float = (
-        0.02  # of the questions, where no yardstick does; the other shares are beyond the worst's
-    )
+    towards: float = 0.02  # of the questions, where no yardstick does; of sure ones, more than the worst
     unreached: float = 0.002
     wrong_and_sure: float = 0.002
     unsure: float = 0.03
