@@ -1,1 +1,1 @@
-"""Statistics: estimates of declared, independent streams of episodes, with bounds of checked coverage."""
+"""Statistics: estimates from declared, independent streams of episodes, with bounds of measured coverage."""

@@ -1,8 +1,10 @@
 """Exact bounds of the probability that a run violates a claim, given that it exercises the claim.
 
-Upper bounds count inconclusive and failed runs as violations, lower bounds as none; untested runs are no
-trials, and are counted beside.  A stream of fixed length has Clopper and Pearson's (1934) bounds, one that
-may stop early those of ``sequential``.
+Upper bounds count inconclusive and failed runs as violations; lower bounds do not. Untested runs are no
+trials, and have a count of their own.
+
+A stream of fixed length has Clopper and Pearson's (1934) bounds. A stream that may stop early has the
+bounds of ``sequential``.
 """
 
 from __future__ import annotations
@@ -22,14 +24,14 @@ from safety_harness.extensions.assurance.statistics.sequential import anytime_lo
 
 
 class Sides(Enum):
-    """Which ends are bounds; the value is how many bounds that is."""
+    """The ends of an interval that are bounds; the value counts them."""
 
-    UPPER = 1  # how often at most.  The lower end is 0, and no statement.
+    UPPER = 1  # the greatest probability; the lower end is 0 and states nothing
     BOTH = 2
 
 
 class Method(Enum):
-    """Where a bound comes from."""
+    """The source of a bound."""
 
     EXACT = "Clopper-Pearson"
     ANYTIME = "at every time (mixture martingale)"
@@ -37,13 +39,14 @@ class Method(Enum):
 
 @dataclass(frozen=True, kw_only=True)
 class ProbabilityBounds:
-    """The violation probability of one claim in one stratum.
+    """The violation probability of one claim in one stratum, from ``low`` to ``high``.
 
-    With ``confidence`` at least it is from ``low`` to ``high``; with ``joint_confidence`` all of the
-    ``family`` of bounds hold, these among them: each end that is a bound counts as one.
+    This interval holds with ``confidence`` at least. A ``family`` of bounds holds together with
+    ``joint_confidence``, and includes these; each end that is a bound counts.
 
-    ``trials`` are the tested runs; of them ``violations`` were seen, ``inconclusive`` and ``failed`` may have
-    been.  ``model_only``: of a simplified world.
+    The tested runs are the ``trials``. ``violations`` counts certain violations among them;
+    ``inconclusive`` and ``failed`` count runs that may have violated the claim. ``model_only`` marks bounds
+    from a simplified world.
     """
 
     stratum: str
@@ -65,11 +68,19 @@ class ProbabilityBounds:
 
     @property
     def share(self) -> float | None:
-        """Violations seen, of the tested runs; None if there is none."""
+        """The share of the tested runs with a certain violation; None without a tested run."""
         return self.violations / self.trials if self.trials else None
 
     def shows(self, target: float) -> bool:
-        """Is it shown that ``target`` of the tested runs violate it at most, in the reference world?"""
+        """Return whether the bound shows a target in the reference world.
+
+        Args:
+            target: The greatest share of tested runs that may violate the claim, 0 to 1.
+
+        Returns:
+            True if there are tested runs, the world is not simplified, and ``high`` is at most ``target``.
+
+        """
         return self.trials > 0 and not self.model_only and self.high <= target
 
 
@@ -80,12 +91,22 @@ def bounds_of(
     *,
     family: int | None = None,
 ) -> tuple[ProbabilityBounds, ...]:
-    """Bounds that all hold together with ``confidence`` (0 to 1), one for each sample, in their order.
+    """Return one bound per sample, in the order of the samples; all hold together with ``confidence``.
 
-    Bonferroni: of m bounds each may fail with (1 - confidence) / m.  The samples need not be independent
-    of each other.  ``family`` is m where more bounds are shown than are made here: of samples that are
-    missing yet, say.  StatisticsError for no sample, an impossible confidence or a smaller family, TypeError
-    for what is no IndependentSample.
+    The method is Bonferroni's: each of m bounds may fail with the chance (1 - confidence) / m. The samples
+    may depend on each other.
+
+    Args:
+        samples: At least one sample.
+        confidence: The joint confidence, between 0 and 1.
+        sides: The ends that are bounds. Without a lower bound, ``low`` is 0.
+        family: The number m, if a report shows further bounds (of samples that are still missing, say).
+            None: the number of bounds of these samples.
+
+    Raises:
+        StatisticsError: There is no sample, the confidence is impossible, or the family is too small.
+        TypeError: An element of ``samples`` is no IndependentSample.
+
     """
     known = [independent(sample) for sample in samples]
     shown = len(known) * sides.value
@@ -99,19 +120,48 @@ def bounds_of(
 
 
 def ends_of(claims: int, strata: int) -> int:
-    """How many bounds a plan shows, which share its error: both ends for each claim in each stratum."""
+    """Return the number of bounds that share a plan's error: two ends for each claim in each stratum.
+
+    Args:
+        claims: The number of claims.
+        strata: The number of strata.
+
+    """
     return Sides.BOTH.value * claims * strata
 
 
 def violation_bounds(
     sample: IndependentSample, confidence: float, sides: Sides = Sides.UPPER
 ) -> ProbabilityBounds:
-    """Of one sample alone: for two-sided bounds both ends hold together with ``confidence``."""
+    """Return the bounds of a single sample.
+
+    Args:
+        sample: The sample.
+        confidence: The confidence, between 0 and 1. Two-sided bounds hold together with it.
+        sides: The ends that are bounds.
+
+    Raises:
+        StatisticsError: The confidence is impossible.
+        TypeError: ``sample`` is no IndependentSample.
+
+    """
     return bounds_of([sample], confidence, sides)[0]
 
 
 def chance_of_each(confidence: float, family: int) -> float:
-    """With what chance each of ``family`` bounds may fail, for all to hold with ``confidence``."""
+    """Return the chance with which each of several bounds may fail, so that all hold with ``confidence``.
+
+    Args:
+        confidence: The joint confidence, between 0 and 1.
+        family: The number m of bounds.
+
+    Returns:
+        (1 - confidence) / m, by Bonferroni.
+
+    Raises:
+        StatisticsError: The confidence is impossible, or the family is empty.
+
+    """
     if not 0.0 < confidence < 1.0:
         raise refusal("confidence", "a confidence between 0 and 1", f"{confidence:g}")
     if family < 1:

@@ -1,8 +1,10 @@
-"""Bounds of a margin's quantiles that assume nothing of its distribution.
+"""Bounds of a margin's quantiles that assume no distribution.
 
-A tested run without a margin may have had any: it counts as minus infinity.  Untested runs are left out.
-All of it is of samples of fixed length.  "Margin" is of the claim: for "hand distance never below 50 mm"
-the minimum hand distance is the margin plus 50 mm.
+A tested run without a margin counts as minus infinity, since it may have had any margin. Untested runs do
+not count. The samples have a fixed length.
+
+The margin is the claim's: for "hand distance never below 50 mm" the minimum hand distance is the margin
+plus 50 mm.
 """
 
 from __future__ import annotations
@@ -25,10 +27,11 @@ from safety_harness.extensions.assurance.statistics.sample import (
 
 @dataclass(frozen=True, kw_only=True)
 class QuantileBound:
-    """With ``confidence`` at least ``content`` of all tested runs keep a margin of ``at_least`` or more (SI).
+    """The margin ``at_least`` (SI) that a share ``content`` of all tested runs keeps, with ``confidence``.
 
-    ``rank`` says which of the ``trials`` margins in ascending order that is; ``at_least`` is -inf, and
-    ``rank`` 0, where so few runs can say nothing.  ``seen`` is the sample's own quantile.
+    This margin has the position ``rank`` among the ``trials`` margins in ascending order. If too few runs
+    allow no statement, ``at_least`` is -inf and ``rank`` is 0. ``seen`` is the quantile of the sample
+    itself.
     """
 
     content: float
@@ -41,11 +44,21 @@ class QuantileBound:
 
 
 def tolerance_bound(sample: IndependentSample, content: float, confidence: float = 0.95) -> QuantileBound:
-    """The greatest of the margins that ``content`` of all runs keep, with ``confidence`` (Wilks, 1941).
+    """Return the greatest margin that a share ``content`` of all runs keeps (Wilks, 1941).
 
-    It is the r-th smallest of n, with the greatest r for which P(Bin(n, 1 - content) >= r) >= confidence:
-    exact for continuous margins, cautious for others.  The same is a lower bound of the quantile
-    1 - content.  StatisticsError for a content outside (0, 1) or without a tested run.
+    The bound is the r-th smallest of n margins, with the greatest r for which P(Bin(n, 1 - content) >= r)
+    >= confidence. It is exact for continuous margins and cautious for discrete margins. It is also a lower
+    bound of the quantile 1 - content.
+
+    Args:
+        sample: A sample of fixed length.
+        content: The share of tested runs, between 0 and 1.
+        confidence: The confidence of this bound alone, between 0 and 1.
+
+    Raises:
+        StatisticsError: The content or the confidence is not between 0 and 1, no run is tested, or the
+            stream may stop early.
+
     """
     _check_content(content)
     chance_of_each(confidence, 1)
@@ -56,7 +69,8 @@ def tolerance_bound(sample: IndependentSample, content: float, confidence: float
         content=content,
         at_least=float(margins[rank - 1]) if rank else -math.inf,
         rank=rank,
-        seen=float(margins[min(math.floor((1.0 - content) * n + 1e-9), n - 1)]),  # 0.1 n, but for rounding
+        # (1 - 0.9) n is a little below 0.1 n in floating point: the 1e-9 makes up for that.
+        seen=float(margins[min(math.floor((1.0 - content) * n + 1e-9), n - 1)]),
         trials=n,
         confidence=confidence,
         model_only=sample.declaration.model_only,
@@ -69,13 +83,13 @@ def _check_content(content: float) -> None:
 
 
 def _rank(n: int, share: float, confidence: float) -> int:
-    """The greatest r with P(Bin(n, share) >= r) >= confidence; 0 if there is none."""
+    """Return the greatest r with P(Bin(n, share) >= r) >= confidence; 0 without such an r."""
     ranks = np.arange(1, n + 1)
     return int(np.count_nonzero(scipy.special.bdtrc(ranks - 1, n, share) >= confidence))  # it falls with r
 
 
 def _tested(sample: IndependentSample) -> Floats:
-    """Margins (n,) of the tested runs, ascending; minus infinity where a verdict or a margin is missing."""
+    """Return the margins (n,) of the tested runs, ascending; -inf where a verdict or a margin is missing."""
     known = fixed_length(sample)
     tested = known.outcomes != EpisodeOutcome.UNTESTED
     if not tested.any():

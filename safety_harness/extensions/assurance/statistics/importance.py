@@ -1,25 +1,29 @@
-r"""Rare violations by importance sampling: draws from where violations are, each weighted back.
+"""Rare violations by importance sampling: weighted draws from the regions of violations.
 
-With phi the standard normal density, of whose space the cube is the image, and q any other,
+The cube is the image of a space with the standard normal density phi. For any other density q
 
     P(margin < 0) = E_q[ 1{margin < 0} w ],   w = phi / q,   q = a phi + (1 - a) sum p_k N(mu_k, diag s_k^2).
 
-A pilot fits the mixture in steps, each to the draws with the least margins of the step before, by their
-weights (cross-entropy method: Rubinstein and Kroese, 2004; for mixtures by expectation maximisation: Cappe,
-Douc, Guillin, Marin and Robert, 2008).  No s_k is below 1: where a direction does not matter, draws stay as
-wide as they were, and weights do not run away.  A share a of plain draws keeps w at most 1/a (Hesterberg,
-1995).  Then R replications, each of draws of its own, give unbiased estimates.
+A pilot fits the mixture in steps. Each step fits the draws with the least margins of the step before, by
+their weights. This is the cross-entropy method (Rubinstein and Kroese, 2004); expectation maximisation fits
+mixtures (Cappe, Douc, Guillin, Marin and Robert, 2008).
 
-A pilot sees the regions that its margins lead to.  So it is followed by restarts: each is a pilot to which a
-point counts as far away where the mixture already draws more often than phi does.  What a restart finds joins
-the mixture.  The search ends with the first restart that finds no violation; ``still_found`` says that the
-last one allowed found another.
+No s_k is below 1: in a direction that does not matter, draws stay as wide as before, and weights stay
+small. A share a of plain draws keeps w at most 1/a (Hesterberg, 1995). Then R replications, each with draws
+of its own, give unbiased estimates.
 
-Where few draws carry most of the weight, as in many dimensions, replications agree on far too little.  A
-generalised Pareto distribution fitted to the largest weights of violations (Zhang and Stephens, 2009) shows
-it: above a shape of 0.7 (Vehtari, Simpson, Gelman, Yao and Gabry, 2024) the estimate is not to be believed.
-The weights say nothing of a region that no draw reached.  So the upper end comes from plain draws, as
-splitting's does: those of the first pilot's first step, and those among the replications' draws.
+A pilot sees only the regions that its margins lead to. If it ends among violations, restarts follow it. A
+restart is a pilot to which points count as far away if the mixture already draws them more often than phi.
+Its region joins the mixture. The search ends with the first restart without a violation; ``still_found``
+says that the last allowed restart had one.
+
+In many dimensions, a few draws may carry most of the weight; the replications then agree on far too little.
+A generalised Pareto distribution, fitted to the largest weights of violations, shows it (Zhang and
+Stephens, 2009). Above a shape of 0.7 the estimate is not reliable (Vehtari, Simpson, Gelman, Yao and Gabry,
+2024).
+
+The weights do not show a region without draws. So plain draws alone give the upper end, as in splitting:
+the first step of the first pilot, and the plain share of the replications.
 """
 
 from __future__ import annotations
@@ -42,18 +46,23 @@ from safety_harness.extensions.assurance.statistics.rare import (
 )
 from safety_harness.extensions.assurance.statistics.sample import Floats, refusal
 
-FEWEST_WEIGHTS = 25  # of which a tail is to be told
+FEWEST_WEIGHTS = 25  # whose tail has a shape
 _COMPONENTS, _ROUNDS, _MOST_LEVELS, _MOST_RESTARTS = 3, 20, 30, 16
-_MORE_LEVELS = 6  # of a restart than of the pilot, before it gives up
-_LEAST_SHARE = 0.05  # of a component, or what it stands for is hardly drawn
+_MORE_LEVELS = 6  # that a restart may take beyond those of the pilot
+_LEAST_SHARE = 0.05  # of a component, so that its region has draws
 _LARGEST_EXPONENT = 700.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class Importance:
-    """How it is done: ``pilot`` draws on each level, then ``runs`` in ``replications`` equal parts.
+    """Settings: ``pilot`` draws in each step, then ``runs`` draws in ``replications`` equal parts.
 
-    ``best`` is the share of a level's draws that the next is fitted to, ``plain`` that of plain draws.
+    A step fits the share ``best`` of the draws of the step before. The share of plain draws is ``plain``.
+
+    Raises:
+        StatisticsError: There are fewer draws than replications, fewer than two replications, no pilot
+            draw, or a share that is not between 0 and 1.
+
     """
 
     pilot: int = 500
@@ -79,9 +88,19 @@ def weigh(
     confidence: float = 0.95,
     model_only: bool = True,
 ) -> RareEstimate:
-    """Estimate P(margin < 0) for a point drawn uniformly from the cube [0, 1)^d.
+    """Estimate P(margin < 0) for a uniform point of the cube [0, 1)^d, by importance sampling.
 
-    StatisticsError for margins that are NaN, or not one for each point.
+    Args:
+        margins: Points (n, d) of the cube -> margins (n,), which may be random.
+        dimensions: The number d.
+        seed: The root of all draws.
+        how: The settings; None: those of ``Importance()``.
+        confidence: The confidence of the interval, between 0 and 1.
+        model_only: Whether the margins come from a simplified world.
+
+    Raises:
+        StatisticsError: A margin is NaN, or there is not one margin for each point.
+
     """
     judged, settings = JudgedMargins(margins), how or Importance()
     pilot, rng = (generator(seed, Branch.STATISTICS, 4, part) for part in range(2))
@@ -90,10 +109,10 @@ def weigh(
     points, weights, plain = proposal.draw(each * settings.replications, settings.plain, rng)
     drawn = judged(points)
     judged.count_plain(drawn[plain])
-    found = weights * (drawn < 0.0)
-    replicates = found.reshape(settings.replications, each).mean(axis=1)
+    terms = weights * (drawn < 0.0)
+    replicates = terms.reshape(settings.replications, each).mean(axis=1)
     estimate = estimate_of(replicates, levels, judged, confidence, model_only=model_only)
-    return replace(estimate, pareto_shape=pareto_shape(found[found > 0.0]), still_found=still_found)
+    return replace(estimate, pareto_shape=pareto_shape(terms[terms > 0.0]), still_found=still_found)
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,25 +126,28 @@ class _Mixture:
     def draw(
         self, count: int, plain: float, rng: np.random.Generator
     ) -> tuple[Floats, Floats, NDArray[np.bool_]]:
-        """Return points (n, d) of normal space, their weights (n,), and which of them are plain (n,).
+        """Return points (n, d) of normal space, their weights (n,), and which points are plain (n,).
 
-        Each is plain with the chance ``plain``, whatever the others are.
+        A point is plain with the chance ``plain``, independently of the rest.
         """
         chosen = rng.choice(len(self.shares), count, p=self.shares)
         points: Floats = rng.standard_normal((count, self.means.shape[1]))
         fitted = rng.random(count) >= plain
         moved = self.means[chosen] + self.deviations[chosen] * points
         points = np.where(fitted[:, None], moved, points)
-        over = np.exp(np.minimum(self.log_ratio(points), _LARGEST_EXPONENT))
-        return points, 1.0 / (plain + (1.0 - plain) * over), ~fitted
+        ratio = np.exp(np.minimum(self.log_ratio(points), _LARGEST_EXPONENT))
+        return points, 1.0 / (plain + (1.0 - plain) * ratio), ~fitted
 
     def log_ratio(self, points: Floats) -> Floats:
-        """Return how much likelier than under phi the mixture draws ``points`` (n, d), as logarithms (n,)."""
+        """Return the log of the mixture's density at ``points`` (n, d) over that of phi, (n,)."""
         ratio: Floats = logsumexp(self.log_densities(points), axis=1) + 0.5 * (points**2).sum(axis=1)
         return ratio
 
     def log_densities(self, points: Floats) -> Floats:
-        """(n, k) of each component with its share, but for the constant that phi has too."""
+        """Return the log densities (n, k) of the weighted components at ``points`` (n, d).
+
+        They lack the constant -d/2 log(2 pi), which phi has too.
+        """
         far = (points[:, None] - self.means) / self.deviations
         logs: Floats = np.log(self.shares) - np.log(self.deviations).sum(axis=1) - 0.5 * (far**2).sum(axis=2)
         return logs
@@ -134,17 +156,17 @@ class _Mixture:
 def _explored(
     judged: JudgedMargins, dimensions: int, how: Importance, rng: np.random.Generator
 ) -> tuple[_Mixture, list[float], bool]:
-    """Return the mixture of all regions, the pilot's levels, and whether the last restart found more."""
+    """Return the mixture of all regions, the pilot's levels, and whether the last restart had violations."""
     mixture, levels = _pilot(judged, dimensions, how, rng)
     regions = [mixture]
-    found = bool(levels) and levels[-1] == 0.0
-    while found and len(regions) <= _MOST_RESTARTS:
-        another, way = _pilot(judged, dimensions, how, rng, mixture, len(levels) + _MORE_LEVELS)
-        found = way[-1] == 0.0
-        if found:
-            regions.append(another)
+    violates = bool(levels) and levels[-1] == 0.0
+    while violates and len(regions) <= _MOST_RESTARTS:
+        region, restart_levels = _pilot(judged, dimensions, how, rng, mixture, len(levels) + _MORE_LEVELS)
+        violates = restart_levels[-1] == 0.0
+        if violates:
+            regions.append(region)
             mixture = _balanced(judged, regions, how, rng)
-    return mixture, levels, found and len(regions) > 1
+    return mixture, levels, violates and len(regions) > 1
 
 
 def _balanced(
@@ -165,7 +187,7 @@ def _balanced(
 
 
 def _at_least(shares: Floats) -> Floats:
-    """Return ``shares`` (k,) that sum to 1, none of them far below the others."""
+    """Return ``shares`` (k,) that sum to 1, with small shares raised towards ``_LEAST_SHARE``."""
     raised = np.maximum(shares, min(_LEAST_SHARE, 0.25 / len(shares)))
     balanced: Floats = raised / raised.sum()
     return balanced
@@ -179,7 +201,7 @@ def _pilot(
     known: _Mixture | None = None,
     most_levels: int = _MOST_LEVELS,
 ) -> tuple[_Mixture, list[float]]:
-    """Return the mixture fitted to violations, or to what came nearest, and the levels on the way.
+    """Return the mixture fitted to violations, or to the nearest points, and the levels on the way.
 
     Points that ``known`` draws more often than phi count as far away.
     """
@@ -190,7 +212,7 @@ def _pilot(
         margins = judged(points)
         if known is not None:
             margins = np.where(known.log_ratio(points) > 0.0, np.inf, margins)
-        elif not levels:  # as many as declared, whatever they say
+        elif not levels:  # the first step's draws are plain, and their number was declared
             judged.count_plain(margins)
         levels.append(max(next_level(margins, how.best), 0.0))
         best = margins < levels[-1]
@@ -203,13 +225,16 @@ def _pilot(
 
 
 def _fitted(points: Floats, weights: Floats, rng: np.random.Generator) -> _Mixture:
-    """By expectation maximisation, from means that are drawn far from each other; ``weights`` sum to 1."""
+    """Return a mixture fitted to ``points`` (n, d) by expectation maximisation; ``weights`` (n,) sum to 1.
+
+    The first means are draws far from each other.
+    """
     means = points[rng.choice(len(points), 1, p=weights)]
     for _ in range(_COMPONENTS - 1):
-        apart = ((points[:, None] - means) ** 2).sum(axis=2).min(axis=1) * weights
-        if not apart.sum() > 0.0:
+        gaps = ((points[:, None] - means) ** 2).sum(axis=2).min(axis=1) * weights
+        if not gaps.sum() > 0.0:
             break
-        means = np.vstack([means, points[rng.choice(len(points), 1, p=apart / apart.sum())]])
+        means = np.vstack([means, points[rng.choice(len(points), 1, p=gaps / gaps.sum())]])
     mixture = _Mixture(np.full(len(means), 1.0 / len(means)), means, np.ones_like(means))
     for _ in range(_ROUNDS):
         logs = mixture.log_densities(points)
@@ -222,22 +247,30 @@ def _fitted(points: Floats, weights: Floats, rng: np.random.Generator) -> _Mixtu
 
 
 def pareto_shape(weights: Floats) -> float:
-    """The shape k of a generalised Pareto distribution of the largest ``weights`` (n,); infinite for too few.
+    """Return the shape k of a generalised Pareto distribution of the largest ``weights`` (n,).
 
-    Of the min(n / 5, 3 sqrt(n)) largest, less the next one, by the estimator of Zhang and Stephens (2009).
+    The estimator is that of Zhang and Stephens (2009), for the min(n / 5, 3 sqrt(n)) largest weights, less
+    the next smaller weight.
+
+    Args:
+        weights: The positive weights of violations (n,).
+
+    Returns:
+        The shape; infinite for fewer than ``FEWEST_WEIGHTS`` weights, 0 if the largest weights are equal.
+
     """
     if len(weights) < FEWEST_WEIGHTS:
         return math.inf
     rising = np.sort(weights)
     count = int(min(0.2 * len(rising), 3.0 * math.sqrt(len(rising))))
-    over = rising[-count:] - rising[-count - 1]
-    over = over[over > 0.0]
-    if len(over) == 0:  # all alike
+    excesses = rising[-count:] - rising[-count - 1]
+    excesses = excesses[excesses > 0.0]
+    if len(excesses) == 0:  # all largest weights are equal
         return 0.0
-    n, grid = len(over), 30 + int(math.sqrt(len(over)))
-    quarter = over[int(n / 4 + 0.5) - 1]
-    theta = 1.0 / over[-1] + (1.0 - np.sqrt(grid / (np.arange(1, grid + 1) - 0.5))) / (3.0 * quarter)
-    shapes = np.log1p(-theta[:, None] * over).mean(axis=1)
+    n, grid = len(excesses), 30 + int(math.sqrt(len(excesses)))
+    quarter = excesses[int(n / 4 + 0.5) - 1]
+    theta = 1.0 / excesses[-1] + (1.0 - np.sqrt(grid / (np.arange(1, grid + 1) - 0.5))) / (3.0 * quarter)
+    shapes = np.log1p(-theta[:, None] * excesses).mean(axis=1)
     likelihood = n * (np.log(-theta / shapes) - shapes - 1.0)
     chances = np.exp(likelihood - logsumexp(likelihood))
-    return float(np.log1p(-float(theta @ chances) * over).mean())
+    return float(np.log1p(-float(theta @ chances) * excesses).mean())

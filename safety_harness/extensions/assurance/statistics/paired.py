@@ -1,9 +1,10 @@
-"""Two avoiders on the same episodes: which of them violates a claim more often.
+"""Two avoiders on the same episodes: the difference in how often they violate a claim.
 
-Episode k is the same scenario for both (common random numbers), so that what differs is the avoiders'
-doing.  Shares are of all episodes drawn, tested or not: whether a claim is exercised may depend on the
-avoider.  An inconclusive or failed run may have been a violation or none; every number here holds whichever
-it was.
+Episode k is the same scenario for both (common random numbers), so only the avoiders cause a difference.
+Shares are of all episodes, tested or not, because an avoider may influence whether a run exercises the
+claim.
+
+An inconclusive or failed run may have violated the claim; each number here holds in either case.
 """
 
 from __future__ import annotations
@@ -29,11 +30,14 @@ _SAME_STREAM = "only runs of the same stream can be compared in pairs"
 
 @dataclass(frozen=True, kw_only=True)
 class PairedComparison:
-    """First minus second: ``low`` to ``high`` holds the difference in violation probability.
+    """First minus second: the difference in violation probability is from ``low`` to ``high``.
 
-    ``only_first`` and ``only_second`` count episodes that for certain only one of them violates, ``both``
-    those that both do, ``unclear`` those that one of them could not be judged on.  ``p_value`` is of "both
-    violate equally often" (McNemar's exact test).  ``seen`` is the difference over the clear episodes.
+    This interval holds with ``confidence``. ``only_first`` and ``only_second`` count the episodes that for
+    certain only this avoider violates; ``both`` counts the violations of both. ``unclear`` counts the
+    episodes whose difference depends on a run without a verdict.
+
+    ``seen`` is the mean difference over the clear episodes. ``p_value`` belongs to the hypothesis that both
+    violate equally often (McNemar's exact test).
     """
 
     claim: str
@@ -54,12 +58,20 @@ class PairedComparison:
 def compare(
     first: IndependentSample, second: IndependentSample, confidence: float = 0.95
 ) -> PairedComparison:
-    """The difference in violation probability, exactly.
+    """Return the exact interval of the difference in violation probability.
 
-    The difference is D = t (2 s - 1): t the probability that only one of the two violates, s that it is the
-    first of them then.  t and s have Clopper and Pearson's intervals with half of the error each, and D is
-    between its extremes over both: its confidence is at least what is said, and usually more.
-    StatisticsError for samples that are not of the same stream and claim.
+    The difference is D = t (2 s - 1). Here t is the probability that exactly one avoider violates, and s
+    the probability that it is the first. Both have Clopper and Pearson's intervals, each with half of the
+    error. D lies between its extremes over both intervals, usually with more than the stated confidence.
+
+    Args:
+        first: A sample of fixed length.
+        second: The sample of the same stream and claim with the second avoider.
+        confidence: The confidence of the interval, between 0 and 1.
+
+    Raises:
+        StatisticsError: The samples differ in stream or claim, or a stream may stop early.
+
     """
     _check_pair(first, second)
     chance = chance_of_each(confidence, 4)
@@ -68,7 +80,7 @@ def compare(
     most = _extreme(int(np.sum(worst == 1)), int(np.sum(worst == -1)), n, chance)
     least = -_extreme(int(np.sum(best == -1)), int(np.sum(best == 1)), n, chance)
     clear = worst == best
-    violated = [one.outcomes == EpisodeOutcome.VIOLATED for one in (first, second)]
+    violated = [sample.outcomes == EpisodeOutcome.VIOLATED for sample in (first, second)]
     return PairedComparison(
         claim=first.claim,
         stratum=first.declaration.stratum,
@@ -87,10 +99,10 @@ def compare(
 
 
 def _check_pair(first: IndependentSample, second: IndependentSample) -> None:
-    for one in (first, second):
-        fixed_length(one)
+    for sample in (first, second):
+        fixed_length(sample)
     a, b = first.declaration, second.declaration
-    for field, mine, other in (
+    for field, ours, theirs in (
         ("claim", first.claim, second.claim),
         ("stratum", a.stratum, b.stratum),
         ("seed", a.seed, b.seed),
@@ -98,8 +110,8 @@ def _check_pair(first: IndependentSample, second: IndependentSample) -> None:
         ("world", a.world.label, b.world.label),
         ("draws_sha256", a.draws_sha256, b.draws_sha256),
     ):
-        if mine != other:
-            raise refusal(field, "two samples of the same episodes", f"{mine!r} and {other!r}", _SAME_STREAM)
+        if ours != theirs:
+            raise refusal(field, "two samples of the same episodes", f"{ours!r} and {theirs!r}", _SAME_STREAM)
     other_seed = np.flatnonzero(first.seeds != second.seeds)
     if len(other_seed):
         k = int(other_seed[0])
@@ -109,16 +121,17 @@ def _check_pair(first: IndependentSample, second: IndependentSample) -> None:
 
 
 def _difference(first: IndependentSample, second: IndependentSample) -> tuple[Ints, Ints]:
-    """First minus second (n,), at its most and at its least: -1, 0 or 1 each."""
-    sure = [(one.outcomes == EpisodeOutcome.VIOLATED).astype(np.int64) for one in (first, second)]
-    perhaps = [(own | np.isin(one.outcomes, PERHAPS)) for own, one in zip(sure, (first, second), strict=True)]
+    """Return the greatest and the least possible difference (n,), first minus second: -1, 0 or 1 each."""
+    sure = [(run.outcomes == EpisodeOutcome.VIOLATED).astype(np.int64) for run in (first, second)]
+    perhaps = [own | np.isin(run.outcomes, PERHAPS) for own, run in zip(sure, (first, second), strict=True)]
     return perhaps[0] - sure[1], sure[0] - perhaps[1]
 
 
 def _extreme(more: int, fewer: int, n: int, chance: float) -> float:
-    """The upper end of t (2 s - 1), for ``more`` and ``fewer`` discordant episodes of n.
+    """Return the upper end of t (2 s - 1), for ``more`` and ``fewer`` discordant episodes of n.
 
-    s at its upper end; t at its upper end where 2 s - 1 is positive, else at its lower.
+    The maximum has s at its upper end. It has t at its upper end if 2 s - 1 is positive, else at its lower
+    end.
     """
     discordant = more + fewer
     lean = 2.0 * (upper_bound(more, discordant, chance) if discordant else 1.0) - 1.0
@@ -127,7 +140,7 @@ def _extreme(more: int, fewer: int, n: int, chance: float) -> float:
 
 
 def _mcnemar(worst: Ints, best: Ints) -> float:
-    """Two-sided, with unclear episodes as they speak least for a difference."""
+    """Return the two-sided p-value; unclear episodes count as they least support a difference."""
     more, fewer = int(np.sum(best == 1)), int(np.sum(best == -1))  # at the least for the first
     if more <= fewer:
         fewer, more = int(np.sum(worst == 1)), int(np.sum(worst == -1))

@@ -1,8 +1,8 @@
-"""How many runs it takes to show a target, and how likely that is to succeed.
+"""The number of runs that show a target, and the probability that a plan succeeds.
 
-All of it asks the bound itself, so that the plan and what comes of it cannot differ.  ``family`` is the
-number of bounds that are to hold together (``ends_of`` a plan), ``allowed`` the number of violations that may
-be seen, inconclusive and failed runs included.
+Each function evaluates the bound itself, so that a plan and its result agree. ``family`` is the number of
+bounds that hold together (``ends_of`` a plan). ``allowed`` is the number of violations that may occur, with
+inconclusive and failed runs.
 """
 
 from __future__ import annotations
@@ -28,9 +28,13 @@ _TARGET = "violated in at most"
 
 @dataclass(frozen=True, kw_only=True)
 class Aim:
-    """Show with ``confidence`` that at most a share ``target`` of the tested runs violates a claim.
+    """A goal: with ``confidence``, at most a share ``target`` of the tested runs violates a claim.
 
-    ``stop_early``: the runs may be looked at and stopped at any time.
+    ``stop_early`` says that the runs may stop at any time.
+
+    Raises:
+        StatisticsError: The target or the confidence is not between 0 and 1, or the family is empty.
+
     """
 
     target: float
@@ -45,14 +49,29 @@ class Aim:
         chance_of_each(self.confidence, self.family)
 
     def shown_by(self, violations: int, trials: int) -> bool:
-        """Would so many violations of so many tested runs do?"""
+        """Return whether the upper bound meets the target.
+
+        Args:
+            violations: Violations, with inconclusive and failed runs.
+            trials: The number of tested runs.
+
+        """
         upper: Upper = anytime_upper if self.stop_early else upper_bound
         chance = chance_of_each(self.confidence, self.family)
         return trials > 0 and upper(violations, trials, chance) <= self.target
 
 
 def runs_needed(aim: Aim, *, allowed: int = 0) -> int:
-    """The least number of tested runs that shows ``aim`` with ``allowed`` violations among them."""
+    """Return the least number of tested runs that shows ``aim`` in spite of ``allowed`` violations.
+
+    Args:
+        aim: The goal.
+        allowed: The number of violations among these runs.
+
+    Raises:
+        StatisticsError: ``MOST_RUNS`` runs cannot show the target.
+
+    """
     least = most = allowed + 1
     while not aim.shown_by(allowed, most):
         least, most = most + 1, 2 * most
@@ -65,10 +84,19 @@ def runs_needed(aim: Aim, *, allowed: int = 0) -> int:
 
 
 def allowed_violations(aim: Aim, trials: int) -> int | None:
-    """The most violations among ``trials`` tested runs that still show ``aim``; None if even none do not."""
+    """Return the greatest number of violations that still shows a goal.
+
+    Args:
+        aim: The goal.
+        trials: The number of tested runs.
+
+    Returns:
+        The number; None if so few runs cannot show the goal even without a violation.
+
+    """
     if not aim.shown_by(0, trials):
         return None
-    least, most = 0, trials - 1  # all of them never do
+    least, most = 0, trials - 1  # violations in all runs have the upper bound 1
     while least < most:
         middle = (least + most + 1) // 2
         least, most = (middle, most) if aim.shown_by(middle, trials) else (least, middle - 1)
@@ -76,10 +104,19 @@ def allowed_violations(aim: Aim, trials: int) -> int | None:
 
 
 def power(aim: Aim, runs: int, *, probability: float, tested: float = 1.0) -> float:
-    """How likely ``runs`` runs show ``aim`` if tested runs violate the claim with ``probability``.
+    """Return the probability that a number of runs shows a goal.
 
-    ``tested`` is the share of runs that exercise the claim: their number is binomial too.  For a
-    stream that may stop early it is the chance at its planned end: a lower bound.
+    If the stream may stop early, this is the probability at its planned end, a lower bound.
+
+    Args:
+        aim: The goal.
+        runs: The number of planned runs.
+        probability: The true probability that a tested run violates the claim.
+        tested: The share of runs that exercise the claim. Their number is binomial.
+
+    Raises:
+        StatisticsError: ``probability`` is not in [0, 1], or ``tested`` not in (0, 1].
+
     """
     if not (0.0 <= probability <= 1.0 and 0.0 < tested <= 1.0):
         raise refusal("power", "shares between 0 and 1", f"{probability:g} and {tested:g}")
@@ -93,9 +130,17 @@ def power(aim: Aim, runs: int, *, probability: float, tested: float = 1.0) -> fl
 
 
 def runs_for_power(aim: Aim, *, probability: float, wanted: float = 0.9, most_allowed: int = 2000) -> int:
-    """The least number of tested runs that shows ``aim`` with the chance ``wanted``, of a true probability.
+    """Return the least number of tested runs that shows a goal with the chance ``wanted``.
 
-    StatisticsError where that is too near to the target, or above.
+    Args:
+        aim: The goal.
+        probability: The true probability that a tested run violates the claim.
+        wanted: The probability of success.
+        most_allowed: The greatest number of violations to consider.
+
+    Raises:
+        StatisticsError: The true probability is too near to the target, or above.
+
     """
     for allowed in range(most_allowed + 1 if probability < aim.target else 0):
         runs = runs_needed(aim, allowed=allowed)
@@ -107,9 +152,18 @@ def runs_for_power(aim: Aim, *, probability: float, wanted: float = 0.9, most_al
 
 
 def runs_for_tested(tested: int, *, share: float, wanted: float = 0.9) -> int:
-    """The least number of runs of which, with the chance ``wanted``, at least ``tested`` exercise the claim.
+    """Return the least number of runs that exercise a claim often enough.
 
-    Each does with the chance ``share``, apart from the others: their number is binomial.
+    The runs are independent, so that the number of tested runs is binomial.
+
+    Args:
+        tested: The wanted number of tested runs, at least 1.
+        share: The probability that a run exercises the claim, in (0, 1].
+        wanted: The probability of at least ``tested`` tested runs, between 0 and 1.
+
+    Raises:
+        StatisticsError: An argument is out of its range, or ``MOST_RUNS`` runs are not enough.
+
     """
     if not (0.0 < share <= 1.0 and 0.0 < wanted < 1.0 and tested >= 1):
         raise refusal("share", "a share between 0 and 1, of at least one run", f"{share:g} of {tested}")
@@ -128,21 +182,28 @@ def runs_for_tested(tested: int, *, share: float, wanted: float = 0.9) -> int:
 
 
 def refuse_if_impossible(aim: Aim, planned: int, *, tested: float = 1.0, place: Place | None = None) -> None:
-    """StatisticsError, with the number that would do, if ``planned`` runs without any violation do not.
+    """Refuse a plan whose runs cannot show its goal even without a violation.
 
-    ``tested`` is the share of runs expected to exercise the claim; ``place`` is where the plan says
-    how many runs.
+    Args:
+        aim: The goal.
+        planned: The number of planned runs.
+        tested: The expected share of runs that exercise the claim.
+        place: The place in the plan that has the number of runs; None: the field ``runs``.
+
+    Raises:
+        StatisticsError: The plan has too few runs; the error states the sufficient number.
+
     """
     if aim.shown_by(0, math.floor(planned * tested)):
         return
     needed = math.ceil(runs_needed(aim) / tested)
-    words = f"at least {needed} runs, to show {aim.target:g} with {aim.confidence:.6g} confidence"
+    expected = f"at least {needed} runs, to show {aim.target:g} with {aim.confidence:.6g} confidence"
     if tested < 1.0:
-        words += f" if {tested:.3g} of them test the claim"
+        expected += f" if {tested:.3g} of them test the claim"
     if aim.family > 1:
-        words += f" ({aim.family} bounds together)"
+        expected += f" ({aim.family} bounds together)"
     hint = "that many without any violation; each one takes more"
-    raise StatisticsError(place=place or Place(field="runs"), expected=words, got=str(planned), hint=hint)
+    raise StatisticsError(place=place or Place(field="runs"), expected=expected, got=str(planned), hint=hint)
 
 
 def _power_of(aim: Aim, trials: int, probability: float) -> float:

@@ -1,21 +1,22 @@
-r"""Rare violations by multilevel splitting: the way there in steps, each of which is not rare.
+"""Rare violations by multilevel splitting: steps towards violations, each of a probability that is not small.
 
-With levels l_1 > l_2 > ... > l_m = 0 of the margin,
+The margin has levels l_1 > l_2 > ... > l_m = 0:
 
-    P(margin < 0) = P(margin < l_1) P(margin < l_2 | margin < l_1) ... ,
+    P(margin < 0) = P(margin < l_1) P(margin < l_2 | margin < l_1) ... .
 
-and each factor is estimated by N particles that live below the level before: those that are below the next
-one survive, are drawn from with replacement, and are moved by Metropolis steps that keep the distribution
-(Kahn and Harris, 1951; Au and Beck, 2001; Cerou, Del Moral, Furon and Guyader, 2012).  The moves are made
-in standard normal space: z' = sqrt(1 - b^2) z + b x with x standard normal, refused above the level; the
-cube's point is the normal distribution function of z.
+N particles below the level before estimate each factor. The particles below the next level survive. N draws
+from the survivors, with replacement, continue. Metropolis steps move them and keep the distribution. The
+sources are Kahn and Harris (1951), Au and Beck (2001), and Cerou, Del Moral, Furon and Guyader (2012).
 
-A pilot run fixes levels and step lengths; then R replications, independent of it and of each other, each
-give an estimate whose expectation is the probability, however badly the moves mix, since nothing in them
-adapts.  The lower end of the interval is Student's.  No upper end can come from the replications: a region
-that none of them reached leaves no sign in their spread.  So the upper end comes from the plain draws
-alone, with which every replication begins, by Clopper and Pearson.  It is exact, and as wide as so few draws
-make it.
+A move in standard normal space is z' = sqrt(1 - b^2) z + b x with x standard normal; a move above the level
+is refused. The point of the cube is the normal distribution function of z.
+
+A pilot run fixes levels and step lengths. Then come R independent replications. They do not adapt, so that
+the expectation of each estimate is the probability, however badly the moves mix.
+
+The lower end of the interval is Student's. The replications cannot give an upper end: a region without a
+particle leaves no sign in their spread. So the upper end comes from the plain draws at the beginning of
+each replication and of the pilot, by Clopper and Pearson. It is exact, and as wide as so few draws make it.
 """
 
 from __future__ import annotations
@@ -35,17 +36,22 @@ from safety_harness.extensions.assurance.statistics.sample import Floats, refusa
 Margins = Callable[[Floats], Floats]
 """Points (n, d) of the unit cube -> margins (n,), negative where the claim is violated; never NaN."""
 
-LARGEST_SHAPE = 0.7  # of the weights' tail
-_MOST_OF_SUM = 0.5
+LARGEST_SHAPE = 0.7  # of the weights' tail (Vehtari, Simpson, Gelman, Yao and Gabry, 2024)
+_MOST_OF_SUM = 0.5  # that a single replication may contribute
 _BELOW_ONE = math.nextafter(1.0, 0.0)
 _MOST_LEVELS = 60
 
 
 @dataclass(frozen=True, kw_only=True)
 class Splitting:
-    """How it is done: ``particles`` N, ``steps`` of moving on each level, ``replications`` R.
+    """Settings: ``particles`` N, ``steps`` of moving on each level, ``replications`` R.
 
-    ``survivors`` is the share that each level of the pilot lets through.
+    ``survivors`` is the share of the particles that passes each level of the pilot.
+
+    Raises:
+        StatisticsError: There are no particles or steps, fewer than two replications, or a share that is
+            not between 0 and 1.
+
     """
 
     particles: int = 500
@@ -62,15 +68,17 @@ class Splitting:
 
 @dataclass(frozen=True, kw_only=True)
 class RareEstimate:
-    """The probability of a violation, of the regions that the method reached.
+    """The probability of a violation, within the regions that the method reached.
 
-    ``low`` is approximate; docs/statistics.md says how often it held on problems with known answers.
-    ``high`` is exact: it comes from ``plain_draws`` alone, of which ``plain_violations`` violate the claim.
+    ``low`` is approximate; docs/statistics.md has its measured coverage on problems with known answers.
+    ``high`` is exact: it comes from ``plain_draws`` alone, with ``plain_violations`` violations.
 
-    ``replicates`` are the replications' estimates, of which ``reached`` are above 0.  ``levels`` are the
-    margins of the steps (SI), and ``evaluations`` counts the judged points.  ``model_only``: the margins came
-    from a simplified world.  ``pareto_shape`` is that of importance sampling's weights, None for splitting.
-    ``still_found``: the last restart of importance sampling met a region that the others had missed.
+    ``replicates`` are the estimates of the replications, and ``reached`` counts the positive ones.
+    ``levels`` are the margins of the steps (SI). ``evaluations`` counts the judged points. ``model_only``:
+    the margins come from a simplified world.
+
+    ``pareto_shape`` is the shape of the weights of importance sampling; None for splitting.
+    ``still_found``: the last restart of importance sampling met a new region.
     """
 
     value: float
@@ -89,7 +97,7 @@ class RareEstimate:
 
     @property
     def no_estimate(self) -> str:
-        """Return why the replications' estimate is not to be believed; empty if nothing speaks against it."""
+        """Return the reason why the estimate of the replications is not reliable; empty without a reason."""
         if self.reached < len(self.replicates):
             return f"{self.reached} of {len(self.replicates)} replications found a violation"
         if max(self.replicates) >= _MOST_OF_SUM * sum(self.replicates):
@@ -104,9 +112,9 @@ class RareEstimate:
 
     @property
     def as_many_draws(self) -> float:
-        """Independent draws with the standard error of these replications; NaN if they do not differ."""
-        found, spread = np.mean(self.replicates), np.var(self.replicates, ddof=1)
-        return float(found * (1 - found) * len(self.replicates) / spread) if spread > 0.0 else np.nan
+        """The number of plain draws with the same standard error; NaN if all replications agree."""
+        mean, spread = np.mean(self.replicates), np.var(self.replicates, ddof=1)
+        return float(mean * (1 - mean) * len(self.replicates) / spread) if spread > 0.0 else np.nan
 
 
 def split(
@@ -118,9 +126,19 @@ def split(
     confidence: float = 0.95,
     model_only: bool = True,
 ) -> RareEstimate:
-    """Estimate P(margin < 0) for a point drawn uniformly from the cube [0, 1)^d.
+    """Estimate P(margin < 0) for a uniform point of the cube [0, 1)^d, by splitting.
 
-    StatisticsError for margins that are NaN, or not one for each point.
+    Args:
+        margins: Points (n, d) of the cube -> margins (n,), which may be random.
+        dimensions: The number d.
+        seed: The root of all draws.
+        how: The settings; None: those of ``Splitting()``.
+        confidence: The confidence of the interval, between 0 and 1.
+        model_only: Whether the margins come from a simplified world.
+
+    Raises:
+        StatisticsError: A margin is NaN, or there is not one margin for each point.
+
     """
     judged = JudgedMargins(margins)
     settings = how or Splitting()
@@ -141,14 +159,23 @@ def estimate_of(
     *,
     model_only: bool,
 ) -> RareEstimate:
-    """Return what ``replicates`` (n,) and the plain draws of ``judged`` say together."""
+    """Return the estimate of the replications and the plain draws.
+
+    Args:
+        replicates: The estimates of the replications (n,).
+        levels: The margins of the steps (SI).
+        judged: The margins, which counted the points and the plain draws.
+        confidence: The confidence of the interval, between 0 and 1; each end has half of its error.
+        model_only: Whether the margins come from a simplified world.
+
+    """
     chance = chance_of_each(confidence, 2)
     return RareEstimate(
         value=min(float(replicates.mean()), 1.0),
         low=lower_end(replicates, chance),
         high=upper_bound(judged.plain_violations, judged.plain_draws, chance),
         confidence=confidence,
-        replicates=tuple(float(one) for one in replicates),
+        replicates=tuple(float(estimate) for estimate in replicates),
         reached=int(np.count_nonzero(replicates)),
         levels=tuple(levels),
         evaluations=judged.count,
@@ -159,29 +186,38 @@ def estimate_of(
 
 
 class JudgedMargins:
-    """Margins of points in standard normal space, checked and counted; plain draws are counted apart."""
+    """Margins of points in standard normal space: checks and counts them, and has a count of plain draws."""
 
     def __init__(self, margins: Margins) -> None:
         self._margins = margins
         self.count = self.plain_draws = self.plain_violations = 0
 
     def __call__(self, normal: Floats) -> Floats:
-        """Points ``normal`` (n, d) -> margins (n,)."""
-        found = np.asarray(self._margins(np.minimum(scipy.special.ndtr(normal), _BELOW_ONE)), np.float64)
+        """Return the margins (n,) of points ``normal`` (n, d); StatisticsError for NaN or a wrong shape."""
+        margins = np.asarray(self._margins(np.minimum(scipy.special.ndtr(normal), _BELOW_ONE)), np.float64)
         self.count += len(normal)
-        if found.shape != (len(normal),) or np.isnan(found).any():
-            got = f"{np.count_nonzero(np.isnan(found))} that are no number, of shape {found.shape}"
+        if margins.shape != (len(normal),) or np.isnan(margins).any():
+            got = f"{np.count_nonzero(np.isnan(margins))} that are no number, of shape {margins.shape}"
             raise refusal("margins", f"{len(normal)} margins", got)
-        return found
+        return margins
 
     def count_plain(self, margins: Floats) -> None:
-        """Count the ``margins`` (n,) of draws that are distributed as the cube's points are."""
+        """Count the ``margins`` (n,) of draws from the distribution of the cube's points."""
         self.plain_draws += len(margins)
         self.plain_violations += int(np.count_nonzero(margins < 0.0))
 
 
 def lower_end(replicates: Floats, chance: float) -> float:
-    """Return Student's lower end for the mean of ``replicates`` (n,); 0 where all are equal."""
+    """Return Student's lower end for a mean.
+
+    Args:
+        replicates: The estimates of the replications (n,).
+        chance: The probability that the end is above the truth.
+
+    Returns:
+        The end, within [0, 1]; 0 if all estimates are equal.
+
+    """
     n, mean = len(replicates), float(replicates.mean())
     if np.all(replicates == replicates[0]):
         return 0.0
@@ -190,9 +226,9 @@ def lower_end(replicates: Floats, chance: float) -> float:
 
 
 def _pilot(particles: _Particles, how: Splitting) -> tuple[list[float], list[float]]:
-    """Levels down to 0, each as the particles suggest, and the step length for each but the last.
+    """Return the levels down to 0, and the step length for each level before the last.
 
-    A plateau that no quantile gets below makes 0 the next level.
+    The particles suggest each level. On a plateau that no quantile gets below, the next level is 0.
     """
     levels: list[float] = []
     lengths: list[float] = []
@@ -210,19 +246,25 @@ def _pilot(particles: _Particles, how: Splitting) -> tuple[list[float], list[flo
         lengths.append(length)
 
 
-def next_level(found: Floats, survivors: float) -> float:
-    """The margin below which that share of the particles is, or 0 if none is below it and above 0.
+def next_level(margins: Floats, survivors: float) -> float:
+    """Return the margin that a share of the particles is below.
 
-    ``found`` (n,) are the particles' margins.
+    Args:
+        margins: The margins of the particles (n,).
+        survivors: The share.
+
+    Returns:
+        The level; the second least margin if many share the least margin, 0 if all margins are equal.
+
     """
-    level = float(np.quantile(found, survivors, method="higher"))
-    if not np.any(found < level):  # the least margins are all the same: whatever is not
-        level = float(np.min(found[found > level], initial=math.inf))
+    level = float(np.quantile(margins, survivors, method="higher"))
+    if not np.any(margins < level):  # many share the least margin: take the next
+        level = float(np.min(margins[margins > level], initial=math.inf))
     return level if math.isfinite(level) else 0.0
 
 
 def _replication(particles: _Particles, steps: int, levels: list[float], lengths: list[float]) -> float:
-    """The product of the shares that survive each level; 0 once none does."""
+    """Return the product of the shares that survive each level; 0 after a level without a survivor."""
     product = 1.0
     for number, level in enumerate(levels):
         product *= float((particles.margins < level).mean())
@@ -235,7 +277,7 @@ def _replication(particles: _Particles, steps: int, levels: list[float], lengths
 
 
 class _Particles:
-    """Points (n, d) of standard normal space, drawn from it at first, and their margins (n,)."""
+    """Points (n, d) of standard normal space, first drawn from its distribution, and their margins (n,)."""
 
     def __init__(self, judged: JudgedMargins, shape: tuple[int, int], rng: np.random.Generator) -> None:
         self._judged, self._rng = judged, rng
@@ -244,14 +286,14 @@ class _Particles:
         judged.count_plain(self.margins)
 
     def resample(self, level: float) -> None:
-        """Draw them again from those below the level."""
+        """Replace the particles by draws from the particles below the level, with replacement."""
         chosen = self._rng.choice(np.flatnonzero(self.margins < level), len(self.points))
         self.points, self.margins = self.points[chosen], self.margins[chosen]
 
     def move(self, level: float, length: float) -> float:
-        """One Metropolis step of every particle below the level, and the share that moved.
+        """Move each particle by a Metropolis step below the level, and return the share that moved.
 
-        The points z go to sqrt(1 - b^2) z + b x, b the ``length``.
+        A point z goes to sqrt(1 - b^2) z + b x, with b the ``length``.
         """
         drawn = self._rng.standard_normal(self.points.shape)
         proposed = math.sqrt(1.0 - length**2) * self.points + length * drawn

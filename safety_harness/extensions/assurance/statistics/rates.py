@@ -1,10 +1,11 @@
-"""From a bound per run to a bound per hour: how often approaches come, and how often one goes wrong.
+"""Bounds per hour from bounds per run and from the rate of approaches.
 
-With approaches of a Poisson process at a rate r, of which each is at worst a run that violates with the
-probability p, violations come at the rate r p, whatever follows upon what.  If r is above its bound R with a
-chance of a, and p above its bound P with a chance of b, then r p is above R P with a chance of a + b at
-most (Boole), whether the two were seen together or not.  The chance that a confidence leaves is halved: one
-half is shared by the rates of approaches, the other by the bounds per run.
+Approaches are a Poisson process with a rate r. Each approach is at worst a run that violates with the
+probability p. Then violations come at the rate r p, however approaches follow each other.
+
+If r exceeds its bound R with a chance of a, and p its bound P with a chance of b, then r p exceeds R P with
+a chance of a + b at most (Boole). The two need not be independent. The rates of approaches share one half
+of the error, and the bounds per run the other half.
 """
 
 from __future__ import annotations
@@ -20,36 +21,45 @@ from safety_harness.extensions.assurance.statistics.sample import IndependentSam
 
 
 def most_an_hour(count: int, hours: float, chance: float) -> float:
-    """Above which a Poisson rate lies with this chance at most, of ``count`` events in ``hours``.
+    """Return the upper bound of a Poisson rate an hour (Garwood, 1936).
 
-    Garwood (1936): the rate under which as few events or fewer have that chance.
+    At this rate, ``count`` events or fewer have the probability ``chance``.
+
+    Args:
+        count: The number of events.
+        hours: The time of observation; without any, the bound is infinite.
+        chance: The probability that the true rate exceeds the bound, at most.
+
     """
-    if not hours > 0.0:  # nobody looked: any rate may be
+    if not hours > 0.0:  # without observation any rate is possible
         return inf
     return float(scipy.special.gammainccinv(count + 1, chance)) / hours
 
 
 @dataclass(frozen=True)
 class SharedError:
-    """How the chance that ``confidence`` leaves is shared among ``rates`` of approaches and the runs."""
+    """The allowed error of a ``confidence``, shared among ``rates`` of approaches and the bounds per run."""
 
     confidence: float
     rates: int
 
     @property
     def of_each_rate(self) -> float:
-        """The chance with which one rate of approaches may be above its bound."""
+        """The probability with which one rate of approaches may exceed its bound."""
         return (1.0 - self.confidence) / 2.0 / self.rates
 
     @property
     def confidence_of_runs(self) -> float:
-        """With which all bounds per run hold together."""
+        """The confidence with which all bounds per run hold together."""
         return 1.0 - (1.0 - self.confidence) / 2.0
 
     def worst_run(self, samples: Sequence[IndependentSample], claims: int = 1) -> ProbabilityBounds:
-        """The largest upper bound per run of one claim over the strata, one sample of each.
+        """Return the largest upper bound per run of one claim over the strata.
 
-        ``claims`` are those whose bounds have to hold together.
+        Args:
+            samples: One sample of the claim per stratum.
+            claims: The number of claims whose bounds hold together.
+
         """
         bounds = bounds_of(samples, self.confidence_of_runs, family=claims * len(samples))
         return max(bounds, key=lambda one: one.high)

@@ -7,20 +7,30 @@ from collections.abc import Callable
 
 
 def rounded_up(share: float) -> str:
-    """An upper bound with three digits, none of which makes it look better than it is."""
+    """Return an upper bound with three digits, rounded up.
+
+    Args:
+        share: The bound. Values outside (0, 1) stay as they are.
+
+    """
     return _rounded(share, math.ceil)
 
 
 def rounded_down(share: float) -> str:
-    """A lower bound likewise."""
+    """Return a lower bound with three digits, rounded down.
+
+    Args:
+        share: The bound. Values outside (0, 1) stay as they are.
+
+    """
     return _rounded(share, math.floor)
 
 
 def _rounded(share: float, to_whole: Callable[[float], int]) -> str:
-    """What is a number of three digits already, but for an error of a float's, stays it."""
+    """Return three digits; a number within 1e-9 of three digits keeps them."""
     if not 0.0 < share < 1.0:
         return f"{share:g}"
     digit = 10.0 ** (math.floor(math.log10(share)) - 2)
-    near = round(share / digit)
-    whole = near if abs(share / digit - near) < 1e-9 else to_whole(share / digit)
+    nearest = round(share / digit)
+    whole = nearest if abs(share / digit - nearest) < 1e-9 else to_whole(share / digit)
     return f"{min(whole * digit, 1.0):.3g}"

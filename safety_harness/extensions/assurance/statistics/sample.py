@@ -1,8 +1,8 @@
-"""What estimates may be made of: a declared stream of independent episodes, all of it.
+"""Samples for estimates: a whole declared stream of independent episodes.
 
-A search finds, it does not estimate: its runs are no sample of anything.  So every estimator of this package
-takes an ``IndependentSample`` and nothing else, and the only way to one is ``of_stream``, which wants a
-declaration made beforehand and every episode from the first on, once each, with a seed of its own.
+A search chooses its runs, so that they are no sample. Therefore each estimator of this package takes an
+``IndependentSample``. Its only constructor is ``of_stream``, which requires an earlier declaration and all
+episodes from the first on. Each episode appears once and has its own seed.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _OF_STREAM = object()
 
 
 class EpisodeOutcome(IntEnum):
-    """What one episode says of one claim.  The numbers are stored: never reuse one."""
+    """The result of one episode for one claim. Files store the numbers: never reuse one."""
 
     HOLDS = 0
     VIOLATED = 1
@@ -36,17 +36,23 @@ class EpisodeOutcome(IntEnum):
 
 
 JUDGED = (EpisodeOutcome.HOLDS, EpisodeOutcome.VIOLATED)
-PERHAPS = (EpisodeOutcome.INCONCLUSIVE, EpisodeOutcome.FAILED)  # may have been violations, or none
+PERHAPS = (EpisodeOutcome.INCONCLUSIVE, EpisodeOutcome.FAILED)  # possible violations
 
 
 @dataclass(frozen=True, kw_only=True)
 class Declaration:
-    """What was said before the first episode was run.
+    """The terms of a stream, fixed before its first run.
 
-    ``plan_sha256`` stands for the plan and all that its results depend on, ``draws_sha256`` for what draws
-    its scenarios, whoever avoids; ``planned`` is the number of episodes, ``world`` where they run.
-    ``stop_early`` says that the runs may be looked at and stopped at any time, which only bounds that
-    hold at every time (``sequential``) allow.
+    ``plan_sha256`` stands for the plan and all that its results depend on. ``draws_sha256`` stands for all
+    that determines the scenarios, whichever avoider runs. ``planned`` is the number of episodes, and
+    ``world`` is the world of the runs.
+
+    ``stop_early`` says that the runs may stop at any time. Only bounds that hold at every time
+    (``sequential``) allow that.
+
+    Raises:
+        StatisticsError: No episode is planned, or a hash is no SHA-256.
+
     """
 
     plan_sha256: str
@@ -67,15 +73,19 @@ class Declaration:
 
     @property
     def model_only(self) -> bool:
-        """Whether the episodes ran in a simplified world, so that they say nothing of the reference."""
+        """Whether the episodes ran in a simplified world, which gives no evidence on the reference world."""
         return self.world.model_only
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class IndependentSample:
-    """One claim's outcomes, margins and seeds (n,) in the order of the episodes; made by ``of_stream`` only.
+    """Outcomes, margins and seeds (n,) of one claim in the order of the episodes; ``of_stream`` makes it.
 
-    Margins are SI, NaN where there is none.  The arrays are read-only.
+    Margins are SI, NaN without a verdict's margin. The arrays are read-only.
+
+    Raises:
+        TypeError: The caller is not ``of_stream``.
+
     """
 
     declaration: Declaration
@@ -103,12 +113,22 @@ class IndependentSample:
         exercised: ArrayLike,
         claim: str = "",
     ) -> IndependentSample:
-        """The stream's episodes (n,) in any order, with the outcome and margin (n,) of each.
+        """Return the sample of a stream.
 
-        ``seeds`` (n,) are the roots of the episodes' draws, ``exercised`` (n,) says on how many occasions
-        each exercised the claim.  StatisticsError unless they are the episodes 0 to n - 1, once each,
-        all that were planned (fewer only if the declaration allows to stop early), with a seed of its own
-        each, and no outcome is contradicted by its margin or its occasions.
+        Args:
+            declaration: The terms of the stream.
+            episodes: The numbers of the episodes (n,), in any order.
+            outcomes: The ``EpisodeOutcome`` of each episode (n,).
+            margins: The margin of each episode (n,) in SI, NaN without a margin.
+            seeds: The root seed of each episode (n,).
+            exercised: The number of occasions on which each episode exercised the claim (n,).
+            claim: The claim, for messages and comparisons.
+
+        Raises:
+            StatisticsError: The episodes are not 0 to n - 1, once each; their number is not the planned
+                number (fewer episodes are allowed with ``stop_early``); two share a seed; or an outcome
+                contradicts its margin or its occasions.
+
         """
         codes, signed, roots = checked_stream(declaration, episodes, outcomes, margins, seeds, exercised)
         return cls(
@@ -121,27 +141,27 @@ class IndependentSample:
         )
 
     def count(self, outcome: EpisodeOutcome) -> int:
-        """How many episodes came out like that."""
+        """Return the number of episodes with an ``outcome``."""
         return int(np.count_nonzero(self.outcomes == outcome))
 
     @property
     def judged(self) -> Flags:
-        """(n,) has the claim a verdict on the episode?  A margin without one says nothing."""
+        """Whether each episode has a verdict (n,). A margin counts only with a verdict."""
         return np.isin(self.outcomes, JUDGED)
 
     @property
     def trials(self) -> int:
-        """Episodes that exercised the claim, or may have: all but the untested."""
+        """The number of episodes that exercised the claim, or may have: all except the untested."""
         return len(self.outcomes) - self.count(EpisodeOutcome.UNTESTED)
 
     @property
     def violations(self) -> int:
-        """Episodes that violate the claim for certain: what a lower bound counts."""
+        """The number of certain violations, for lower bounds."""
         return self.count(EpisodeOutcome.VIOLATED)
 
     @property
     def at_worst(self) -> int:
-        """Violations, and whatever may have been one: what an upper bound counts."""
+        """The number of certain and possible violations, for upper bounds."""
         return self.violations + sum(map(self.count, PERHAPS))
 
     @property
@@ -151,7 +171,15 @@ class IndependentSample:
 
 
 def independent(sample: object) -> IndependentSample:
-    """The sample itself; TypeError for anything else, above all for what a search chose."""
+    """Return ``sample`` itself if it is an IndependentSample.
+
+    Args:
+        sample: Any object.
+
+    Raises:
+        TypeError: It is something else, such as the runs of a search.
+
+    """
     if not isinstance(sample, IndependentSample):
         raise TypeError(
             f"estimates are made of an IndependentSample, a declared stream of independent episodes; "
@@ -161,7 +189,16 @@ def independent(sample: object) -> IndependentSample:
 
 
 def fixed_length(sample: object) -> IndependentSample:
-    """An IndependentSample whose length was fixed beforehand; StatisticsError for one that may stop early."""
+    """Return ``sample`` itself if its length was fixed beforehand.
+
+    Args:
+        sample: Any object.
+
+    Raises:
+        TypeError: It is no IndependentSample.
+        StatisticsError: Its stream may stop early.
+
+    """
     known = independent(sample)
     if known.declaration.stop_early:
         wanted = f"a stream of fixed length ({known.name})"
@@ -180,9 +217,20 @@ def checked_stream(
     *,
     dimensions: int = 1,
 ) -> tuple[Ints, Floats, Ints]:
-    """Outcomes, margins and seeds (n,), or (n, k) in two dimensions, in the order of the episodes (n,).
+    """Return the outcomes, margins and seeds of a stream in the order of its episodes, read-only.
 
-    They are read-only.  StatisticsError for what is no whole stream; see ``IndependentSample.of_stream``.
+    Args:
+        declaration: The terms of the stream.
+        episodes: The numbers of the episodes (n,), in any order.
+        outcomes: The outcomes (n,), or (n, k) for k claims.
+        margins: The margins (SI), of the same shape.
+        seeds: The root seeds, of the same shape.
+        exercised: The numbers of occasions, of the same shape.
+        dimensions: 1 for the shape (n,), 2 for (n, k).
+
+    Raises:
+        StatisticsError: The stream is not whole; see ``IndependentSample.of_stream``.
+
     """
     numbers, codes, roots, occasions = map(np.asarray, (episodes, outcomes, seeds, exercised))
     signed = np.array(margins, np.float64)
@@ -206,7 +254,7 @@ def checked_stream(
 
 
 def _check_complete(declaration: Declaration, numbers: NDArray[np.integer]) -> None:
-    """Episodes 0 to n - 1, once each, and as many as the declaration says."""
+    """Refuse episodes that are not 0 to n - 1, once each, or not as many as declared."""
     n, planned = len(numbers), declaration.planned
     where = f"of stratum {declaration.stratum!r}"
     wanted = f"the {planned} planned episodes {where}"
@@ -214,31 +262,31 @@ def _check_complete(declaration: Declaration, numbers: NDArray[np.integer]) -> N
         raise refusal("episodes", f"at least one episode {where}", "none")
     if n > planned:
         raise refusal("episodes", wanted, str(n), "more were run than declared")
-    found = np.unique(numbers)
-    if len(found) < n:
-        twice = int(numbers.size - found.size)
+    distinct = np.unique(numbers)
+    if len(distinct) < n:
+        twice = int(numbers.size - distinct.size)
         raise refusal("episodes", f"every episode {where} once", f"{twice} more than once")
-    if found[0] != 0 or found[-1] != n - 1:
-        wanted, got = f"episodes 0 to {n - 1} {where}", f"{n} episodes from {found[0]} to {found[-1]}"
+    if distinct[0] != 0 or distinct[-1] != n - 1:
+        wanted, got = f"episodes 0 to {n - 1} {where}", f"{n} episodes from {distinct[0]} to {distinct[-1]}"
         raise refusal("episodes", wanted, got, "some are missing: a choice was made")
     if n < planned and not declaration.stop_early:
         raise refusal("episodes", wanted, f"{n}: incomplete", "run the rest")
 
 
 def _check_seeds(declaration: Declaration, numbers: NDArray[np.integer], seeds: NDArray[np.integer]) -> None:
-    """One seed, one run: a run that is counted twice says no more than once."""
-    found, times = np.unique(seeds, return_counts=True)
-    if len(found) < seeds.size:
-        twice = found[np.argmax(times > 1)]
-        who = np.sort(numbers[np.argwhere(seeds == twice)[:, 0]])[:2]
-        many = f"{seeds.size - len(found)} of {seeds.size} runs with another's"
-        got = f"{many}, such as {twice} in episodes {who[0]} and {who[1]}"
+    """Refuse a seed of several runs: the same run again is no further evidence."""
+    distinct, times = np.unique(seeds, return_counts=True)
+    if len(distinct) < seeds.size:
+        twice = distinct[np.argmax(times > 1)]
+        copies = np.sort(numbers[np.argwhere(seeds == twice)[:, 0]])[:2]
+        share = f"{seeds.size - len(distinct)} of {seeds.size} runs with another's"
+        got = f"{share}, such as {twice} in episodes {copies[0]} and {copies[1]}"
         expected = f"a seed of its own for every run of stratum {declaration.stratum!r}"
         raise refusal("seeds", expected, got, "the same runs again are no further evidence")
 
 
 def _check_outcomes(declaration: Declaration, codes: Ints, margins: Floats) -> None:
-    """Known outcomes, and ``margins`` (n,) or (m, k) whose sign is theirs."""
+    """Refuse unknown outcomes, and ``margins`` (n,) or (n, k) that contradict them."""
     where = f"in stratum {declaration.stratum!r}"
     unknown = ~np.isin(codes, [int(outcome) for outcome in EpisodeOutcome])
     if unknown.any():
@@ -254,20 +302,20 @@ def _check_outcomes(declaration: Declaration, codes: Ints, margins: Floats) -> N
         k = _first(without)
         got = f"NaN for episode {k[0]}, which {EpisodeOutcome(int(codes[k])).name.lower()}"
         raise refusal("margins", f"a margin wherever there is a verdict {where}", got)
-    wrong = ((codes == EpisodeOutcome.HOLDS) & (margins < 0.0)) | (
+    contradicted = ((codes == EpisodeOutcome.HOLDS) & (margins < 0.0)) | (
         (codes == EpisodeOutcome.VIOLATED) & (margins > 0.0)
     )
-    if wrong.any():
-        k = _first(wrong)
+    if contradicted.any():
+        k = _first(contradicted)
         got = f"{margins[k]:+g} for episode {k[0]}, which {EpisodeOutcome(int(codes[k])).name.lower()}"
         expected = f"a margin below 0 where the claim is violated and nowhere else {where}"
         raise refusal("margins", expected, got)
 
 
 def _check_occasions(declaration: Declaration, codes: Ints, occasions: NDArray[np.integer]) -> None:
-    """Untested is what had no occasion; nothing holds without one."""
+    """Refuse untested runs with an occasion, and runs that hold without an occasion."""
     tested = occasions > 0
-    for wrong, expected in (
+    for contradicted, expected in (
         (occasions < 0, "numbers of occasions"),
         ((codes == EpisodeOutcome.UNTESTED) & tested, "no occasion in an untested run: it is inconclusive"),
         (
@@ -275,17 +323,25 @@ def _check_occasions(declaration: Declaration, codes: Ints, occasions: NDArray[n
             "an occasion in every run that holds: without one it is untested",
         ),
     ):
-        if wrong.any():
-            k = _first(wrong)
+        if contradicted.any():
+            k = _first(contradicted)
             got = f"{occasions[k]} in episode {k[0]}, {EpisodeOutcome(int(codes[k])).name.lower()}"
             raise refusal("exercised", f"{expected} (stratum {declaration.stratum!r})", got)
 
 
 def _first(having: Flags) -> tuple[int, ...]:
-    """The index of the first that has it."""
+    """Return the index of the first true element."""
     return tuple(int(k) for k in np.argwhere(having)[0])
 
 
 def refusal(field: str, expected: str, got: str, hint: str = "") -> StatisticsError:
-    """What is refused at ``field``, with what was expected there and what came."""
+    """Return an error for the caller to raise.
+
+    Args:
+        field: The argument or declared field at fault.
+        expected: The expected value, in words.
+        got: The actual value, in words.
+        hint: The advice; empty: no advice.
+
+    """
     return StatisticsError(place=Place(field=field), expected=expected, got=got, hint=hint)

@@ -1,16 +1,17 @@
-r"""Bounds of a probability that hold after every trial at once: look, and stop, whenever you like.
+"""Bounds of a probability that hold after every trial at once, so that a stream may stop at any time.
 
 For each share p a martingale compares the trials so far, k of n, with a mixture of alternatives q:
 
     M_n(p) = E_q[ q^k (1 - q)^(n - k) ] / ( p^k (1 - p)^(n - k) )
 
-If p is the truth, M stays below 1/a for ever with a chance of 1 - a at least (Ville, 1939), so the shares
-whose M is below 1/a now contain the truth, at all times together (Robbins, 1970).
+If p is the truth, M stays below 1/a for ever with a chance of 1 - a at least (Ville, 1939). So the shares
+whose M is below 1/a contain the truth, at all times together (Robbins, 1970).
 
-* Upper bound: q = u p with u ~ Beta(1/2, 1).  Every alternative is below p, so that M is a supermartingale
-  under all greater shares too, and it grows with p: the bound is where it reaches 1/a.  The mixture has no
-  scale, and so needs no guess of p: no violation bounds 1e-3 at 95 % after 3,787 trials (2,995 if fixed).
-* Lower bound: q ~ Beta(1/2, 1/2).  log M is convex in p; the bound is the end below k/n.
+* Upper bound: q = u p with u ~ Beta(1/2, 1). All alternatives are below p, so that M is a supermartingale
+  under all greater shares too. M grows with p, and the bound is the p at which M reaches 1/a. The mixture
+  has no scale, and needs no guess of p. Without a violation, 3,787 trials bound 1e-3 at 95 % (2,995 if
+  their number is fixed).
+* Lower bound: q ~ Beta(1/2, 1/2). log M is convex in p; the bound is the end below k/n.
 """
 
 from __future__ import annotations
@@ -29,7 +30,14 @@ _JEFFREYS = 0.5  # of the lower bound's, Beta(_JEFFREYS, _JEFFREYS)
 
 
 def anytime_upper(count: int, trials: int, chance: float) -> float:
-    """The share that is exceeded by the truth, at any time of the stream, with this chance at most."""
+    """Return an upper bound of the true share that holds at all times of the stream.
+
+    Args:
+        count: The number of successes so far.
+        trials: The number of trials so far.
+        chance: The probability that the truth ever exceeds the bound, at most.
+
+    """
     if count >= trials:
         return 1.0
     limit = -math.log(chance)
@@ -37,7 +45,14 @@ def anytime_upper(count: int, trials: int, chance: float) -> float:
 
 
 def anytime_lower(count: int, trials: int, chance: float) -> float:
-    """The share that the truth is below, at any time of the stream, with this chance at most."""
+    """Return a lower bound of the true share that holds at all times of the stream.
+
+    Args:
+        count: The number of successes so far.
+        trials: The number of trials so far.
+        chance: The probability that the truth is ever below the bound, at most.
+
+    """
     if count <= 0:
         return 0.0
     limit = -math.log(chance)
@@ -45,7 +60,14 @@ def anytime_lower(count: int, trials: int, chance: float) -> float:
 
 
 def evidence_below(share: ArrayLike, count: ArrayLike, trials: ArrayLike) -> Floats:
-    """Log M_n of the upper bound, elementwise: how clearly the truth is below ``share``."""
+    """Return log M_n of the upper bound, elementwise: the evidence that the truth is below ``share``.
+
+    Args:
+        share: The shares p, between 0 and 1.
+        count: The numbers k of successes.
+        trials: The numbers n of trials. The three arrays broadcast.
+
+    """
     p, k, n = (np.asarray(values, np.float64) for values in (share, count, trials))
     special = scipy.special
     with np.errstate(divide="ignore"):
@@ -57,15 +79,22 @@ def evidence_below(share: ArrayLike, count: ArrayLike, trials: ArrayLike) -> Flo
 
 
 def evidence_apart(share: ArrayLike, count: ArrayLike, trials: ArrayLike) -> Floats:
-    """Log M_n of the lower bound, elementwise: how clearly the truth is another than ``share``."""
+    """Return log M_n of the lower bound, elementwise: the evidence that the truth is not ``share``.
+
+    Args:
+        share: The shares p, between 0 and 1.
+        count: The numbers k of successes.
+        trials: The numbers n of trials. The three arrays broadcast.
+
+    """
     p, k, n = (np.asarray(values, np.float64) for values in (share, count, trials))
     special = scipy.special
     mixture = special.betaln(k + _JEFFREYS, n - k + _JEFFREYS) - special.betaln(_JEFFREYS, _JEFFREYS)
     return np.asarray(mixture - special.xlogy(k, p) - special.xlog1py(n - k, -p))
 
 
-def _crossing(beyond: Callable[[float], bool], low: float, high: float) -> float:
-    """Where ``beyond`` turns from false to true, by bisection to the last bit; ``high`` if it never does."""
+def _crossing(crossed: Callable[[float], bool], low: float, high: float) -> float:
+    """Return the point where ``crossed`` turns true, by bisection to the last bit; ``high`` without one."""
     while low < (middle := (low + high) / 2.0) < high:
-        low, high = (low, middle) if beyond(middle) else (middle, high)
+        low, high = (low, middle) if crossed(middle) else (middle, high)
     return high
