@@ -1,1 +1,1 @@
-"""Campaigns: a declared plan, run episode by episode in many processes, into a ledger that loses nothing."""
+"""Campaigns: declared plans of many independent episodes, run into a durable ledger."""

@@ -1,4 +1,4 @@
-"""Two campaigns over the same episodes, in a sentence each: violations that are new, and margins lost."""
+"""Two campaigns over the same episodes: sentences on new violations and lost margins."""
 
 from __future__ import annotations
 
@@ -33,20 +33,31 @@ _LOST = (
 
 
 def plan_against(ledger: Ledger, reference: str) -> Plan:
-    """The ledger's plan with ``reference`` (named from the working directory) for what it tests.
+    """Return the ledger's plan with another avoider or controller.
 
-    It is written, with all its files, to a folder beside the ledger, and read from there.
+    The plan and its files are written to a folder beside the ledger.
+
+    Args:
+        ledger: The ledger, open.
+        reference: The avoider or controller, with a file as seen from the working directory.
+
     """
     systems = map(json.loads, ledger.declared.identity.systems)
-    driver = next((Driver(one["controller"]["name"]) for one in systems if one.get("avoider") is None), None)
+    driver = next((Driver(sut["controller"]["name"]) for sut in systems if sut.get("avoider") is None), None)
     reference = reference_for(driver, reference) or reference
     return plan_with(ledger.files, reference, ledger.path.parent / f"{ledger.path.stem}-against")
 
 
 def plan_with(files: Sequence[PlanFile], reference: str, folder: Path) -> Plan:
-    """The plan of these files with ``reference``, to an avoider or a ``Driver``, for what it tests.
+    """Return the plan of ``files`` with another avoider or controller.
 
-    All files are written to a folder that is named by ``folder`` and the reference, and read from there.
+    All files are written to a folder, and the plan is read from there.
+
+    Args:
+        files: The files of a plan, its own first.
+        reference: A reference to an avoider, or a ``Driver``.
+        folder: The path of the new folder; the name gets the reference as a suffix.
+
     """
     slug = re.sub(r"[^a-z0-9]+", "-", reference.lower()).strip("-")
     file = unpacked(files, folder.with_name(f"{folder.name}-{slug}"))
@@ -62,20 +73,20 @@ def plan_with(files: Sequence[PlanFile], reference: str, folder: Path) -> Plan:
 
 
 def against_lines(first: Ledger, second: Ledger) -> Iterator[str]:
-    """What ``second`` does that ``first``, the reference, does not: lost margins, and whole violations last.
+    """Yield sentences on the losses of ``second`` against ``first``, the reference: margins, then violations.
 
-    Of ledgers that ``compare_ledgers`` compares.  An episode that one of them has no verdict on says nothing.
+    Both ledgers have to pass ``compare_ledgers``. An episode without a verdict in either does not count.
     """
-    mine, reference = str(second.path), str(first.path)
+    path, reference = str(second.path), str(first.path)
     with second.attached(first.path, "first"):
         for sentence, unit in zip(second.declared.claims, second.declared.units, strict=True):
             tolerance = TOLERANCE * SCALES[unit]
             ((stratum, episode, was, now, count, _),) = second.all(_LOST, sentence, tolerance)
             if count:
                 worst = f"{unit.margin_text(was)} -> {unit.margin_text(now)} in {stratum}, episode {episode}"
-                beyond = unit.margin_text(tolerance).removeprefix("+")
-                yield f"margin lost by more than {beyond}: {sentence}: in {count} episodes, the most {worst}"
+                limit = unit.margin_text(tolerance).removeprefix("+")
+                yield f"margin lost by more than {limit}: {sentence}: in {count} episodes, the most {worst}"
         pairs = list(second.all(f"SELECT {_ONLY_ONE} {PAIRS} GROUP BY a.stratum, a.episode"))
     both = sum(a and b for a, b in pairs)
     alone = sum(a for a, _ in pairs) - both, sum(b for _, b in pairs) - both
-    yield paired_words(mine, reference, *alone, len(pairs), both=both) + p_words(*alone)
+    yield paired_words(path, reference, *alone, len(pairs), both=both) + p_words(*alone)

@@ -1,4 +1,4 @@
-"""The violated episodes of a ledger, drawn again from their seeds: to be attributed."""
+"""The violated episodes of a ledger, drawn again from their seeds for attribution."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ _VIOLATED = (
 
 @dataclass(frozen=True)
 class ViolatedEpisodes:
-    """Of every claim the first violations, strata side by side: ``claims`` by (stratum, episode).
+    """The first violations of each claim, with the strata side by side: ``claims`` by (stratum, episode).
 
-    ``of`` is the number of violations that the ledger has.
+    The ledger has ``of`` violations in all.
     """
 
     claims: dict[tuple[int, int], tuple[int, ...]]
@@ -32,7 +32,7 @@ class ViolatedEpisodes:
 
     @classmethod
     def first(cls, ledger: Ledger, most: int) -> ViolatedEpisodes:
-        """At most ``most`` of each claim."""
+        """Return at most ``most`` violations of each claim."""
         chosen: dict[tuple[int, int], tuple[int, ...]] = {}
         counts = [0] * len(ledger.declared.claims)
         for stratum, episode, claim in ledger.all(_VIOLATED):
@@ -43,7 +43,7 @@ class ViolatedEpisodes:
 
     @property
     def words(self) -> str:
-        """How many of how many."""
+        """The number of these violations, of all violations and of the episodes, in words."""
         chosen = sum(map(len, self.claims.values()))
         return f"{chosen} of {self.of} violations, in {len(self.claims)} episodes"
 
@@ -51,10 +51,10 @@ class ViolatedEpisodes:
 def violated_episodes(
     plan: Plan, violated: ViolatedEpisodes, *, programs: bool
 ) -> Iterator[tuple[Admitted, list[Claim]]]:
-    """These episodes, drawn and admitted again, each with the claims that it violates.
+    """Yield each episode, drawn and admitted again, with the claims that it violates.
 
-    Without ``programs`` nothing is executed: CampaignError where a draw names one.  LedgerError for an
-    episode that cannot be drawn any more.
+    CampaignError: a draw has a program and ``programs`` is False. LedgerError: an episode cannot be drawn
+    again.
     """
     runner = EpisodeRunner(plan, programs=programs)
     for (stratum, episode), numbers in violated.claims.items():

@@ -1,12 +1,14 @@
 """A crew on a Dask cluster: the extra "cluster" of this package.
 
-Each chunk is a task, with which the plan's files travel.  Workers have to have the same version of this
-package and of its libraries, and refuse otherwise.  They should have one thread and a nanny: a user's
-avoider is interrupted at its deadline on a main thread only, and a worker that hangs is restarted by its
-nanny.
+Each chunk is a task, which carries the plan's files. Workers need the same version of this package and of
+its libraries; otherwise they refuse.
 
-Dask tries a task again whose worker dies, and gives up a task that was on several workers when they died:
-waiting there is enough.  So what it gives up comes once more with nothing beside it before it is blamed.
+Workers should have one thread and a nanny. Only on a main thread can a deadline interrupt a user's avoider,
+and the nanny restarts a worker that hangs.
+
+If a worker dies, Dask tries its tasks again. Dask gives up a task that ran on several workers when they
+died; its presence there is enough. So a task that Dask gave up runs again without any other task before it
+counts as the cause.
 """
 
 from __future__ import annotations
@@ -43,19 +45,19 @@ from safety_harness.extensions.assurance.campaign.processes import (
 )
 from safety_harness.extensions.assurance.campaign.rows import Row
 
-_AHEAD = 2  # chunks for each thread, so that none waits for the network
+_AHEAD = 2  # chunks per thread, so that a thread need not wait for the network
 _ANSWER_S = 30.0
 _LOOK_S = 2.0  # between looks at the cluster as a whole
 _MOST_REFUSED = 10  # chunks in a row that no worker could begin
-_OF_THREAD = threading.local()  # avoiders are not made to be asked by two at once
+_OF_THREAD = threading.local()  # two threads must not call one avoider at the same time
 
 
 def run_chunk(
     files: Sequence[PlanFile], identity: Identity, chunk: Chunk
 ) -> Sequence[Row] | InputError | Lost:
-    """What a Dask worker does with a chunk; the machine that it is on has none of the plan's files.
+    """Run a chunk on a Dask worker, whose machine has no file of the plan, and return its rows.
 
-    Nothing is raised: of an exception whose traceback cannot be pickled Dask's client never hears.
+    Errors are return values: Dask's client never hears of an exception whose traceback cannot be pickled.
     """
     try:
         bench = _bench(files, identity)
@@ -70,7 +72,7 @@ def run_chunk(
 
 
 def _bench(files: Sequence[PlanFile], identity: Identity) -> EpisodeRunner:
-    """Made once for a plan; its files stay until the thread ends or takes up another plan."""
+    """Return the runner of a plan, made once; its files stay until the thread ends or takes another plan."""
     if getattr(_OF_THREAD, "plan", "") != identity.sha256:
         _OF_THREAD.folder = tempfile.TemporaryDirectory(prefix="safety-harness-", ignore_cleanup_errors=True)
         file = unpacked(files, Path(_OF_THREAD.folder.name))
@@ -82,7 +84,7 @@ def _bench(files: Sequence[PlanFile], identity: Identity) -> EpisodeRunner:
 
 @dataclass(eq=False)
 class _Task:
-    """A chunk under way, given or (``begun``) first seen to be what a worker is at ``since_s``."""
+    """A chunk under way. ``since_s`` is the time when it was given, or (``begun``) first seen on a worker."""
 
     chunk: Chunk
     alone: bool  # with nothing beside it
@@ -92,10 +94,9 @@ class _Task:
 
 @dataclass(eq=False)
 class DaskCrew:
-    """A WorkerPool of a Dask scheduler's workers; ``address`` is tcp://... or a scheduler file's path.
+    """A WorkerPool of a Dask scheduler's workers; ``address`` is tcp://... or the path of a scheduler file.
 
-    A chunk that takes too long is lost, and the worker that has it is restarted.  InputError if there is no
-    such scheduler.
+    A chunk that takes too long is lost, and its worker is restarted. InputError without such a scheduler.
     """
 
     plan: Plan
@@ -112,19 +113,19 @@ class DaskCrew:
 
     def __post_init__(self) -> None:
         self._client = connected(self.address, _ANSWER_S)
-        logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what matters of it is said here
+        logging.getLogger("distributed").setLevel(logging.CRITICAL)  # this module reports what matters
         self._looked_s = -math.inf
         self._look_around([])
 
     @property
     def free(self) -> int:
-        """Chunks that are welcome: none while a suspect waits to be alone, or is."""
+        """The number of chunks that may come: 0 while a suspect waits to run alone, or runs alone."""
         if self._waiting is not None or any(task.alone for task in self._under_way.values()):
             return 0
         return max(max(self.size, 1) * _AHEAD - len(self._under_way), 0)
 
     def give(self, chunk: Chunk) -> None:
-        """As a task of its own."""
+        """Submit a chunk as a task of its own."""
         if chunk in self._suspects:
             self._waiting = chunk
         else:
@@ -136,7 +137,7 @@ class DaskCrew:
         future.add_done_callback(self._finished.put)
 
     def take(self, timeout_s: float) -> Sequence[Event]:
-        """Chunks as they come, whole; a mistake in the plan once all before it was told."""
+        """Return the chunks that have come, whole. Raise a mistake in the plan after all earlier events."""
         if self._mistake is not None:
             raise self._mistake
         if self._waiting is not None and not self._under_way:
@@ -156,32 +157,32 @@ class DaskCrew:
         return events
 
     def close(self) -> None:
-        """Drop what is under way, which the scheduler does with its client; the cluster stays."""
+        """Drop the tasks under way, as the scheduler does for a client that leaves; the cluster stays."""
         with suppress(OSError, TimeoutError):
             self._client.close(timeout=_ANSWER_S)
 
     def _event_of(self, future: Any) -> list[Event]:
         if future not in self._under_way:
             return []
-        if future.status == "cancelled":  # by nobody here: the scheduler has forgotten it
+        if future.status == "cancelled":  # not from here: the scheduler has forgotten it
             raise self._gone()
         task = self._under_way.pop(future)
         try:
             if future.status == "error":
                 return [self._lost(task, future.exception(_ANSWER_S))]
-            found = future.result(_ANSWER_S)
+            answer = future.result(_ANSWER_S)
         except (OSError, TimeoutError, CancelledError, asyncio.CancelledError) as error:
             return [Lost(task.chunk, f"its result could not be fetched: {type(error).__name__}", times=0)]
-        if isinstance(found, InputError):
-            self._mistake = found
+        if isinstance(answer, InputError):
+            self._mistake = answer
             return []
-        if isinstance(found, Lost):
-            return [found if found.times else self._refusal(task, found.why)]
+        if isinstance(answer, Lost):
+            return [answer if answer.times else self._refusal(task, answer.why)]
         self._refused = 0
-        return [Arrived(task.chunk, tuple(found), last=True)]
+        return [Arrived(task.chunk, tuple(answer), last=True)]
 
     def _lost(self, task: _Task, error: BaseException) -> Lost:
-        """A task that Dask gave up."""
+        """Return the loss of a task that Dask gave up."""
         from distributed import KilledWorker
 
         if not isinstance(error, KilledWorker):
@@ -193,7 +194,7 @@ class DaskCrew:
         return Lost(task.chunk, "its worker died", times=error.allowed_failures + 1 if task.alone else 0)
 
     def _refusal(self, task: _Task, why: str) -> Lost:
-        """What no episode is to blame for; CampaignError if it goes on."""
+        """Return a loss without an episode to blame; CampaignError after ``_MOST_REFUSED`` in a row."""
         self._refused += 1
         if self._refused >= _MOST_REFUSED:
             raise CampaignError(
@@ -208,7 +209,7 @@ class DaskCrew:
         )
 
     def _look_around(self, events: list[Event]) -> None:
-        """Count the workers and look for hung ones, now and then."""
+        """Count the workers and look for hung tasks, every ``_LOOK_S`` seconds."""
         if time.monotonic() - self._looked_s < _LOOK_S:
             return
         self._looked_s = time.monotonic()
@@ -217,13 +218,13 @@ class DaskCrew:
             self.size = sum(threads.values())
             self._look_for_hung(threads, events)
         except (OSError, TimeoutError) as error:
-            if not events:  # they come first
+            if not events:  # deliver events before an error
                 raise self._gone() from error
 
     def _look_for_hung(self, threads: dict[str, int], events: list[Event]) -> None:
-        """What was begun too long ago, and what no worker has come to although there are some.
+        """Drop tasks that began too long ago, and tasks that no worker has begun although there are workers.
 
-        Of the tasks on a worker the first that were given are the ones that it is at, one a thread.
+        A worker with n threads works on the first n of its tasks, in the order in which they were given.
         """
         allowed_s, now_s = self.limits.first_s + self.limits.silence_s, time.monotonic()
         place = {future.key: k for k, future in enumerate(self._under_way)}
@@ -251,25 +252,25 @@ class DaskCrew:
 
 
 def connected(where: str, timeout_s: float) -> Any:
-    """A ``distributed.Client`` of the scheduler at an address (tcp://...) or in a file.
+    """Return a ``distributed.Client`` of the scheduler at an address (tcp://...) or in a file.
 
-    InputError if none answers within ``timeout_s``, MissingPackageError without the library.
+    InputError without an answer within ``timeout_s``; MissingPackageError without the library.
     """
     with CLUSTER.needed("--cluster"):
         from distributed import Client
-    make: Any = Client  # of whose methods some have no types
+    make: Any = Client  # some of its methods have no types
     try:
         address = where if "://" in where else _address_in(Path(where))
         asyncio.run(_refuse_no_scheduler(address, timeout_s))
         return make(address=address, timeout=timeout_s, set_as_default=False)
-    except Exception as error:  # whatever listens there may answer anything
+    except Exception as error:  # another program may listen there and answer anything
         expected = "the address (tcp://...) or the file of a Dask scheduler that answers"
         got = f"{where}: {str(error) or type(error).__name__}"
         raise ScenarioError.of_option("--cluster", expected, got) from error
 
 
 def _address_in(file: Path) -> str:
-    """What a scheduler has written, at once: Dask would wait for a file that is not there."""
+    """Return the address in a scheduler's file; an error at once, where Dask would wait for the file."""
     try:
         address = json.loads(file.read_text(encoding="utf-8"))["address"]
     except FileNotFoundError:
@@ -280,7 +281,7 @@ def _address_in(file: Path) -> str:
 
 
 async def _refuse_no_scheduler(address: str, timeout_s: float) -> None:
-    """Shake hands: a Client waits for ever where something takes a connection and is no scheduler."""
+    """Shake hands, because a Client waits for ever if another program takes the connection."""
     from distributed.comm.core import connect
 
     shake_hands: Any = connect  # which has no types

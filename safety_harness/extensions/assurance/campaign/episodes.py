@@ -1,4 +1,4 @@
-"""Episode k of a stratum: drawn, admitted, run and judged, the same wherever and in whatever order."""
+"""Episode k of a stratum: drawn, admitted, run and judged, the same in any place and in any order."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ _Done = TypeVar("_Done")
 
 
 def root_seed(plan: Plan, stratum: int, episode: int) -> int:
-    """What every random number of the episode comes from."""
+    """Return the root of all random numbers of an episode."""
     return _root_seed(plan.seed, plan.strata[stratum].number, episode)
 
 
@@ -64,15 +64,15 @@ def _root_seed(seed: int, number: int, episode: int) -> int:
 
 
 def random_episodes(plan: Plan, stratum: int) -> frozenset[int]:
-    """The episodes of a stratum whose traces are kept whatever comes of them: drawn before any is run."""
-    one = plan.strata[stratum]
-    count = min(plan.random_traces, one.runs)
-    rng = generator(plan.seed, Branch.CAMPAIGN, one.number)
-    return frozenset(rng.choice(one.runs, count, replace=False).tolist()) if count else frozenset()
+    """Return the episodes of a stratum whose traces stay in any case; the choice precedes all runs."""
+    declared = plan.strata[stratum]
+    count = min(plan.random_traces, declared.runs)
+    rng = generator(plan.seed, Branch.CAMPAIGN, declared.number)
+    return frozenset(rng.choice(declared.runs, count, replace=False).tolist()) if count else frozenset()
 
 
 def failed_row(plan: Plan, stratum: int, episode: int, failure: str, *, draws: int = 0) -> Row:
-    """An episode that could not be run, which counts for none of the claims."""
+    """Return the row of an episode that could not run; it has the outcome FAILED for each claim."""
     return Row(
         stratum=stratum,
         episode=episode,
@@ -85,7 +85,7 @@ def failed_row(plan: Plan, stratum: int, episode: int, failure: str, *, draws: i
 
 @dataclass(frozen=True)
 class Drawn:
-    """An episode ready to be run, and how many draws it took."""
+    """An admitted episode, and the number of draws that it took."""
 
     episode: int
     draws: int
@@ -96,9 +96,10 @@ class Drawn:
 class EpisodeRunner:
     """Runs a plan's episodes in this process.
 
-    Avoiders of files are made once: one that remembers earlier runs gives episodes that are not independent,
-    and depend on which process ran which.  Without ``programs`` no Python file is executed, whatever a draw
-    names: CampaignError then.
+    It makes avoiders of files once. If such an avoider remembers earlier runs, episodes are not
+    independent, and depend on the process that ran them.
+
+    Without ``programs`` it executes no Python file: a draw that names one raises CampaignError.
     """
 
     plan: Plan
@@ -109,30 +110,33 @@ class EpisodeRunner:
     _noted: int = 0  # of the journal of files that users' modules opened
 
     def run(self, stratum: int, episodes: Sequence[int], *, keep_violations: bool = True) -> Iterator[Row]:
-        """A row for each episode, in their order; InputError where the text of the plan is to blame.
+        """Yield a row for each episode, in their order; InputError if the text of the plan is to blame.
 
-        ``keep_violations`` says whether traces of violations are still wanted.
+        ``keep_violations`` says whether rows of violations carry their traces.
         """
         for group in [episodes] if self.plan.world.batch else [[episode] for episode in episodes]:
             begun_s = time.perf_counter()
             space, seeds = self.plan.strata[stratum].space, [root_seed(self.plan, stratum, k) for k in group]
             first = zip(group, space.values_of_draws(seeds, 0), strict=True)
             drawn = [self._guarded(stratum, k, partial(self.draw, stratum, k, values)) for k, values in first]
-            runs = run_all([one.admitted for one in drawn if isinstance(one, Drawn)], self.plan.world)
+            runs = run_all([entry.admitted for entry in drawn if isinstance(entry, Drawn)], self.plan.world)
             rows = [
-                one if isinstance(one, Row) else self._judged(stratum, one, next(runs), keep_violations)
-                for one in drawn
+                entry if isinstance(entry, Row) else self._judged(stratum, entry, next(runs), keep_violations)
+                for entry in drawn
             ]
             each_s = (time.perf_counter() - begun_s) / max(len(rows), 1)
-            found, self._noted = noted(self._noted)
+            files, self._noted = noted(self._noted)
             here, own = self.plan.file.resolve().parent, {file.sha256 for file in self.plan.files}
-            opened = tuple((os.path.relpath(path, here), sha) for module, path, sha in found if module in own)
+            opened = tuple((os.path.relpath(path, here), sha) for module, path, sha in files if module in own)
             yield from (replace(row, seconds=each_s, opened=opened if row is rows[0] else ()) for row in rows)
 
     def scenario(
         self, stratum: int, episode: int, draw: int, values: NDArray[np.float64] | None = None
     ) -> Scenario:
-        """A draw for an episode, with the plan's claims and avoider; ``values`` (d,) as ``space.draw``."""
+        """Return a draw for an episode, with the plan's claims and avoider.
+
+        ``values`` (d,) are those of ``space.draw``.
+        """
         space = self.plan.strata[stratum].space
         scenario = space.draw(root_seed(self.plan, stratum, episode), draw, values)
         claims = tuple(planned.claim for planned in self.plan.claims)
@@ -140,9 +144,9 @@ class EpisodeRunner:
         return self.plan.with_avoider(scenario)
 
     def draw(self, stratum: int, episode: int, first: NDArray[np.float64] | None = None) -> Drawn | Row:
-        """The first draw that admission lets through; after too many refusals a row that says so.
+        """Return the first draw that admission accepts; a failed row after ``MAX_REJECTION_RATIO`` refusals.
 
-        ``first`` (d,): the values of draw 0, if they are there.
+        ``first`` (d,) has the values of draw 0, if they exist already.
         """
         refused: Counter[str] = Counter()
         for k in range(MAX_REJECTION_RATIO):
@@ -162,10 +166,10 @@ class EpisodeRunner:
         return self._guarded(stratum, drawn.episode, work)
 
     def _guarded(self, stratum: int, episode: int, work: Callable[[], _Done]) -> _Done | Row:
-        """An error of ours would come in every worker: once it has come twice, the episode has failed to run.
+        """Return the result of ``work``, tried twice; after two errors of the harness, a failed row.
 
-        InputError, where the plan is to blame, MemoryError, where this process is, and CampaignError for a
-        program that is not to be executed, are raised.
+        A third worker would meet the same error. InputError (the plan is to blame), MemoryError (this
+        process is) and CampaignError (a program that must not run) pass on.
         """
         for _ in range(2):
             try:
@@ -185,11 +189,11 @@ class EpisodeRunner:
         return replace(row, trace=trace_bytes(run)) if wanted else row
 
     def row_of(self, stratum: int, episode: int, draws: int, run: Trace) -> Row:
-        """What is noted down of a run, judged by the plan's claims."""
+        """Return the row of a run, judged by the plan's claims."""
         broken = why_broken(run)
         judgements = tuple(
-            judgement_of(property_of(one.claim, run.scenario).evaluate(run), run, broken)
-            for one in self.plan.claims
+            judgement_of(property_of(planned.claim, run.scenario).evaluate(run), run, broken)
+            for planned in self.plan.claims
         )
         cell = cell_of(run, self._admitter.seen_of(run.scenario))
         return Row(
@@ -219,18 +223,18 @@ class EpisodeRunner:
 
 
 def _added(run: Trace) -> Iterator[tuple[str, float]]:
-    """Yield the numbers of packages, by the names of their columns; a warning for those that raise."""
+    """Yield the numbers of packages by their columns; NaN and a warning if a package raises."""
     for part in added_columns():
         measure = load(part, FunctionType)
         try:
             yield part.name, math.nan if measure is None else float(measure(run))
-        except Exception as error:  # of somebody else's module, which may raise anything
+        except Exception as error:  # another package may raise anything
             warn(part, described(error))
             yield part.name, math.nan
 
 
 def _decided(run: Trace) -> dict[str, Any]:
-    """How many decisions there were of each kind; all 0 without any, as in most runs."""
+    """Return the number of decisions of each kind; empty without a decision, as in most runs."""
     if len(run.decisions) == 0:
         return {}
     outcome, failed = run.decisions["outcome"], run.decisions["proposed_failed"]
@@ -245,10 +249,10 @@ def _decided(run: Trace) -> dict[str, Any]:
 
 
 def number_of(run: Trace) -> int:
-    """A number of 63 bits by which the run is told from others; 0 of one without ticks.
+    """Return a hash of 63 bits that identifies a run; 0 for a run without ticks.
 
-    It stands for what arm, hands and avoider did, whichever seed it came from: two draws that differ in
-    nothing that acts are one run.  What sensors said is looked at every so many ticks alone: it costs time.
+    It covers the acts of arm, hands and avoider, and not the seed: two draws that differ in no act are one
+    run. It covers sensors only at every 16th tick, to save time.
     """
     if len(run.ticks) == 0:
         return 0
@@ -267,7 +271,7 @@ _DECIDED = ("tick", "outcome", "proposed_position_in_base_m", "proposed_spread_m
 
 
 def why_broken(trace: Trace) -> str:
-    """Why a trace is no record of a whole run; empty if it is one."""
+    """Return the reason why a trace does not record a whole run; empty if it does."""
     if not trace.complete:
         return f"the run was cut short: {trace.ended}"
     odd = first_inconsistency(trace)
@@ -279,11 +283,10 @@ def why_broken(trace: Trace) -> str:
 
 
 def judgement_of(evaluation: Evaluation, trace: Trace, broken: str) -> ClaimJudgement:
-    """The outcome for estimates.
+    """Return the outcome for estimates.
 
-    Only a whole run in which the claim was not put to the test, or could not be judged as not all was
-    measured, says nothing of it; one that is broken counts as a violation in upper bounds, whatever it would
-    have shown.
+    UNTESTED is only a whole run that did not exercise the claim, or that lacks a measured input. A broken
+    run counts as a violation in upper bounds, whatever its verdict.
     """
     if evaluation.verdict is Verdict.VIOLATED:
         outcome = EpisodeOutcome.VIOLATED
@@ -307,7 +310,7 @@ def judgement_of(evaluation: Evaluation, trace: Trace, broken: str) -> ClaimJudg
 
 
 def trace_bytes(trace: Trace) -> bytes:
-    """The trace as ``save_trace`` writes it."""
+    """Return the trace as ``save_trace`` writes it."""
     with tempfile.TemporaryDirectory(prefix="safety-harness-") as folder:
         file = Path(folder) / "one.trace"
         save_trace(trace, file)
@@ -315,9 +318,9 @@ def trace_bytes(trace: Trace) -> bytes:
 
 
 def trace_of(plan: Plan, stratum: int, data: bytes) -> Trace:
-    """A stored trace, simulated; TraceError.  Its scenario names files where the plan's space is now.
+    """Return a stored, simulated trace with the files of the plan's space; TraceError for any other.
 
-    A stored reference may have lost its folder (``portable``): what the plan tests is named as the plan does.
+    A stored reference may have lost its folder (``portable``), so the plan names the system under test.
     """
     with tempfile.TemporaryDirectory(prefix="safety-harness-") as folder:
         file = Path(folder) / "stored.trace"
@@ -329,6 +332,6 @@ def trace_of(plan: Plan, stratum: int, data: bytes) -> Trace:
 
 
 def _where(error: Exception) -> str:
-    """The deepest line, of whichever file: there is no traceback in a ledger."""
+    """Return the deepest line of the traceback, which no ledger stores."""
     frames = traceback.extract_tb(error.__traceback__)
     return f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})" if frames else ""

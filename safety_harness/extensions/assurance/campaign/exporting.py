@@ -1,4 +1,4 @@
-"""A ledger as a table for other programs, and questions to it: filters as SQL, and SQL that can only read."""
+"""A ledger as a table for other programs, and queries: filters as SQL, and SQL that can only read."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from safety_harness.extensions.assurance.statistics.sample import EpisodeOutcome
 from safety_harness.scenario.units import DIMENSIONS, NUMBER, parse_quantity
 
 _NUMBERS = ("seed", "draws", "decisions", "proposed", "opposite", "stopped", "faults", "late", *COUNTS)
-# Name, where it is, and its type in Parquet.
+# Name, SQL expression, and type in Parquet.
 _COLUMNS = (
     ("stratum", "s.name", "string"),
     ("episode", "j.episode", "int64"),
     ("claim", "c.sentence", "string"),
-    ("outcome", f"COALESCE({OUTCOME}, j.outcome)", "string"),  # a code that stands for none as it is
+    ("outcome", f"COALESCE({OUTCOME}, j.outcome)", "string"),  # an unknown code stays a number
     ("margin_si", "j.margin", "float64"),
     ("worst_time_s", "j.worst_time_s", "float64"),
     ("exercised", "j.exercised", "int64"),
@@ -47,9 +47,9 @@ SUFFIXES = (".csv", ".parquet")
 
 
 def export(ledger: Ledger, out: Path) -> int:
-    """Write the table as CSV or Parquet, by the suffix of ``out``; how many lines it has.
+    """Write the table as CSV or Parquet, by the suffix of ``out``, and return the number of lines.
 
-    Parquet needs pyarrow, the extra "export".  OutputError, or InputError for another suffix.
+    Parquet needs pyarrow, the extra "export". OutputError, or InputError for another suffix.
     """
     if out.suffix not in SUFFIXES:
         raise ScenarioError.of_file(out, f"a file that ends in {' or '.join(SUFFIXES)}", out.name)
@@ -58,13 +58,13 @@ def export(ledger: Ledger, out: Path) -> int:
 
 
 def export_traces(ledger: Ledger, folder: Path) -> list[Path]:
-    """Write every stored trace as a file that ``replay`` and ``judge`` take."""
+    """Write each stored trace as a file for ``replay`` and ``judge``, and return the paths."""
     paths = []
     with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
         for stratum, episode, violation in ledger.traces():
-            word = "violation" if violation else "random"
-            path = folder / f"stratum-{stratum + 1}-episode-{episode}-{word}.trace"
+            reason = "violation" if violation else "random"
+            path = folder / f"stratum-{stratum + 1}-episode-{episode}-{reason}.trace"
             with replacing(path) as unfinished:
                 unfinished.write_bytes(ledger.trace(stratum, episode) or b"")
             paths.append(path)
@@ -72,7 +72,7 @@ def export_traces(ledger: Ledger, folder: Path) -> list[Path]:
 
 
 def _columns(ledger: Ledger) -> tuple[tuple[str, str, str], ...]:
-    """Return name, place and type of the columns, with those that packages have added."""
+    """Return name, SQL expression and type of the columns, with the columns of packages."""
     added = ((name, _ADDED.format(name), "float64") for name in added_in(ledger.connection))
     return (*_COLUMNS, *added)
 
@@ -107,27 +107,27 @@ def _parquet(ledger: Ledger, path: Path) -> int:
     return count
 
 
-_DIMENSIONS = {one.name: one for one in DIMENSIONS}  # named as units are, but for a count
+_DIMENSIONS = {dimension.name: dimension for dimension in DIMENSIONS}  # by the names of units, except a count
 _READING = {sqlite3.SQLITE_SELECT, sqlite3.SQLITE_READ, sqlite3.SQLITE_FUNCTION, sqlite3.SQLITE_RECURSIVE}
 
 
 def question_of(
     ledger: Ledger, claim: str | None, stratum: str | None, outcome: str | None, below: str | None
 ) -> tuple[str, tuple[object, ...]]:
-    """SQL over the view ``results``, worst margins first, and its values.
+    """Return SQL over the view ``results`` with the worst margins first, and its values.
 
-    A claim or stratum is named whole, or by words that only one has; ``below`` is a margin with its unit.
+    Give a claim or stratum in full, or by words that only one has; ``below`` is a margin with its unit.
     """
     declared = ledger.declared
-    outcomes = tuple(one.name.lower() for one in EpisodeOutcome)
+    outcomes = tuple(code.name.lower() for code in EpisodeOutcome)
     filters: list[tuple[str, object]] = []
-    for option, word, names in (
+    for option, wanted, names in (
         ("stratum", stratum, declared.strata),
         ("claim", claim, declared.claims),
         ("outcome", outcome, outcomes),
     ):
-        if word is not None:
-            filters.append((f"{option} = ?", _meant(names, word, f"--{option}")))
+        if wanted is not None:
+            filters.append((f"{option} = ?", _meant(names, wanted, f"--{option}")))
     if below is not None:
         named = zip(declared.claims, declared.units, strict=True)
         units = {unit for name, unit in named if claim is None or claim in name}
@@ -142,17 +142,17 @@ def question_of(
 
 
 def refuse_writing(connection: sqlite3.Connection) -> None:
-    """From now on the connection only reads: nothing is changed, attached or set."""
+    """Restrict the connection to reading: no change, no attached file, no setting."""
     connection.set_authorizer(
         lambda action, *_: sqlite3.SQLITE_OK if action in _READING else sqlite3.SQLITE_DENY
     )
 
 
-def _meant(names: Sequence[str], word: str, option: str) -> str:
-    if word in names:
-        return word
-    found = [name for name in names if word in name]
-    if len(found) != 1:
-        got = f"{word!r}, which {len(found)} of them have" if found else repr(word)
-        raise ScenarioError.of_option(option, f"one of {', '.join(names)}", got, near_miss(word, names))
-    return found[0]
+def _meant(names: Sequence[str], text: str, option: str) -> str:
+    if text in names:
+        return text
+    matching = [name for name in names if text in name]
+    if len(matching) != 1:
+        got = f"{text!r}, which {len(matching)} of them have" if matching else repr(text)
+        raise ScenarioError.of_option(option, f"one of {', '.join(names)}", got, near_miss(text, names))
+    return matching[0]
