@@ -1,4 +1,4 @@
-"""The hazards that a plan names: who meets what where, how grave and how often, who decided, and why.
+"""The hazards of a plan: task, zone, event, severity, frequency, who decided them, and why.
 
 docs/certification.md is the reference of these keys.
 """
@@ -48,7 +48,7 @@ def _said(field: Field, expected: str, *, lines: bool = False) -> str:
 
 def _one_of(*words: str) -> Text:
     listed = f"{', '.join(words[:-1])} or {words[-1]}"
-    return Text(words=listed, reads=lambda field: field.one_of({word: word for word in words}))
+    return Text(words=listed, reads=lambda field: field.one_of({choice: choice for choice in words}))
 
 
 _SOURCE = _line("where the number is from")
@@ -56,7 +56,7 @@ _SOURCE = _line("where the number is from")
 
 @declared
 class CountedApproaches:
-    """So many approaches were counted in so many hours; they count as a Poisson process."""
+    """A count of approaches in a number of hours, as a Poisson process."""
 
     count: int = key(
         "counted",
@@ -69,18 +69,18 @@ class CountedApproaches:
     file: Path | None = None
 
     def most_an_hour(self, chance: float) -> float:
-        """Above which the rate lies with this chance at most."""
+        """Return the upper bound of the rate an hour; the rate exceeds it with this chance at most."""
         return most_an_hour(self.count, self.hours, chance)
 
     @property
     def words(self) -> str:
-        """What is known, and from where."""
+        """The count, the hours and the source, in words."""
         return f"{self.count} approaches in {self.hours:.4g} h ({self.source})"
 
 
 @declared
 class StatedApproaches:
-    """Somebody states a bound, and how sure it is."""
+    """A stated bound of the rate, with its confidence."""
 
     at_most: float = key("at most", QuantityValue(NUMBER, least=1e-9, most=1e6), "approaches an hour", "40")
     confidence: float = key(
@@ -92,12 +92,12 @@ class StatedApproaches:
     source: str = key("source", _SOURCE, "who states it, and on what grounds", "the line's cycle time")
 
     def most_an_hour(self, chance: float) -> float:
-        """The stated bound, whose confidence ``read_hazards`` has held to this chance."""
+        """Return the stated bound; ``read_hazards`` checked its confidence against this chance."""
         return self.at_most
 
     @property
     def words(self) -> str:
-        """What is known, and from where."""
+        """The bound, its confidence and the source, in words."""
         return f"at most {self.at_most:g} an hour with {100.0 * self.confidence:.10g} % ({self.source})"
 
 
@@ -105,16 +105,16 @@ Approaches = CountedApproaches | StatedApproaches
 
 
 def _fitted(field: Field) -> CountedApproaches:
-    """The approaches of recorded hands: count and hours from what ``hands fit --json`` printed."""
+    """Return the approaches of recorded hands: count and hours from the output of ``hands fit --json``."""
     name = field.sentence("the JSON that hands fit --json printed")
     file = resolved((field.file.parent if field.file else Path()) / name)
     if not file.is_file():
         raise field.error(
             "the JSON that hands fit --json printed, relative to the plan", got=f"no such file: {file}"
         )
-    found: Any = read_json(file, "the JSON of hands fit --json")
+    document: Any = read_json(file, "the JSON of hands fit --json")
     try:
-        fit = found["result"]["fit"]
+        fit = document["result"]["fit"]
         count, hours = fit["approaches"], fit["hours"]
         files = len(fit["recordings"])
     except (KeyError, TypeError):
@@ -141,7 +141,7 @@ class _ApproachesValue(Below):
     """A mapping of one of three kinds."""
 
     def read(self, field: Field) -> Approaches:
-        """Counted or stated: what was fitted is counted."""
+        """Return counted or stated approaches; a fit counts as counted."""
         found: Approaches | _FittedApproaches = super().read(field)
         return found.found if isinstance(found, _FittedApproaches) else found
 
@@ -158,7 +158,10 @@ APPROACHES = _ApproachesValue(
 
 @declared
 class Hazard:
-    """One hazard of a plan, as its author words it; ``severity`` and the two after it may be UNKNOWN."""
+    """One hazard of a plan in its author's words.
+
+    ``severity``, ``exposure`` and ``avoidance`` may be UNKNOWN.
+    """
 
     name: str = key("hazard", _line("a name"), "its name, by which claims call it", "crushed hand")
     task: str = key("task", _line("what people do there"), "what people do", "parts are taken from the table")
@@ -200,7 +203,7 @@ class Hazard:
     )
 
     def derived(self, graph: RiskGraph) -> DerivedRate:
-        """The level and rate that the graph leads to, step by step."""
+        """Return the level and rate of the graph, with each step in words."""
         low = self.probability == LOW
         return derived(graph, self.severity, self.exposure, self.avoidance, unlikely=low)
 
@@ -210,7 +213,7 @@ HAZARD = table_of(Hazard, "a hazard", where="a hazard of a plan")
 
 @dataclass(frozen=True)
 class PlannedHazards:
-    """All hazards of a plan, the graph that derives their rates, and how the plan's error is shared."""
+    """All hazards of a plan, the graph of their rates, and the shares of the plan's error."""
 
     hazards: tuple[Hazard, ...]
     graph: RiskGraph
@@ -218,12 +221,12 @@ class PlannedHazards:
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """What the hazards' rates of approaches were read from."""
-        rates = (one.approaches for one in self.hazards)
-        return tuple(one.file for one in rates if isinstance(one, CountedApproaches) and one.file)
+        """The files that gave the rates of approaches."""
+        rates = (item.approaches for item in self.hazards)
+        return tuple(item.file for item in rates if isinstance(item, CountedApproaches) and item.file)
 
     def named(self, field: Field) -> tuple[str, ...]:
-        """The hazards that a claim lists."""
+        """Return the hazards that a claim lists; ScenarioError for an unknown or repeated hazard."""
         names = [one.name for one in self.hazards]
         found: list[str] = []
         for item in field.items("a list of the plan's hazards", least=1):
@@ -237,15 +240,16 @@ class PlannedHazards:
         return tuple(found)
 
     def target(self, names: tuple[str, ...], field: Field) -> float:
-        """What a run may violate at most, so that no hazard's rate is above what its level asks.
+        """Return the greatest probability of a violation in a run at which no hazard exceeds its rate.
 
-        The rate is divided by the most approaches an hour; the least of the hazards' counts.
+        It is the rate divided by the most approaches an hour, the least over these hazards, and at most
+        0.5. ScenarioError, at ``field``, if a hazard lacks its assessment or its approaches.
         """
         shares = []
-        for one in self.hazards:
-            if one.name in names:
-                rate = one.derived(self.graph).an_hour
-                if rate is None or one.approaches is None:
+        for hazard in self.hazards:
+            if hazard.name in names:
+                rate = hazard.derived(self.graph).an_hour
+                if rate is None or hazard.approaches is None:
                     lacking = (
                         "its approaches an hour"
                         if rate is not None
@@ -253,28 +257,28 @@ class PlannedHazards:
                     )
                     raise field.error(
                         "a fraction, or derived from hazards that say all it takes",
-                        got=f"{one.name!r} without {lacking}",
+                        got=f"{hazard.name!r} without {lacking}",
                     )
-                shares.append(rate / one.approaches.most_an_hour(self.error.of_each_rate))
+                shares.append(rate / hazard.approaches.most_an_hour(self.error.of_each_rate))
         if not shares:
             raise field.error('a fraction; derived only under the key "hazards"')
         return min(0.5, *shares)
 
 
 def read_hazards(given: Fields, confidence: float) -> PlannedHazards:
-    """What a plan says below ``hazards`` and ``risk graph``; ScenarioError with its place."""
-    at, graph = given.optional("hazards"), given.optional("risk graph")
-    items = at.items("a list of hazards", least=1, most=MOST_HAZARDS) if at else ()
+    """Return the contents of the keys ``hazards`` and ``risk graph``; ScenarioError with its place."""
+    listed, graph = given.optional("hazards"), given.optional("risk graph")
+    items = listed.items("a list of hazards", least=1, most=MOST_HAZARDS) if listed else ()
     hazards: list[Hazard] = []
     for item in items:
-        one: Hazard = HAZARD.read(item)
-        if any(one.name == other.name for other in hazards):
+        hazard: Hazard = HAZARD.read(item)
+        if any(hazard.name == earlier.name for earlier in hazards):
             raise item.fields(HAZARD.names).required("hazard").error("a name that no other hazard has")
-        hazards.append(one)
-    rates = sum(one.approaches is not None for one in hazards)
+        hazards.append(hazard)
+    rates = sum(hazard.approaches is not None for hazard in hazards)
     error = SharedError(confidence, max(rates, 1))
-    for item, one in zip(items, hazards, strict=True):
-        stated = one.approaches
+    for item, hazard in zip(items, hazards, strict=True):
+        stated = hazard.approaches
         if isinstance(stated, StatedApproaches) and 1.0 - stated.confidence > error.of_each_rate * (
             1.0 + 1e-9
         ):

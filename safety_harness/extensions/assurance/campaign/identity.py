@@ -1,6 +1,7 @@
-"""What the results of a plan depend on, by name and hash, so that a change can be named; and its files.
+"""The identity of a plan: its files, and name and hash of all that its results depend on.
 
-The files are enough to read the plan again elsewhere, or after its own have changed.
+The identity names a change. The files suffice to read the plan elsewhere, or after its own files have
+changed.
 """
 
 from __future__ import annotations
@@ -36,22 +37,22 @@ CLAIMS = "the meaning of the claims"
 
 @dataclass(frozen=True)
 class Identity:
-    """What (a file, a network, a library) and its hash or version."""
+    """The parts that results depend on (a file, a network, a library), each with its hash or version."""
 
     parts: tuple[tuple[str, str], ...]
 
     @property
     def sha256(self) -> str:
-        """Stands for all parts."""
+        """The SHA-256 of all parts."""
         return hashlib.sha256(self.as_json().encode()).hexdigest()
 
     def as_json(self) -> str:
-        """As the ledger keeps it."""
+        """Return the text that the ledger stores."""
         return json.dumps(self.parts)
 
     @classmethod
     def from_json(cls, text: str) -> Identity:
-        """As it was kept; ValueError or TypeError for any other text, and for a part that is named twice."""
+        """Return the identity in a stored text; ValueError or TypeError for other text or a repeated part."""
         parts = tuple((str(name), str(value)) for name, value in json.loads(text))
         if len(dict(parts)) < len(parts):
             raise ValueError("a part is named twice")
@@ -59,22 +60,22 @@ class Identity:
 
     @property
     def systems(self) -> list[str]:
-        """The systems under test, each once, as text."""
+        """The systems under test as text, each once."""
         return sorted({text for name, text in self.parts if name.startswith(SYSTEM)})
 
     def changes(self, now: Identity) -> list[str]:
-        """What is another now, in words; empty if nothing is.
+        """Return the changes up to ``now``, in words; empty without a change.
 
-        Of a system under test only where no file, network or version of it has been named.
+        They include a system under test only if no other part (a file, network or version) changed.
         """
-        before, after = dict(self.parts), dict(now.parts)
-        words = [f"{name} changed" for name in before if name in after and before[name] != after[name]]
-        words += [f"{name} is gone" for name in before if name not in after]
-        words += [f"{name} is new" for name in after if name not in before]
-        return [one for one in words if not one.startswith(SYSTEM)] or words
+        old, new = dict(self.parts), dict(now.parts)
+        lines = [f"{name} changed" for name in old if name in new and old[name] != new[name]]
+        lines += [f"{name} is gone" for name in old if name not in new]
+        lines += [f"{name} is new" for name in new if name not in old]
+        return [line for line in lines if not line.startswith(SYSTEM)] or lines
 
     def refuse_other(self, now: Identity, file: Path, *, where: str = "", hint: str = "") -> None:
-        """LedgerError that names what of ``file`` is another now than when its plan was declared."""
+        """Raise LedgerError, with the changes of ``file``, unless ``now`` is this identity."""
         if changes := self.changes(now):
             expected = f"the plan, files and versions that it was begun with{where}"
             raise LedgerError(place=Place(file=file), expected=expected, got="; ".join(changes), hint=hint)
@@ -88,9 +89,9 @@ def identity_of(
     systems: Iterable[tuple[str, SystemUnderTest]] = (),
     edition: int = EDITION,
 ) -> Identity:
-    """Of a plan's files, the shipped networks that they name, this package, its libraries.
+    """Return the identity of a plan: its files, shipped networks, this package and its libraries.
 
-    And the ``systems`` under test, by their strata.
+    ``systems`` are the systems under test by their strata; ``edition`` is the meaning of the claims.
     """
     parts = {f"the file {file.name}": file.sha256 for file in files}
     named = {avoider or ""} | {text for space in spaces for text in references_in(space.tree)}
@@ -99,23 +100,23 @@ def identity_of(
         parts[f"the network {name}"] = hashlib.sha256(shipped_model(name).read_bytes()).hexdigest()
     made_by = provenance(world, _libraries(spaces, world))
     parts["the source of this package"] = made_by.source_hash
-    if edition > 1:  # before, it was not told
+    if edition > 1:  # ledgers of edition 1 do not state it
         parts[CLAIMS] = f"edition {edition}"
     parts["Python"] = made_by.python
     parts["the platform"] = made_by.platform
     parts |= {f"the library {name}": version for name, version in made_by.libraries}
-    parts |= {f"{SYSTEM} in {name}": one.as_json for name, one in systems}
+    parts |= {f"{SYSTEM} in {name}": system.as_json for name, system in systems}
     return Identity(tuple(parts.items()))
 
 
 def edition_of(identity: Identity) -> int:
-    """Return the edition of the catalogue in which a ledger's claims are read; 1 where none is told."""
-    told = dict(identity.parts).get(CLAIMS, "edition 1").removeprefix("edition ")
-    return int(told) if told in map(str, range(1, EDITION)) else EDITION
+    """Return the edition of the catalogue for a ledger's claims; 1 for a ledger that states no edition."""
+    edition = dict(identity.parts).get(CLAIMS, "edition 1").removeprefix("edition ")
+    return int(edition) if edition in map(str, range(1, EDITION)) else EDITION
 
 
 def _libraries(spaces: Sequence[ScenarioSpace], world: str) -> tuple[str, ...]:
-    """What the runs use, each once; an engine that is missing is named as not loaded."""
+    """Return the libraries of the runs, each once; a missing engine appears as not loaded."""
     entry = worlds_by_label()[world]
     used = (libraries_of(entry.name, space.simplest) for space in spaces)
     return tuple(dict.fromkeys(chain(entry.libraries * entry.is_installed, *used)))
@@ -126,14 +127,14 @@ MOST_BYTES = 200_000_000  # of all files together
 
 @dataclass(frozen=True)
 class PlanFile:
-    """One file: its name relative to the folder that all of them are in, and its bytes."""
+    """One file: its bytes, and its name relative to the common folder of all files."""
 
     name: str
     data: bytes = field(repr=False)
 
     @property
     def sha256(self) -> str:
-        """Of the bytes."""
+        """The SHA-256 of the bytes."""
         return hashlib.sha256(self.data).hexdigest()
 
 
@@ -144,11 +145,10 @@ def files_of_plan(
     avoider: str | None,
     others: Sequence[Path] = (),
 ) -> tuple[PlanFile, ...]:
-    """The plan's own file first, then its spaces, what they extend, recordings, avoiders and models.
+    """Return the plan's own file, then spaces, the files that they extend, recordings, avoiders and models.
 
-    And ``others``, which the plan was read from.
-
-    What an avoider of the user's own imports or opens besides is not known here.
+    ``others`` are further files that the plan was read from. Files that a user's avoider imports or opens
+    are not among them. ScenarioError above MOST_BYTES in all.
     """
     named = [plan.resolve(), *library.files, *others]
     for space in spaces:
@@ -173,38 +173,39 @@ _ABSOLUTE = re.compile(rb"""(?<=["'])[~/][^"'\n]*(?=["'])|(?<=[\s\[{,])[~/][^\s"
 
 
 def _packed(data: bytes, path: Path, names: dict[Path, str]) -> bytes:
-    """Return a file's bytes with each absolute reference to another packed file made relative to it.
+    """Return the bytes of a file; absolute references to other packed files become relative.
 
-    So a report's own copy of the plan names the report's own copies, wherever it lies.
+    So the plan's copy in a report refers to the copies in that report, wherever the report is.
     """
     if path.suffix not in (".yaml", ".yml", ".urdf"):
         return data
     folder = Path(names[path]).parent
 
-    def relative(found: re.Match[bytes]) -> bytes:
-        text = found[0].decode("utf-8", "replace")
+    def relative(match: re.Match[bytes]) -> bytes:
+        text = match[0].decode("utf-8", "replace")
         file, name = file_and_name(text)
         target = next(_existing([file or text], Path()), None)
         if target not in names:
-            return found[0]
+            return match[0]
         return (os.path.relpath(names[target], folder) + f":{name}" * bool(name)).encode()
 
     return _ABSOLUTE.sub(relative, data)
 
 
 def _files_of(robot: AnyRobot) -> Iterator[Path]:
-    """An own arm's files and meshes; those of an installed package are sought there."""
+    """Yield the files and meshes of a user's arm, except those of an installed package."""
     if isinstance(robot, OwnRobot):
         yield from robot.files if robot.package is None else robot.files[1:]
-        shapes = (one for link in arm_model(robot).links for one in (*link.collision, *link.visual))
-        yield from {one.file: None for one in shapes if one.file is not None and robot.package is None}
+        shapes = (shape for link in arm_model(robot).links for shape in (*link.collision, *link.visual))
+        yield from {shape.file: None for shape in shapes if shape.file is not None and robot.package is None}
 
 
 def _names(paths: Sequence[Path]) -> dict[Path, str]:
-    """Each file relative to the folder that all are in; what ships and is named so, to a folder ``shipped``.
+    """Return each file's name relative to the common folder; for shipped files, below a folder ``shipped``.
 
-    For "shipped:" in a plan says where those lie on whichever machine, unless the plan is shipped itself.  In
-    an installation nobody names them otherwise; in a checkout it is so where a file of the user's says it.
+    A plan that refers to files as "shipped:" finds them there on any machine, unless the plan ships itself.
+    In an installation this is the only way to refer to them. In a checkout it applies if a file of the user
+    contains "shipped:".
     """
     ours = {path for path in paths if contents() in path.parents}
     own = [path for path in paths if path not in ours]
@@ -224,9 +225,9 @@ def _says_shipped(path: Path) -> bool:
 
 
 def unpacked(files: Sequence[PlanFile], folder: Path) -> Path:
-    """Write the files below ``folder``; the path of the first of them, the plan's own.
+    """Write the files below ``folder`` and return the path of the first, the plan's own.
 
-    LedgerError-like refusal of names that lead elsewhere is the reader's matter: names are checked here too.
+    ScenarioError for a name that leads out of the folder.
     """
     for file in files:
         path = (folder / file.name).resolve()

@@ -1,7 +1,7 @@
-"""The ledger: one SQLite file with a row for every planned episode that was run, and never two.
+"""The ledger: one SQLite file with one row for each planned episode that ran.
 
-A commit is on the disk when ``record`` returns, so that nothing that happens later loses it; what happens
-before leaves no part of a batch.  Others may read while one process writes.
+When ``record`` returns, its commit is on the disk, and no later event loses it. An earlier interruption
+leaves no part of a batch. Other programs may read while one process writes.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ _SAMPLE = (
     "AND j.episode < coalesce(?, j.episode + 1)"
 )
 _DISTINCT = "SELECT stratum, count(DISTINCT run), count(*) FROM episode WHERE run <> 0 GROUP BY stratum"
-_TIMES = (  # numbers, whatever a stranger's ledger has there
+_TIMES = (  # numbers, even if a stranger's ledger has text there
     "SELECT total(answers), total(slow), ifnull(max(slowest_s + 0.0), 0.0), "
     "max(ifnull(max(limit_s + 0.0), 0.0), 1e-9) FROM answering WHERE stratum = ?"
 )
@@ -92,27 +92,27 @@ WRISTS = (
 
 
 def _is_recording(file: PlanFile) -> bool:
-    """Is it a table of tracked points, whatever it is called?"""
+    """Return whether a file is a table of tracked points, under any name."""
     try:
         return bool(parse_recording(file.data, Path(file.name)).tracks)
     except RecordingError:
         return False
 
 
-# How it was asked again: elsewhere, by driving again (an avoider: with the 8), in one call too.
-APART, BY_RUNS, TOGETHER, OF_AVOIDER = 1, 2, 4, 8
+# How questions were repeated: in another process, by new runs (OF_AVOIDER: a fresh avoider's), in one call.
+BY_PROCESS, BY_RUNS, TOGETHER, OF_AVOIDER = 1, 2, 4, 8
 
 
-def _how(found: RepeatabilityResult) -> int:
-    if isinstance(found, DrivenAgain):
-        return BY_RUNS + OF_AVOIDER * found.of_avoider
-    return APART * found.apart + TOGETHER * found.together
+def _how(result: RepeatabilityResult) -> int:
+    if isinstance(result, DrivenAgain):
+        return BY_RUNS + OF_AVOIDER * result.of_avoider
+    return BY_PROCESS * result.apart + TOGETHER * result.together
 
 
 class Ledger:
-    """Made by ``create`` or ``open``; close it, or use it in a ``with``.
+    """The ledger of a plan. ``create`` or ``open`` makes it; close it, or use it in a ``with``.
 
-    Strata and claims are counted in the plan's order, which ``declared`` has.
+    Strata and claims have the numbers of the plan's order, which ``declared`` has.
     """
 
     def __init__(self, path: Path, connection: sqlite3.Connection) -> None:
@@ -124,7 +124,17 @@ class Ledger:
 
     @classmethod
     def create(cls, path: Path, plan: Plan) -> Ledger:
-        """A ledger without episodes at ``path``, where there must be none: whole or not at all."""
+        """Return a new ledger without episodes; a failure leaves no file.
+
+        Args:
+            path: The file, which must not exist.
+            plan: The plan. The ledger copies all its files.
+
+        Raises:
+            LedgerError: There is a file.
+            OutputError: The file cannot be written.
+
+        """
         refuse_any_file(path)
         with (
             writing(path),
@@ -140,9 +150,18 @@ class Ledger:
 
     @classmethod
     def open(cls, path: Path, *, write: bool = False, check: bool = True, alone: bool = False) -> Ledger:
-        """The ledger at ``path``; LedgerError when it cannot be used.
+        """Return the ledger in a file.
 
-        ``check`` looks at all its pages; ``alone`` at nothing that lies beside the file.
+        Args:
+            path: The file.
+            write: Whether to write to it.
+            check: Whether SQLite looks at all pages, up to 2 GiB.
+            alone: Whether to ignore any file beside it, such as a write-ahead log, and to refuse foreign
+                tables.
+
+        Raises:
+            LedgerError: The file is damaged, locked, of another version or no ledger.
+
         """
         connection = connect(path, write=write, check=check, alone=alone)
         try:
@@ -158,7 +177,7 @@ class Ledger:
         self.close()
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the file."""
         self.connection.close()
 
     def refuse_other(
@@ -166,11 +185,28 @@ class Ledger:
         identity: Identity,
         hint: str = "put them back as they were, or begin another ledger (--ledger FILE)",
     ) -> None:
-        """LedgerError that names what has changed since the ledger's plan was declared."""
+        """Refuse a plan that has changed since the ledger began.
+
+        Args:
+            identity: The identity of the plan now.
+            hint: The advice of the error.
+
+        Raises:
+            LedgerError: The error states the changes.
+
+        """
         self.declared.identity.refuse_other(identity, self.path, hint=hint)
 
     def refuse_other_plan(self, plan: Plan) -> None:
-        """As ``refuse_other``, and for other bytes of a file that the user's own module opened in a run."""
+        """Refuse a plan that has changed, or a changed file that a user's module opened in a run.
+
+        Args:
+            plan: The plan now.
+
+        Raises:
+            LedgerError: The error states the changes.
+
+        """
         self.refuse_other(plan.identity)
         there = {name: sha256 for name, sha256 in self.opened.items() if sha256}
         now = {name: sha256_of(plan.file.resolve().parent / name) for name in there}
@@ -180,27 +216,40 @@ class Ledger:
 
     @property
     def opened(self) -> dict[str, str]:
-        """The files that modules of the user's opened, named from the plan's folder, and their SHA-256.
+        """The files that users' modules opened, named from the plan's folder, with their SHA-256.
 
-        It is empty for those that they write themselves.
+        The hash is empty for a file that the module writes itself.
         """
-        found = self._has("opened")
-        return dict(self.all("SELECT name, sha256 FROM opened ORDER BY name")) if found else {}
+        present = self._has("opened")
+        return dict(self.all("SELECT name, sha256 FROM opened ORDER BY name")) if present else {}
 
     def times(self, stratum: int) -> AnswersTook:
-        """How long answers took in a stratum; none were timed where an older program made the ledger."""
+        """Return the answer times of a stratum; without answers if an older program made the ledger.
+
+        Args:
+            stratum: The number of the stratum.
+
+        """
         ((answers, slow, *times_s),) = self.all(_TIMES, stratum) if self._has("answering") else ((0, 0),)
         return AnswersTook(int(answers), int(slow), *times_s)
 
     @property
     def slow(self) -> list[str]:
-        """Each stratum in which answers took longer than its runs allow, in words."""
+        """The strata whose answers took longer than their runs allow, in words."""
         named = ((name, self.times(k).words) for k, name in enumerate(self.declared.strata))
-        return [f"{name}: {words}" for name, words in named if words]
+        return [f"{name}: {text}" for name, text in named if text]
 
     def take_opened(self, files: Iterable[tuple[str, str]]) -> None:
-        """Note files down; LedgerError for one of which earlier runs read other bytes."""
-        for name, sha256 in sorted(files, key=itemgetter(1)):  # those that are written first
+        """Note opened files.
+
+        Args:
+            files: Names from the plan's folder, with the SHA-256 of the bytes.
+
+        Raises:
+            LedgerError: Earlier runs read other bytes of a file, or a file is newer than these runs.
+
+        """
+        for name, sha256 in sorted(files, key=itemgetter(1)):  # first the files that the module writes
             known = self.opened.get(name)
             if sha256 and known is None and self._is_newer(name):
                 raise unusable(self.path, f"{name} as it was when runs began", "one that is newer")
@@ -211,32 +260,35 @@ class Ledger:
                 raise unusable(self.path, expected, "other bytes: it was written while runs were made")
 
     def _is_newer(self, name: str) -> bool:
-        """Did a file come or change between the first session that ran anything and this one?"""
+        """Return whether a file changed between the first session with runs and this session."""
         (ends,) = self.all("SELECT min(began), max(began) FROM session WHERE EXISTS (SELECT 1 FROM episode)")
-        begun_s, now_s = (datetime.fromisoformat(one or "1970-01-02").timestamp() for one in ends)
+        begun_s, now_s = (datetime.fromisoformat(began or "1970-01-02").timestamp() for began in ends)
         file = self.declared.plan_file.parent / name
         return file.is_file() and begun_s < file.stat().st_ctime < now_s
 
     @property
     def files(self) -> tuple[PlanFile, ...]:
-        """The files of the plan as they were when it was declared, the plan's own first."""
+        """The files of the plan at the beginning of the ledger, the plan's own first."""
         return tuple(
             PlanFile(name, data) for name, data in self.all("SELECT name, data FROM file ORDER BY place")
         )
 
     @property
     def wrists(self) -> tuple[str, ...]:
-        """What a reader has to know of recorded hands; nothing where no file of the plan is a recording."""
+        """A note on recorded hands; empty if no file of the plan is a recording."""
         return (WRISTS,) if any(map(_is_recording, self.files)) else ()
 
     @cached_property
     def counts(self) -> tuple[str, ...]:
-        """Those of ``COUNTS`` that it notes; the others are read as 0."""
+        """The names of ``COUNTS`` that this ledger has; the rest read as 0."""
         return counts_in(self.connection)
 
     @cached_property
     def draws_sha256(self) -> str:
-        """Of the files that draw the scenarios: all but the plan's own, programs and networks."""
+        """The SHA-256 of the files that determine the scenarios.
+
+        The plan's own file, programs and networks are not among them.
+        """
         drawing = [
             file.sha256
             for file in self.files[1:]
@@ -245,7 +297,16 @@ class Ledger:
         return hashlib.sha256("".join(sorted(drawing)).encode()).hexdigest()
 
     def record(self, rows: Iterable[Row]) -> None:
-        """Note episodes down, all of them or none; LedgerError if one of them is there already."""
+        """Note episodes in one transaction.
+
+        Args:
+            rows: The rows of new episodes.
+
+        Raises:
+            LedgerError: The ledger has one of these episodes already, or cannot be written.
+            OutputError: The disk is full.
+
+        """
         execute = self.connection.execute
         with self.transaction():
             for row in rows:
@@ -255,12 +316,12 @@ class Ledger:
                 own = (row.stratum, row.episode, row.seed, row.draws, *counts, *noted)
                 if row.cell:
                     execute("INSERT OR IGNORE INTO cell (words) VALUES (?)", (row.cell,))
-                words = (row.cell, row.mishap or None, row.failure or None)
+                texts = (row.cell, row.mishap or None, row.failure or None)
                 here = (row.seconds, row.worker)
-                execute(_EPISODE, (*own, *words, *here))
-                for claim, one in enumerate(row.judgements):
-                    found = (int(one.outcome), one.margin, one.worst_time_s, one.exercised)
-                    execute(_JUDGEMENT, (row.stratum, claim, row.episode, *found))  # a NaN becomes NULL
+                execute(_EPISODE, (*own, *texts, *here))
+                for claim, verdict in enumerate(row.judgements):
+                    judged = (int(verdict.outcome), verdict.margin, verdict.worst_time_s, verdict.exercised)
+                    execute(_JUDGEMENT, (row.stratum, claim, row.episode, *judged))  # a NaN becomes NULL
                 if row.added:
                     execute(ADDED)
                 for name, number in row.added:
@@ -275,7 +336,7 @@ class Ledger:
 
     @contextmanager
     def transaction(self) -> Iterator[None]:
-        """All of what is written within, or none of it."""
+        """Commit all statements of a ``with`` together; roll back after an exception."""
         with explained(self.path):
             self.connection.execute("BEGIN IMMEDIATE")
             try:
@@ -287,27 +348,39 @@ class Ledger:
                 raise
 
     def begin_session(self, began: str, workers: str, machine: str) -> None:
-        """Note down who works on it, for people: nothing depends on it."""
+        """Note who works on the ledger; only people read it.
+
+        Args:
+            began: The time, ISO 8601 in UTC.
+            workers: The number of workers.
+            machine: The machine, in words.
+
+        """
         with self.transaction():
             insert = "INSERT INTO session (began, workers, machine) VALUES (?, ?, ?)"
             self.connection.execute(insert, (began, workers, machine))
 
-    def note_repeated(self, found: RepeatabilityResult) -> None:
-        """Note down what a second avoider answered to questions of a session, or a fresh controller did."""
+    def note_repeated(self, result: RepeatabilityResult) -> None:
+        """Note the answers of a second avoider to a session's questions, or the runs of a fresh controller.
+
+        Args:
+            result: The counts, and the worst difference in words.
+
+        """
         with self.transaction():
             self.connection.execute(
                 "INSERT INTO repeated (questions, asked, differing, words, apart) VALUES (?, ?, ?, ?, ?)",
-                (found.questions, found.asked, found.differing, found.words, _how(found)),
+                (result.questions, result.asked, result.differing, result.words, _how(result)),
             )
 
     @property
     def asks_again(self) -> bool:
-        """Has it a table for that?  Those of older programs have none."""
+        """Whether the ledger has a table of repeated questions. Older programs wrote ledgers without it."""
         return self._has("repeated")
 
     @property
     def repeated(self) -> RepeatabilityResult:
-        """What second avoiders answered, of all sessions; the words are of the first that differed."""
+        """The answers of second avoiders in all sessions, with the words of the first difference."""
         if not self.asks_again:
             return RepeatabilityResult(questions=0)
         order = "ORDER BY differing = 0, words = '', id"
@@ -321,36 +394,41 @@ class Ledger:
             asked=asked,
             differing=differing,
             words=next((row[3] for row in rows), ""),
-            apart=any(row[4] & APART for row in rows),
+            apart=any(row[4] & BY_PROCESS for row in rows),
             together=any(row[4] & TOGETHER for row in rows),
         )
 
     @property
     def dependent(self) -> str:
-        """Why no bound is stated though all episodes are there; empty if one may be."""
-        found = self.repeated.remembers
-        if not found:
+        """The reason why even a complete ledger gives no bound; empty without a reason."""
+        difference = self.repeated.remembers
+        if not difference:
             return self._copies
         why = "the avoider remembers earlier questions"
         if isinstance(self.repeated, DrivenAgain):
             why = f"the {self.repeated.who} is another from run to run"
-        return f"{why}: episodes are not independent, no bound is stated ({found})"
+        return f"{why}: episodes are not independent, no bound is stated ({difference})"
 
     @property
     def _copies(self) -> str:
-        """That runs are copies of others, in words; the same scenario twice is no further evidence."""
+        """The number of runs that repeat others, in words; a repeated scenario is no further evidence."""
         now = self.connection.total_changes, next(self.all("PRAGMA data_version"))
-        if self._looked_at != now:  # a million runs take a second
-            found = ((self.declared.strata[k], *counts) for k, *counts in self.all(_DISTINCT))
-            few = [f"{one} distinct runs of {all_} in {name}" for name, one, all_ in found if one < all_]
+        if self._looked_at != now:  # the query takes a second for a million runs
+            rows = ((self.declared.strata[k], *counts) for k, *counts in self.all(_DISTINCT))
+            few = [f"{new} distinct runs of {runs} in {name}" for name, new, runs in rows if new < runs]
             why = f"runs repeat others bit for bit, no bound is stated ({', '.join(few)})"
             self._looked_at, self._found = now, why if few else ""
         return self._found
 
     def missing(self, stratum: int) -> Iterator[range]:
-        """The planned episodes that are not there yet, as ranges in their order; none beyond a stop."""
-        after = self.stopped_after(stratum)
-        end, expected = self.declared.planned[stratum] if after is None else after, 0
+        """Yield the missing episodes as ascending ranges, up to the planned number or an early stop.
+
+        Args:
+            stratum: The number of the stratum.
+
+        """
+        stop = self.stopped_after(stratum)
+        end, expected = self.declared.planned[stratum] if stop is None else stop, 0
         for (episode,) in self.all("SELECT episode FROM episode WHERE stratum = ? ORDER BY episode", stratum):
             if episode > expected:
                 yield range(expected, episode)
@@ -359,18 +437,35 @@ class Ledger:
             yield range(expected, end)
 
     def violations_kept(self, stratum: int) -> list[int]:
-        """The episodes with a violation whose traces are there, in their order."""
+        """Return the violating episodes that have a stored trace, ascending.
+
+        Args:
+            stratum: The number of the stratum.
+
+        """
         question = "SELECT episode FROM trace WHERE stratum = ? AND violation ORDER BY episode"
         return [episode for (episode,) in self.all(question, stratum)]
 
     def drop_traces(self, stratum: int, episodes: Iterable[int]) -> None:
-        """Remove stored traces: of violations beyond those that the plan keeps."""
+        """Remove stored traces of violations beyond the plan's number.
+
+        Args:
+            stratum: The number of the stratum.
+            episodes: The episodes whose traces to remove.
+
+        """
         with self.transaction():
             delete = "DELETE FROM trace WHERE stratum = ? AND episode = ?"
             self.connection.executemany(delete, ((stratum, episode) for episode in episodes))
 
     def stop(self, stratum: int, after: int) -> None:
-        """The stratum ends after its first ``after`` episodes; what was run beyond them is no part of it."""
+        """End a stratum early, and remove later episodes.
+
+        Args:
+            stratum: The number of the stratum.
+            after: The number of episodes that remain.
+
+        """
         with self.transaction():
             for table in ("trace", "judgement", "episode", *["added"] * self._has("added")):
                 delete = f"DELETE FROM {table} WHERE stratum = ? AND episode >= ?"
@@ -378,40 +473,65 @@ class Ledger:
             self.connection.execute("UPDATE stratum SET stopped_after = ? WHERE id = ?", (after, stratum))
 
     def stopped_after(self, stratum: int) -> int | None:
-        """The number of episodes after which the stratum was stopped; None if it was not."""
-        ((after,),) = self.all("SELECT stopped_after FROM stratum WHERE id = ?", stratum)
-        return None if after is None else int(after)
+        """Return the number of episodes after which a stratum stopped; None if it did not stop.
+
+        Args:
+            stratum: The number of the stratum.
+
+        """
+        ((episodes,),) = self.all("SELECT stopped_after FROM stratum WHERE id = ?", stratum)
+        return None if episodes is None else int(episodes)
 
     def traces(self) -> list[tuple[int, int, bool]]:
-        """(stratum, episode, whether it violates a claim) of every stored trace."""
+        """Return (stratum, episode, whether it violates a claim) of each stored trace."""
         rows = self.all("SELECT stratum, episode, violation FROM trace ORDER BY stratum, episode")
         return [(stratum, episode, bool(violation)) for stratum, episode, violation in rows]
 
     def trace(self, stratum: int, episode: int) -> bytes | None:
-        """A stored trace, as a .trace file has it; None if it was not kept."""
+        """Return a stored trace as the bytes of a .trace file; None without a stored trace.
+
+        Args:
+            stratum: The number of the stratum.
+            episode: The number of the episode.
+
+        """
         question = "SELECT data FROM trace WHERE stratum = ? AND episode = ?"
         return next((data for (data,) in self.all(question, stratum, episode)), None)
 
     def outcomes(self, stratum: int, claim: int) -> tuple[Ints, Ints, Floats]:
-        """(n,) episodes, outcomes and margins of what is there now, in the order of the episodes."""
+        """Return episodes, outcomes and margins (n,) of the present rows, ascending by episode.
+
+        Args:
+            stratum: The number of the stratum.
+            claim: The number of the claim.
+
+        Returns:
+            Margins are SI, NaN without a margin.
+
+        """
         question = "SELECT episode, outcome, margin FROM judgement WHERE stratum = ? AND claim = ? ORDER BY 1"
         rows = list(self.all(question, stratum, claim))
         episodes, outcomes = (np.array([row[k] for row in rows], np.int64) for k in (0, 1))
         return episodes, outcomes, np.array([margin for *_, margin in rows], np.float64)  # NULL becomes NaN
 
     def sample(self, stratum: str, claim: str) -> IndependentSample:
-        """What estimates of a claim in a stratum are made of; StatisticsError while episodes are missing.
+        """Return the sample for estimates of a claim in a stratum.
 
-        And for an avoider that answered otherwise when it was asked again.
+        Args:
+            stratum: The stratum, as the plan names it.
+            claim: The claim, as the plan writes it.
 
-        Both are named as the plan names them; KeyError for others.
+        Raises:
+            KeyError: The plan has no such stratum or claim.
+            StatisticsError: Episodes are missing, or depend on each other (``dependent``).
+
         """
         declared = self.declared
-        number, of = _place(declared.strata, stratum), _place(declared.claims, claim)
+        number, position = _place(declared.strata, stratum), _place(declared.claims, claim)
         if self.dependent:
             raise refusal("episodes", "independent episodes", self.dependent)
-        after = self.stopped_after(number)
-        rows = list(self.all(_SAMPLE, number, of, after))
+        stop = self.stopped_after(number)
+        rows = list(self.all(_SAMPLE, number, position, stop))
         episodes, outcomes, seeds, exercised = (
             np.array([row[k] for row in rows], np.int64) for k in range(4)
         )
@@ -421,7 +541,12 @@ class Ledger:
         )
 
     def stream(self, stratum: int) -> Declaration:
-        """What was said of a stratum's episodes before the first was run."""
+        """Return the terms of a stratum's stream, fixed before its first run.
+
+        Args:
+            stratum: The number of the stratum.
+
+        """
         declared = self.declared
         return Declaration(
             plan_sha256=declared.identity.sha256,
@@ -435,7 +560,13 @@ class Ledger:
 
     @contextmanager
     def attached(self, path: Path, name: str) -> Iterator[None]:
-        """Another ledger, to be read under a name in SQL."""
+        """Attach another ledger for reading within a ``with``.
+
+        Args:
+            path: The file of the other ledger.
+            name: Its name in SQL.
+
+        """
         self.connection.execute(f"ATTACH ? AS {name}", (f"file:{quote(str(path.absolute()))}?mode=ro",))
         try:
             yield
@@ -443,11 +574,20 @@ class Ledger:
             self.connection.execute(f"DETACH {name}")
 
     def _has(self, table: str) -> bool:
-        """Is there such a table?  Ledgers of older programs lack some."""
+        """Return whether the ledger has a table; ledgers of older programs lack some."""
         return bool(list(self.all("SELECT 1 FROM sqlite_master WHERE name = ? AND type = 'table'", table)))
 
     def all(self, question: str, *values: object) -> Iterator[tuple[Any, ...]]:
-        """The rows of the answer to a question in SQL."""
+        """Yield the rows of a query in SQL.
+
+        Args:
+            question: The query.
+            values: The values of its placeholders.
+
+        Raises:
+            LedgerError: SQLite cannot answer it.
+
+        """
         with explained(self.path):
             yield from self.connection.execute(question, values)
 
@@ -459,37 +599,37 @@ def _place(names: tuple[str, ...], name: str) -> int:
 
 
 def _declare(connection: sqlite3.Connection, plan: Plan, ledger: Path) -> None:
-    """Write the plan down, with all its files, in the ledger of that path."""
+    """Write the plan and all its files into a new ledger, whose final path is ``ledger``."""
     choices = {"seed": plan.seed, "world": plan.world.label}
     choices |= {"confidence": plan.confidence, "stop early": plan.stop_early}
-    about = {
+    entries = {
         "title": plan.title,
         "plan file": portable(os.path.relpath(plan.file.resolve(), ledger.resolve().parent), ledger.parent),
         "identity": plan.identity.as_json(),
         "plan": json.dumps(choices),
     }
-    connection.executemany("INSERT INTO about VALUES (?, ?)", about.items())
+    connection.executemany("INSERT INTO about VALUES (?, ?)", entries.items())
     connection.executemany(
         "INSERT INTO file (name, data) VALUES (?, ?)", [(f.name, f.data) for f in plan.files]
     )
-    strata = [(k, one.name, one.space.name, one.runs) for k, one in enumerate(plan.strata)]
+    strata = [(k, row.name, row.space.name, row.runs) for k, row in enumerate(plan.strata)]
     connection.executemany("INSERT INTO stratum VALUES (?, ?, ?, ?, NULL)", strata)
-    claims = [(k, one.sentence, one.unit.name, one.target, one.hazard) for k, one in enumerate(plan.claims)]
+    claims = [(k, row.sentence, row.unit.name, row.target, row.hazard) for k, row in enumerate(plan.claims)]
     connection.executemany("INSERT INTO claim VALUES (?, ?, ?, ?, ?)", claims)
 
 
 def _declared(connection: sqlite3.Connection, path: Path) -> Declared:
-    """As it was written; LedgerError for what no plan can have given."""
+    """Return the plan of a ledger; LedgerError for contents that no plan gives."""
     with explained(path):
-        about = dict(connection.execute("SELECT key, value FROM about"))
+        entries = dict(connection.execute("SELECT key, value FROM about"))
         strata = connection.execute("SELECT name, planned FROM stratum ORDER BY id").fetchall()
         claims = connection.execute("SELECT sentence, unit, target FROM claim ORDER BY id").fetchall()
     try:
-        plan = json.loads(about["plan"])
+        plan = json.loads(entries["plan"])
         return Declared(
-            title=about["title"],
-            plan_file=path.parent / about["plan file"],
-            identity=Identity.from_json(about["identity"]),
+            title=entries["title"],
+            plan_file=path.parent / entries["plan file"],
+            identity=Identity.from_json(entries["identity"]),
             seed=int(plan["seed"]),
             world=worlds_by_label()[str(plan["world"])],
             confidence=float(plan["confidence"]),
