@@ -32,14 +32,14 @@ LOW, NOT_LOW = "low", "not low"
 
 
 def _line(expected: str) -> Text:
-    return Text(words="text, one line", expected=expected, reads=lambda field: _said(field, expected))
+    return Text(words="text, one line", expected=expected, reads=lambda field: _nonempty(field, expected))
 
 
 def _prose(expected: str) -> Text:
-    return Text(words="text", reads=lambda field: _said(field, expected, lines=True))
+    return Text(words="text", reads=lambda field: _nonempty(field, expected, lines=True))
 
 
-def _said(field: Field, expected: str, *, lines: bool = False) -> str:
+def _nonempty(field: Field, expected: str, *, lines: bool = False) -> str:
     text = field.prose(expected, lines=lines)
     if not text.strip():
         raise field.error(expected)
@@ -129,7 +129,7 @@ def _fitted(field: Field) -> CountedApproaches:
 
 @declared
 class _FittedApproaches:
-    found: CountedApproaches = key(
+    approaches: CountedApproaches = key(
         "fitted",
         Text(words="file, relative to the plan", reads=_fitted),
         "what `safety-harness hands fit --json` printed: its approaches and hours",
@@ -142,8 +142,8 @@ class _ApproachesValue(Below):
 
     def read(self, field: Field) -> Approaches:
         """Return counted or stated approaches; a fit counts as counted."""
-        found: Approaches | _FittedApproaches = super().read(field)
-        return found.found if isinstance(found, _FittedApproaches) else found
+        approaches: Approaches | _FittedApproaches = super().read(field)
+        return approaches.approaches if isinstance(approaches, _FittedApproaches) else approaches
 
 
 APPROACHES = _ApproachesValue(
@@ -227,17 +227,17 @@ class PlannedHazards:
 
     def named(self, field: Field) -> tuple[str, ...]:
         """Return the hazards that a claim lists; ScenarioError for an unknown or repeated hazard."""
-        names = [one.name for one in self.hazards]
-        found: list[str] = []
+        names = [hazard.name for hazard in self.hazards]
+        listed: list[str] = []
         for item in field.items("a list of the plan's hazards", least=1):
             name = item.sentence("the name of a hazard")
             if name not in names:
                 known = ", ".join(names) or "none"
                 raise item.error(f"a hazard of this plan ({known})", hint=near_miss(name, names))
-            if name in found:
+            if name in listed:
                 raise item.error("each hazard once")
-            found.append(name)
-        return tuple(found)
+            listed.append(name)
+        return tuple(listed)
 
     def target(self, names: tuple[str, ...], field: Field) -> float:
         """Return the greatest probability of a violation in a run at which no hazard exceeds its rate.

@@ -1,7 +1,7 @@
 """The identity of a plan: its files, and name and hash of all that its results depend on.
 
-The identity names a change. The files suffice to read the plan elsewhere, or after its own files have
-changed.
+The identity names a change. The files suffice to read the plan on another machine, or after its own files
+have changed.
 """
 
 from __future__ import annotations
@@ -143,14 +143,14 @@ def files_of_plan(
     library: Library,
     spaces: Sequence[ScenarioSpace],
     avoider: str | None,
-    others: Sequence[Path] = (),
+    further: Sequence[Path] = (),
 ) -> tuple[PlanFile, ...]:
     """Return the plan's own file, then spaces, the files that they extend, recordings, avoiders and models.
 
-    ``others`` are further files that the plan was read from. Files that a user's avoider imports or opens
+    ``further`` are other files that the plan was read from. Files that a user's avoider imports or opens
     are not among them. ScenarioError above MOST_BYTES in all.
     """
-    named = [plan.resolve(), *library.files, *others]
+    named = [plan.resolve(), *library.files, *further]
     for space in spaces:
         avoiders = (file_and_name(text)[0] for text in references_in(space.tree, ("avoider", "controller")))
         folder = space.file.parent if space.file else Path()

@@ -1,4 +1,4 @@
-"""Several ledgers: parts of one plan that become one, and what got worse from one avoider to another."""
+"""Several ledgers: parts of one plan that become one ledger, and the losses from one avoider to another."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from safety_harness.extensions.assurance.statistics.sample import PERHAPS
 _NUMBERS = ("seed", "draws", "decisions", "proposed", "opposite", "stopped", "faults", "late", *COUNTS)
 _EPISODE = ", ".join((*_NUMBERS, "mishap", "failure"))
 _JUDGEMENT = "outcome, margin, worst_time_s, exercised"
-# The same claim of the same episode in two ledgers: a is this one's, b that of the one attached as "first".
+# The same claim of the same episode in two ledgers: a in this ledger, b in the ledger attached as "first".
 PAIRS = (
     "FROM judgement a JOIN stratum s ON s.id = a.stratum JOIN claim c ON c.id = a.claim "
     "JOIN first.stratum t ON t.name = s.name JOIN first.claim d ON d.sentence = c.sentence "
@@ -37,11 +37,11 @@ PAIRS = (
 
 
 def merge(into: Path, ledgers: Sequence[Path]) -> int:
-    """A ledger at ``into``, where there must be none, of all episodes of ``ledgers``; how many there are.
+    """Write all episodes of ``ledgers`` to a new ledger at ``into``, and return their number.
 
-    What several of them have must agree to the last bit; one that is named twice is taken once.  LedgerError
-    for ledgers of different plans, of one that stops early (which needs its episodes in their order), and for
-    one that disagrees, which names the episode; nothing is written then.
+    Results of the same episode must agree to the last bit; a repeated path counts once. LedgerError,
+    without a new ledger, if there is a file at ``into``, plans differ, a plan stops early (which needs its
+    episodes in order), or two results disagree.
     """
     with Ledger.open(ledgers[0]) as first, only_runner(into):
         refuse_any_file(into)
@@ -52,7 +52,7 @@ def merge(into: Path, ledgers: Sequence[Path]) -> int:
 
 
 def _merged(unfinished: Path, first: Ledger, ledgers: Sequence[Path]) -> int:
-    """How many episodes there are in all; nothing is left beside the file."""
+    """Merge the ledgers and return the number of episodes; leave no file beside the ledger."""
     try:
         with plan_of(first) as plan, Ledger.create(unfinished, plan) as whole:
             for path in {path.resolve(): path for path in ledgers}.values():
@@ -66,7 +66,7 @@ def _merged(unfinished: Path, first: Ledger, ledgers: Sequence[Path]) -> int:
 
 
 def _take_over(whole: Ledger, path: Path) -> None:
-    """All of one ledger, in one transaction."""
+    """Copy all of one ledger in one transaction."""
     with explained(path), whole.attached(path, "part"), whole.transaction():
         for table, columns, key in (
             ("episode", _EPISODE, ("stratum", "episode")),
@@ -109,7 +109,7 @@ def _take_over(whole: Ledger, path: Path) -> None:
 
 @dataclass(frozen=True)
 class Worse:
-    """An episode that violates a claim with the second avoider, and does not with the first; margins SI."""
+    """An episode that violates a claim with the second avoider and not with the first; margins in SI."""
 
     stratum: str
     episode: int
@@ -120,10 +120,11 @@ class Worse:
 
 
 def compare_ledgers(first: Ledger, second: Ledger) -> tuple[PairedComparison, ...]:
-    """For each claim and stratum that both have: second minus first, exactly, at the first's confidence.
+    """Return second minus first for each common claim and stratum, with exact bounds.
 
-    The bounds hold together (Bonferroni).  LedgerError for campaigns that share no claim, stratum or space,
-    or while episodes are missing, StatisticsError for others than the same.
+    All bounds hold together with the first's confidence (Bonferroni). LedgerError if the campaigns have no
+    common claim or stratum, other spaces or other scenarios, or if episodes are missing. StatisticsError if
+    two streams differ.
     """
     refuse_incomparable(first, second)
     refuse_other_scenarios(first, second)
@@ -137,12 +138,12 @@ def compare_ledgers(first: Ledger, second: Ledger) -> tuple[PairedComparison, ..
 
 
 def began_at(ledger: Ledger) -> list[str]:
-    """When its sessions began, as ISO 8601 in UTC, in their order."""
+    """Return the beginnings of the ledger's sessions, ISO 8601 in UTC, ascending."""
     return [began for (began,) in ledger.all("SELECT began FROM session ORDER BY began")]
 
 
 def refuse_itself(first: Ledger, second: Ledger) -> None:
-    """LedgerError for two ledgers of the same runs: the same sessions, and the same rows."""
+    """Raise LedgerError for two ledgers with the same sessions and the same rows."""
     if began_at(first) == began_at(second) and root_of(first) == root_of(second):
         got = f"{first.path}, which has the same runs: a comparison with itself"
         raise unusable(second.path, "a ledger of other runs", got)
@@ -150,7 +151,7 @@ def refuse_itself(first: Ledger, second: Ledger) -> None:
 
 def refuse_incomparable(first: Ledger, second: Ledger) -> None:
     """Raise LedgerError for campaigns over other spaces, and while episodes are missing."""
-    if first.draws_sha256 != second.draws_sha256:  # common random numbers are common only in the same spaces
+    if first.draws_sha256 != second.draws_sha256:  # only the same spaces give common random numbers
         expected = f"a campaign over the same spaces as {first.path}"
         raise unusable(second.path, expected, "spaces with another text")
     for ledger in (first, second):
@@ -160,10 +161,10 @@ def refuse_incomparable(first: Ledger, second: Ledger) -> None:
 
 
 def without_a_decided_run(ledger: Ledger) -> list[tuple[str, str]]:
-    """Stratum and claim of which every run that was made failed, or could not be judged."""
+    """Return stratum and claim for which all runs failed or had no verdict."""
     pairs = [(stratum, claim) for stratum in ledger.declared.strata for claim in ledger.declared.claims]
     samples = {pair: ledger.sample(*pair) for pair in pairs}
-    return [pair for pair, one in samples.items() if np.isin(one.outcomes, PERHAPS).all()]
+    return [pair for pair, sample in samples.items() if np.isin(sample.outcomes, PERHAPS).all()]
 
 
 _DRAWN = (
@@ -173,16 +174,16 @@ _DRAWN = (
 
 
 def refuse_other_scenarios(first: Ledger, second: Ledger) -> None:
-    """Raise LedgerError where an episode is another scenario in each: admission drew one of them anew."""
+    """Raise LedgerError if an episode has another scenario in each, because admission refused other draws."""
     with second.attached(first.path, "first"):
-        (pairs, apart), *_ = second.all(f"SELECT count(*), total(a.draws <> b.draws) {_DRAWN}")
-    if apart:
-        got = f"{int(apart)} of {pairs} pairs whose scenarios differ: admission refused other draws"
+        (pairs, differing), *_ = second.all(f"SELECT count(*), total(a.draws <> b.draws) {_DRAWN}")
+    if differing:
+        got = f"{int(differing)} of {pairs} pairs whose scenarios differ: admission refused other draws"
         raise unusable(second.path, f"the same scenario in each episode as {first.path}", got)
 
 
 def worse_episodes(first: Ledger, second: Ledger, most: int = 20) -> list[Worse]:
-    """Episodes with a violation that the first did not have, the largest loss of margin first."""
+    """Return at most ``most`` episodes that only the second violates, the largest loss of margin first."""
     with second.attached(first.path, "first"):
         rows = second.all(
             f"SELECT s.name, a.episode, c.sentence, c.unit, b.margin, a.margin {PAIRS} "

@@ -1,7 +1,4 @@
-"""Connections to a ledger: who may write, what is checked first, what SQLite's errors mean to people.
-
-And its tables.
-"""
+"""Connections to a ledger: checks, the right to write, SQLite's errors in words, and the tables."""
 
 from __future__ import annotations
 
@@ -23,15 +20,15 @@ from safety_harness.scenario.files import refuse_no_file
 from safety_harness.scenario.kinds import FileKind, refuse_other_kind
 from safety_harness.trace.overruling import COUNTS as OVERRULED_BY
 
-BUSY_MS = 30_000  # that others may keep the ledger from being written
-LARGEST_CHECKED_BYTES = 2 * 2**30  # every page of larger ledgers is not looked at on opening
+BUSY_MS = 30_000  # to wait while another process writes
+LARGEST_CHECKED_BYTES = 2 * 2**30  # opening checks each page up to this size
 _MAGIC = b"SQLite format 3\0"
 _WHOLE = "a ledger, whole"
 unusable = LedgerError.of_file
 
 
 def refuse_no_ledger(path: Path) -> None:
-    """LedgerError for what is no file, no SQLite, no ledger, or shorter than it says that it is."""
+    """Raise LedgerError for no file, no SQLite, no ledger, or a file shorter than its header states."""
     refuse_other_kind(path, FileKind.LEDGER, error=LedgerError)
     refuse_no_file(path, "a ledger", LedgerError)
     try:
@@ -52,17 +49,17 @@ def refuse_no_ledger(path: Path) -> None:
 
 
 def _unfinished(path: Path) -> bool:
-    """Is there a write-ahead log, which holds pages that the file has not got yet?"""
+    """Return whether there is a write-ahead log, with pages that the file lacks."""
     log = path.with_name(path.name + "-wal")
     return log.exists() and log.stat().st_size > 0
 
 
 def connect(path: Path, *, write: bool, check: bool = True, alone: bool = False) -> sqlite3.Connection:
-    """A connection to the ledger at ``path``; LedgerError for one that is damaged or of another version.
+    """Return a connection to the ledger at ``path``; LedgerError if it is damaged or of another version.
 
-    One that only reads may do so while another writes, and sees what was there when it began to look; one
-    that reads the file ``alone`` sees nothing of what lies beside it, leaves nothing there, and takes it
-    for a stranger's: no table, view or trigger but a ledger's.
+    A reader may read while another process writes, and sees the state at the beginning of its query. A
+    reader of the file ``alone`` ignores the files beside it and writes no such file. It treats the file as
+    a stranger's, and allows only a ledger's own tables, views and triggers.
     """
     refuse_no_ledger(path)
     with explained(path):
@@ -79,9 +76,9 @@ def connect(path: Path, *, write: bool, check: bool = True, alone: bool = False)
                 _refuse_other_tables(connection, path)
             if check and path.stat().st_size <= LARGEST_CHECKED_BYTES:
                 kind = "integrity" if alone else "quick"
-                (found,) = connection.execute(f"PRAGMA {kind}_check(1)").fetchone()
-                if found != "ok":
-                    raise unusable(path, _WHOLE, f"damage: {' '.join(found.split())}")
+                (result,) = connection.execute(f"PRAGMA {kind}_check(1)").fetchone()
+                if result != "ok":
+                    raise unusable(path, _WHOLE, f"damage: {' '.join(result.split())}")
             _count_nothing_else(connection)
             _show_added(connection)
             if not write:
@@ -107,38 +104,38 @@ def _refuse_other_version(connection: sqlite3.Connection, path: Path) -> None:
         raise unusable(path, "a ledger", "an SQLite database of something else")
     version = connection.execute("PRAGMA user_version").fetchone()[0]
     if version != VERSION:
-        whose = "a newer" if version > VERSION else "an older"
+        program = "a newer" if version > VERSION else "an older"
         raise LedgerError(
             place=Place(file=path),
             expected=f"a ledger of version {VERSION}",
-            got=f"version {version}, of {whose} program",
+            got=f"version {version}, of {program} program",
             hint="use the program that made it, or run its plan anew into another ledger (--ledger FILE)",
         )
 
 
 def _refuse_other_tables(connection: sqlite3.Connection, path: Path) -> None:
-    """LedgerError unless every table is one: a view in its place would say what is not there, for ever."""
+    """Raise LedgerError unless the schema is a ledger's: a view in place of a table could give false rows."""
     connection.execute("PRAGMA trusted_schema = OFF")
     with closing(sqlite3.connect(":memory:")) as whole:
         create(whole, counts_in(connection))
         whole.execute(ADDED)
-        known = {name: one for name, *one in whole.execute(_TEXTS)}
-    found = {name: one for name, *one in connection.execute(_TEXTS)}
-    for name in {"repeated", "opened", "answering", "added"} - {*found}:  # of an older program, or not used
+        known = {name: definition for name, *definition in whole.execute(_TEXTS)}
+    present = {name: definition for name, *definition in connection.execute(_TEXTS)}
+    for name in {"repeated", "opened", "answering", "added"} - {*present}:  # optional tables
         del known[name]
-    other = [name for name in {*known, *found} if known.get(name) != found.get(name)]
-    if other:
-        raise unusable(path, "a ledger's own tables", f"something else: {sorted(map(str, other))[0]}")
+    foreign = [name for name in {*known, *present} if known.get(name) != present.get(name)]
+    if foreign:
+        raise unusable(path, "a ledger's own tables", f"something else: {sorted(map(str, foreign))[0]}")
 
 
-# What any of them says hangs on its text: a collation, a check or a computed column too.  Every program that
-# made ledgers of this version wrote each table that it had in the same words.
+# The text of a table also has its collations, checks and computed columns, on which its contents depend.
+# All programs that made ledgers of this version wrote the same text for a table.
 _TEXTS = "SELECT name, type, tbl_name, sql FROM sqlite_master"
 
 
 @contextmanager
 def explained(path: Path) -> Iterator[None]:
-    """SQLite's errors as ours: a full disk is an OutputError, anything else a LedgerError."""
+    """Raise OutputError for SQLite's errors of a full disk, LedgerError for its further errors."""
     try:
         yield
     except sqlite3.Error as error:
@@ -154,9 +151,9 @@ def explained(path: Path) -> Iterator[None]:
 
 @contextmanager
 def only_runner(path: Path) -> Iterator[None]:
-    """Nobody else runs episodes for this ledger meanwhile; LedgerError if somebody does.
+    """Hold the lock of a ledger's runner; LedgerError if another process has it.
 
-    The operating system lets go of the lock when the process ends, however it ends.
+    The operating system releases the lock when the process ends in any way.
     """
     file = path.with_name(path.name + ".lock")
     with writing(file):
@@ -176,12 +173,12 @@ def only_runner(path: Path) -> Iterator[None]:
 
 
 def refuse_any_file(path: Path) -> None:
-    """LedgerError where a ledger is to be made and something is already."""
+    """Raise LedgerError if there is a file at the path of a new ledger."""
     if path.exists():
         raise unusable(path, "no file there yet", "one")
 
 
-COUNTS = (*OVERRULED_BY, "run", "theorem")  # of an episode, 0 where an older program did not note it
+COUNTS = (*OVERRULED_BY, "run", "theorem")  # of an episode, 0 if an older program did not note it
 OWN_COLUMNS = (  # of tables for other programs
     *("stratum", "episode", "claim", "outcome", "margin_si", "worst_time_s", "exercised", "seed", "draws"),
     *("decisions", "proposed", "opposite", "stopped", "faults", "late", "overruled", *COUNTS),
@@ -253,7 +250,7 @@ CREATE VIEW results AS
 """
 
 
-# Of columns that packages add; made when the first is written.
+# The table of columns that packages add; the first such number makes it.
 ADDED = """CREATE TABLE IF NOT EXISTS added (
     name TEXT NOT NULL, stratum INTEGER NOT NULL, episode INTEGER NOT NULL, number REAL,
     PRIMARY KEY (name, stratum, episode)
@@ -268,18 +265,18 @@ _NAMES = (
 
 @lru_cache
 def added_columns() -> tuple[RegisteredPart, ...]:
-    """Return the parts that add a column, without those whose name is no new column's, with a warning."""
-    found: dict[str, RegisteredPart] = {}
+    """Return the parts that add a column; leave out, with a warning, an invalid name or one in use."""
+    columns: dict[str, RegisteredPart] = {}
     for part in parts(ExtensionPoint.LEDGER_COLUMNS):
-        if part.name in (*OWN_COLUMNS, *found) or not _COLUMN.fullmatch(part.name):
+        if part.name in (*OWN_COLUMNS, *columns) or not _COLUMN.fullmatch(part.name):
             warn(part, "its name is taken, or is no word of small letters, digits and underscores")
         else:
-            found[part.name] = part
-    return tuple(found.values())
+            columns[part.name] = part
+    return tuple(columns.values())
 
 
 def added_in(connection: sqlite3.Connection) -> tuple[str, ...]:
-    """Return the names of a ledger's added columns; a stranger may have written any text as one."""
+    """Return the names of a ledger's added columns that are valid; a stranger may have written any text."""
     if not connection.execute("SELECT 1 FROM main.sqlite_master WHERE name = 'added'").fetchone():
         return ()
     names = [str(name) for (name,) in connection.execute(_NAMES)]
@@ -289,14 +286,14 @@ def added_in(connection: sqlite3.Connection) -> tuple[str, ...]:
 def _show_added(connection: sqlite3.Connection) -> None:
     """Put a view with the added columns before the view of episodes."""
     own = "FROM added a JOIN stratum s ON s.id = a.stratum WHERE s.name = e.stratum AND a.episode = e.episode"
-    if columns := [f"(SELECT number {own} AND a.name = '{one}') AS {one}" for one in added_in(connection)]:
+    if columns := [f"(SELECT number {own} AND a.name = '{name}') AS {name}" for name in added_in(connection)]:
         connection.execute(
             f"CREATE TEMP VIEW episodes AS SELECT e.*, {', '.join(columns)} FROM main.episodes e"
         )
 
 
 def create(connection: sqlite3.Connection, counts: tuple[str, ...] = COUNTS) -> None:
-    """Make the tables, within the transaction that is open; an older program's had fewer ``counts``."""
+    """Make the tables in the open transaction; older programs had fewer ``counts``."""
     for statement in _tables(counts).split(";\n")[:-1]:
         connection.execute(statement)
     connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
@@ -304,13 +301,13 @@ def create(connection: sqlite3.Connection, counts: tuple[str, ...] = COUNTS) -> 
 
 
 def counts_in(connection: sqlite3.Connection) -> tuple[str, ...]:
-    """Those of ``COUNTS`` that the ledger was made with: later programs note more."""
+    """Return the names of ``COUNTS`` that the ledger has; later programs note more."""
     columns = {row[1] for row in connection.execute("PRAGMA main.table_info(episode)")}
     return tuple(name for name in COUNTS if name in columns)
 
 
 def _count_nothing_else(connection: sqlite3.Connection) -> None:
-    """What an older program did not note is read as 0: a view of that name stands before the table."""
+    """Put a view before the table of episodes that gives 0 for each count that the ledger lacks."""
     there = counts_in(connection)
     if absent := [f"0 AS {name}" for name in COUNTS if name not in there]:
         connection.execute(f"CREATE TEMP VIEW episode AS SELECT *, {', '.join(absent)} FROM main.episode")

@@ -1,8 +1,8 @@
-"""How often a campaign's gate overruled the avoider: counted, as a sample of episodes, and of two compared.
+"""How often a campaign's gate overruled the avoider: counts, a sample of episodes, and a comparison.
 
-That an episode had *some* proposal overruled is judged like a claim, so that its bounds and its paired test
-are those of ``statistics``: it is untested where nothing was proposed, and may or may not have happened in
-an episode that failed to run.
+"A proposal of this episode was overruled" has outcomes like a claim, so that ``statistics`` gives its
+bounds and its paired test. An episode without a proposal is untested. An episode that failed to run counts
+as unknown.
 """
 
 from __future__ import annotations
@@ -28,15 +28,15 @@ _EPISODES = (
 
 
 def overruling_in(ledger: Ledger, stratum: int | None = None) -> Overruling:
-    """Of one stratum, or of all that is there now."""
-    within = (stratum is None, stratum)
-    return Overruling.of_counts(*ledger.all(f"SELECT {_SUMS} FROM episode WHERE ? OR stratum = ?", *within))
+    """Return the counts of one stratum, or of all strata for None."""
+    chosen = (stratum is None, stratum)
+    return Overruling.of_counts(*ledger.all(f"SELECT {_SUMS} FROM episode WHERE ? OR stratum = ?", *chosen))
 
 
 def overruled_episodes(ledger: Ledger, stratum: int) -> IndependentSample:
-    """Which episodes of a stratum had a proposal overruled: "violated"; the margin is minus how many.
+    """Return the episodes of a stratum as a sample: "violated" if the gate overruled a proposal.
 
-    StatisticsError while episodes are missing.
+    The margin is minus the number of overruled proposals. StatisticsError while episodes are missing.
     """
     rows = np.array(list(ledger.all(_EPISODES, stratum, ledger.stopped_after(stratum))), np.int64)
     episodes, seeds, proposals, overruled, failed = rows.reshape(-1, 5).T
@@ -58,7 +58,7 @@ def overruled_episodes(ledger: Ledger, stratum: int) -> IndependentSample:
 
 @dataclass(frozen=True)
 class OverrulingCompared:
-    """One stratum of two campaigns: all proposals of each, and the episodes with some overruled, paired."""
+    """One stratum of two campaigns: all proposals of each, and a paired test of the overruled episodes."""
 
     stratum: str
     before: Overruling
@@ -67,23 +67,24 @@ class OverrulingCompared:
 
     @property
     def words(self) -> str:
-        """One line."""
-        one, more = self.episodes, self.after.share - self.before.share
+        """The comparison in one line."""
+        pair, more = self.episodes, self.after.share - self.before.share
         was, now = (
-            f"{share_words(of.overruled, of.proposals)} of {of.proposals:,}"
-            for of in (self.before, self.after)
+            f"{share_words(counts.overruled, counts.proposals)} of {counts.proposals:,}"
+            for counts in (self.before, self.after)
         )
         difference = f" ({more:+.1%})" if math.isfinite(more) else ""
-        unclear = f", unclear {one.unclear}" if one.unclear else ""
+        unclear = f", unclear {pair.unclear}" if pair.unclear else ""
         return (
-            f"{self.stratum}: overruled {now} proposals, before {was}{difference}; of {one.episodes} "
-            f"episodes some proposal was overruled both times in {one.both}, only after in {one.only_first}, "
-            f"only before in {one.only_second}{unclear}; p {one.p_value:.3g} (McNemar, of its own line alone)"
+            f"{self.stratum}: overruled {now} proposals, before {was}{difference}; of {pair.episodes} "
+            f"episodes some proposal was overruled both times in {pair.both}, only after in "
+            f"{pair.only_first}, only before in {pair.only_second}{unclear}; p {pair.p_value:.3g} "
+            "(McNemar, of its own line alone)"
         )
 
 
 def compare_overruling(first: Ledger, second: Ledger) -> list[OverrulingCompared]:
-    """For each stratum that both have, as ``compare_ledgers``, which refuses what cannot be compared."""
+    """Return the comparison of each common stratum; ``compare_ledgers`` refuses ledgers that do not match."""
     strata = [name for name in first.declared.strata if name in second.declared.strata]
     places = [(first.declared.strata.index(name), second.declared.strata.index(name)) for name in strata]
     return [

@@ -1,9 +1,9 @@
-"""A few runs before a plan's own: how many of those will test each claim, how many it takes, how long.
+"""A few runs before a plan's own: how many runs will exercise each claim, how many it needs, and the time.
 
-The runs of a pilot have another seed than the plan's, so that nobody has seen a declared run before it is
-declared.  Numbers of runs come from the bounds themselves (``extensions.assurance.statistics.planning``).
-Runs without a verdict,
-or that could not be carried on, count as tested and as violations, as they do in the upper bounds.
+A pilot's runs have another seed than the plan's, so that its author sees no declared run before the
+declaration. The bounds themselves give the numbers of runs (``extensions.assurance.statistics.planning``).
+
+Runs without a verdict and runs that failed count as tested and as violations, as in the upper bounds.
 """
 
 from __future__ import annotations
@@ -33,25 +33,25 @@ from safety_harness.extensions.assurance.statistics.planning import (
 )
 from safety_harness.extensions.assurance.statistics.sample import EpisodeOutcome
 
-WANTED = 0.9  # chance of success that a number of runs is planned for
-ALONE = 0.05  # by which each interval of a pilot may be wrong, alone
-FIRST = 30  # runs of a stratum, before anything is said of the rest
-_PILOT = 2  # of the branch of the tree of seeds that is a campaign's
+WANTED = 0.9  # chance of success of a planned number of runs
+ALONE = 0.05  # error of each interval of a pilot, alone
+FIRST = 30  # runs of a stratum before a forecast of the rest
+_PILOT = 2  # in the campaign's branch of the tree of seeds
 
 
 def aim_of(plan: Plan, target: float) -> Aim:
-    """What showing a target asks of one claim in one stratum, all bounds of the plan together."""
+    """Return the goal to show a target for one claim in one stratum, with all bounds of the plan together."""
     family = ends_of(len(plan.claims), len(plan.strata))
     return Aim(target=target, confidence=plan.confidence, family=family, stop_early=plan.stop_early)
 
 
 @dataclass(frozen=True, kw_only=True)
 class ClaimForecast:
-    """One claim in one stratum: ``tested`` of ``tried`` runs exercised it, ``bad`` of these may violate it.
+    """One claim in one stratum: ``tested`` of ``tried`` runs exercised it, and ``bad`` may violate it.
 
-    ``needed`` is the least number of tested runs that can show the target, ``runs_needed`` that of all runs:
-    with the chance ``WANTED``, if the share of tested runs is that of the pilot, and the violations are too.
-    None: no target, or no number will do, or none is known.
+    ``needed`` is the least number of tested runs that can show the target, and ``runs_needed`` the least
+    number of all runs. They succeed with the chance ``WANTED``, if the shares of tested and of violating
+    runs are the pilot's. They are None without a target or a sufficient number; ``why`` has the reason.
     """
 
     stratum: str
@@ -67,7 +67,7 @@ class ClaimForecast:
 
     @property
     def expected(self) -> tuple[int, int, int]:
-        """How many of the planned runs will test it: least, likely, most (95 % alone)."""
+        """The planned runs that will exercise the claim: least, likely, most (95 % alone)."""
         least = lower_bound(self.tested, self.tried, ALONE / 2)
         most = upper_bound(self.tested, self.tried, ALONE / 2)
         ends = (math.floor(least * self.planned), math.ceil(most * self.planned))
@@ -75,12 +75,12 @@ class ClaimForecast:
 
     @property
     def enough(self) -> bool:
-        """Are the planned runs, as far as the pilot tells?"""
+        """Whether the planned runs suffice, by the pilot's shares."""
         return self.target is None or (self.runs_needed is not None and self.runs_needed <= self.planned)
 
     @property
     def line(self) -> str:
-        """For people."""
+        """The forecast in one line."""
         least, likely, most = self.expected
         will = f"{likely} will test it ({least} to {most})"
         if self.target is None:
@@ -91,13 +91,13 @@ class ClaimForecast:
 
 
 def forecast(plan: Plan, stratum: int, claim: int, *, tried: int, tested: int, bad: int) -> ClaimForecast:
-    """From the first ``tried`` runs, of a pilot or of the plan's own."""
-    planned, one = plan.claims[claim], plan.strata[stratum]
-    found = ClaimForecast(
-        stratum=one.name,
+    """Return the forecast from the first ``tried`` runs, of a pilot or of the plan's own."""
+    planned, declared = plan.claims[claim], plan.strata[stratum]
+    unknown = ClaimForecast(
+        stratum=declared.name,
         sentence=planned.sentence,
         target=planned.target,
-        planned=one.runs,
+        planned=declared.runs,
         tried=tried,
         tested=tested,
         bad=bad,
@@ -105,40 +105,41 @@ def forecast(plan: Plan, stratum: int, claim: int, *, tried: int, tested: int, b
         runs_needed=None,
     )
     if planned.target is None:
-        return found
+        return unknown
     aim = aim_of(plan, planned.target)
     if bad and lower_bound(bad, tested, ALONE) > planned.target:
-        return replace(found, why=f"{bad} of {tested} violate it: no number of runs will show it")
+        return replace(unknown, why=f"{bad} of {tested} violate it: no number of runs will show it")
     try:
         needed = runs_for_power(aim, probability=bad / tested, wanted=WANTED) if bad else runs_needed(aim)
     except StatisticsError:
-        return replace(found, why=f"{bad} of {tested} violate it: too near to the target to plan for")
+        return replace(unknown, why=f"{bad} of {tested} violate it: too near to the target to plan for")
     if not tested:
         most = upper_bound(0, tried, ALONE)
         least = runs_for_tested(needed, share=most, wanted=WANTED)
         why = f"none of {tried} tests it: {least} runs at least, if {100 * most:.3g} % of them do"
-        return replace(found, needed=needed, why=why)
+        return replace(unknown, needed=needed, why=why)
     runs = runs_for_tested(needed, share=tested / tried, wanted=WANTED)
-    return replace(found, needed=needed, runs_needed=runs)
+    return replace(unknown, needed=needed, runs_needed=runs)
 
 
 def too_few(plan: Plan, tally: CampaignTally) -> Iterator[ClaimForecast]:
-    """What the planned runs will not show, as far as ``FIRST`` of them or more tell, and some are missing."""
-    for stratum, one in enumerate(tally.strata):
-        for claim, found in enumerate(one.claims if one.done >= FIRST and not one.complete else ()):
-            counts = found.counts
-            tested = one.done - counts[EpisodeOutcome.UNTESTED]
+    """Yield the claims that too few runs are planned for, in each unfinished stratum with ``FIRST`` runs."""
+    for stratum, part in enumerate(tally.strata):
+        for claim, judged in enumerate(part.claims if part.done >= FIRST and not part.complete else ()):
+            counts = judged.counts
+            tested = part.done - counts[EpisodeOutcome.UNTESTED]
             bad = tested - counts[EpisodeOutcome.HOLDS]
-            told = forecast(plan, stratum, claim, tried=one.done, tested=tested, bad=bad)
-            if not told.enough:
-                yield told
+            outlook = forecast(plan, stratum, claim, tried=part.done, tested=tested, bad=bad)
+            if not outlook.enough:
+                yield outlook
 
 
 @dataclass(frozen=True, kw_only=True)
 class PlanPilot:
-    """What the runs of a pilot say of a plan; ``run_s`` is how long one took, by stratum.
+    """The results of a pilot; ``run_s`` is the median time of a run [s] in each stratum.
 
-    ``remarks``: why they are not of the plan's avoider, and ``slow_answers``, as ``AvoiderWatch`` has them.
+    ``remarks`` are reasons why the runs do not represent the plan's avoider; these and ``slow_answers``
+    come from ``AvoiderWatch``.
     """
 
     forecasts: tuple[ClaimForecast, ...]
@@ -149,18 +150,18 @@ class PlanPilot:
 
     @property
     def enough(self) -> bool:
-        """Are the planned runs, for every claim, and was every run of the pilot whole and of the avoider?"""
-        return not (self.failures or self.remarks) and all(one.enough for one in self.forecasts)
+        """Whether the planned runs suffice for each claim, and the pilot has no failure and no remark."""
+        return not (self.failures or self.remarks) and all(claim.enough for claim in self.forecasts)
 
     def seconds(self, plan: Plan, workers: int) -> float:
-        """That the plan's runs will take on this machine, as long as nothing else wants its cores."""
-        return sum(s * one.runs for s, one in zip(self.run_s, plan.strata, strict=True)) / workers
+        """Return the time [s] of the plan's runs on this machine, if no other program uses its cores."""
+        return sum(s * stratum.runs for s, stratum in zip(self.run_s, plan.strata, strict=True)) / workers
 
 
 def pilot(plan: Plan, runs: int, on_progress: Callable[[int], None] = lambda done: None) -> PlanPilot:
-    """Run ``runs`` episodes of each stratum in this process; nothing is written.
+    """Run ``runs`` episodes of each stratum in this process, without writing.
 
-    InputError for an avoider that cannot be made, or a plan whose text is to blame.
+    InputError for an avoider that cannot be made, or if the plan's text is to blame.
     """
     plan.world.opener()
     for scenario in scenarios_by_avoider(plan):
@@ -192,6 +193,6 @@ def pilot(plan: Plan, runs: int, on_progress: Callable[[int], None] = lambda don
 def _forecasts(plan: Plan, stratum: int, rows: Sequence[Row]) -> Iterator[ClaimForecast]:
     for claim in range(len(plan.claims)):
         outcomes = [row.judgements[claim].outcome for row in rows]
-        tested = sum(one is not EpisodeOutcome.UNTESTED for one in outcomes)
-        bad = tested - sum(one is EpisodeOutcome.HOLDS for one in outcomes)
+        tested = sum(outcome is not EpisodeOutcome.UNTESTED for outcome in outcomes)
+        bad = tested - sum(outcome is EpisodeOutcome.HOLDS for outcome in outcomes)
         yield forecast(plan, stratum, claim, tried=len(rows), tested=tested, bad=bad)

@@ -1,7 +1,7 @@
-"""A plan: what is claimed, in which spaces, how often each is run, and what is kept of it.
+"""A plan: claims, spaces, the number of runs in each, and the traces to keep.
 
-Its text is part of what its results are known by; that it came first only a hash lodged elsewhere shows.
-docs/campaigns.md is the reference of the file.
+Its text belongs to the identity of its results. Only a hash that another party has shows that it came
+before them. docs/campaigns.md is the reference of the file.
 """
 
 from __future__ import annotations
@@ -69,9 +69,9 @@ MOST_TRACES = 100_000  # of a stratum, some 0.4 MB each
 
 @dataclass(frozen=True)
 class PlannedClaim:
-    """A claim as its author wrote it, which should hold; ``target`` bounds its chance of violation.
+    """A claim that should hold, as its author wrote it; ``target`` bounds its probability of violation.
 
-    ``hazards`` are those of the plan that it stands under; ``hazard`` is their names, or words of its own.
+    ``hazards`` are the plan's hazards that it belongs to; ``hazard`` has their names, or words of its own.
     """
 
     claim: Claim
@@ -82,7 +82,7 @@ class PlannedClaim:
 
     @property
     def sentence(self) -> str:
-        """As written in the plan."""
+        """The text in the plan."""
         return self.claim.sentence
 
 
@@ -96,17 +96,17 @@ class Stratum:
 
     @property
     def number(self) -> int:
-        """Of the name, not of its position: a stratum more or less moves no other's episodes."""
+        """The number of the name: other strata do not influence these episodes."""
         return stratum_number(self.name)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Plan:
-    """Made by ``read_plan``.  ``confidence`` is that of all bounds of the plan together.
+    """A plan, made by ``read_plan``. ``confidence`` is that of all its bounds together.
 
-    ``random_traces`` and ``violations_kept`` are whole traces kept of each stratum; ``search_runs`` is for
-    who looks for counterexamples besides, which no bound is ever made of.  ``avoider`` takes the place of
-    what the spaces name.  ``files`` are all the files that the plan is made of.
+    In each stratum, ``random_traces`` and ``violations_kept`` whole traces are stored. ``search_runs`` is
+    the number of runs of a search for counterexamples, which no bound uses. ``avoider`` replaces the
+    avoiders of the spaces. ``files`` are all files of the plan.
     """
 
     title: str
@@ -130,27 +130,32 @@ class Plan:
 
     @property
     def name(self) -> str:
-        """The file's, without its suffix."""
+        """The name of the file without its suffix."""
         return self.file.stem
 
     @property
     def runs(self) -> int:
-        """Of all strata together."""
+        """The number of runs in all strata."""
         return sum(stratum.runs for stratum in self.strata)
 
     @property
     def avoider_here(self) -> str | None:
-        """Its avoider as the working directory sees it; None if it names none."""
-        return None if self.avoider is None else _from(self.file.parent, self.avoider)
+        """The avoider as seen from the working directory; None if the plan names no avoider."""
+        return None if self.avoider is None else _seen_from_here(self.file.parent, self.avoider)
 
     def with_avoider(self, scenario: Scenario) -> Scenario:
-        """The scenario with the plan's avoider, if it names one."""
+        """Return a scenario with the plan's avoider, if the plan names one.
+
+        Args:
+            scenario: A scenario of the plan.
+
+        """
         reference = self.avoider_here
         return scenario if reference is None else with_avoider(scenario, reference, self.avoider_place)
 
 
 def read_packable(path: Path) -> Plan:
-    """As ``read_plan``; ScenarioError if a copy of its files reads another plan, as a report's would."""
+    """Return the plan in a file; ScenarioError if a copy of its files, as in a report, reads differently."""
     plan = read_plan(path)
     with tempfile.TemporaryDirectory(prefix="safety-harness-") as folder:
         try:
@@ -158,31 +163,38 @@ def read_packable(path: Path) -> Plan:
         except InputError as error:
             got = f"a copy in which {error.place} is missing"
             raise ScenarioError.of_file(plan.file, _PACKABLE, got) from error
-    copied, told = dict(copy.identity.parts), [*map(_told_references, (plan, copy))]
-    if name := min(told[0] ^ told[1], default=""):  # traces would name it otherwise than those of the copy
+    copied, references = dict(copy.identity.parts), [*map(_stored_references, (plan, copy))]
+    if name := min(references[0] ^ references[1], default=""):  # the copy's traces would have another name
         raise ScenarioError.of_file(plan.file, _PACKABLE, f"{name}, which shares no folder with a space")
-    other = [file.name for file in plan.files if copied.get(f"the file {file.name}") != file.sha256]
-    if other:
-        got = f"a copy that reads {', '.join(other)} from elsewhere"
+    changed = [file.name for file in plan.files if copied.get(f"the file {file.name}") != file.sha256]
+    if changed:
+        got = f"a copy that reads {', '.join(changed)} from elsewhere"
         raise ScenarioError.of_file(plan.file, _PACKABLE, got)
     return plan
 
 
-def _told_references(plan: Plan) -> set[str]:
-    """What spaces refer to, as traces name it."""
-    spaces = ((one.space.tree, (one.space.file or plan.file).parent) for one in plan.strata)
-    told = ((file_and_name(text)[0] or text, at) for tree, at in spaces for text in references_in(tree))
-    return {portable(text, at) for text, at in told if Path(text).suffix}
+def _stored_references(plan: Plan) -> set[str]:
+    """Return the references to files in the plan's spaces, as traces store them."""
+    spaces = ((stratum.space.tree, (stratum.space.file or plan.file).parent) for stratum in plan.strata)
+    references = ((file_and_name(text)[0] or text, at) for tree, at in spaces for text in references_in(tree))
+    return {portable(text, at) for text, at in references if Path(text).suffix}
 
 
 _PACKABLE = "references that a report can carry with it: relative paths"
 
 
 def read_plan(path: str | Path, edition: int = EDITION) -> Plan:
-    """The plan in a file, with its spaces; InputError with its place when it cannot be used as it stands.
+    """Return the plan in a file, with its spaces.
 
-    ``shipped:NAME`` is one of ours, also where a plan names a space.  ``edition`` is that of the claims'
-    meaning.  No avoider is made: a user's own would be executed.
+    It makes no avoider, because that would execute a user's file.
+
+    Args:
+        path: The file; ``shipped:NAME`` is a shipped file, also where a plan names a space.
+        edition: The edition of the catalogue that gives the claims their meaning.
+
+    Raises:
+        InputError: The plan cannot be used; the error has the place.
+
     """
     path = as_path(path, "read_plan(path)")
     refuse_other_kind(path, FileKind.PLAN)
@@ -201,7 +213,7 @@ def read_plan(path: str | Path, edition: int = EDITION) -> Plan:
     strata = _strata(given.required("strata"), path.parent, library)
     if reference:
         for stratum in strata:
-            with_avoider(stratum.space.simplest, _from(path.parent, reference), place)
+            with_avoider(stratum.space.simplest, _seen_from_here(path.parent, reference), place)
     confidence = _read(given, "confidence", lambda f: f.quantity(FRACTION, least=0.5, most=0.999999), 0.95)
     risks = read_hazards(given, confidence)
     claims = _claims(given.required("claims"), strata, risks, edition)
@@ -247,42 +259,42 @@ def read_plan(path: str | Path, edition: int = EDITION) -> Plan:
 def _systems(
     strata: Iterable[Stratum], path: Path, reference: str | None
 ) -> Iterator[tuple[str, SystemUnderTest]]:
-    """What each stratum tests; without one whose program is not there, which admission refuses in words."""
+    """Yield each stratum's system under test; omit a missing program, which admission refuses with words."""
     for stratum in strata:
         scenario = stratum.space.simplest
         if reference:
-            scenario = with_avoider(scenario, _from(path.parent, reference))
+            scenario = with_avoider(scenario, _seen_from_here(path.parent, reference))
         with suppress(OSError, InadmissibleError):
             yield stratum.name, named_system(scenario)
 
 
-@lru_cache(maxsize=256)  # asked for with every episode
+@lru_cache(maxsize=256)  # each episode needs it
 def stratum_number(name: str) -> int:
-    """The number of a stratum in the tree of seeds: 63 bits of its name's SHA-256."""
+    """Return the number of a stratum in the tree of seeds: 63 bits of its name's SHA-256."""
     return int.from_bytes(hashlib.sha256(name.encode()).digest()[:8], "big") >> 1
 
 
 def scenarios_by_avoider(plan: Plan) -> Iterable[Scenario]:
-    """One scenario of the plan for each avoider that its runs may have."""
-    found: dict[str, Scenario] = {}
+    """Return one scenario of the plan for each avoider or controller of its runs."""
+    scenarios: dict[str, Scenario] = {}
     for stratum in plan.strata:
         simplest = plan.with_avoider(stratum.space.simplest)
-        others: list[Scenario] = []
+        further: list[Scenario] = []
         if not plan.avoider:
             tree = stratum.space.tree
-            others = [replace(simplest, avoider=one) for one in references_in(tree, ("avoider",))]
-            others += [
-                replace(simplest, controller=one, avoider=NO_AVOIDER)
-                for one in references_in(tree, ("controller",))
-                if one != VISUAL_SERVO
+            further = [replace(simplest, avoider=tested) for tested in references_in(tree, ("avoider",))]
+            further += [
+                replace(simplest, controller=tested, avoider=NO_AVOIDER)
+                for tested in references_in(tree, ("controller",))
+                if tested != VISUAL_SERVO
             ]
-        for one in (simplest, *others):
-            found.setdefault(command_line_reference(one), one)
-    return found.values()
+        for tested in (simplest, *further):
+            scenarios.setdefault(command_line_reference(tested), tested)
+    return scenarios.values()
 
 
-def _from(folder: Path, reference: str) -> str:
-    """The reference to what is tested, its file as seen from the working directory."""
+def _seen_from_here(folder: Path, reference: str) -> str:
+    """Return a reference in ``folder`` with its file as seen from the working directory."""
     file, name = file_and_name(reference)
     if not file:
         return reference
@@ -290,17 +302,17 @@ def _from(folder: Path, reference: str) -> str:
 
 
 def _read(given: Fields | None, key: str, read: Callable[[Field], V], default: V) -> V:
-    """What a key says, if it is there."""
+    """Return the value of a key, or the default without the key."""
     field = given.optional(key) if given else None
     return read(field) if field else default
 
 
-def _strata(at: Field, folder: Path, library: Library) -> tuple[Stratum, ...]:
+def _strata(listed: Field, folder: Path, library: Library) -> tuple[Stratum, ...]:
     strata: list[Stratum] = []
-    for item in at.items("a list of strata", least=1, most=MOST_STRATA):
+    for item in listed.items("a list of strata", least=1, most=MOST_STRATA):
         given = item.fields(STRATUM.names)
         name = given.required("stratum").sentence("a name")
-        if any(stratum_number(name) == other.number for other in strata):
+        if any(stratum_number(name) == earlier.number for earlier in strata):
             raise given.required("stratum").error("a name that no other stratum has")
         runs = given.required("runs").integer(least=1, most=MOST_RUNS)
         space = given.required("space")
@@ -310,14 +322,14 @@ def _strata(at: Field, folder: Path, library: Library) -> tuple[Stratum, ...]:
             raise space.error(expected, got=f"no such file: {file}")
         if (kind := kind_of(file)) not in (None, FileKind.SPACE):
             raise space.error(expected, got=f"{kind.words}: {file}")
-        found = only_variant(file, library, "one scenario space")
-        tree = with_relative_paths(found.tree, file.parent)  # as a report names them, wherever it lies
-        strata.append(Stratum(name, space_of(tree, file, name=found.name), runs))
+        variant = only_variant(file, library, "one scenario space")
+        tree = with_relative_paths(variant.tree, file.parent)  # as a report refers to them, in any folder
+        strata.append(Stratum(name, space_of(tree, file, name=variant.name), runs))
     return tuple(strata)
 
 
 def with_relative_paths(node: Node, folder: Path) -> Node:
-    """A tree in which no avoider, controller or recording has an absolute path, as seen from ``folder``."""
+    """Return a tree with relative paths from ``folder`` in avoiders, controllers and recordings."""
 
     def relative(text: str) -> str:
         file, name = file_and_name(text)

@@ -1,4 +1,4 @@
-"""The keys of a plan: what ``read_plan`` takes, for ``explain`` and for the schema that editors read."""
+"""The keys of a plan, for ``read_plan``, ``explain`` and the schema for editors."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from safety_harness.extensions.assurance.campaign.risk_graph import OWN_GRAPH
 from safety_harness.scenario.codec import REQUIRED, Below, Key, KeyTable, QuantityValue, Several, Text, Word
 from safety_harness.scenario.units import FRACTION, NUMBER
 
-LEAST_TARGET = 1e-9  # what is less takes more runs than anybody makes
+LEAST_TARGET = 1e-9  # smaller targets need more runs than any plan has
 
 _LINE = Text(words="text, one line", expected="a text on one line")
 _TEXT = Text(words="text", expected="a text")
@@ -69,7 +69,7 @@ PLAN = KeyTable(
         Key("controller", _LINE, "in place of an avoider", "stop when near", "the visual servo"),
         Key(
             "world",
-            Word(members=tuple(one.label for one in WORLDS)),
+            Word(members=tuple(world.label for world in WORLDS)),
             "where it runs",
             "kinematic",
             "PyBullet",

@@ -1,8 +1,8 @@
-"""Who runs episodes, chunks in and rows out; and a crew of processes on this machine.
+"""The interface of a pool that runs episodes, and a pool of processes on this machine.
 
-Processes that crash, hang or leak are replaced, one by one.  Each worker has a pipe of its own, so that one
-that is killed in the middle of a message harms no other.  They are forked from one process that has imported
-everything already (forkserver), so that a new one is there at once.
+The pool replaces processes that crash, hang or leak, one at a time. Each worker has its own pipe, so that
+its end in the middle of a message harms no other worker. A process that has imported everything forks them
+(forkserver), so that a new worker starts at once.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _LOOK_S = 1.0  # between looks at clocks and memory
 
 @dataclass(frozen=True)
 class Chunk:
-    """Episodes of one stratum that one worker runs; ``keep_violations``: are traces of these still wanted?"""
+    """Episodes of one stratum for one worker; ``keep_violations`` says whether to store their traces."""
 
     stratum: int
     episodes: tuple[int, ...]
@@ -45,7 +45,7 @@ class Chunk:
 
 @dataclass(frozen=True)
 class Arrived:
-    """Rows of a chunk, which may come in parts; ``last`` with the last of them."""
+    """Rows of a chunk, which may come in parts; ``last`` marks the last part."""
 
     chunk: Chunk
     rows: tuple[Row, ...]
@@ -54,9 +54,9 @@ class Arrived:
 
 @dataclass(frozen=True)
 class Lost:
-    """A chunk of which nothing more will come, and why: its worker crashed, hung or grew too large.
+    """A chunk without further rows, and the reason: its worker crashed, hung or grew too large.
 
-    ``times`` is how often it was certainly begun and lost: with 0 none of its episodes can be blamed.
+    ``times`` counts the times that a worker certainly began it and was lost; 0 blames no episode.
     """
 
     chunk: Chunk
@@ -68,37 +68,37 @@ Event = Arrived | Lost
 
 
 class WorkerPool(Protocol):
-    """Workers.  ``give`` while ``free``, then ``take``."""
+    """Workers. Call ``give`` while ``free`` is positive, then ``take``."""
 
-    size: int  # how many can work at the same time now
-    replaced: int  # how many workers were replaced so far
+    size: int  # workers that can work at the same time now
+    replaced: int  # workers replaced so far
 
     @property
     def free(self) -> int:
-        """How many chunks may be given now."""
+        """The number of chunks that the pool accepts now."""
 
     def give(self, chunk: Chunk) -> None:
-        """Have it run."""
+        """Let a worker run a chunk."""
 
     def take(self, timeout_s: float) -> Sequence[Event]:
-        """What has come since; waits for something until the timeout is over.
+        """Return the events since the last call; wait for an event until the timeout is over.
 
-        InputError where the plan is to blame, CampaignError where nothing can be run any more.
+        InputError if the plan is to blame, CampaignError if the pool cannot run anything more.
         """
 
     def close(self) -> None:
-        """Stop at once; what is under way is dropped."""
+        """Stop at once, and drop the chunks under way."""
 
 
 class RunsEpisodes(Protocol):
-    """What a worker has: ``EpisodeRunner``, or another in its place."""
+    """The interface of an ``EpisodeRunner``, which a worker has."""
 
     def run(self, stratum: int, episodes: Sequence[int], *, keep_violations: bool = True) -> Iterator[Row]:
-        """A row for each, in their order."""
+        """Yield a row for each episode, in their order."""
 
 
 def bench_of_file(file: Path, identity: Identity) -> EpisodeRunner:
-    """Runs the plan in a file; LedgerError if it is no longer the declared one."""
+    """Return a runner of the plan in a file; LedgerError if the file no longer has the declared plan."""
     plan = read_plan(file)
     identity.refuse_other(plan.identity, file, where=", on every machine")
     return EpisodeRunner(plan, worker=f"{os.uname().nodename}:{os.getpid()}")
@@ -106,13 +106,13 @@ def bench_of_file(file: Path, identity: Identity) -> EpisodeRunner:
 
 @dataclass(frozen=True)
 class _Free:
-    """The worker waits for a chunk, the first one or the next; ``resident_bytes`` of it now."""
+    """The message of a worker that waits for a chunk; ``resident_bytes`` is its memory now."""
 
     resident_bytes: int
 
 
 def work(connection: Connection, lifeline: Connection, make: Callable[[], RunsEpisodes]) -> None:
-    """Answer chunks with their rows one by one, then that it is free; ends when nobody is there any more."""
+    """Answer chunks with rows, one by one, and then with ``_Free``; end when the pipe closes."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the first process answers Ctrl-C
     threading.Thread(target=_end_with, args=(lifeline,), daemon=True).start()
     try:
@@ -131,7 +131,7 @@ def work(connection: Connection, lifeline: Connection, make: Callable[[], RunsEp
 
 
 def _end_with(lifeline: Connection) -> None:
-    """End this process when the one that started it has ended, whatever this one is at."""
+    """End this process when its parent has ended, in any state."""
     try:
         lifeline.recv()
     except (EOFError, OSError):
@@ -139,7 +139,7 @@ def _end_with(lifeline: Connection) -> None:
 
 
 def resident_bytes(process: int) -> int:
-    """Memory that a process has now; 0 for one that is gone."""
+    """Return the present memory of a process; 0 for a process that has ended."""
     try:
         pages = int(Path(f"/proc/{process}/statm").read_text().split()[1])
     except (OSError, IndexError, ValueError):
@@ -151,11 +151,11 @@ def resident_bytes(process: int) -> int:
 
 @dataclass(frozen=True, kw_only=True)
 class Limits:
-    """When a worker is replaced.
+    """The limits at which a worker is replaced.
 
-    ``silence_s`` between two of its messages (a row at least) on a monotonic clock, ``first_s`` more for its
-    first chunk, in which machine code may be compiled; ``resident_bytes`` and ``episodes`` after which it
-    is replaced between chunks, and at once beyond twice the memory.
+    ``silence_s`` is the longest time between two messages (at least a row) on a monotonic clock. The first
+    chunk may take ``first_s`` more, because it may compile machine code. Beyond ``resident_bytes`` or
+    ``episodes`` a worker is replaced between two chunks, and beyond twice the memory at once.
     """
 
     silence_s: float = 300.0
@@ -179,7 +179,7 @@ class _Worker:
     chunks: int = 0
 
     def end(self) -> None:
-        """At once."""
+        """Kill the process and close its pipes."""
         self.process.kill()
         self.process.join()
         self.connection.close()
@@ -188,7 +188,7 @@ class _Worker:
 
 @dataclass(eq=False)
 class Processes:
-    """A WorkerPool of ``size`` processes, each with a bench that ``make`` makes."""
+    """A WorkerPool of ``size`` processes, each with a bench from ``make``."""
 
     make: Callable[[], RunsEpisodes]
     size: int
@@ -207,11 +207,11 @@ class Processes:
 
     @property
     def free(self) -> int:
-        """Workers without a chunk."""
+        """The number of workers without a chunk."""
         return sum(worker.chunk is None for worker in self.workers)
 
     def give(self, chunk: Chunk) -> None:
-        """To a worker without one, rather one that is ready."""
+        """Give a chunk to a worker without one, if possible to a worker that is ready."""
         worker = max((w for w in self.workers if w.chunk is None), key=lambda w: w.ready)
         worker.chunk = chunk
         worker.heard_s = time.monotonic()
@@ -219,7 +219,7 @@ class Processes:
             self._send(worker, chunk)
 
     def take(self, timeout_s: float) -> Sequence[Event]:
-        """Rows as they come, and chunks that are lost; a mistake in the plan once all before it was told."""
+        """Return rows as they come, and lost chunks. Raise a mistake in the plan after all earlier events."""
         if self._mistake is not None:
             raise self._mistake
         by_connection = {worker.connection: worker for worker in self.workers}
@@ -234,7 +234,7 @@ class Processes:
         return events
 
     def close(self) -> None:
-        """Kill all of them."""
+        """Kill all workers."""
         for worker in self.workers:
             worker.end()
         self.workers.clear()
@@ -243,20 +243,20 @@ class Processes:
         ours, theirs = self._context.Pipe()
         lifeline, other_end = self._context.Pipe()
         process = self._context.Process(target=work, args=(theirs, other_end, self.make), daemon=True)
-        with deaf_children():  # nor does the process that forks them, which is there from the first on
+        with deaf_children():  # the process that forks them starts here, and must be deaf too
             process.start()
         theirs.close()
         other_end.close()
         return _Worker(process, ours, lifeline, time.monotonic())
 
     def _send(self, worker: _Worker, message: Chunk | None) -> None:
-        with suppress(OSError):  # it is gone, which is heard next
+        with suppress(OSError):  # the worker has ended, as ``_hear`` will notice
             worker.connection.send(message)
 
     def _hear(self, worker: _Worker, events: list[Event]) -> None:
-        """All that a worker has said; its end, when there is nothing more to hear."""
+        """Add all messages of a worker to ``events``; replace a worker that has ended."""
         rows: list[Row] = []
-        done: _Free | None = None  # with its chunk; then it has nothing more to say, and may be another soon
+        done: _Free | None = None  # the end of its chunk, and its last message
         ended = False
         try:
             while done is None and worker.connection.poll():
@@ -292,7 +292,7 @@ class Processes:
             self._renew(worker)
 
     def _look_at(self, worker: _Worker, events: list[Event]) -> None:
-        """Has it been silent for too long, or grown too large?"""
+        """Replace a worker that is silent for too long or has grown too large."""
         limits = self.limits
         allowed_s = limits.silence_s + (0.0 if worker.chunks else limits.first_s)
         if (worker.chunk is not None or not worker.ready) and time.monotonic() - worker.heard_s > allowed_s:

@@ -1,10 +1,11 @@
-"""How often a plan's rare violations come: far fewer runs than as many plain draws would take.
+"""The probability of a plan's rare violations, from far fewer runs than plain draws would take.
 
-What is estimated is the share of *all admitted* draws of a stratum that violate a claim, whether or not the
-others test it.  A draw that is refused, or a run that does not test the claim, is farther from a violation
-than any that tests it, and the nearer a hand came to the arm, the nearer it is.  The share of draws that are
-admitted comes from independent draws of its own, with an exact interval; the quotient of both holds with the
-plan's confidence together with those of all other claims and strata (Bonferroni).
+The estimate is the share of *all admitted* draws of a stratum that violate a claim; draws without a test of
+the claim count. The margin of a refused draw, or of a run without a test, is beyond all margins of tests.
+Among runs without a test, a nearer hand has a smaller margin.
+
+Separate independent draws give the share of admitted draws, with an exact interval. The quotient of both
+shares holds with the plan's confidence, together with all other claims and strata (Bonferroni).
 """
 
 from __future__ import annotations
@@ -38,19 +39,18 @@ from safety_harness.space.space import ScenarioSpace
 from safety_harness.trace.trace import Trace
 
 ADMITTED_OF = 2_000  # independent draws
-_RARE = 3  # of the branch of the tree of seeds that is a campaign's
+_RARE = 3  # in the campaign's branch of the tree of seeds
 _BATCH = 64
-_UNTESTED, _REFUSED = 1e6, 1e9  # beyond every margin; farthest is what cannot be run
-_BARELY = 1e-12  # a violation is below 0, whatever its margin
+_UNTESTED, _REFUSED = 1e6, 1e9  # beyond every margin; a refused draw is the farthest
+_BARELY = 1e-12  # each violation needs a value below 0, even with the margin 0
 
 
 @dataclass(frozen=True, kw_only=True)
 class RareViolation:
     """One claim in one stratum: about ``share`` of admitted draws violate it, at least ``low``.
 
-    ``high`` is what the plain draws alone bound, exactly.
-
-    ``admitted`` of ``ADMITTED_OF`` draws were; ``estimate`` is of all draws, in the unit cube.
+    ``high`` is the exact upper end from the plain draws alone. ``admitted`` counts the admitted among
+    ``ADMITTED_OF`` draws. ``estimate`` concerns all draws, in the unit cube.
     """
 
     stratum: str
@@ -68,11 +68,13 @@ def rare_violations(
     on_run: Callable[[int], None] = lambda done: None,
     watch: AvoiderWatch | None = None,
 ) -> Iterator[RareViolation]:
-    """Of each claim in each stratum, one after another; ``on_run`` is told how many runs were made.
+    """Yield the estimate of each claim in each stratum.
 
-    All runs are shown to ``watch``, which says whether they are of the avoider at all.
-    InputError where the plan's text is to blame; StatisticsError for a run that says nothing: one that could
-    not be carried on, or that tests the claim and has no verdict.
+    ``on_run`` gets the number of runs so far. ``watch`` gets all runs, and judges whether they represent
+    the avoider.
+
+    InputError if the plan's text is to blame. StatisticsError for a run that failed, or that exercises the
+    claim and has no verdict.
     """
     plan.world.opener()
     for scenario in scenarios_by_avoider(plan):
@@ -87,7 +89,7 @@ def rare_violations(
         for number, claim in enumerate(plan.claims):
             draws = _Draws(plan, stratum, claim, leaf(seed, Branch.CAMPAIGN, number), on_run, watch)
             estimated = partial(weigh, how=how) if isinstance(how, Importance) else partial(split, how=how)
-            found = estimated(
+            estimate = estimated(
                 draws,
                 stratum.space.dimension,
                 seed=leaf(seed, Branch.STATISTICS, number),
@@ -97,16 +99,16 @@ def rare_violations(
             yield RareViolation(
                 stratum=stratum.name,
                 claim=claim,
-                share=min(1.0, found.value * ADMITTED_OF / admitted),
-                low=found.low / most,
-                high=min(1.0, found.high / least),
+                share=min(1.0, estimate.value * ADMITTED_OF / admitted),
+                low=estimate.low / most,
+                high=min(1.0, estimate.high / least),
                 admitted=admitted,
-                estimate=found,
+                estimate=estimate,
             )
 
 
 class _Draws:
-    """Points (n, d) of the cube -> margins (n,) of a claim, each run with a seed of its own."""
+    """Points (n, d) of the cube -> margins (n,) of a claim; each run has its own seed."""
 
     def __init__(
         self,
@@ -123,22 +125,22 @@ class _Draws:
         self._admitter, self._made = Admitter(), 0
 
     def admitted(self, draws: int) -> int:
-        """How many of so many independent ones can be run."""
+        """Return the number of admitted draws among ``draws`` independent draws."""
         points = np.random.Generator(np.random.PCG64(self._seed)).random((draws, self._space.dimension))
         return sum(self._admit(point) is not None for point in points)
 
     def __call__(self, points: Floats) -> Floats:
-        """As ``extensions.assurance.statistics.rare`` asks for them."""
+        """Return the margins (n,) of points (n, d), as ``weigh`` and ``split`` need them."""
         return np.concatenate(
             [self._margins(points[first : first + _BATCH]) for first in range(0, len(points), _BATCH)]
         )
 
     def _margins(self, points: Floats) -> Floats:
         tried = [self._admit(point) for point in points]
-        runs = run_all([one for one in tried if one is not None], self._plan.world)
-        found = np.array([_REFUSED if one is None else self._margin(next(runs)) for one in tried])
+        runs = run_all([draw for draw in tried if draw is not None], self._plan.world)
+        margins = np.array([_REFUSED if draw is None else self._margin(next(runs)) for draw in tried])
         self._on_run(self._made)
-        return found
+        return margins
 
     def _admit(self, point: Floats) -> Admitted | None:
         self._made += 1

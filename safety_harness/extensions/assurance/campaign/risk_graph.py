@@ -1,8 +1,8 @@
-"""From severity, exposure and avoidance to a required level and a rate: a stated graph, walked step by step.
+"""A risk graph: from severity, exposure and avoidance to a required level and a rate, step by step.
 
-The default is that of ISO 13849-1:2023, Annex A (informative), as public summaries give it; the rates are the
-upper ends of its bands of PFH_D.  A level is what a risk assessment asks of a safety function: nothing here
-shows that anything has it.
+The default is the graph of ISO 13849-1:2023, Annex A (informative), as public summaries give it; the rates
+are the upper ends of its bands of PFH_D. A level is the requirement of a risk assessment on a safety
+function; this module does not show that a function meets it.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ MEANINGS = {
     "P1": "avoidable",
     "P2": "scarcely avoidable",
 }
-WAYS = tuple(" ".join(way) for way in product(SEVERITIES, EXPOSURES, AVOIDANCES))
+WAYS = tuple(" ".join(path) for path in product(SEVERITIES, EXPOSURES, AVOIDANCES))
 PFH_D = {"a": (1e-5, 1e-4), "b": (3e-6, 1e-5), "c": (1e-6, 3e-6), "d": (1e-7, 1e-6), "e": (1e-8, 1e-7)}
 
 
 @dataclass(frozen=True, kw_only=True)
 class RiskGraph:
-    """``levels`` by their ways, such as ``S2 F1 P2``; ``an_hour``: the violations each allows."""
+    """``levels`` by their ways, such as ``S2 F1 P2``, and ``an_hour``: the violations that a level allows."""
 
     name: str
     levels: Mapping[str, str]
@@ -40,11 +40,11 @@ class RiskGraph:
 
     @property
     def order(self) -> tuple[str, ...]:
-        """The levels, those first that allow most."""
+        """The levels, the most permissive first."""
         return tuple(sorted(self.an_hour, key=lambda level: -self.an_hour[level]))
 
     def below(self, level: str) -> str:
-        """One level less; the lightest stays what it is."""
+        """Return one level less; the lightest level stays."""
         return self.order[max(self.order.index(level) - 1, 0)]
 
 
@@ -57,7 +57,7 @@ ISO_13849 = RiskGraph(
 
 @dataclass(frozen=True)
 class DerivedRate:
-    """Where the graph leads: a level and its rate, or neither, and every step in words."""
+    """The result of a walk through the graph: a level and its rate, or neither, and all steps in words."""
 
     level: str | None
     an_hour: float | None
@@ -65,12 +65,15 @@ class DerivedRate:
 
 
 def derived(graph: RiskGraph, severity: str, exposure: str, avoidance: str, *, unlikely: bool) -> DerivedRate:
-    """Walk the graph; what is not assessed leads nowhere."""
-    found = {"severity": severity, "exposure": exposure, "avoidance": avoidance}
-    if missing := [what for what, value in found.items() if value == UNKNOWN]:
+    """Return the level and rate for an assessment; no level follows if part of it is not assessed.
+
+    ``unlikely``: the hazardous event has a low probability, which lowers the level by one.
+    """
+    assessment = {"severity": severity, "exposure": exposure, "avoidance": avoidance}
+    if missing := [parameter for parameter, value in assessment.items() if value == UNKNOWN]:
         return DerivedRate(None, None, (f"{', '.join(missing)} not assessed: no level follows",))
-    steps = [f"{what} {value}, {MEANINGS[value]}" for what, value in found.items()]
-    level = graph.levels[" ".join(found.values())]
+    steps = [f"{parameter} {value}, {MEANINGS[value]}" for parameter, value in assessment.items()]
+    level = graph.levels[" ".join(assessment.values())]
     if unlikely:
         steps += [f"by {graph.name}: level {level}", "the hazardous event has a low probability"]
         level = graph.below(level)
@@ -82,7 +85,7 @@ def derived(graph: RiskGraph, severity: str, exposure: str, avoidance: str, *, u
 
 
 def band_of(an_hour: float) -> str:
-    """In which band of PFH_D a number of this size would lie."""
+    """Return the band of PFH_D that a number of this size would lie in, in words."""
     for level, (low, high) in PFH_D.items():
         if low <= an_hour < high:
             return f"of the size of band {level}"
@@ -125,22 +128,22 @@ OWN_GRAPH = KeyTable(
 
 
 def read_graph(field: Field | None) -> RiskGraph:
-    """The plan's own graph, or the default."""
+    """Return the plan's own graph, or the default."""
     if field is None:
         return ISO_13849
     given = field.fields(OWN_GRAPH.names)
     rates: dict[str, float] = {}
-    for level, one in given.required("an hour").entries("a mapping of levels to violations an hour"):
-        rates[level] = one.quantity(NUMBER, above=0.0, most=1e6)
+    for level, value in given.required("an hour").entries("a mapping of levels to violations an hour"):
+        rates[level] = value.quantity(NUMBER, above=0.0, most=1e6)
     levels: dict[str, str] = {}
-    at = given.required("levels")
-    for way, one in at.entries("a mapping of the eight ways to levels"):
-        if way not in WAYS:
-            raise one.error(f"one of {', '.join(WAYS)}", got=way, hint=near_miss(way, WAYS))
-        levels[way] = one.sentence("a level")
-        if levels[way] not in rates:
-            raise one.error(f'a level of which "an hour" says the rate: {", ".join(rates) or "none"}')
-    if missing := [way for way in WAYS if way not in levels]:
-        raise at.error(f"a level for each of {', '.join(WAYS)}", got=f"none for {', '.join(missing)}")
+    listed = given.required("levels")
+    for path, value in listed.entries("a mapping of the eight ways to levels"):
+        if path not in WAYS:
+            raise value.error(f"one of {', '.join(WAYS)}", got=path, hint=near_miss(path, WAYS))
+        levels[path] = value.sentence("a level")
+        if levels[path] not in rates:
+            raise value.error(f'a level of which "an hour" says the rate: {", ".join(rates) or "none"}')
+    if missing := [path for path in WAYS if path not in levels]:
+        raise listed.error(f"a level for each of {', '.join(WAYS)}", got=f"none for {', '.join(missing)}")
     name = given.required("graph").sentence("the graph's name and edition")
     return RiskGraph(name=name, levels=levels, an_hour=rates)

@@ -1,4 +1,4 @@
-"""What is noted down of one episode."""
+"""The row of one episode."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from safety_harness.trace.overruling import Overruling
 
 @dataclass(frozen=True)
 class ClaimJudgement:
-    """One claim's word on one episode; the margin is SI, NaN where there is none."""
+    """The result of one episode for one claim; the margin is SI, NaN without a margin."""
 
     outcome: EpisodeOutcome
     margin: float = math.nan
@@ -24,14 +24,15 @@ class ClaimJudgement:
 
 @dataclass(frozen=True, kw_only=True)
 class Row:
-    """One episode, run or failed to run.  ``judgements`` are in the order of the plan's claims.
+    """One episode, run or failed to run. ``judgements`` are in the order of the plan's claims.
 
-    ``seed`` is the root of its draws, ``draws`` how many of them it took until admission let one through.
-    ``run`` is the number by which the run is told from others, 0 where there is none.  ``theorem`` are its
-    ``theorem_bits``: 0 without a shield, which has bit 0; bit n says that assumption n did not hold.
-    ``cell`` is where it falls in the coverage of the domain.  ``mishap`` says what the avoider did instead of
-    answering, ``failure`` why there is no run at all.  ``seconds`` and ``worker`` are of this machine:
-    everything else is the same wherever it runs.
+    ``seed`` is the root of its draws, and ``draws`` the number of draws until admission accepted one.
+    ``run`` is the number that identifies the run, 0 without a run. ``theorem`` has ``theorem_bits``: bit 0
+    is set behind a shield, and bit n if assumption n did not hold.
+
+    ``cell`` is its cell in the coverage of the domain. The run error ``mishap`` is the avoider's act in
+    place of an answer, and ``failure`` the reason why there is no run. ``seconds`` and ``worker`` belong to
+    this machine; all else is the same on every machine.
     """
 
     stratum: int  # its place in the plan
@@ -54,8 +55,8 @@ class Row:
     seconds: float = 0.0
     worker: str = ""
     trace: bytes | None = field(default=None, repr=False)
-    added: tuple[tuple[str, float], ...] = ()  # columns of packages, by name; a NaN is kept as nothing
-    # Of which a ledger keeps nothing with the row; ``opened``: files beside the plan, and their SHA-256.
+    added: tuple[tuple[str, float], ...] = ()  # columns of packages, by name; the ledger stores NaN as NULL
+    # A ledger does not store these with the row; ``opened``: files beside the plan, and their SHA-256.
     asked: tuple[Asked, ...] = field(default=(), repr=False, compare=False)
     driven: DrivenRun | None = field(default=None, repr=False, compare=False)
     times: AnswersTook = field(default_factory=AnswersTook, repr=False, compare=False)  # of this machine
@@ -63,5 +64,5 @@ class Row:
 
     @property
     def violates(self) -> bool:
-        """Any of the claims?"""
+        """Whether it violates any claim."""
         return any(judgement.outcome is EpisodeOutcome.VIOLATED for judgement in self.judgements)

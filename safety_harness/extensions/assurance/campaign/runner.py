@@ -1,7 +1,7 @@
-"""The loop that gives episodes to a crew and notes down what comes of them.
+"""The loop that gives episodes to a crew and commits the results.
 
-What a crew loses is tried again, one episode at a time, so that a culprit is found, and recorded as failed
-to run after ATTEMPTS.  Nothing here depends on the order in which rows arrive, or on a clock of the day.
+A lost chunk runs again, one episode at a time, to find the culprit; after ATTEMPTS an episode has failed to
+run. The results depend neither on the order of arrival nor on the time of day.
 """
 
 from __future__ import annotations
@@ -27,21 +27,23 @@ from safety_harness.extensions.assurance.statistics.sample import EpisodeOutcome
 from safety_harness.extensions.assurance.statistics.sequential import anytime_lower, anytime_upper
 
 ATTEMPTS = 3
-CHUNK_S = 1.0  # of work, so that what it costs to hand it over and to commit is little beside it
+CHUNK_S = 1.0  # of work, beside which handing over and committing cost little
 MOST_IN_CHUNK = 1000
-MOST_TOGETHER = 64  # in a world that takes many, all traces of a chunk are held
+MOST_TOGETHER = 64  # in a world with batches, which holds all traces of a chunk in memory
 _WAIT_S = 0.5
-_COMMIT_S = 0.2  # rows that come one by one are committed together
+_COMMIT_S = 0.2  # between commits, so that a transaction has many rows
 
 
 @dataclass(eq=False)
 class CampaignRunner:
-    """Runs what is missing in a ledger; what one watches is the runner itself.
+    """Runs the missing episodes of a ledger, and shows its own progress.
 
-    ``tally`` is of what is committed, ``done_now`` counts the episodes of this session, ``retried`` those
-    that were lost and tried again.  ``enough`` is asked in between: once it is true, chunks under way are
-    finished and no more begun.  ``part`` (k, n) takes every n-th episode only, from k on: for machines that
-    share nothing but the plan.  ``repeatability`` takes in what the avoiders of all workers were asked.
+    ``tally`` counts the committed episodes, ``done_now`` the episodes of this session, ``retried`` the
+    episodes that were lost and ran again. The runner calls ``enough`` in between: once it is true, chunks
+    under way finish and no chunk begins.
+
+    ``part`` (k, n) takes every n-th episode from k on, for machines that share only the plan.
+    ``repeatability`` collects the questions to the avoiders of all workers.
     """
 
     plan: Plan
@@ -53,7 +55,7 @@ class CampaignRunner:
     part: tuple[int, int] = (0, 1)
     done_now: int = 0
     retried: int = 0
-    _out: dict[Chunk, set[int]] = field(default_factory=dict)  # episodes of which nothing has come yet
+    _out: dict[Chunk, set[int]] = field(default_factory=dict)  # episodes whose rows are still to come
     _again: deque[Chunk] = field(default_factory=deque)
     _tried: Counter[tuple[int, int]] = field(default_factory=Counter)
     _rows: list[Row] = field(default_factory=list)
@@ -79,25 +81,25 @@ class CampaignRunner:
 
     @property
     def left_s(self) -> float:
-        """Seconds that the rest will take at this rate; infinite while nothing is known."""
+        """The time [s] of the rest at this rate; infinite before the first episode."""
         strata = zip(self.tally.strata, self._left, strict=True)
         left = sum(left for stratum, left in strata if not stratum.complete)
         return left / self.rate if self.done_now else float("inf")
 
     @property
     def standing(self) -> tuple[int, int]:
-        """Episodes done and planned: of this part, if it runs one."""
-        first, of = self.part
-        if of == 1:
+        """Episodes done and planned, of this part if it runs one."""
+        first, parts = self.part
+        if parts == 1:
             return self.tally.done, self.tally.planned
-        planned = sum(len(range(first, stratum.planned, of)) for stratum in self.tally.strata)
+        planned = sum(len(range(first, stratum.planned, parts)) for stratum in self.tally.strata)
         return planned - sum(self._left), planned
 
     def run(self) -> bool:
-        """Until nothing is left, or ``enough``; whether the campaign is complete.
+        """Run until the end or ``enough``, and return whether the campaign is complete.
 
-        InputError and CampaignError as for ``WorkerPool.take``, OutputError for a ledger that takes no more;
-        it has every episode that was finished before.
+        InputError and CampaignError as for ``WorkerPool.take``; OutputError if the ledger cannot be
+        written. The ledger has all episodes that were finished before.
         """
         try:
             self._run()
@@ -127,8 +129,8 @@ class CampaignRunner:
         self.on_progress(self)
 
     def commit(self) -> None:
-        """Note down what has come; kept for the next time if it cannot be written."""
-        ends = [stratum.stopped_after for stratum in self.tally.strata]  # what lies beyond is no part of it
+        """Write the rows that have come; after an error they stay for the next attempt."""
+        ends = [stratum.stopped_after for stratum in self.tally.strata]  # later episodes do not count
         rows = [row for row in self._rows if (end := ends[row.stratum]) is None or row.episode < end]
         if rows:
             self.ledger.record(rows)
@@ -138,9 +140,9 @@ class CampaignRunner:
             if row.trace is not None and row.violates:
                 self._kept[row.stratum].append(row.episode)
         self._stopping.add(rows)
-        for stratum, after in self._stopping.decided.items():
+        for stratum, stop in self._stopping.decided.items():
             if self.tally.strata[stratum].stopped_after is None:
-                self.ledger.stop(stratum, after)
+                self.ledger.stop(stratum, stop)
                 self.tally = tally_of(self.ledger)
 
     def _arrived(self, event: Arrived) -> None:
@@ -159,7 +161,7 @@ class CampaignRunner:
             del self._out[event.chunk]
 
     def _lost(self, event: Lost) -> None:
-        """One at a time again; an episode that is lost alone too often has failed to run."""
+        """Try lost episodes again, one at a time; an episode that is lost too often has failed to run."""
         waiting = sorted(self._out.pop(event.chunk))
         blamed = event.times if len(event.chunk.episodes) == 1 else 0
         self.retried += len(waiting)
@@ -181,15 +183,15 @@ class CampaignRunner:
             stratum = self._stratum
             if self.tally.strata[stratum].stopped_after is None:
                 episodes = tuple(islice(self._episodes[stratum], self._length))
-                if episodes:  # the first violations are kept, by their numbers, in whatever order they arrive
-                    before = sum(episode < episodes[0] for episode in self._kept[stratum])
-                    return Chunk(stratum, episodes, before < self.plan.violations_kept)
+                if episodes:  # keep the first violations by their numbers, in any order of arrival
+                    earlier = sum(episode < episodes[0] for episode in self._kept[stratum])
+                    return Chunk(stratum, episodes, earlier < self.plan.violations_kept)
             self._stratum += 1
         return None
 
     @property
     def _length(self) -> int:
-        """Episodes of the next chunk: one until it is known how long they take."""
+        """The number of episodes of the next chunk; 1 until the time of an episode is known."""
         if not self.done_now:
             return 1
         each_s = self._spent_s / self.done_now
@@ -197,17 +199,17 @@ class CampaignRunner:
         return max(1, min(int(CHUNK_S / max(each_s, 1e-6)), most))
 
     def _missing(self, stratum: int) -> list[range]:
-        first, of = self.part
+        first, parts = self.part
         missing = self.ledger.missing(stratum)
-        return [range(one.start + (first - one.start) % of, one.stop, of) for one in missing]
+        return [range(gap.start + (first - gap.start) % parts, gap.stop, parts) for gap in missing]
 
     def _drop_surplus(self) -> None:
-        """Of violations, the traces of the first are kept: later ones may have come before it was known."""
+        """Drop traces of later violations than the first ``violations_kept``, which may have come earlier."""
         for stratum, tally in enumerate(self.tally.strata):
             surplus = self.ledger.violations_kept(stratum)[self.plan.violations_kept :]
             if tally.complete and surplus:
                 random = random_episodes(self.plan, stratum)
-                self.ledger.drop_traces(stratum, [one for one in surplus if one not in random])
+                self.ledger.drop_traces(stratum, [episode for episode in surplus if episode not in random])
 
 
 EVERY = 50  # episodes between looks
@@ -216,15 +218,15 @@ _Outcomes = tuple[EpisodeOutcome, ...]  # of an episode, by claim
 
 
 class Stopping:
-    """Looks at the outcomes in the order of the episodes, so that the moment does not hang on who is quicker.
+    """Decides when strata stop, in the order of the episodes, so that the speed of workers has no influence.
 
-    A claim with a target is decided once its upper bound meets the target, or its lower bound is above it;
-    a stratum is when all of its claims are.  Bounds hold at every look
+    A claim is decided if its upper bound meets the target, or its lower bound is above it. A stratum is
+    decided with all of its claims. The bounds hold at all looks
     (``extensions.assurance.statistics.sequential``).
     """
 
     def __init__(self, plan: Plan, ledger: Ledger) -> None:
-        self._targets = [one.target for one in plan.claims]
+        self._targets = [planned.target for planned in plan.claims]
         self._active = plan.stop_early and None not in self._targets
         self._chance = chance_of_each(plan.confidence, ends_of(len(plan.claims), len(plan.strata)))
         count = len(plan.strata)

@@ -1,4 +1,4 @@
-"""A campaign from beginning to end, or from where it was left: one runner, its ledger and its crew."""
+"""A campaign from the beginning, or from an interruption, to the end: one runner, its ledger and its crew."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ MakesCrew = Callable[[Plan], WorkerPool]
 
 
 def processes(workers: int | None = None, limits: Limits = LIMITS) -> MakesCrew:
-    """A crew on this machine: as many processes as cores, if not said otherwise."""
+    """Return a maker of a crew on this machine; without ``workers``, it has one process for each core."""
     size = workers or len(os.sched_getaffinity(0))
     return lambda plan: Processes(partial(bench_of_file, plan.file.resolve(), plan.identity), size, limits)
 
@@ -49,13 +49,31 @@ def carry_on(
     part: tuple[int, int] = (0, 1),
     say: Callable[[str], None] = lambda words: None,
 ) -> bool:
-    """Run what is missing in the ledger at ``path``, which is made if it is not there; is it complete now?
+    """Run the missing episodes of a ledger, and create the ledger if it is missing.
 
-    A ledger in which nothing was run is begun anew when the plan has changed since.  InputError before there
-    is one for an avoider that cannot be made, or a world that is not installed.  LedgerError if it is another
-    plan's, or if another runner is at work on it; otherwise as ``CampaignRunner.run``.  At the end a second
-    avoider is asked some of the questions again; what it answers stands in the ledger.  Where nothing is
-    missing ``say`` is told so first, and the questions are those of the stored runs.
+    A ledger without runs begins anew if the plan has changed. At the end a second avoider answers some of
+    the questions again, and the ledger stores the result. If no episode is missing, these are questions of
+    the stored runs.
+
+    Args:
+        plan: The plan.
+        path: The file of the ledger.
+        make_crew: Makes the workers, as ``processes`` does.
+        on_progress: A callback with the runner, after each commit.
+        enough: A condition that ends the session early.
+        part: (k, n) runs only every n-th episode, from k on.
+        say: A callback with a line for people.
+
+    Returns:
+        Whether the campaign is complete.
+
+    Raises:
+        InputError: An avoider cannot be made or the world is not installed (then there is no new ledger),
+            or the plan is to blame.
+        LedgerError: The ledger belongs to another plan, or another runner uses it.
+        CampaignError: The crew cannot run anything more.
+        OutputError: The ledger cannot be written.
+
     """
     with ExitStack() as stack:
         stack.enter_context(only_runner(path))
@@ -81,11 +99,14 @@ def carry_on(
 
 
 def _ask_again(plan: Plan, ledger: Ledger, say: Callable[[str], None]) -> None:
-    """What was asked in stored runs; a ledger, maybe a report's, is written for other answers alone."""
+    """Ask the questions of stored runs again, and note the answers in the ledger only if one differs.
+
+    The ledger may belong to a report, which should not change without need.
+    """
     ((count, *ends),) = ledger.all(
         "SELECT (SELECT count(*) FROM episode), min(began), max(began) FROM session"
     )
-    days = dict.fromkeys(f"{datetime.fromisoformat(one):%-d %B %Y}" for one in ends if one)
+    days = dict.fromkeys(f"{datetime.fromisoformat(began):%-d %B %Y}" for began in ends if began)
     say(f"nothing was run: all {count} episodes are of {' to '.join(days) or 'an unknown day'}")
 
     def check() -> RepeatabilityResult:
@@ -94,15 +115,15 @@ def _ask_again(plan: Plan, ledger: Ledger, say: Callable[[str], None]) -> None:
             repeatability.add(trace_of(plan, stratum, ledger.trace(stratum, episode) or b""))
         return repeatability.check()
 
-    found = _checked(check)
-    if found.asked or found.words:
-        say(found.line)
-    if found.differing:
-        ledger.note_repeated(found)
+    result = _checked(check)
+    if result.asked or result.words:
+        say(result.line)
+    if result.differing:
+        ledger.note_repeated(result)
 
 
 def _checked(check: Callable[[], RepeatabilityResult]) -> RepeatabilityResult:
-    """What comes out of it; if it fails, which is no reason to lose the runs, that it did."""
+    """Return the result of ``check``, or its error in words, which is no reason to lose the runs."""
     try:
         return check()
     except Exception as error:  # also of a user's program
@@ -110,7 +131,10 @@ def _checked(check: Callable[[], RepeatabilityResult]) -> RepeatabilityResult:
 
 
 def _known(path: Path, plan: Plan) -> Ledger | None:
-    """The ledger at ``path``, to be written; None for none, or another plan's in which nothing was run."""
+    """Return the ledger at ``path`` for writing; None if there is no file.
+
+    It deletes another plan's ledger without runs, and then returns None.
+    """
     if not path.exists():
         return None
     ledger = Ledger.open(path, write=True)
@@ -124,9 +148,9 @@ def _known(path: Path, plan: Plan) -> Ledger | None:
 
 @contextmanager
 def plan_of(ledger: Ledger) -> Iterator[Plan]:
-    """The plan that a ledger was begun with: its own file if that is still there, else the ledger's copy.
+    """Yield the plan of a ledger, from its own file if that exists, else from the ledger's copy.
 
-    LedgerError that names what has changed since.
+    LedgerError if the plan has changed; the error states the changes.
     """
     file = ledger.declared.plan_file
     with ExitStack() as stack:
@@ -137,13 +161,13 @@ def plan_of(ledger: Ledger) -> Iterator[Plan]:
 
 @contextmanager
 def copied_plan_of(ledger: Ledger) -> Iterator[Plan]:
-    """The plan as the ledger's own copy of its files has it, whatever became of them since; InputError."""
+    """Yield the plan from the ledger's copy of its files, even if the files have changed; InputError."""
     with tempfile.TemporaryDirectory(prefix="safety-harness-") as folder:
         yield read_plan(unpacked(ledger.files, Path(folder)))
 
 
 def processor() -> str:
-    """What the machine calls its processor; results are bit for bit the same within a family of these."""
+    """Return the name of the processor; results are equal bit for bit within a family of processors."""
     lines: list[str] = []
     with suppress(OSError):
         lines = Path("/proc/cpuinfo").read_text(errors="replace").splitlines()

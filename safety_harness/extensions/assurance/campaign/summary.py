@@ -1,12 +1,14 @@
-"""What a ledger says as a whole: how the campaign stands, a fingerprint of its results, a hash of all rows.
+"""Summaries of a ledger: the counts, a fingerprint of its results, and a hash of all rows.
 
-The hash is the root of a Merkle tree over the episodes, that of RFC 6962, section 2.1 (Laurie, Langley and
-Kasper, 2013): SHA-256, a zero byte before what a leaf hashes and a one before what a node does, so that no
-node can be taken for a leaf; of n leaves the left subtree has the largest power of two below n.
+The hash is the root of a Merkle tree over the episodes, as in RFC 6962, section 2.1 (Laurie, Langley and
+Kasper, 2013). It uses SHA-256. The input of a leaf begins with the byte 0 and the input of a node with the
+byte 1, so that a node cannot pass as a leaf. The left subtree of n leaves has as many leaves as the largest
+power of two below n.
 
-A leaf is an episode, as JSON: its stratum's and its own number, seed, draws, decisions, overruled proposals,
-cell, run error, outcome, margin, moment and occasions of each claim, and the SHA-256 of its trace if that is
-kept.  Hashes are computed when they are asked for: stored in the same file they would protect nothing.
+A leaf is the JSON of an episode. It has stratum and number, seed, draws, decisions, overruled proposals,
+run, theorem bits, cell, run error and failure. Then follow the kind and the SHA-256 of a stored trace, and
+for each claim outcome, margin, moment and occasions. The ledger does not store these hashes, because in the
+same file they would give no protection.
 """
 
 from __future__ import annotations
@@ -26,11 +28,11 @@ from safety_harness.extensions.assurance.campaign.rows import Row
 from safety_harness.extensions.assurance.statistics.binomial import ProbabilityBounds, Sides, bounds_of
 from safety_harness.extensions.assurance.statistics.sample import JUDGED, EpisodeOutcome
 
-# One pass in the order of the rows; of equal margins the first episode is the one beside min().
+# One pass in the order of the rows; the episode beside min() is the first with that margin.
 _COUNTS = (
     "SELECT stratum, claim, count(*), "
-    f"{', '.join(f'count(*) FILTER (WHERE outcome = {int(one)})' for one in EpisodeOutcome)}, "
-    f"min(margin) FILTER (WHERE outcome IN ({', '.join(str(int(one)) for one in JUDGED)})), episode "
+    f"{', '.join(f'count(*) FILTER (WHERE outcome = {int(code)})' for code in EpisodeOutcome)}, "
+    f"min(margin) FILTER (WHERE outcome IN ({', '.join(str(int(code)) for code in JUDGED)})), episode "
     "FROM judgement GROUP BY 1, 2"
 )
 _FAILED = (
@@ -41,7 +43,7 @@ _JUDGED = "SELECT claim, episode, outcome, margin, worst_time_s, exercised FROM 
 
 
 def _of_episode(ledger: Ledger) -> str:
-    """The columns of what is the same wherever an episode runs, as the ledger was made with them."""
+    """Return the columns that are equal on every machine, as far as the ledger has them."""
     return (
         "e.episode, e.seed, e.draws, e.decisions, e.proposed, e.opposite, e.stopped, e.faults, e.late, "
         f"e.{', e.'.join(ledger.counts)}, c.words, e.mishap, e.failure"
@@ -49,13 +51,13 @@ def _of_episode(ledger: Ledger) -> str:
 
 
 def tally_of(ledger: Ledger) -> CampaignTally:
-    """Counts and worst margins of what is there now."""
+    """Return the counts and worst margins of the present rows."""
     declared = ledger.declared
     strata = [StratumTally(planned, [ClaimCounts() for _ in declared.claims]) for planned in declared.planned]
     for stratum, done in ledger.all("SELECT stratum, count(*) FROM episode GROUP BY stratum"):
         strata[stratum].done = done
-    for stratum, after in ledger.all("SELECT id, stopped_after FROM stratum"):
-        strata[stratum].stopped_after = after
+    for stratum, stop in ledger.all("SELECT id, stopped_after FROM stratum"):
+        strata[stratum].stopped_after = stop
     for stratum, claim, rows, *counts, margin, episode in ledger.all(_COUNTS):
         if sum(counts) != rows:
             raise unusable(ledger.path, f"outcomes from 0 to {len(counts) - 1}", "another in a judgement")
@@ -68,9 +70,9 @@ def tally_of(ledger: Ledger) -> CampaignTally:
 
 @dataclass(frozen=True)
 class LedgerState:
-    """What is said of a ledger, computed once; ``bounds`` and ``fingerprint`` of a complete campaign alone.
+    """The state of a ledger, computed once; only a complete campaign has ``bounds`` and ``fingerprint``.
 
-    ``bounds`` are empty also where episodes depend on each other.
+    Dependent episodes have no ``bounds``.
     """
 
     tally: CampaignTally
@@ -79,21 +81,21 @@ class LedgerState:
 
 
 def state_of(ledger: Ledger) -> LedgerState:
-    """Of what is there now: of a million episodes it takes its time."""
+    """Return the state of the present rows; a million episodes take some time."""
     tally = tally_of(ledger)
     bounds = bounds_in(ledger) if tally.complete and not ledger.dependent else ()
     return LedgerState(tally, bounds, fingerprint_of(ledger) if tally.complete else None)
 
 
 def basis_in(ledger: Ledger, tally: CampaignTally) -> str:
-    """Say what the ledger's verdicts rest on: its world, the exercised runs, and what nothing watched."""
+    """Return the basis of the ledger's verdicts in words: world, exercised runs, and the unwatched part."""
     claims = map(tally.of_claim, range(len(ledger.declared.claims)))
-    return basis([str(ledger.declared.world)], ((one.tested, tally.done) for one in claims))
+    return basis([str(ledger.declared.world)], ((counts.tested, tally.done) for counts in claims))
 
 
 @dataclass(frozen=True)
 class FallbackTally:
-    """In how many ``decisions`` the avoider gave no answer, in how many ``episodes``, and why most often."""
+    """Missing answers: ``unanswered`` among ``decisions``, in ``episodes`` episodes, and the main reason."""
 
     unanswered: int
     decisions: int
@@ -102,38 +104,38 @@ class FallbackTally:
 
     @property
     def words(self) -> str:
-        """For headlines; empty if it always answered."""
+        """The text for headlines; empty if the avoider always answered."""
         return fallback_words(self.unanswered, self.decisions)
 
 
 def shields_in(ledger: Ledger) -> tuple[str, ...]:
-    """How the theorem of the shield stands after the runs of each stratum of which one is noted."""
+    """Return how the theorem of the shield stands in each stratum that has a shield, in words."""
     every = "SELECT theorem, count(*) FROM episode WHERE stratum = ? GROUP BY theorem"
-    found = ((name, counts_words(ledger.all(every, k))) for k, name in enumerate(ledger.declared.strata))
-    return tuple(f"shield in {name}: {words}" for name, words in found if words)
+    theorems = ((name, counts_words(ledger.all(every, k))) for k, name in enumerate(ledger.declared.strata))
+    return tuple(f"shield in {name}: {text}" for name, text in theorems if text)
 
 
 def fallback_of(ledger: Ledger, stratum: int | None = None) -> FallbackTally:
-    """Of one stratum, or of all that is there now."""
-    within = (stratum is None, stratum)
+    """Return the missing answers in one stratum, or in all strata for None."""
+    selection = (stratum is None, stratum)
     counts = "SELECT coalesce(sum(faults), 0), coalesce(sum(decisions), 0), count(mishap) FROM episode"
-    ((unanswered, decisions, episodes),) = ledger.all(f"{counts} WHERE ? OR stratum = ?", *within)
+    ((unanswered, decisions, episodes),) = ledger.all(f"{counts} WHERE ? OR stratum = ?", *selection)
     often = "SELECT mishap FROM episode WHERE (? OR stratum = ?) AND mishap IS NOT NULL"
-    words = ledger.all(f"{often} GROUP BY mishap ORDER BY count(*) DESC, mishap LIMIT 1", *within)
-    reason = next((why for (why,) in words), "")
+    reasons = ledger.all(f"{often} GROUP BY mishap ORDER BY count(*) DESC, mishap LIMIT 1", *selection)
+    reason = next((why for (why,) in reasons), "")
     return FallbackTally(int(unanswered), int(decisions), int(episodes), reason)
 
 
 def bounds_in(ledger: Ledger) -> tuple[ProbabilityBounds, ...]:
-    """Of each claim in each stratum, as a report has them: all hold together."""
+    """Return the bounds of each claim in each stratum, as in a report: all hold together."""
     declared = ledger.declared
     pairs = [(stratum, claim) for stratum in declared.strata for claim in declared.claims]
     return bounds_of([ledger.sample(*pair) for pair in pairs], declared.confidence, Sides.BOTH)
 
 
 def fingerprint_of(ledger: Ledger) -> str:
-    """SHA-256 of every result, bit for bit: two ledgers of a plan with the same results have the same."""
-    same = (  # in an order that is
+    """Return the SHA-256 of all results, bit for bit; equal results of a plan have equal fingerprints."""
+    same = (  # the same results in the same order
         f"SELECT {_of_episode(ledger)} FROM episode e LEFT JOIN cell c ON c.id = e.cell "
         "WHERE e.stratum = ? ORDER BY e.episode",
         f"{_JUDGED} ORDER BY claim, episode",
@@ -143,7 +145,7 @@ def fingerprint_of(ledger: Ledger) -> str:
     for stratum in range(len(ledger.declared.strata)):
         for question in same:
             for row in ledger.all(question, stratum):
-                digest.update(repr(row).encode())  # of a float: the shortest text that gives it again
+                digest.update(repr(row).encode())  # repr of a float is the shortest text that gives it again
     return digest.hexdigest()
 
 
@@ -157,12 +159,12 @@ class ClaimCounts:
 
     @property
     def tested(self) -> int:
-        """Episodes that ran and put it to the test."""
+        """The number of episodes that ran and exercised the claim."""
         left_out = (EpisodeOutcome.UNTESTED, EpisodeOutcome.FAILED)
         return sum(count for outcome, count in self.counts.items() if outcome not in left_out)
 
     def add(self, outcome: EpisodeOutcome, margin: float, episode: int) -> None:
-        """Count; of equal margins the first episode's is kept."""
+        """Count an episode; of equal margins the first episode stays."""
         self.counts[outcome] += 1
         tested = outcome in JUDGED and not math.isnan(margin)
         if tested and (math.isnan(self.worst) or (margin, episode) < (self.worst, self.worst_episode)):
@@ -171,7 +173,7 @@ class ClaimCounts:
 
 @dataclass
 class StratumTally:
-    """One stratum: episodes done of those planned, and how many of them could not be run."""
+    """One stratum: planned episodes, done episodes, and the number that failed to run."""
 
     planned: int
     claims: list[ClaimCounts]
@@ -181,13 +183,13 @@ class StratumTally:
 
     @property
     def complete(self) -> bool:
-        """Is there nothing left to run?"""
+        """Whether no episode is missing."""
         return self.done >= self.planned or self.stopped_after is not None
 
     def add(self, row: Row) -> None:
         """Count one episode."""
         self.done += 1
-        self.failed += any(one.outcome is EpisodeOutcome.FAILED for one in row.judgements)
+        self.failed += any(judged.outcome is EpisodeOutcome.FAILED for judged in row.judgements)
         for claim, judgement in zip(self.claims, row.judgements, strict=True):
             claim.add(judgement.outcome, judgement.margin, row.episode)
 
@@ -200,33 +202,33 @@ class CampaignTally:
 
     @property
     def done(self) -> int:
-        """Episodes."""
+        """The number of done episodes."""
         return sum(stratum.done for stratum in self.strata)
 
     @property
     def planned(self) -> int:
-        """Episodes."""
+        """The number of planned episodes."""
         return sum(stratum.planned for stratum in self.strata)
 
     @property
     def failed(self) -> int:
-        """Episodes that could not be run."""
+        """The number of episodes that failed to run."""
         return sum(stratum.failed for stratum in self.strata)
 
     @property
     def complete(self) -> bool:
-        """Is there nothing left to run?"""
+        """Whether no episode is missing."""
         return all(stratum.complete for stratum in self.strata)
 
     def of_claim(self, claim: int) -> ClaimCounts:
-        """One claim over all strata; the worst margin's episode is of whichever stratum it is in."""
+        """Return the counts of one claim over all strata; ``worst_episode`` does not show its stratum."""
         whole = ClaimCounts()
         for stratum in self.strata:
-            one = stratum.claims[claim]
-            for outcome, count in one.counts.items():
+            part = stratum.claims[claim]
+            for outcome, count in part.counts.items():
                 whole.counts[outcome] += count
-            if not one.worst >= whole.worst and not math.isnan(one.worst):
-                whole.worst, whole.worst_episode = one.worst, one.worst_episode
+            if not part.worst >= whole.worst and not math.isnan(part.worst):
+                whole.worst, whole.worst_episode = part.worst, part.worst_episode
         return whole
 
 
@@ -238,7 +240,7 @@ _OF_STRATUM = (
 
 
 def root_of(ledger: Ledger) -> str:
-    """Of all episodes, stratum by stratum, each judged by all claims."""
+    """Return the root over all episodes, stratum by stratum, with the judgements of all claims."""
     return merkle_root(_rows(ledger)).hex()
 
 
@@ -254,8 +256,8 @@ def _rows(ledger: Ledger) -> Iterator[bytes]:
 
 
 def merkle_root(leaves: Iterable[bytes]) -> bytes:
-    """MTH of RFC 6962: 32 bytes.  Subtrees whose sizes are powers of two wait for their right neighbours."""
-    waiting: list[tuple[int, bytes]] = []  # sizes that descend
+    """Return MTH of RFC 6962 (32 bytes); subtrees of 2^k leaves wait for their right neighbours."""
+    waiting: list[tuple[int, bytes]] = []  # (leaves, hash) by descending size
     for leaf in leaves:
         size, digest = 1, _sha256(_LEAF + leaf)
         while waiting and waiting[-1][0] == size:

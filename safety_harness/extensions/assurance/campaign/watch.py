@@ -1,4 +1,4 @@
-"""The avoider in runs that no ledger keeps: did it always answer, in time, and alike when asked again?"""
+"""The avoider in runs without a ledger: whether it always answered, in time, and alike when asked again."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from safety_harness.trace.trace import Trace
 
 @dataclass
 class AvoiderWatch:
-    """Counts ``decisions`` and those ``unanswered``, and takes in ``times`` and the questions of runs."""
+    """Counts ``decisions`` and ``unanswered`` decisions, and collects ``times`` and the questions of runs."""
 
     decisions: int = 0
     unanswered: int = 0
@@ -26,14 +26,14 @@ class AvoiderWatch:
     repeatability: Repeatability = field(default_factory=Repeatability)
 
     def add(self, run: Trace) -> None:
-        """A run."""
+        """Take in a run."""
         self.decisions += len(run.decisions)
         self.unanswered += int(np.count_nonzero(unanswered(run)))
         self.times += AnswersTook.of(run)
         self.repeatability.add(run)
 
     def add_row(self, row: Row, scenario: Callable[[], Scenario]) -> None:
-        """A run by its row; ``scenario`` gives its own, when it is needed."""
+        """Take in a run by its row; ``scenario`` returns its scenario on demand."""
         self.decisions += row.decisions
         self.unanswered += row.faults
         self.times += row.times
@@ -43,14 +43,14 @@ class AvoiderWatch:
 
     @property
     def time_lines(self) -> list[str]:
-        """That it was slower than its runs allow; empty if it was not."""
-        return [f"computing time: {words}" for words in [self.times.words] if words]
+        """A line if the avoider was slower than its runs allow; else empty."""
+        return [f"computing time: {text}" for text in [self.times.words] if text]
 
     def remarks(self, plan: Plan) -> Iterator[str]:
-        """Why what the runs say is not of the avoider of ``plan``, or of no avoider at all; asks it again."""
-        words = fallback_words(self.unanswered, self.decisions)
-        if words and not is_claimed(claim.claim for claim in plan.claims):
-            yield words
+        """Ask the avoider again, and yield reasons why the runs do not represent the avoider of ``plan``."""
+        fallback = fallback_words(self.unanswered, self.decisions)
+        if fallback and not is_claimed(claim.claim for claim in plan.claims):
+            yield fallback
         again = self.repeatability.check()
         if again.problem:
             yield f"{again.line}: none of these numbers holds"
