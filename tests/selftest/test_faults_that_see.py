@@ -5,7 +5,7 @@ from __future__ import annotations
 from safety_harness.admission.admit import admit
 from safety_harness.admission.trial import run_kinematic
 from safety_harness.extensions.selftest.avoider_faults import FaultyAvoider
-from safety_harness.extensions.selftest.avoider_faults import asked as soundly
+from safety_harness.extensions.selftest.avoider_faults import sound_answer as soundly
 from safety_harness.search.confirm import OtherDraws
 from tests.cell.avoidance.test_avoiders_that_see import TWO_HANDS, Watching
 

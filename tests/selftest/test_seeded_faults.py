@@ -68,7 +68,7 @@ def test_each_says_what_it_is() -> None:
     for fault in EVERY:
         assert fault.hazard, fault.name
         assert fault.ladder.values, fault.name
-        words = [fault.ladder.words(value) for value in fault.ladder.values]
+        words = [fault.ladder.label(value) for value in fault.ladder.values]
         assert len(set(words)) == len(words), fault.name
     assert all(fault.harmless for fault in HARMLESS)
     assert not any(fault.harmless for fault in FAULTS)

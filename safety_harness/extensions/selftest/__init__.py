@@ -1,1 +1,1 @@
-"""The harness on trial: faults seeded into a sound system, and what catches them."""
+"""Mutation testing of the harness: faults seeded into a sound system, and the claims that catch them."""

@@ -1,4 +1,4 @@
-"""Whose fault it is when it is known: a system with a seeded fault, for attribution to run."""
+"""Attribution of seeded faults, whose causes are known: a runner of systems with a fault."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ INGREDIENTS = {
 
 @dataclass(frozen=True, eq=False)
 class SeededRunner:
-    """Runs altered systems with the fault; where its ingredient has been changed, without it."""
+    """Runs altered systems with the fault; without it if its own ingredient was replaced."""
 
     fault: SeededFault
     magnitude: float
-    around: ChangedSystem  # the fault's circumstance, without it
+    around: ChangedSystem  # with the fault's circumstance, without the fault
 
     def __call__(self, systems: Sequence[Altered]) -> list[Trace | Exception]:
-        """One after another; what a faulty system raises stands for its run."""
-        return [self._run(one) for one in systems]
+        """Return the runs, one after another; an exception of a faulty system stands for its run."""
+        return [self._run(system) for system in systems]
 
     def _run(self, altered: Altered) -> Trace | Exception:
         changed = {change.ingredient for change in altered.changes}
@@ -51,9 +51,10 @@ class SeededRunner:
 def attribute_seeded(
     fault: SeededFault, magnitude: float, admitted: Admitted, claims: Sequence[Claim]
 ) -> tuple[Attribution, ...]:
-    """Whose fault the violations of ``claims`` with a seeded fault are.
+    """Return the causes of the violations of ``claims`` by a seeded fault.
 
-    Every part that a fault can sit in is tried sound, so that nothing tells which of them is spoilt.
+    Attribution tries a sound part for each part that can have a fault, so that it gets no clue to the
+    faulty part.
     """
     around = fault.circumstance.bring_about(ChangedSystem(admitted))
     run = SeededRunner(fault, magnitude, around)

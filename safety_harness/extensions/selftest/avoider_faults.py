@@ -1,7 +1,7 @@
-"""What can be wrong with an avoider's answers.
+"""Faults in an avoider's answers.
 
-These are tried behind the plain gate, which asks for nothing but reach: behind the full one it is the gate
-that is on trial, and it keeps most of them from doing harm.
+They run behind the plain gate, which checks only reach. Behind the full gate they would test the gate,
+which would keep most of them from doing harm.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from safety_harness.cell.avoidance.avoider import Avoider, AvoiderAround, Propos
 from safety_harness.extensions.selftest.fault import Precondition, Seeds, faults_in, of_avoider, seeded
 from safety_harness.extensions.selftest.system import ChangedSystem
 
-Answers = Callable[[Avoider, Vector, Vector, int], Proposal]  # of an avoider, for a hand, a TCP, a seed
+Answers = Callable[[Avoider, Vector, Vector, int], Proposal]  # sound avoider, hand, TCP, seed -> answer
 
 PLAIN_GATE = Precondition(
     "behind a gate that asks for reach alone", lambda s: s.with_gate(kind=GateKind.REACH)
@@ -35,36 +35,36 @@ _spread = partial(of_avoider, of_spread=True)
 
 @dataclass(frozen=True, eq=False)
 class FaultyAvoider(AvoiderAround):
-    """An avoider whose answers go through somebody else's hands."""
+    """An avoider whose answers ``answers`` gives, from the sound avoider."""
 
     answers: Answers
 
     def propose(
         self, *, hand_position_in_base_m: Vector, tcp_position_in_base_m: Vector, seed: int, **seen: Any
     ) -> Proposal:
-        """What becomes of the answer."""
+        """Return the faulty answer."""
         avoider = _Shown(self.avoider, seen) if seen else self.avoider
         return self.answers(avoider, hand_position_in_base_m, tcp_position_in_base_m, seed)
 
 
 @dataclass(frozen=True, eq=False)
 class _Shown(AvoiderAround):
-    """An avoider that sees more, to be asked with three keywords: the fourth is what is seen now."""
+    """An avoider that sees more than hand, TCP and seed; the rest of its query is ``seen``."""
 
     seen: dict[str, Any]
 
     def propose(self, **question: Any) -> Proposal:
-        """The avoider's own."""
+        """Return the avoider's own answer."""
         return self.avoider.propose(**question, **self.seen)
 
 
-def asked(avoider: Avoider, hand: Vector, tcp: Vector, seed: int) -> Proposal:
-    """The sound answer."""
+def sound_answer(avoider: Avoider, hand: Vector, tcp: Vector, seed: int) -> Proposal:
+    """Return the sound answer."""
     return avoider.propose(hand_position_in_base_m=hand, tcp_position_in_base_m=tcp, seed=seed)
 
 
-def spoilt(make: Callable[[float], Answers]) -> Seeds:
-    """Seeded into the answers of the avoider, by what is made afresh for each system."""
+def answering(make: Callable[[float], Answers]) -> Seeds:
+    """Seed a fault into the avoider's answers; each system gets a new fault from ``make``."""
 
     def seed_into(system: ChangedSystem, magnitude: float) -> ChangedSystem:
         answers = make(magnitude)
@@ -73,22 +73,22 @@ def spoilt(make: Callable[[float], Answers]) -> Seeds:
     return seed_into
 
 
-def asking(answers: Callable[[float, Avoider, Vector, Vector, int], Proposal]) -> Seeds:
-    """Seeded into how the avoider is asked."""
-    return spoilt(lambda magnitude: partial(answers, magnitude))
+def queried(answers: Callable[[float, Avoider, Vector, Vector, int], Proposal]) -> Seeds:
+    """Seed a fault that queries the avoider and answers in its place."""
+    return answering(lambda magnitude: partial(answers, magnitude))
 
 
 def answered(change: Callable[[float, Proposal, Vector, Vector, int], Proposal]) -> Seeds:
-    """Seeded into each answer of the avoider."""
+    """Seed a change of each answer of the avoider."""
 
     def answers(magnitude: float, avoider: Avoider, hand: Vector, tcp: Vector, seed: int) -> Proposal:
-        return change(magnitude, asked(avoider, hand, tcp, seed), hand, tcp, seed)
+        return change(magnitude, sound_answer(avoider, hand, tcp, seed), hand, tcp, seed)
 
-    return asking(answers)
+    return queried(answers)
 
 
 def moved(change: Callable[[Vector, float], Vector]) -> Seeds:
-    """Seeded into the displacement (3,) that the avoider proposes."""
+    """Seed a change of the displacement (3,) [m] that the avoider proposes."""
 
     def displaced(magnitude: float, proposal: Proposal, hand: Vector, tcp: Vector, seed: int) -> Proposal:
         return Proposal(tcp + change(proposal.position_in_base_m - tcp, magnitude), proposal.spread_m)
@@ -96,63 +96,63 @@ def moved(change: Callable[[Vector, float], Vector]) -> Seeds:
     return answered(displaced)
 
 
-def turned(way: Vector, angle_rad: float) -> Vector:
-    """A displacement (3,) turned about the vertical."""
+def turned(vector: Vector, angle_rad: float) -> Vector:
+    """Return a displacement (3,) turned about the vertical."""
     c, s = np.cos(angle_rad), np.sin(angle_rad)
-    return np.array([c * way[0] - s * way[1], s * way[0] + c * way[1], way[2]])
+    return np.array([c * vector[0] - s * vector[1], s * vector[0] + c * vector[1], vector[2]])
 
 
 @_avoider("sign flip", "the arm goes to the hand instead of away from it")
 @seeded(moved, (1.0, 0.75, 0.6, 0.5), "% of the way turned", 100.0)
-def _flipped(way: Vector, weight: float) -> Vector:
-    return (1.0 - 2.0 * weight) * way
+def _flipped(displacement: Vector, weight: float) -> Vector:
+    return (1.0 - 2.0 * weight) * displacement
 
 
 @_avoider("mirrored axis", "a left-handed frame: away along two axes, towards along the third")
 @seeded(moved, (2.0, 3.0, 1.0), names=("y", "z", "x"))
-def _mirrored(way: Vector, axis: float) -> Vector:
-    """A displacement (3,) with one coordinate mirrored: 1, 2, 3 for x, y, z."""
+def _mirrored(displacement: Vector, axis: float) -> Vector:
+    """Mirror one coordinate of a displacement (3,): 1, 2, 3 for x, y, z."""
     signs = np.ones(3)
     signs[int(axis) - 1] = -1.0
-    return signs * way
+    return signs * displacement
 
 
 @_avoider(
     "wrong frame", "the answer is in the frame of the tool, not of the base: the arm gives way to the side"
 )
 @seeded(moved, (np.pi, np.pi / 2, np.pi / 4, np.pi / 9), "deg", 180.0 / np.pi)
-def _wrong_frame(way: Vector, angle_rad: float) -> Vector:
-    return turned(way, angle_rad)
+def _wrong_frame(displacement: Vector, angle_rad: float) -> Vector:
+    return turned(displacement, angle_rad)
 
 
 @_avoider("millimetres for metres", "a position a thousand times too far: the arm is stretched to its limits")
 @seeded(moved, (1000.0, 10.0, 5.0, 2.0), "times")
-def _too_far(way: Vector, factor: float) -> Vector:
-    return factor * way
+def _too_far(displacement: Vector, factor: float) -> Vector:
+    return factor * displacement
 
 
 @_avoider("metres for millimetres", "the arm stays where it is, before the hand")
 @seeded(moved, (0.001, 0.02, 0.1, 0.5), "times")
-def _too_near(way: Vector, factor: float) -> Vector:
-    return factor * way
+def _too_near(displacement: Vector, factor: float) -> Vector:
+    return factor * displacement
 
 
 @_avoider("stale hand", "the arm gives way to where the hand was at an earlier question")
-@seeded(spoilt, (3.0, 1.0), "questions old")
+@seeded(answering, (3.0, 1.0), "questions old")
 def _stale_hand(questions: float) -> Answers:
     seen: list[Vector] = []
 
     def answers(avoider: Avoider, hand: Vector, tcp: Vector, seed: int) -> Proposal:
         seen.append(hand.copy())
-        return asked(avoider, seen[max(len(seen) - 1 - int(questions), 0)], tcp, seed)
+        return sound_answer(avoider, seen[max(len(seen) - 1 - int(questions), 0)], tcp, seed)
 
     return answers
 
 
 @_avoider("stale TCP", "the answer is for where the tool should be, not for where it is")
-@seeded(asking, (3.0, 1.0, 0.5), "% of the way", 100.0)
+@seeded(queried, (3.0, 1.0, 0.5), "% of the way", 100.0)
 def _stale_tcp(share: float, avoider: Avoider, hand: Vector, tcp: Vector, seed: int) -> Proposal:
-    return asked(avoider, hand, tcp + share * (DESIRED - tcp), seed)
+    return sound_answer(avoider, hand, tcp + share * (DESIRED - tcp), seed)
 
 
 @_avoider("constant output", "a network that has collapsed: the same position for every hand")
@@ -179,19 +179,19 @@ def _far_when_unseen(factor: float, proposal: Proposal, hand: Vector, tcp: Vecto
 
 
 @_avoider("NaN now and then", "no position, and the decision is left to whoever comes after")
-@seeded(asking, (1.0, 0.1, 0.01, 0.001), "of decisions")
+@seeded(queried, (1.0, 0.1, 0.01, 0.001), "of decisions")
 def _sometimes_nan(share: float, avoider: Avoider, hand: Vector, tcp: Vector, seed: int) -> Proposal:
     if generator(seed, Branch.SELFTEST, 1).random() < share:
         return Proposal(np.full(3, np.nan))
-    return asked(avoider, hand, tcp, seed)
+    return sound_answer(avoider, hand, tcp, seed)
 
 
 @_avoider("an exception now and then", "the same with a program that stops")
-@seeded(asking, (1.0, 0.1, 0.01), "of decisions")
+@seeded(queried, (1.0, 0.1, 0.01), "of decisions")
 def _raising(share: float, avoider: Avoider, hand: Vector, tcp: Vector, seed: int) -> Proposal:
     if generator(seed, Branch.SELFTEST, 3).random() < share:
         raise AvoiderError("no idea")
-    return asked(avoider, hand, tcp, seed)
+    return sound_answer(avoider, hand, tcp, seed)
 
 
 @_avoider("noise in the answers", "the arm gives way to anywhere")
@@ -202,12 +202,12 @@ def _noisy(std_m: float, proposal: Proposal, hand: Vector, tcp: Vector, seed: in
 
 
 @_avoider("unseeded randomness", "no run of it can be repeated, so that no finding can be looked into")
-@seeded(spoilt, (0.1, 1e-3, 1e-9), "mm", 1e3)
+@seeded(answering, (0.1, 1e-3, 1e-9), "mm", 1e3)
 def _unseeded(std_m: float) -> Answers:
-    own = np.random.Generator(np.random.PCG64())  # the fault itself: entropy of the machine's
+    own = np.random.Generator(np.random.PCG64())  # the fault itself: entropy of the machine
 
     def answers(avoider: Avoider, hand: Vector, tcp: Vector, seed: int) -> Proposal:
-        proposal = asked(avoider, hand, tcp, seed)
+        proposal = sound_answer(avoider, hand, tcp, seed)
         return Proposal(proposal.position_in_base_m + std_m * own.standard_normal(3), proposal.spread_m)
 
     return answers
@@ -217,13 +217,13 @@ def _unseeded(std_m: float) -> Answers:
     "memory between episodes",
     "what it does depends on what was tried before: tests in another order say something else",
 )
-@seeded(spoilt, (1e-2, 1e-3, 1e-6), "mm a question", 1e3)
+@seeded(answering, (1e-2, 1e-3, 1e-6), "mm a question", 1e3)
 def _remembering(step_m: float) -> Answers:
-    """Drifts by the same step with every question that it has ever been asked."""
+    """Drift by the same step with each query over all runs of the system, and back after twenty queries."""
     questions = count()
 
     def answers(avoider: Avoider, hand: Vector, tcp: Vector, seed: int) -> Proposal:
-        proposal = asked(avoider, hand, tcp, seed)
+        proposal = sound_answer(avoider, hand, tcp, seed)
         drift_m = step_m * (next(questions) % 20)
         return Proposal(proposal.position_in_base_m + [0.0, 0.0, drift_m], proposal.spread_m)
 
@@ -245,7 +245,7 @@ def _underconfident(factor: float, proposal: Proposal, hand: Vector, tcp: Vector
 @_spread("spread of the wrong axis", "the doubt about the most uncertain axis is not seen")
 @seeded(answered, (1.0, 0.5), "% of the largest lost", 100.0)
 def _wrong_spread_axis(weight: float, proposal: Proposal, hand: Vector, tcp: Vector, seed: int) -> Proposal:
-    """Two of the axes are put down for the third one, the most uncertain."""
+    """Report the most uncertain axis as more certain than it is."""
     spread_m = proposal.spread_m.copy()
     spread_m[int(np.argmax(spread_m))] *= 1.0 - weight
     return Proposal(proposal.position_in_base_m, spread_m)

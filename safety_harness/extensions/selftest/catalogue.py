@@ -1,4 +1,4 @@
-"""Every seeded fault, and the changes that are declared harmless."""
+"""All seeded faults, and the changes declared harmless."""
 
 from __future__ import annotations
 

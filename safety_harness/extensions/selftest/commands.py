@@ -1,4 +1,4 @@
-"""``safety-harness selftest``: faults seeded into a sound system, and what caught each of them."""
+"""``safety-harness selftest``: faults seeded into a sound system, and the claims that caught them."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ def selftest(
     ),
     jobs: Annotated[int, Option(help="Processes at once, each on one core.")] = 2,
 ) -> int:
-    """Put the harness itself on trial: seed faults into a sound system, and tell what caught each.
+    """Seed faults into a sound system, and show the catches.
 
-    A fault is caught by a claim that is violated with it and holds without it on the same scenario. The
-    table says which, after how many episodes, and the slightest magnitude that was caught. With --avoider
-    or --controller the faults are seeded into yours: those of avoider, gate and servoing only where there
-    are any, and it says how many do not apply. Harmless changes are tried as well, and must raise no alarm.
-    What was tried is kept, however it ends.
+    A claim catches a fault if it is violated with the fault and holds without it, on the same scenario. The
+    table has this claim, the number of episodes, and the smallest caught magnitude. With --avoider or
+    --controller the command seeds the faults into yours. Faults of avoider, gate and servoing apply only if
+    your system has these parts; the table marks the rest. Harmless changes run too, and must raise no alarm.
+    The command keeps the results so far, whatever its exit code.
     Exit code 0; 1: a fault survives that is no stated limit, a harmless change raises a false alarm, or no
     fault applies; 2: bad input; 130: interrupted.
     """
@@ -83,16 +83,16 @@ def selftest(
     say(*session.remarks, f"{len(numbers)} faults and harmless changes to try")
     begun_s = time.monotonic()
 
-    def tell(one: FaultOutcome) -> None:
-        words, alarm, smallest = one.state.value, one.alarm, one.smallest
-        if one.state is FaultState.CAUGHT and alarm and smallest:
-            words = f"caught down to {smallest.words}, by {alarm.claim} in {alarm.scenario}"
-        done, planned = len(session.done), len(numbers)
-        say_where(f"[{done}/{planned}] {one.part}: {one.fault}: {words}{where(done, planned, begun_s)}")
+    def show_outcome(outcome: FaultOutcome) -> None:
+        text, alarm, smallest = outcome.state.value, outcome.alarm, outcome.smallest
+        if outcome.state is FaultState.CAUGHT and alarm and smallest:
+            text = f"caught down to {smallest.words}, by {alarm.claim} in {alarm.scenario}"
+        done, total = len(session.done), len(numbers)
+        say_where(f"[{done}/{total}] {outcome.part}: {outcome.fault}: {text}{where(done, total, begun_s)}")
 
     with writing(out):
         with paced_lines() as say_where:
-            session.run(jobs, tell)
+            session.run(jobs, show_outcome)
         faults, harmless = in_table(session.tried)
         tables = (HEAD, list(map(row, faults))), (HARMLESS_HEAD, list(map(harmless_row, harmless)))
         for head, rows in tables:
@@ -109,7 +109,7 @@ def selftest(
     if session.broken:
         say(f"error: {session.broken}; {tried}")
         return DIFFERS
-    if not any(one.applies for one in session.tried):
+    if not any(outcome.applies for outcome in session.tried):
         say("error: nothing was tried: none of these faults applies to such an avoider")
         return DIFFERS
     return DIFFERS if bad(session.tried) else AS_EXPECTED

@@ -46,7 +46,7 @@ STATE_CLASS = {
 
 @dataclass(frozen=True, kw_only=True)
 class SelfTestRun:
-    """How it came about.  ``interrupted``: of the ``planned`` faults some were not tried."""
+    """The circumstances of a self-test; if it was ``interrupted``, some ``planned`` faults did not run."""
 
     profile: str
     avoider: str | None
@@ -63,37 +63,37 @@ class SelfTestRun:
     interrupted: bool = False
 
 
-def document(outcomes: Sequence[FaultOutcome], about: SelfTestRun) -> dict[str, Any]:
-    """Plain JSON; a magnitude that is not finite is null, its words are there."""
+def document(outcomes: Sequence[FaultOutcome], selftest: SelfTestRun) -> dict[str, Any]:
+    """Return plain JSON; a magnitude that is not finite is null and has words beside it."""
     tally = tally_of(outcomes)
     return {
         "format": FORMAT,
-        "about": asdict(about) | {"generated_at": about.generated_at.isoformat()},
+        "about": asdict(selftest) | {"generated_at": selftest.generated_at.isoformat()},
         "tally": asdict(tally) | {"kill_rate": tally.kill_rate},
-        "faults": [_outcome(one) for one in outcomes],
+        "faults": [_outcome(outcome) for outcome in outcomes],
     }
 
 
-def write_document(path: Path, outcomes: Sequence[FaultOutcome], about: SelfTestRun) -> None:
-    """Whole or not at all.  Raises OSError."""
-    text = json.dumps(document(outcomes, about), indent=1, allow_nan=False, ensure_ascii=False)
+def write_document(path: Path, outcomes: Sequence[FaultOutcome], selftest: SelfTestRun) -> None:
+    """Write the JSON, whole or not at all; OSError."""
+    text = json.dumps(document(outcomes, selftest), indent=1, allow_nan=False, ensure_ascii=False)
     write_whole(path, text + "\n")
 
 
-def _outcome(one: FaultOutcome) -> dict[str, Any]:
-    plain = asdict(one)
+def _outcome(outcome: FaultOutcome) -> dict[str, Any]:
+    plain = asdict(outcome)
     for rung in plain["rungs"]:
         if abs(rung["magnitude"]) == float("inf"):
             rung["magnitude"] = None
-    alarm, smallest, survivor = one.alarm, one.smallest, one.survivor
+    alarm, smallest, survivor = outcome.alarm, outcome.smallest, outcome.survivor
     return plain | {
-        "state": one.state.value,
+        "state": outcome.state.value,
         "caught_by": alarm.claim if alarm else None,
         "scenario": alarm.scenario if alarm else None,
         "after_episodes": smallest.episodes if smallest else None,
         "slightest_caught": smallest.words if smallest else None,
         "survives": survivor.words if survivor else None,
-        "confirmed_in_pybullet": one.confirmed,
+        "confirmed_in_pybullet": outcome.confirmed,
     }
 
 
@@ -101,34 +101,34 @@ CaughtRuns = Sequence[tuple[FaultOutcome, JudgedRun]]
 
 
 def write_page(
-    path: Path, outcomes: Sequence[FaultOutcome], about: SelfTestRun, runs: CaughtRuns = ()
+    path: Path, outcomes: Sequence[FaultOutcome], selftest: SelfTestRun, runs: CaughtRuns = ()
 ) -> None:
-    """Write the page whole or not at all; it asks nothing of the network.  Raises OSError."""
-    write_whole(path, render(outcomes, about, runs))
+    """Write the page, whole or not at all, without any reference to the network; OSError."""
+    write_whole(path, render(outcomes, selftest, runs))
 
 
-def render(outcomes: Sequence[FaultOutcome], about: SelfTestRun, runs: CaughtRuns = ()) -> str:
-    """The page as text; the same arguments give the same bytes.  ``runs`` are replayed in 3-D on it."""
+def render(outcomes: Sequence[FaultOutcome], selftest: SelfTestRun, runs: CaughtRuns = ()) -> str:
+    """Return the page as text, the same bytes for the same arguments; it replays ``runs`` in 3-D."""
     faults, harmless = in_table(outcomes)
     replays = Replays()
-    worlds = [str(KINEMATIC), *[str(PYBULLET)] * any(one.confirmed is not None for one in outcomes)]
+    worlds = [str(KINEMATIC), *[str(PYBULLET)] * any(case.confirmed is not None for case in outcomes)]
     return render_page(
         "selftest.html.j2",
         of="safety_harness.extensions.selftest",
-        basis=basis(worlds, f"{len(outcomes)} of {about.planned} faults tried"),
+        basis=basis(worlds, f"{len(outcomes)} of {selftest.planned} faults tried"),
         style="tables.css",
-        about=about,
+        about=selftest,
         tally=tally_of(outcomes),
         summary=summary(tally_of(outcomes)),
         bad=bad(outcomes),
-        faults=[(one, row(one)) for one in faults],
-        harmless=[(one, harmless_row(one)) for one in harmless],
+        faults=[(case, row(case)) for case in faults],
+        harmless=[(case, harmless_row(case)) for case in harmless],
         names=HEAD,
         harmless_names=HARMLESS_HEAD,
         state_class=STATE_CLASS,
         minus=with_minus,
         replays=bool(runs),
         seen=[
-            (one, run, replays.of(run, f"seen-{number}")) for number, (one, run) in enumerate(runs, start=1)
+            (case, run, replays.of(run, f"seen-{number}")) for number, (case, run) in enumerate(runs, start=1)
         ],
     )

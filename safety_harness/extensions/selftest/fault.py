@@ -1,15 +1,15 @@
-"""What a seeded fault is: a name, the hazard it stands for, and a ladder of magnitudes.
+"""A seeded fault: a name, the hazard that it stands for, and a ladder of magnitudes.
 
-A file of faults declares each where it says what is wrong, by two decorators:
+A file of faults declares each fault beside the function that makes it, by two decorators:
 
     @of_motion("overspeed", "the arm is faster than it is told: nobody can step back in time")
-    @seeded(told, (4.0, 1.5, 1.1, 1.02), "times")
+    @seeded(commanded, (4.0, 1.5, 1.1, 1.02), "times")
     def _faster(factor: float, command: Records) -> None:
         command[0]["joint_velocity_radps"] *= factor
 
-``seeded`` says where the change is made (here in what the arm is told), at which magnitudes, the gravest
-first, and how people read them; without magnitudes it is there or not.  The other one, of the part, makes a
-SeededFault of it, which ``faults_in`` the file finds.
+``seeded`` states the place of the change (here the commands to the arm), the magnitudes, the worst first,
+and their unit for people. A fault without magnitudes is there or not. The decorator of the part makes a
+SeededFault, which ``faults_in`` finds in the file.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from safety_harness.cell.controller.cycle import ControllerRecords
 from safety_harness.extensions.selftest.system import Change, ChangedSystem, Records
 
 Seeds = Callable[[ChangedSystem, float], ChangedSystem]
-What = TypeVar("What")  # is wrong, as a function of its magnitude
+What = TypeVar("What")  # the change, as a function of its magnitude
 
 
 class FaultyPart(Enum):
-    """Where in the system a fault sits."""
+    """The part of the system that has a fault."""
 
     AVOIDER = "avoider"
     GATE = "gate"
@@ -41,15 +41,15 @@ class FaultyPart(Enum):
 
 @dataclass(frozen=True)
 class SeverityLevels:
-    """Magnitudes in SI, the gravest first, and how people read them: with a unit, or each by its name."""
+    """Magnitudes in SI, the worst first, and their text for people: a unit, or a name for each."""
 
     values: tuple[float, ...]
     unit: str = ""
     per_si: float = 1.0
     names: tuple[str, ...] = ()
 
-    def words(self, value: float) -> str:
-        """One of them for people."""
+    def label(self, value: float) -> str:
+        """Return the text for one magnitude."""
         if self.names:
             return self.names[self.values.index(value)]
         number = f"{value * self.per_si:.4g}"
@@ -61,23 +61,25 @@ ONLY = SeverityLevels((1.0,), names=("there",))  # a fault that is there or not
 
 @dataclass(frozen=True, eq=False)
 class Precondition:
-    """What the faulty and the sound system have in common beside the scenario."""
+    """A change that the faulty and the sound system have in common."""
 
     name: str
     bring_about: Callable[[ChangedSystem], ChangedSystem]
 
 
-AS_IT_IS = Precondition("as it is", lambda system: system)
+AS_USUAL = Precondition("as it is", lambda system: system)
 
 
 @dataclass(frozen=True, eq=False)
 class SeededFault:
-    """A mistake that somebody could make, and that hurts somebody or ends the task.
+    """A mistake that an engineer could make, and that can hurt people or end the task.
 
-    ``seed_into`` a sound system, with a magnitude of the ``ladder``, gives the faulty one.  Both are
-    tried in ``circumstance``.  ``of_spread``: it does not apply to an avoider that states none.
-    ``harmless``: why it cannot matter, said beforehand; whatever is violated with it is a false alarm.
-    ``limit``: why nothing here can catch it, said beforehand.
+    ``seed_into`` takes a sound system and a magnitude of the ``ladder``, and returns the faulty system.
+    Both run in the ``circumstance``. ``of_spread``: the fault does not apply to an avoider without a
+    spread.
+
+    ``harmless`` is the reason, stated beforehand, why the change cannot matter: a violation with it is a
+    false alarm. ``limit`` is the reason, stated beforehand, why no claim can catch the fault.
     """
 
     part: FaultyPart
@@ -85,7 +87,7 @@ class SeededFault:
     hazard: str
     seed_into: Seeds
     ladder: SeverityLevels = ONLY
-    circumstance: Precondition = AS_IT_IS
+    circumstance: Precondition = AS_USUAL
     of_spread: bool = False
     harmless: str = ""
     limit: str = ""
@@ -101,15 +103,15 @@ def seeded(
     per_si: float = 1.0,
     names: tuple[str, ...] = (),
 ) -> Callable[[What], Graded]:
-    """Decorates what is wrong, with where it is seeded and the SeverityLevels; ``ONLY`` without values."""
+    """Decorate a change with the place where it is seeded and its SeverityLevels; ``ONLY`` without values."""
     ladder = SeverityLevels(values, unit, per_si, names) if values else ONLY
     return lambda what: (where(what), ladder)
 
 
 def fault_of(
-    part: FaultyPart, name: str, hazard: str, circumstance: Precondition = AS_IT_IS, of_spread: bool = False
+    part: FaultyPart, name: str, hazard: str, circumstance: Precondition = AS_USUAL, of_spread: bool = False
 ) -> Callable[[Graded], SeededFault]:
-    """Makes a fault of what is ``seeded``."""
+    """Make a fault from a ``seeded`` change."""
     return lambda graded: SeededFault(part, name, hazard, *graded, circumstance, of_spread)
 
 
@@ -122,42 +124,42 @@ of_timing = partial(fault_of, FaultyPart.TIMING)
 
 
 def declared(*, harmless: str = "", limit: str = "") -> Callable[[SeededFault], SeededFault]:
-    """Says beforehand why a fault cannot matter, or why nothing here can catch it."""
+    """State beforehand why a fault cannot matter, or why no claim can catch it."""
     return lambda fault: replace(fault, harmless=harmless, limit=limit)
 
 
 def faults_in(file: Mapping[str, object]) -> tuple[SeededFault, ...]:
-    """Those that a file declares, in its order; ``file`` are its globals."""
-    return tuple(one for one in file.values() if isinstance(one, SeededFault))
+    """Return the faults that a file declares, in its order; ``file`` are its globals."""
+    return tuple(fault for fault in file.values() if isinstance(fault, SeededFault))
 
 
-def outright(seeds: Seeds) -> Seeds:
-    """Seeded by a function of the whole system."""
+def anywhere(seeds: Seeds) -> Seeds:
+    """Seed a function of the whole system."""
     return seeds
 
 
 def known(edit: Callable[[ControllerRecords, float], None]) -> Seeds:
-    """Seeded into what the controller takes for given."""
+    """Seed a change of the records that the controller takes as given."""
     return lambda system, magnitude: system.with_records(lambda records: edit(records, magnitude))
 
 
 def seen(change: Callable[[Admitted, float, Records], None]) -> Seeds:
-    """Seeded into each observation by a change that remembers nothing."""
+    """Seed a change of each observation, without memory."""
     return seeing(lambda magnitude, admitted: _in_place(partial(change, admitted, magnitude)))
 
 
 def seeing(make: Callable[[float, Admitted], Change]) -> Seeds:
-    """Seeded into the observations by a change that is made afresh for each run."""
+    """Seed a change of the observations; each run gets a new change from ``make``, maybe with a memory."""
     return lambda system, magnitude: system.seeing(partial(make, magnitude))
 
 
-def told(change: Callable[[float, Records], None]) -> Seeds:
-    """Seeded into each command by a change that remembers nothing."""
+def commanded(change: Callable[[float, Records], None]) -> Seeds:
+    """Seed a change of each command, without memory."""
     return obeying(lambda magnitude, _: _in_place(partial(change, magnitude)))
 
 
 def obeying(make: Callable[[float, Admitted], Change]) -> Seeds:
-    """Seeded into the commands by a change that is made afresh for each run."""
+    """Seed a change of the commands; each run gets a new change from ``make``, maybe with a memory."""
     return lambda system, magnitude: system.obeying(partial(make, magnitude))
 
 

@@ -1,7 +1,7 @@
-"""What can be wrong with the gate between avoider and arm.
+"""Faults of the gate between avoider and arm.
 
-A gate's mistake shows only where it has something to keep back, so most are tried with an avoider that errs
-in one way; the sound gate is tried with the same one.
+A faulty gate shows only if it has something to refuse. So most of these faults run with an avoider with a
+single error; the sound gate runs with the same avoider.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ from safety_harness.cell.avoidance.gate import Gate, GateDecision, Query
 from safety_harness.cell.controller.around import ControllerWrapper
 from safety_harness.cell.controller.controller import AvoidingServo
 from safety_harness.extensions.selftest.avoider_faults import FaultyAvoider, turned
-from safety_harness.extensions.selftest.fault import Precondition, Seeds, faults_in, of_gate, outright, seeded
+from safety_harness.extensions.selftest.fault import Precondition, Seeds, anywhere, faults_in, of_gate, seeded
 from safety_harness.extensions.selftest.system import ChangedSystem
 from safety_harness.trace.records import Check, DecisionOutcome, Mode
 
-SURE_BELOW_M = 0.02  # the threshold of the avoiders below
-Rule = Callable[[Answer, Query], GateDecision]  # of the sound gate
+SURE_BELOW_M = 0.02  # spread threshold of the avoiders below
+Rule = Callable[[Answer, Query], GateDecision]  # the sound gate's
 
 
 @dataclass(frozen=True, eq=False)
 class Erring:
-    """An avoider that always proposes the same displacement (``aside``: away from the hand, plus that)."""
+    """An avoider that always proposes the same displacement: ``by_m``, plus a distance towards the hand."""
 
     by_m: tuple[float, float, float]
     towards_hand_m: float = 0.0
@@ -40,14 +40,14 @@ class Erring:
     def propose(
         self, *, hand_position_in_base_m: Vector, tcp_position_in_base_m: Vector, seed: int
     ) -> Proposal:
-        """The same mistake every time."""
-        way = hand_position_in_base_m - tcp_position_in_base_m
-        towards = self.towards_hand_m / np.linalg.norm(way) * way
+        """Return the same mistake each time."""
+        to_hand_m = hand_position_in_base_m - tcp_position_in_base_m
+        towards = self.towards_hand_m / np.linalg.norm(to_hand_m) * to_hand_m
         return Proposal(tcp_position_in_base_m + towards + np.array(self.by_m), np.full(3, self.spread_m))
 
 
 def with_an(name: str, avoider: Erring) -> Precondition:
-    """An avoider that errs in one way, for the sound gate as well."""
+    """Return the precondition of an avoider with a single error, for the sound gate as well."""
     return Precondition(f"with an avoider that {name}", lambda s: s.with_avoider(lambda _: avoider))
 
 
@@ -67,28 +67,28 @@ NO_NUMBER = Precondition(
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class FaultyGate(Gate):
-    """A gate whose rulings go through somebody else's hands."""
+    """A gate whose rulings ``rules`` gives, from the sound rule."""
 
     rules: Callable[[Rule, Answer, Query], GateDecision]
 
     def rule_on(self, proposed: Answer, query: Query) -> GateDecision:
-        """What becomes of the ruling."""
+        """Return the faulty ruling."""
         return self.rules(super().rule_on, proposed, query)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class BlindGate(Gate):
-    """Does not look at some of the checks."""
+    """A gate that skips the checks ``to``."""
 
     to: Check
 
     def check(self, position_in_base_m: Vector, query: Query) -> Check:
-        """What is left of them."""
+        """Return the failed checks, without the skipped ones."""
         return super().check(position_in_base_m, query) & ~self.to
 
 
 class LateRefusal(ControllerWrapper):
-    """The gate's refusal counts some cycles late: until then the arm heads for what was refused."""
+    """A controller whose refusals take effect some cycles late; the arm heads for the refused pose before."""
 
     def __init__(self, pilot: AvoidingServo, cycles: float) -> None:
         super().__init__(pilot)
@@ -97,7 +97,7 @@ class LateRefusal(ControllerWrapper):
         self._chosen: Vector = np.full(3, np.nan)
 
     def step(self, observation: NDArray[np.void]) -> NDArray[np.void]:
-        """As the controller does, but for the position that it heads for."""
+        """Return the controller's command, and delay the change of its target after a refusal."""
         command = super().step(observation)
         state, question = self.pilot.records.state[0], self.pilot.records.question[0]
         if question["made_now"]:
@@ -117,21 +117,21 @@ class LateRefusal(ControllerWrapper):
 
 
 def ruled(rules: Callable[[float, Rule, Answer, Query], GateDecision]) -> Seeds:
-    """Seeded into each ruling of the gate."""
+    """Seed a change of each ruling of the gate."""
     return lambda system, magnitude: system.with_gate(FaultyGate, rules=partial(rules, magnitude))
 
 
 def _taking(ruling: GateDecision, outcome: DecisionOutcome) -> GateDecision:
-    """Another way out than the one that the gate found."""
-    ways = {DecisionOutcome.PROPOSED: ruling.proposed, DecisionOutcome.OPPOSITE: ruling.opposite}
-    chosen = ways.get(outcome, NAN_PROPOSAL).position_in_base_m
+    """Return the ruling with another outcome, and the position of that outcome."""
+    answers = {DecisionOutcome.PROPOSED: ruling.proposed, DecisionOutcome.OPPOSITE: ruling.opposite}
+    chosen = answers.get(outcome, NAN_PROPOSAL).position_in_base_m
     return replace(ruling, outcome=outcome, chosen_position_in_base_m=chosen)
 
 
 @of_gate("threshold ignored", "the arm goes where the network only guesses", IN_DOUBT)
 @seeded(ruled, (np.inf, 4.0, 2.0, 1.6), "times the threshold")
 def _lax(factor: float, rule: Rule, proposed: Answer, query: Query) -> GateDecision:
-    """The ruling says the true threshold all the same."""
+    """Multiply the threshold, and report the true threshold in the ruling."""
     true_m = proposed.spread_threshold_m
     lax = replace(proposed, spread_threshold_m=factor * true_m)
     return replace(rule(lax, query), spread_threshold_m=true_m)
@@ -140,7 +140,7 @@ def _lax(factor: float, rule: Rule, proposed: Answer, query: Query) -> GateDecis
 @of_gate(
     "off by some cycles", "the refusal comes late: meanwhile the arm heads for what was refused", IN_DOUBT
 )
-@seeded(outright, (40.0, 20.0, 10.0, 5.0, 3.0), "cycles")
+@seeded(anywhere, (40.0, 20.0, 10.0, 5.0, 3.0), "cycles")
 def _late(system: ChangedSystem, cycles: float) -> ChangedSystem:
     return system.with_pilot(lambda pilot: LateRefusal(pilot, cycles))
 
@@ -148,42 +148,42 @@ def _late(system: ChangedSystem, cycles: float) -> ChangedSystem:
 @of_gate("wrong pose handed over", "one position is checked and another one is gone to")
 @seeded(ruled, (np.pi, np.pi / 2, np.pi / 4, np.pi / 9), "deg", 180.0 / np.pi)
 def _wrong_pose(angle_rad: float, rule: Rule, proposed: Answer, query: Query) -> GateDecision:
-    """Turned about the TCP; the ruling tells what was handed over."""
+    """Turn the chosen position about the TCP; the ruling reports the turned position."""
     ruling = rule(proposed, query)
     tcp = query.tcp_position_in_base_m
-    wrong = tcp + turned(ruling.chosen_position_in_base_m - tcp, angle_rad)
-    return replace(ruling, chosen_position_in_base_m=wrong)
+    turned_m = tcp + turned(ruling.chosen_position_in_base_m - tcp, angle_rad)
+    return replace(ruling, chosen_position_in_base_m=turned_m)
 
 
 @of_gate("checks the end and not the way", "the arm stops half-way, or bumps into itself", ACROSS)
-@seeded(outright)
+@seeded(anywhere)
 def _blind_to_the_way(system: ChangedSystem, _: float) -> ChangedSystem:
-    way = Check.PATH_UNREACHABLE | Check.NEAR_REACH_LIMIT | Check.ROBOT_ITSELF
-    return system.with_gate(BlindGate, to=way)
+    checks = Check.PATH_UNREACHABLE | Check.NEAR_REACH_LIMIT | Check.ROBOT_ITSELF
+    return system.with_gate(BlindGate, to=checks)
 
 
 @of_gate("reach not checked", "the arm is stretched to its limits and stops before the hand", TOO_FAR)
-@seeded(outright)
+@seeded(anywhere)
 def _blind_to_reach(system: ChangedSystem, _: float) -> ChangedSystem:
     reach = Check.UNREACHABLE | Check.PATH_UNREACHABLE | Check.NEAR_REACH_LIMIT
     return system.with_gate(BlindGate, to=reach)
 
 
 @of_gate("table not checked", "what is held is crushed between arm and table", TO_THE_TABLE)
-@seeded(outright)
+@seeded(anywhere)
 def _blind_to_the_table(system: ChangedSystem, _: float) -> ChangedSystem:
     table = Check.TABLE | Check.UNREACHABLE | Check.PATH_UNREACHABLE | Check.ROBOT_ITSELF
     return system.with_gate(BlindGate, to=table)
 
 
 @of_gate("direction not checked", "the arm goes to the hand that it gives way to", TO_THE_HAND)
-@seeded(outright)
+@seeded(anywhere)
 def _blind_to_direction(system: ChangedSystem, _: float) -> ChangedSystem:
     return system.with_gate(BlindGate, to=Check.TOWARDS_A_HAND)
 
 
 @of_gate("region not checked", "the arm goes where nothing was proven of the answer")
-@seeded(outright)
+@seeded(anywhere)
 def _blind_to_its_region(system: ChangedSystem, _: float) -> ChangedSystem:
     return system.with_gate(more=None)
 
@@ -191,14 +191,14 @@ def _blind_to_its_region(system: ChangedSystem, _: float) -> ChangedSystem:
 @of_gate("minds one hand only", "the arm gives way to one hand and goes to the other")
 @seeded(ruled)
 def _one_hand_only(_: float, rule: Rule, proposed: Answer, query: Query) -> GateDecision:
-    """As if there were only the nearest."""
+    """Rule as if only the nearest hand existed."""
     return rule(proposed, replace(query, hands_in_base_m=query.hand_position_in_base_m[None]))
 
 
 @of_gate("passes NaN", "no number becomes a position, and then a speed", NO_NUMBER)
 @seeded(ruled)
 def _passes_nan(_: float, rule: Rule, proposed: Answer, query: Query) -> GateDecision:
-    """NaN is neither above a threshold nor out of reach."""
+    """Let NaN pass: it is not above a threshold and not out of reach."""
     ruling = rule(proposed, query)
     return _taking(ruling, DecisionOutcome.PROPOSED) if ruling.proposed_failed & Check.NOT_FINITE else ruling
 
@@ -206,7 +206,7 @@ def _passes_nan(_: float, rule: Rule, proposed: Answer, query: Query) -> GateDec
 @of_gate("lets no proposal pass", "the system in use is not the one whose avoider was tested", CERTAIN)
 @seeded(ruled)
 def _lets_none_pass(_: float, rule: Rule, proposed: Answer, query: Query) -> GateDecision:
-    """A usable proposal gives way only to an opposite pose that can be used too."""
+    """Replace each usable proposal by the opposite pose, if that is usable too."""
     ruling = rule(proposed, query)
     usable = ruling.outcome is DecisionOutcome.PROPOSED and not ruling.opposite_failed
     return _taking(ruling, DecisionOutcome.OPPOSITE) if usable else ruling
@@ -227,7 +227,7 @@ def _never_stops(_: float, rule: Rule, proposed: Answer, query: Query) -> GateDe
 
 
 @of_gate("fallback towards the hand", "doubt ends in the worst of all places", IN_DOUBT)
-@seeded(outright, (0.2, 0.1, 0.03), "mm", 1e3)
+@seeded(anywhere, (0.2, 0.1, 0.03), "mm", 1e3)
 def _to_the_hand(system: ChangedSystem, way_m: float) -> ChangedSystem:
     fallback = Erring((0.0, 0.0, 0.0), way_m)
     return system.with_gate(BlindGate, to=Check.TOWARDS_A_HAND, fallback=fallback)

@@ -1,7 +1,7 @@
-"""The hand distance of a run by another library: PyBullet's own kinematics and its own distances.
+"""The hand distance of a run by an independent library: PyBullet's own kinematics and distances.
 
-Taken from the trace are the joints and where the hands are, from the package the sizes of the bodies;
-nothing else of it is used.  From tick to tick joints and hands are taken to go straight.
+The trace gives the joints and the positions of the hands, and the package the sizes of the bodies. Nothing
+else of the package is used. Joints and hands count as moving straight from tick to tick.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from safety_harness.cell.simulation.truth import cell_capsules
 from safety_harness.trace.trace import Trace
 
 SPAN_M = 2.0  # no point of a shipped arm is farther from one of its joints
-ROUNDING_M = 1e-4  # PyBullet hands out link frames in single precision
-CLEAR_M = 1e-3  # what a proof has to spare: the claim's bound may be lower than the distance by less
-FAR_M = 20.0  # what is no nearer, or nobody
+ROUNDING_M = 1e-4  # PyBullet returns link frames in single precision
+CLEAR_M = 1e-3  # reserve of a proof: the claim's bound may be lower than the distance by less
+FAR_M = 20.0  # the distance of bodies that are no nearer, and without a hand
 BODIES = ("hand_position_in_base_m", "elbow_position_in_base_m")
 
 
 class Kept(Enum):
-    """What the geometry says of a limit of the hand distance."""
+    """The result of the geometry for a limit of the hand distance."""
 
     PROVEN = "kept"  # at every tick and between
     REFUTED = "broken"  # at a tick
@@ -34,43 +34,43 @@ class Kept(Enum):
 
 
 def hand_distance_kept(trace: Trace, limit_m: float) -> Kept:
-    """Do all hands and forearms stay ``limit_m`` away from the arm's capsules, surface to surface?
+    """Return whether all hands and forearms stay ``limit_m`` from the arm's capsules, surface to surface.
 
-    From a distance that is known the next ticks are passed over in which it cannot be used up: it changes
-    by no more than joints, times ``span_m_of``, and hands move.  A hand that comes or goes does so at a tick.
+    After a known distance it skips the ticks in which joints, times ``span_m_of``, and hands cannot use it
+    up. A hand appears and disappears only at a tick.
     """
     ticks = trace.ticks
     present = ticks["hand_present"]
     read = [ticks["joint_position_rad"], *(ticks[name][present] for name in BODIES)]
-    if not len(ticks) or not all(np.isfinite(one).all() for one in read):
+    if not len(ticks) or not all(np.isfinite(column).all() for column in read):
         return Kept.OPEN
     moved_m = _most_moved_m(ticks, span_m_of(trace))
     stops = np.where((present[1:] != present[:-1]).any(axis=1), 2.0 * FAR_M, 0.0)
     spent_m = np.concatenate([[0.0], np.cumsum(moved_m + stops)])
-    found = Kept.PROVEN
+    result = Kept.PROVEN
     with PyBulletArm(trace) as cell:
         k, distance_m = 0, cell.distance_m(ticks[0])
         while distance_m >= limit_m - ROUNDING_M:
             if k == len(ticks) - 1:
-                return found
+                return result
             spare_m = distance_m - limit_m - CLEAR_M
             last = int(np.searchsorted(spent_m, spent_m[k] + spare_m, side="right")) - 1
             following = max(last, k + 1)
             next_m = cell.distance_m(ticks[following])
             if following > last and distance_m + next_m - moved_m[k] < 2.0 * (limit_m + CLEAR_M):
-                found = Kept.OPEN
+                result = Kept.OPEN
             k, distance_m = following, next_m
     return Kept.REFUTED
 
 
 def span_m_of(trace: Trace) -> float:
-    """No point of the arm is farther [m] from one of its joints."""
+    """Return a length [m] such that no point of the arm is farther from one of its joints."""
     robot = trace.scenario.robot
     return max(SPAN_M, float(arm_with(arm_model(robot), arm_capsules(robot)).reach_m.max()))
 
 
 def _most_moved_m(ticks: NDArray[np.void], span_m: float) -> NDArray[np.float64]:
-    """(n-1,) by how much the distance from a hand that stays can change from tick to tick."""
+    """Return the greatest change (n-1,) [m] of the distance between ticks, for a hand that stays."""
     moved_m: NDArray[np.float64] = span_m * np.abs(np.diff(ticks["joint_position_rad"], axis=0)).sum(axis=1)
     stays = ticks["hand_present"][1:] & ticks["hand_present"][:-1]
     steps_m = [np.linalg.norm(np.diff(ticks[name], axis=0), axis=2) for name in BODIES]
@@ -79,7 +79,7 @@ def _most_moved_m(ticks: NDArray[np.void], span_m: float) -> NDArray[np.float64]
 
 
 class PyBulletArm:
-    """A PyBullet client of its own with the arm of a trace and a body for each of its capsules."""
+    """A separate PyBullet client with the arm of a trace and a body for each of its capsules."""
 
     def __init__(self, trace: Trace) -> None:
         with PYBULLET.needed("geometry that is not ours"):
@@ -108,7 +108,7 @@ class PyBulletArm:
         self._bullet.disconnect(physicsClientId=self._client)
 
     def distance_m(self, tick: np.void) -> float:
-        """Least distance [m] of any hand or forearm from any capsule at a tick; at most ``FAR_M``."""
+        """Return the least distance [m] of any hand or forearm from the arm at a tick, at most ``FAR_M``."""
         hands = np.flatnonzero(tick["hand_present"])
         if len(hands):
             self._place_arm(tick["joint_position_rad"])
@@ -123,7 +123,7 @@ class PyBulletArm:
             self._lay(body, rotation @ start + origin, rotation @ end + origin)
 
     def _frame(self, link: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Rotation and origin of a link's frame; 0 is the base, and after the moving links comes the tcp."""
+        """Return rotation and origin of a link's frame; 0 is the base, and the last is the tcp."""
         if link == 0:
             return np.eye(3), np.zeros(3)
         if link > len(self._joints):
@@ -143,8 +143,8 @@ class PyBulletArm:
         points = [
             point
             for _, (body, _, _) in self._capsules
-            for other in (self._hand, forearm)
-            for point in self._bullet.getClosestPoints(body, other, FAR_M, physicsClientId=self._client)
+            for limb in (self._hand, forearm)
+            for point in self._bullet.getClosestPoints(body, limb, FAR_M, physicsClientId=self._client)
         ]
         return min((float(point[8]) for point in points), default=FAR_M)
 
@@ -162,12 +162,12 @@ class PyBulletArm:
         return int(self._bullet.createMultiBody(0.0, shape, physicsClientId=self._client))
 
     def _lay(self, body: int, start: NDArray[np.float64], end: NDArray[np.float64]) -> None:
-        """A capsule of PyBullet's lies along its own z, about its middle."""
-        way = end - start
-        length_m = float(np.linalg.norm(way))
+        """Place a capsule from ``start`` to ``end``; its own z is its axis, and its origin the middle."""
+        axis_m = end - start
+        length_m = float(np.linalg.norm(axis_m))
         turn = np.array([0.0, 0.0, 0.0, 1.0])
         if length_m > 0.0:
-            x, y, z = way / length_m
+            x, y, z = axis_m / length_m
             turn = np.array([-y, x, 0.0, 1.0 + z]) if z > -0.999999 else np.array([1.0, 0.0, 0.0, 0.0])
             turn /= np.linalg.norm(turn)
         self._bullet.resetBasePositionAndOrientation(

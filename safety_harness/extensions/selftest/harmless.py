@@ -1,4 +1,4 @@
-"""Changes that cannot matter, and why: said beforehand, so that an alarm about one is a false alarm."""
+"""Changes that cannot matter, with reasons stated beforehand: an alarm about one is a false alarm."""
 
 from __future__ import annotations
 
@@ -9,8 +9,10 @@ from safety_harness.cell.avoidance.avoider import Avoider, Proposal, Vector
 from safety_harness.cell.controller.cycle import ControllerRecords
 from safety_harness.cell.servoing.control import DESIRED
 from safety_harness.cell.servoing.features import ALPHA
-from safety_harness.extensions.selftest.avoider_faults import answered, asked, asking
+from safety_harness.extensions.selftest.avoider_faults import answered, queried, sound_answer
 from safety_harness.extensions.selftest.fault import (
+    anywhere,
+    commanded,
     declared,
     faults_in,
     known,
@@ -18,10 +20,8 @@ from safety_harness.extensions.selftest.fault import (
     of_motion,
     of_perception,
     of_servoing,
-    outright,
     seeded,
     seen,
-    told,
 )
 from safety_harness.extensions.selftest.system import ChangedSystem, Records
 
@@ -30,19 +30,19 @@ NOISE_M = 1e-7
 
 @declared(harmless="it is given copies")
 @of_avoider("mutates its inputs", "an avoider that writes into what it is given")
-@seeded(asking)
+@seeded(queried)
 def _mutating(_: float, avoider: Avoider, hand: Vector, tcp: Vector, seed: int) -> Proposal:
-    proposal = asked(avoider, hand.copy(), tcp.copy(), seed)
+    proposal = sound_answer(avoider, hand.copy(), tcp.copy(), seed)
     hand[:], tcp[:] = 0.0, 0.0
     return proposal
 
 
 @declared(harmless="nothing draws from the global generator")
 @of_avoider("seeds the global generator", "an avoider that changes everybody's random numbers")
-@seeded(asking)
+@seeded(queried)
 def _global_state(_: float, avoider: Avoider, hand: Vector, tcp: Vector, seed: int) -> Proposal:
     np.random.seed(0)  # noqa: NPY002 (that it does so is the point)
-    return asked(avoider, hand, tcp, seed)
+    return sound_answer(avoider, hand, tcp, seed)
 
 
 @declared(harmless="ten thousand times less than the arrival tolerance of 1 mm")
@@ -69,7 +69,7 @@ def _unused_matrix(records: ControllerRecords, magnitude: float) -> None:
 
 @declared(harmless="the pose is the same, and it is done where a radian is left to the joint's limits")
 @of_motion("wrist a whole turn on", "another joint position for the same pose")
-@seeded(outright)
+@seeded(anywhere)
 def _half_turn_later(system: ChangedSystem, magnitude: float) -> ChangedSystem:
     joints = system.admitted.joint_position_rad.copy()
     joints[-1] += 2.0 * np.pi if joints[-1] < 0.0 else -2.0 * np.pi
@@ -80,7 +80,7 @@ def _half_turn_later(system: ChangedSystem, magnitude: float) -> ChangedSystem:
 
 @declared(harmless="the drives carry a stop through, whatever is asked for")
 @of_motion("demand during a protective stop", "the controller asks for motion while the arm is being stopped")
-@seeded(told)
+@seeded(commanded)
 def _stopped_and_told(magnitude: float, command: Records) -> None:
     if command[0]["protective_stop"]:
         command[0]["joint_velocity_radps"] = 1.0

@@ -1,4 +1,4 @@
-"""What can be wrong with the arm itself: drives, joints, brakes.  The controller knows nothing of it."""
+"""Faults of the arm itself: drives, joints, brakes. The controller does not know of them."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 from safety_harness.admission.admit import Admitted
 from safety_harness.cell.controller.cycle import ControllerRecords
 from safety_harness.extensions.selftest.fault import (
+    anywhere,
+    commanded,
     faults_in,
     known,
     obeying,
     of_motion,
-    outright,
     seeded,
-    told,
 )
 from safety_harness.extensions.selftest.system import Change, ChangedSystem, Records
 
@@ -26,7 +26,7 @@ PAIRS = ((0, 1), (1, 2), (2, 3), (4, 5))
 
 
 @of_motion("overspeed", "the arm is faster than it is told: nobody can step back in time")
-@seeded(told, (4.0, 1.5, 1.1, 1.02), "times")
+@seeded(commanded, (4.0, 1.5, 1.1, 1.02), "times")
 def _faster(factor: float, command: Records) -> None:
     command[0]["joint_velocity_radps"] *= factor
 
@@ -39,13 +39,13 @@ def _unlimited(records: ControllerRecords, factor: float) -> None:
 
 
 @of_motion("too slow", "the arm gives way, but too late")
-@seeded(told, (0.0, 0.2, 0.5, 0.8), "times")
+@seeded(commanded, (0.0, 0.2, 0.5, 0.8), "times")
 def _slower(factor: float, command: Records) -> None:
     command[0]["joint_velocity_radps"] *= factor
 
 
 @of_motion("wrong link", "two joints' cables are exchanged: the arm goes anywhere")
-@seeded(told, (1.0, 2.0, 3.0, 4.0), names=tuple(f"joints {a + 1}, {b + 1}" for a, b in PAIRS))
+@seeded(commanded, (1.0, 2.0, 3.0, 4.0), names=tuple(f"joints {a + 1}, {b + 1}" for a, b in PAIRS))
 def _wrong_link(pair: float, command: Records) -> None:
     a, b = PAIRS[int(pair) - 1]
     speeds = command[0]["joint_velocity_radps"]
@@ -53,32 +53,32 @@ def _wrong_link(pair: float, command: Records) -> None:
 
 
 @of_motion("joint reversed", "a joint turns the wrong way, and control drives it on")
-@seeded(told, (1.0, 2.0, 3.0, 4.0, 5.0, 6.0), names=JOINTS)
+@seeded(commanded, (1.0, 2.0, 3.0, 4.0, 5.0, 6.0), names=JOINTS)
 def _reversed(joint: float, command: Records) -> None:
     command[0]["joint_velocity_radps"][int(joint) - 1] *= -1.0
 
 
 @of_motion("joint stuck", "the arm leaves its straight way")
-@seeded(told, (1.0, 2.0, 3.0, 4.0, 5.0, 6.0), names=JOINTS)
+@seeded(commanded, (1.0, 2.0, 3.0, 4.0, 5.0, 6.0), names=JOINTS)
 def _stuck(joint: float, command: Records) -> None:
     command[0]["joint_velocity_radps"][int(joint) - 1] = 0.0
 
 
 @of_motion("drift", "the arm creeps when it should stand still")
-@seeded(told, (0.3, 0.1, 0.01, 1e-3, 1e-4), "deg/s", 180.0 / np.pi)
+@seeded(commanded, (0.3, 0.1, 0.01, 1e-3, 1e-4), "deg/s", 180.0 / np.pi)
 def _drifting(rate_radps: float, command: Records) -> None:
     command[0]["joint_velocity_radps"][0] += rate_radps
 
 
 @of_motion("coarse drives", "small speeds are lost, larger ones jump")
-@seeded(told, (0.3, 0.1, 0.03, 0.01), "deg/s", 180.0 / np.pi)
+@seeded(commanded, (0.3, 0.1, 0.03, 0.01), "deg/s", 180.0 / np.pi)
 def _coarse(step_radps: float, command: Records) -> None:
     speeds = command[0]["joint_velocity_radps"]
     speeds[:] = np.round(speeds / step_radps) * step_radps
 
 
 @of_motion("joint limit ignored", "the arm winds its cables up until they tear")
-@seeded(outright, (3.0, 2.0), "turns of the wrist")
+@seeded(anywhere, (3.0, 2.0), "turns of the wrist")
 def _wound(system: ChangedSystem, turns: float) -> ChangedSystem:
     joints = system.admitted.joint_position_rad.copy()
     joints[WRIST] += 2.0 * np.pi * turns
@@ -88,22 +88,22 @@ def _wound(system: ChangedSystem, turns: float) -> ChangedSystem:
 @of_motion("stop that does not stop", "the arm goes on when no position is left to go to")
 @seeded(obeying, (1.0, 0.5, 0.2), "% of the speed", 100.0)
 def _rolls_on(share: float, admitted: Admitted) -> Change:
-    """A protective stop is not carried out: the drives go on as before, at a share of the speed."""
-    before: list[NDArray[np.float64]] = [np.zeros_like(admitted.joint_position_rad)]
+    """Ignore a protective stop: the drives go on at a share of their last speed."""
+    last: list[NDArray[np.float64]] = [np.zeros_like(admitted.joint_position_rad)]
 
     def obey(command: Records) -> Records:
         if command[0]["protective_stop"]:
             command[0]["protective_stop"] = False
-            command[0]["joint_velocity_radps"] = share * before[0]
+            command[0]["joint_velocity_radps"] = share * last[0]
         else:
-            before[0] = command[0]["joint_velocity_radps"].copy()
+            last[0] = command[0]["joint_velocity_radps"].copy()
         return command
 
     return obey
 
 
 @of_motion("weak brakes", "the arm stops later than its separation allows for")
-@seeded(outright, (10.0, 4.0, 2.0, 1.2), "times the time")
+@seeded(anywhere, (10.0, 4.0, 2.0, 1.2), "times the time")
 def _weak_brakes(system: ChangedSystem, factor: float) -> ChangedSystem:
     def weaken(world: Any) -> Any:
         drives = world.records.drives

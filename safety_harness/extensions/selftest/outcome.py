@@ -1,4 +1,4 @@
-"""What became of one fault on trial, and of all of them: in figures, and as rows of the kill table."""
+"""The outcome of one fault and of all faults: in figures, and as rows of tables."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ NONE = "-"
 
 @dataclass(frozen=True, kw_only=True)
 class FaultOutcome:
-    """One fault's rungs, the gravest first; for a harmless one the alarms, of which there should be none.
+    """The rungs of one fault, the worst magnitude first; a harmless change should have no alarm.
 
-    ``limit``: why nothing here can catch it, said beforehand.
+    ``limit`` is the reason, stated beforehand, why no claim can catch the fault.
     """
 
     fault: str
@@ -28,13 +28,13 @@ class FaultOutcome:
     circumstance: str
     harmless: str
     rungs: tuple[Rung, ...]
-    slightest: str  # the last magnitude of the ladder, in words
+    slightest: str  # the smallest magnitude of the ladder, in words
     limit: str = ""
     applies: bool = True
 
     @property
     def state(self) -> FaultState:
-        """Caught means: at its gravest magnitude at least."""
+        """The state; caught means caught at least at the worst magnitude."""
         caught = bool(self.rungs) and self.rungs[0].caught
         if not self.applies:
             return FaultState.UNTOUCHED
@@ -54,30 +54,30 @@ class FaultOutcome:
 
     @property
     def smallest(self) -> Rung | None:
-        """The slightest magnitude that was caught, down to the first that was not."""
+        """The smallest caught magnitude, above the first that was not caught."""
         caught = [rung for rung in self.rungs if rung.caught]
         return caught[-1] if caught else None
 
     @property
     def survivor(self) -> Rung | None:
-        """The magnitude that nothing caught, if there is one."""
+        """The first magnitude without a catch; None without one."""
         return next((rung for rung in self.rungs if not rung.caught), None)
 
     @property
     def alarm(self) -> Alarm | None:
-        """The first one at the slightest magnitude caught."""
+        """The first alarm at the smallest caught magnitude."""
         smallest = self.smallest
         return smallest.alarms[0] if smallest else None
 
     @property
     def confirmed(self) -> bool | None:
-        """Does PyBullet say so as well?"""
+        """Whether PyBullet confirms the catch at the smallest caught magnitude; None if it did not run."""
         smallest = self.smallest
         return smallest.confirmed if smallest else None
 
 
 def outcome_of(fault: SeededFault, rungs: Sequence[Rung], *, applies: bool = True) -> FaultOutcome:
-    """What a fault's rungs say of it."""
+    """Return the outcome of a fault from its rungs."""
     return FaultOutcome(
         fault=fault.name,
         part=fault.part.value,
@@ -86,17 +86,17 @@ def outcome_of(fault: SeededFault, rungs: Sequence[Rung], *, applies: bool = Tru
         harmless=fault.harmless,
         limit=fault.limit,
         rungs=tuple(rungs),
-        slightest=fault.ladder.words(fault.ladder.values[-1]),
+        slightest=fault.ladder.label(fault.ladder.values[-1]),
         applies=applies,
     )
 
 
 @dataclass(frozen=True, kw_only=True)
 class SelfTestTally:
-    """The figures of a whole trial.
+    """The figures of a whole self-test.
 
-    ``geometry_runs`` with harmless changes were judged by PyBullet's geometry as well, to the contrary of our
-    word on the hand distance in ``geometry_contradicted`` of them.
+    PyBullet's geometry judged ``geometry_runs`` with harmless changes as well. It contradicts our verdict
+    on the hand distance in ``geometry_contradicted`` of them.
     """
 
     faults: int
@@ -114,15 +114,15 @@ class SelfTestTally:
 
     @property
     def kill_rate(self) -> float:
-        """Faults caught, of those that apply."""
+        """The share of caught faults among the faults that apply."""
         return self.caught / self.faults if self.faults else 0.0
 
 
 def tally_of(outcomes: Sequence[FaultOutcome]) -> SelfTestTally:
-    """Count."""
-    states = [one.state for one in outcomes]
-    tried = [rung for one in outcomes if not one.harmless for rung in one.rungs]
-    geometries = [rung.geometry for one in outcomes for rung in one.rungs if rung.geometry]
+    """Return the figures of ``outcomes``."""
+    states = [outcome.state for outcome in outcomes]
+    tried = [rung for outcome in outcomes if not outcome.harmless for rung in outcome.rungs]
+    geometries = [rung.geometry for outcome in outcomes for rung in outcome.rungs if rung.geometry]
     caught, survivors = states.count(FaultState.CAUGHT), states.count(FaultState.SURVIVES)
     limits = states.count(FaultState.LIMIT)
     return SelfTestTally(
@@ -135,78 +135,78 @@ def tally_of(outcomes: Sequence[FaultOutcome]) -> SelfTestTally:
         harmless=sum(map(states.count, (FaultState.QUIET, FaultState.FALSE_ALARM, FaultState.TRUE_ALARM))),
         false_alarms=states.count(FaultState.FALSE_ALARM),
         true_alarms=states.count(FaultState.TRUE_ALARM),
-        unconfirmed=sum(one.confirmed is False for one in outcomes),
-        geometry_runs=sum(one.runs for one in geometries),
-        geometry_contradicted=sum(len(one.contradicted) for one in geometries),
+        unconfirmed=sum(outcome.confirmed is False for outcome in outcomes),
+        geometry_runs=sum(outcome.runs for outcome in geometries),
+        geometry_contradicted=sum(len(outcome.contradicted) for outcome in geometries),
     )
 
 
-def row(one: FaultOutcome) -> tuple[str, ...]:
-    """A fault's row under HEAD."""
-    smallest, alarm, survivor = one.smallest, one.alarm, one.survivor
-    first = one.rungs[0] if one.rungs else None
+def row(outcome: FaultOutcome) -> tuple[str, ...]:
+    """Return a fault's row under HEAD."""
+    smallest, alarm, survivor = outcome.smallest, outcome.alarm, outcome.survivor
+    first = outcome.rungs[0] if outcome.rungs else None
     if smallest is None or alarm is None or first is None:
         tried = str(first.episodes) if first else "0"
-        words = f"{one.state.value}: {one.limit}" if one.limit else one.state.value
-        return (one.part, one.fault, words, NONE, tried, NONE, first.words if first else NONE, NONE)
+        text = f"{outcome.state.value}: {outcome.limit}" if outcome.limit else outcome.state.value
+        return (outcome.part, outcome.fault, text, NONE, tried, NONE, first.words if first else NONE, NONE)
     return (
-        one.part,
-        one.fault,
+        outcome.part,
+        outcome.fault,
         alarm.claim,
         alarm.scenario,
         str(smallest.episodes),
         smallest.words,
         survivor.words if survivor else NONE,
-        {True: "too", False: "not there", None: "not asked"}[one.confirmed],
+        {True: "too", False: "not there", None: "not asked"}[outcome.confirmed],
     )
 
 
-def harmless_row(one: FaultOutcome) -> tuple[str, ...]:
-    """A harmless change's row under HARMLESS_HEAD."""
-    alarms = [str(alarm) for rung in one.rungs for alarm in rung.alarms]
-    episodes = sum(rung.episodes for rung in one.rungs)
-    geometry = "; ".join(geometry_words(rung.geometry) for rung in one.rungs if rung.geometry) or NONE
-    return (one.part, one.fault, one.harmless, str(episodes), "; ".join(alarms) or "none", geometry)
+def harmless_row(change: FaultOutcome) -> tuple[str, ...]:
+    """Return a harmless change's row under HARMLESS_HEAD."""
+    alarms = [str(alarm) for rung in change.rungs for alarm in rung.alarms]
+    episodes = sum(rung.episodes for rung in change.rungs)
+    geometry = "; ".join(geometry_words(rung.geometry) for rung in change.rungs if rung.geometry) or NONE
+    return (change.part, change.fault, change.harmless, str(episodes), "; ".join(alarms) or "none", geometry)
 
 
-def geometry_words(found: Geometry) -> str:
-    """How often it is kept and broken, and where our verdict is the opposite."""
-    words = f"kept in {found.kept} of {found.runs}, broken in {found.broken}"
-    return f"{words}, to the contrary in {', '.join(found.contradicted)}" if found.contradicted else words
+def geometry_words(geometry: Geometry) -> str:
+    """Return the numbers of kept and broken distances, and the runs with the opposite verdict, in words."""
+    text = f"kept in {geometry.kept} of {geometry.runs}, broken in {geometry.broken}"
+    return f"{text}, to the contrary in {', '.join(geometry.contradicted)}" if geometry.contradicted else text
 
 
 def summary(tally: SelfTestTally) -> str:
-    """One line."""
-    words = f"{tally.caught} of {count_words(tally.faults, 'fault', 'faults')} caught ({tally.kill_rate:.0%})"
-    words += f", {tally.rungs_caught} of {tally.rungs} magnitudes tried"
+    """Return the figures in one line."""
+    text = f"{tally.caught} of {count_words(tally.faults, 'fault', 'faults')} caught ({tally.kill_rate:.0%})"
+    text += f", {tally.rungs_caught} of {tally.rungs} magnitudes tried"
     if tally.limits:
-        words += f"; {count_words(tally.limits, 'survivor', 'survivors')} by a stated limit"
+        text += f"; {count_words(tally.limits, 'survivor', 'survivors')} by a stated limit"
     if tally.survivors:
-        words += f"; {count_words(tally.survivors, 'survivor', 'survivors')}"
-    words += f"; {count_words(tally.false_alarms, 'false alarm', 'false alarms')} on "
-    words += count_words(tally.harmless, "harmless change", "harmless changes")
+        text += f"; {count_words(tally.survivors, 'survivor', 'survivors')}"
+    text += f"; {count_words(tally.false_alarms, 'false alarm', 'false alarms')} on "
+    text += count_words(tally.harmless, "harmless change", "harmless changes")
     if tally.true_alarms:
-        words += f", {count_words(tally.true_alarms, 'true alarm', 'true alarms')}"
+        text += f", {count_words(tally.true_alarms, 'true alarm', 'true alarms')}"
     if tally.geometry_runs:
         contradicted = tally.geometry_contradicted or "none"
-        words += f"; PyBullet's geometry contradicts {contradicted} of {tally.geometry_runs} hand distances"
+        text += f"; PyBullet's geometry contradicts {contradicted} of {tally.geometry_runs} hand distances"
     if tally.unconfirmed:
-        words += f"; {tally.unconfirmed} not seen in PyBullet"
-    return words
+        text += f"; {tally.unconfirmed} not seen in PyBullet"
+    return text
 
 
 def markdown(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
-    """The same for the docs."""
+    """Return a table in Markdown, for the docs."""
     written = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
-    return written + ["| " + " | ".join(cell.replace("|", "\\|") for cell in one) + " |" for one in rows]
+    return written + ["| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |" for cells in rows]
 
 
 def in_table(outcomes: Sequence[FaultOutcome]) -> tuple[list[FaultOutcome], list[FaultOutcome]]:
-    """Faults and harmless changes."""
-    faults = [one for one in outcomes if not one.harmless]
-    return faults, [one for one in outcomes if one.harmless]
+    """Return the faults and the harmless changes."""
+    faults = [outcome for outcome in outcomes if not outcome.harmless]
+    return faults, [outcome for outcome in outcomes if outcome.harmless]
 
 
 def bad(outcomes: Sequence[FaultOutcome]) -> list[FaultOutcome]:
-    """What speaks against the harness: survivors without a stated limit, and false alarms."""
-    return [one for one in outcomes if one.state in (FaultState.SURVIVES, FaultState.FALSE_ALARM)]
+    """Return the outcomes against the harness: survivors without a stated limit, and false alarms."""
+    return [outcome for outcome in outcomes if outcome.state in (FaultState.SURVIVES, FaultState.FALSE_ALARM)]

@@ -1,4 +1,4 @@
-"""What can be wrong between the hands and what the controller takes for them."""
+"""Faults between the hands and the controller's estimate of them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ GHOST_DEPTH_M = 1.45
 
 
 def _keep(observation: Records, wanted: NDArray[np.bool_]) -> None:
-    """Only those of the boxes."""
+    """Keep only the ``wanted`` boxes."""
     o = observation[0]
     kept = o["boxes"][: o["box_count"]][wanted]
     o["boxes"][: len(kept)] = kept
@@ -27,7 +27,7 @@ def _keep(observation: Records, wanted: NDArray[np.bool_]) -> None:
 @of_perception("latency that nobody counts", "the arm gives way to where the hand was")
 @seeded(seeing, (0.5, 0.2, 0.1, 0.04), "ms", 1e3)
 def _late(delay_s: float, admitted: Admitted) -> Change:
-    """Frames arrive late and are taken for new ones."""
+    """Deliver frames late, as if they were new."""
     frames = Delayed(delay_s)
 
     def see(observation: Records) -> Records:
@@ -46,7 +46,7 @@ def _late(delay_s: float, admitted: Admitted) -> Change:
 @of_perception("wrong extrinsics, shifted", "every hand is taken to be farther away than it is")
 @seeded(known, (0.3, 0.1, 0.05, 0.02), "mm", 1e3)
 def _shifted(records: ControllerRecords, by_m: float) -> None:
-    records.parameters["transform_sensor_to_base"][0, 1, 3] -= by_m  # hands seem to be farther to the right
+    records.parameters["transform_sensor_to_base"][0, 1, 3] -= by_m  # hands seem farther to the right
 
 
 @of_perception("wrong extrinsics, turned", "hands are seen elsewhere, the more the farther from the camera")
@@ -125,7 +125,7 @@ def _wrong_depth(admitted: Admitted, factor: float, observation: Records) -> Non
 @of_perception("high hands dropped", "a hand from above is filtered out as something else")
 @seeded(seen, (1.6, 1.5, 1.4), "m below the camera")
 def _near_only(admitted: Admitted, depth_m: float, observation: Records) -> None:
-    """What is as near to the overhead camera as a head is taken for one."""
+    """Drop the hands that are as near to the overhead camera as a head."""
     o = observation[0]
     _keep(observation, o["boxes"][: o["box_count"], Z] > depth_m)
 

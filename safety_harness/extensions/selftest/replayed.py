@@ -1,4 +1,4 @@
-"""Runs for the page: of each claim that caught a fault, the first such fault, run again as it was caught."""
+"""Runs for the page: for each claim that caught a fault, a run with the first such fault."""
 
 from __future__ import annotations
 
@@ -19,35 +19,35 @@ from safety_harness.report.replay import MOST_REPLAYS
 def caught_runs(
     outcomes: Sequence[FaultOutcome], episodes: Sequence[Admitted], most: int = MOST_REPLAYS
 ) -> list[tuple[FaultOutcome, JudgedRun]]:
-    """At most so many faults, each with the run in which a claim told of it at its slightest.
+    """Return at most ``most`` faults, each with the run in which a claim caught its smallest magnitude.
 
-    A claim shows one fault, so that as many claims as can are seen; what no claim told (a run that failed, an
-    answer that was not repeated) is left out.  Ctrl-C raises KeyboardInterrupt.
+    Each claim shows one fault, so that the page shows as many claims as possible. It omits catches without
+    a claim (a failed run, a changed answer). Ctrl-C raises KeyboardInterrupt.
     """
-    seen, found = set[str](), list[tuple[FaultOutcome, JudgedRun]]()
-    for one, rung, claim in _told(outcomes):
-        if claim in seen or len(found) == most:
+    seen, runs = set[str](), list[tuple[FaultOutcome, JudgedRun]]()
+    for outcome, rung, claim in _caught(outcomes):
+        if claim in seen or len(runs) == most:
             continue
-        run = _again(one, rung, claim, episodes[rung.episodes - 1])
+        run = _again(outcome, rung, claim, episodes[rung.episodes - 1])
         if run is not None:
             seen.add(claim)
-            found.append((one, run))
-    return found
+            runs.append((outcome, run))
+    return runs
 
 
-def _told(outcomes: Sequence[FaultOutcome]) -> Iterator[tuple[FaultOutcome, Rung, str]]:
-    """Faults that were caught, the slightest magnitude, and the first claim that told of it."""
-    for one in outcomes:
-        if not one.harmless and one.smallest is not None and one.alarm is not None:
-            yield one, one.smallest, one.alarm.claim
+def _caught(outcomes: Sequence[FaultOutcome]) -> Iterator[tuple[FaultOutcome, Rung, str]]:
+    """Yield the caught faults, the smallest caught magnitude, and the first claim that caught it."""
+    for outcome in outcomes:
+        if not outcome.harmless and outcome.smallest is not None and outcome.alarm is not None:
+            yield outcome, outcome.smallest, outcome.alarm.claim
 
 
-def _again(one: FaultOutcome, rung: Rung, sentence: str, episode: Admitted) -> JudgedRun | None:
-    """The run with the fault, judged by that claim alone; None if it is no claim's."""
+def _again(outcome: FaultOutcome, rung: Rung, sentence: str, episode: Admitted) -> JudgedRun | None:
+    """Return the run with the fault, judged by one claim alone; None if the sentence is no claim."""
     claims = [claim for claim in claims_of(episode.scenario) if claim.sentence == sentence]
     if not claims:
         return None
-    (fault,) = (fault for fault in EVERY if fault.name == one.fault)
+    (fault,) = (fault for fault in EVERY if fault.name == outcome.fault)
     around = fault.circumstance.bring_about(ChangedSystem(episode))
     trace = fault.seed_into(around, rung.magnitude).run()
     judged = replace(trace, scenario=replace(trace.scenario, claims=tuple(claims[:1])))

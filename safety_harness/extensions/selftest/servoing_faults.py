@@ -1,4 +1,4 @@
-"""What can be wrong with servoing: features, interaction matrix, gain."""
+"""Faults of servoing: features, interaction matrix, gain."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def _wrong_mount(records: ControllerRecords, angle_rad: float) -> None:
 @of_servoing("lost object not noticed", "the arm goes on by an old picture while the object is hidden")
 @seeded(seeing)
 def _blind_and_sure(_: float, admitted: Admitted) -> Change:
-    """The object is always said to be in view, where it was seen last."""
+    """Report the object as visible all the time, where the camera saw it last."""
     last: list[NDArray[np.float64]] = []
 
     def see(observation: Records) -> Records:

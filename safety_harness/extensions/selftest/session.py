@@ -1,6 +1,6 @@
 """One self-test from its faults to its files, in several processes.
 
-Each fault is written down when it is finished, whatever happens to the rest.
+It stores each finished fault at once, so that a later failure loses no result.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from safety_harness.extensions.selftest.outcome import FaultOutcome, outcome_of
 from safety_harness.extensions.selftest.replayed import caught_runs
 from safety_harness.extensions.selftest.suite import SelfTestPlan
 from safety_harness.extensions.selftest.system import ChangedSystem
-from safety_harness.extensions.selftest.trial import SAME_TWICE, FaultTrials, Rung, words_on
+from safety_harness.extensions.selftest.trial import SAME_TWICE, FaultTrials, Rung, evaluations_of
 from safety_harness.scenario.model import Verdict
 
 PAGE, DATA = "selftest.html", "selftest.json"
@@ -38,10 +38,10 @@ PAGE, DATA = "selftest.html", "selftest.json"
 
 @dataclass(eq=False)
 class SelfTestSession:
-    """The faults tried so far, of those with the ``numbers`` in EVERY.
+    """The faults tried so far, among the faults with these ``numbers`` in EVERY.
 
-    ``remarks`` are of the sound system, which is tried when this is made; ``broken`` says why the faults
-    could not be carried through.  InputError for scenarios that cannot be used.
+    ``remarks`` concern the sound system, which the constructor tries. ``broken`` is the reason why the
+    self-test ended early. InputError for scenarios that cannot be used.
     """
 
     plan: SelfTestPlan
@@ -59,16 +59,16 @@ class SelfTestSession:
 
     @property
     def tried(self) -> list[FaultOutcome]:
-        """In the order of the catalogue."""
+        """The outcomes in the order of the catalogue."""
         return [self.done[EVERY[n].name] for n in self.numbers if EVERY[n].name in self.done]
 
     def run(self, jobs: int, on_fault: Callable[[FaultOutcome], None]) -> None:
-        """Until all are tried, or Ctrl-C, or a defect.  OSError if nothing can be written."""
-        found = outcomes(self.plan, self.numbers, jobs)
+        """Try all faults, until Ctrl-C or a defect; OSError if the files cannot be written."""
+        results = outcomes(self.plan, self.numbers, jobs)
         try:
-            while (one := next(found, None)) is not None:
-                self.done[one.fault] = one
-                on_fault(one)
+            while (outcome := next(results, None)) is not None:
+                self.done[outcome.fault] = outcome
+                on_fault(outcome)
                 self.write()
         except KeyboardInterrupt:
             self.interrupted = True
@@ -76,25 +76,25 @@ class SelfTestSession:
             self.broken = "a process ended before its time (for its memory, or by hand)"
         except OSError:
             raise
-        except Exception as error:  # what was tried must not be lost for it
+        except Exception as error:  # keep the outcomes so far
             self.broken = f"{type(error).__name__}: {error}, a defect of safety-harness"
 
     @property
     def document(self) -> dict[str, Any]:
-        """What there is, for JSON."""
-        return document(self.tried, self._about())
+        """The outcomes so far, for JSON."""
+        return document(self.tried, self._facts())
 
     def write(self) -> None:
-        """JSON of what there is.  Raises OSError."""
-        write_document(self.out / DATA, self.tried, self._about())
+        """Write the outcomes so far as JSON; OSError."""
+        write_document(self.out / DATA, self.tried, self._facts())
 
     def write_page(self) -> None:
-        """The page, with runs in 3-D unless the self-test was broken off.  Raises OSError."""
+        """Write the page, with runs in 3-D after a whole self-test; OSError."""
         whole = not (self.interrupted or self.broken)
         runs = caught_runs(self.tried, self._episodes) if whole else []
-        write_page(self.out / PAGE, self.tried, self._about(), runs)
+        write_page(self.out / PAGE, self.tried, self._facts(), runs)
 
-    def _about(self) -> SelfTestRun:
+    def _facts(self) -> SelfTestRun:
         return SelfTestRun(
             profile=self.plan.profile.name,
             avoider=self.plan.avoider,
@@ -112,20 +112,20 @@ class SelfTestSession:
         )
 
 
-def numbers_of(words: str | None) -> list[int]:
-    """Which of EVERY have these words in their name; SettingsError for none."""
-    found = [n for n, one in enumerate(EVERY) if words is None or words.lower() in one.name.lower()]
-    if not found:
-        every, page = [one.name for one in EVERY], "safety-harness docs selftest#what-was-caught"
-        hint = near_miss(words or "", every, most=3, all_of_them=page)
-        raise SettingsError.of_option("--fault", f"words of one of {len(EVERY)} faults", repr(words), hint)
-    return found
+def numbers_of(text: str | None) -> list[int]:
+    """Return the numbers in EVERY of the faults with these words in their name; SettingsError without any."""
+    numbers = [n for n, fault in enumerate(EVERY) if text is None or text.lower() in fault.name.lower()]
+    if not numbers:
+        every, page = [fault.name for fault in EVERY], "safety-harness docs selftest#what-was-caught"
+        hint = near_miss(text or "", every, most=3, all_of_them=page)
+        raise SettingsError.of_option("--fault", f"words of one of {len(EVERY)} faults", repr(text), hint)
+    return numbers
 
 
 def try_out(trials: FaultTrials, fault: SeededFault) -> FaultOutcome:
-    """Down the ladder until one survives, what is slighter still is not tried; the last catch in PyBullet.
+    """Return the outcome of a fault down its ladder, up to the first magnitude that survives.
 
-    A harmless one is tried on the whole suite, and all its alarms are kept.
+    PyBullet repeats the smallest catch. A harmless change runs on the whole suite, with all its alarms.
     """
     if not trials.applies(fault):
         return outcome_of(fault, (), applies=False)
@@ -155,7 +155,7 @@ def _try(number: int) -> FaultOutcome:
 
 
 def outcomes(plan: SelfTestPlan, numbers: list[int], jobs: int) -> Iterator[FaultOutcome]:
-    """The faults of these numbers in EVERY, each when it is finished; one job is done here."""
+    """Yield the faults of these numbers in EVERY, each when it is finished; with one job, in this process."""
     if jobs == 1:
         trials = FaultTrials(plan.episodes())
         yield from (try_out(trials, EVERY[number]) for number in numbers)
@@ -166,17 +166,17 @@ def outcomes(plan: SelfTestPlan, numbers: list[int], jobs: int) -> Iterator[Faul
 
 
 def sound_remarks(episodes: Sequence[Admitted]) -> list[str]:
-    """What a user has to know of the sound system: an avoider that is slow to ask, or not repeatable."""
-    asking = [(n, one) for n, one in enumerate(episodes) if one.driver is None]
-    avoiders = {one.avoider.name: number for number, one in reversed(asking)}
-    said = [why for number in avoiders.values() if (why := slower_because(episodes[number].avoider))]
-    if len(asking) < len(episodes):
-        said.append("no avoider and no gate: faults of theirs, and of the visual servo itself, do not apply")
+    """Return remarks on the sound system: a slow or unrepeatable avoider, or parts that are missing."""
+    with_avoider = [(n, episode) for n, episode in enumerate(episodes) if episode.driver is None]
+    avoiders = {episode.avoider.name: number for number, episode in reversed(with_avoider)}
+    notes = [why for number in avoiders.values() if (why := slower_because(episodes[number].avoider))]
+    if len(with_avoider) < len(episodes):
+        notes.append("no avoider and no gate: faults of theirs, and of the visual servo itself, do not apply")
     if not REFERENCE.is_installed:
-        said.append(f"{REFERENCE} is not installed: neither its world nor its geometry is asked")
+        notes.append(f"{REFERENCE} is not installed: neither its world nor its geometry is asked")
     for name, number in avoiders.items():
         system = ChangedSystem(episodes[number])
-        wrong = words_on(system.admitted, system.run())[SAME_TWICE]
-        if wrong.verdict is not Verdict.HOLDS:
-            said.append(f"{name} is not repeatable even without a fault: {wrong.reason}")
-    return said
+        repeated = evaluations_of(system.admitted, system.run())[SAME_TWICE]
+        if repeated.verdict is not Verdict.HOLDS:
+            notes.append(f"{name} is not repeatable even without a fault: {repeated.reason}")
+    return notes

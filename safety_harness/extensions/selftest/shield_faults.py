@@ -1,6 +1,6 @@
-"""What can be wrong with a shield: it is blind, forgets a part of the arm, or takes people for slower.
+"""Faults of a shield: it is blind, forgets a part of the arm, or takes hands for slower.
 
-Tried where the shield is all that there is: hands are never avoided.
+They run where only a shield protects hands: the controller does not avoid them.
 """
 
 from __future__ import annotations
@@ -17,7 +17,10 @@ FAR_M = 10.0
 
 
 def _alone(system: ChangedSystem) -> ChangedSystem:
-    """With a shield, if the sensor is one for it, and without anything else that minds hands."""
+    """Return the system with a shield and without avoidance of hands.
+
+    With an eye-in-hand sensor it returns the system unchanged.
+    """
     scenario = system.admitted.scenario
     if scenario.settings.hand_sensor.kind is HandSensorKind.EYE_IN_HAND:
         return system
@@ -36,7 +39,7 @@ ALONE = Precondition("behind a shield alone", _alone)
 @of_motion("shield looks elsewhere", "what it sees is not there, and what is there it does not see", ALONE)
 @seeded(known, (FAR_M, 1.0, 0.5), "m")
 def _elsewhere(records: ControllerRecords, by_m: float) -> None:
-    records.shield["transform_sensor_to_base"][:, 1, 3] -= by_m  # hands seem to be farther to the right
+    records.shield["transform_sensor_to_base"][:, 1, 3] -= by_m  # hands seem farther to the right
 
 
 @of_motion("shield forgets links", "a part of the arm for which nothing is slowed", ALONE)

@@ -1,6 +1,6 @@
-"""What faults are tried on: shipped scenarios, then draws of the spaces, in a fixed order.
+"""The episodes for faults: shipped scenarios, then draws of the spaces, in a fixed order.
 
-How much of it: ``quick`` in a couple of minutes on two idle cores, ``nightly`` everything there is.
+``quick`` takes a couple of minutes on two idle cores; ``nightly`` uses all there is.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from safety_harness.scenario.expand import gather
 from safety_harness.scenario.model import Claim, Scenario, Verdict
 from safety_harness.space.read import read_space
 
-LONG_S = 30.0  # such scenarios come last: they cost as much as several others
+LONG_S = 30.0  # longer scenarios come last: they cost as much as several short ones
 
-# Those that tell most come first; measured, see docs/selftest.md.
+# The scenarios that catch most come first; measured, see docs/selftest.md.
 TELLING = (
     "hand-visits-and-leaves",
     "second-hand",
@@ -51,7 +51,7 @@ TELLING = (
 
 @dataclass(frozen=True, kw_only=True)
 class SelfTestProfile:
-    """The TELLING scenarios, the ``others`` too if it says so, and then ``draws`` of each space."""
+    """The TELLING scenarios, with ``others`` all scenarios, and then ``draws`` of each space."""
 
     name: str
     others: bool
@@ -64,7 +64,7 @@ PROFILES = (QUICK, NIGHTLY)
 
 
 def profile_named(name: str) -> SelfTestProfile:
-    """One of them; ScenarioError for any other name."""
+    """Return the profile of a name; ScenarioError for any other name."""
     profiles = {profile.name: profile for profile in PROFILES}
     if name not in profiles:
         hint = near_miss(name, profiles)
@@ -74,18 +74,20 @@ def profile_named(name: str) -> SelfTestProfile:
 
 @dataclass(frozen=True)
 class SelfTestPlan:
-    """What is tried, on what; ``avoider`` takes the place of those that the scenarios name."""
+    """The profile, the folder of scenarios, and the ``avoider`` in place of the scenarios' own."""
 
     profile: SelfTestProfile
     folder: Path
     avoider: str | None
 
     def episodes(self) -> tuple[Admitted, ...]:
-        """Admitted scenarios in the order in which they are tried, one at least.
+        """Return at least one admitted scenario, in the order of the trials.
 
-        The TELLING ones of ``folder`` before the others, then draws of its spaces.  Without others only the
-        telling ones are taken, if there are any.  What only PyBullet can run is left out.  InputError for
-        a file that cannot be used, or if nothing is left to try.
+        The TELLING scenarios of ``folder`` come first, then the rest, then draws of its spaces. A profile
+        without ``others`` takes only the telling scenarios, if there are any. It omits scenarios that only
+        PyBullet can run.
+
+        InputError for a file that cannot be used, or without any episode.
         """
         folder = located(self.folder)
         if not folder.is_dir():
@@ -99,7 +101,7 @@ class SelfTestPlan:
         if gathered.errors:
             raise gathered.errors[0]
         ordered = sorted(gathered.scenarios, key=_rank)
-        telling = [one for one in ordered if one.name in TELLING]
+        telling = [scenario for scenario in ordered if scenario.name in TELLING]
         episodes = list(_admitted(telling if telling and not self.profile.others else ordered, self.avoider))
         spaces = [read_space(path) for path in sorted((folder / "spaces").glob("*.yaml"))]
         for number, space in enumerate(spaces):
@@ -120,7 +122,7 @@ def _rank(scenario: Scenario) -> tuple[int, float, str]:
 
 
 def _admitted(scenarios: Iterable[Scenario], avoider: str | None) -> Iterator[Admitted]:
-    """Those that the kinematic world can run."""
+    """Yield the scenarios that the kinematic world can run, admitted."""
     for scenario in scenarios:
         try:
             KINEMATIC.refuse(scenario)
@@ -130,7 +132,7 @@ def _admitted(scenarios: Iterable[Scenario], avoider: str | None) -> Iterator[Ad
 
 
 def claims_of(scenario: Scenario) -> tuple[Claim, ...]:
-    """The whole catalogue as its examples have it, and what the scenario itself claims to hold."""
+    """Return the whole catalogue with the limits of its examples, and the scenario's own expectations."""
     examples = [Claim(sentence=entry.example, expected=Verdict.HOLDS) for entry in CATALOGUE]
     known = {claim.sentence for claim in examples}
     own = [c for c in scenario.claims if c.expected is Verdict.HOLDS and c.sentence not in known]

@@ -1,8 +1,8 @@
-"""The system under test with everything that can be spoilt in it: avoider, gate, controller, world.
+"""The system under test with an interface for each change: avoider, gate, controller, world.
 
-A fault never changes the system's own code: it wraps the avoider, the gate or the world, or edits the
-records that one run's controller and world read.  Every ``with_`` gives another system; the one that it
-is asked of stays sound.
+A fault never changes the system's own code. It wraps the avoider, the gate or the world, or edits the
+records that a run's controller and world read. Each ``with_`` returns another system and leaves its own
+sound.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ from safety_harness.trace.trace import Trace
 
 Records = NDArray[np.void]
 Change = Callable[[Records], Records]  # of an observation (1,) or a command (1,), each tick
-MakesChange = Callable[[Admitted], Change]  # afresh for each run, for what remembers
+MakesChange = Callable[[Admitted], Change]  # called for each run, since a change may have a memory
 
 
 @dataclass(frozen=True, eq=False)
 class ChangedSystem:
-    """An admitted scenario, and what is changed in its controller and its world when it is run."""
+    """An admitted scenario, with the changes of its controller and its world in a run."""
 
     admitted: Admitted
     edits: tuple[Callable[[AvoidingServo], None], ...] = ()
@@ -41,11 +41,11 @@ class ChangedSystem:
     worlds: tuple[Callable[[Any], World], ...] = ()
 
     def with_avoider(self, wrap: Callable[[Avoider], Avoider]) -> ChangedSystem:
-        """With another avoider, made of this one."""
+        """Return the system with an avoider around its own."""
         return replace(self, admitted=replace(self.admitted, avoider=wrap(self.admitted.avoider)))
 
     def with_gate(self, cls: type[Gate] = Gate, /, **changed: Any) -> ChangedSystem:
-        """With a gate of another class or with other fields."""
+        """Return the system with a gate of another class or with other fields."""
 
         def edit(pilot: AvoidingServo) -> None:
             pilot.gate = cls(**(vars(pilot.gate) | changed))
@@ -53,33 +53,33 @@ class ChangedSystem:
         return replace(self, edits=(*self.edits, edit))
 
     def with_records(self, edit: Callable[[ControllerRecords], None]) -> ChangedSystem:
-        """With the parameters or the memory of each run's controller edited before it starts."""
+        """Return the system with an edit of the controller's parameters or memory before each run."""
         return replace(self, edits=(*self.edits, lambda pilot: edit(pilot.records)))
 
     def with_pilot(self, wrap: Callable[[AvoidingServo], Controller]) -> ChangedSystem:
-        """With a controller around the one that it has."""
+        """Return the system with a controller around its own."""
         return replace(self, pilot=wrap)
 
     def with_world(self, wrap: Callable[[Any], World]) -> ChangedSystem:
-        """With another world around the one that it runs in."""
+        """Return the system with a world around its own."""
         return replace(self, worlds=(*self.worlds, wrap))
 
     def seeing(self, make: MakesChange) -> ChangedSystem:
-        """With observations changed between the world and the controller."""
+        """Return the system with a change of the observations between world and controller."""
         return self.with_world(lambda world: WorldWrapper(world, see=make(self.admitted)))
 
     def obeying(self, make: MakesChange) -> ChangedSystem:
-        """With commands changed between the controller and the world."""
+        """Return the system with a change of the commands between controller and world."""
         return self.with_world(lambda world: WorldWrapper(world, obey=make(self.admitted)))
 
     def starting_at(self, joint_position_rad: ArrayN) -> ChangedSystem:
-        """With the arm at other joints at the start."""
+        """Return the system with another initial joint position (n,) [rad]."""
         return replace(self, admitted=replace(self.admitted, joint_position_rad=joint_position_rad))
 
     def run(self, world: WorldEntry = KINEMATIC) -> Trace:
-        """One run; whatever the faults raise passes through, and Ctrl-C raises KeyboardInterrupt.
+        """Run the system once; exceptions of the faults pass through, and Ctrl-C raises KeyboardInterrupt.
 
-        A user's controller is made afresh for each, so that a fault leaves nothing in it.
+        Each run makes a user's controller afresh, so that a fault leaves no trace in it.
         """
         admitted = self.admitted
         scenario = admitted.scenario
@@ -90,7 +90,7 @@ class ChangedSystem:
         with world.open(scenario, admitted.arm, admitted.joint_position_rad) as episode:
             for wrap in self.worlds:
                 episode = wrap(episode)
-            with np.errstate(all="ignore"):  # a fault may divide by zero; what comes of it is in the trace
+            with np.errstate(all="ignore"):  # a fault may divide by zero; the trace has the result
                 trace = simulate(episode, controller, scenario)
         if trace.ended == INTERRUPTED:
             raise KeyboardInterrupt
@@ -104,18 +104,18 @@ class ChangedSystem:
 
 
 class Delayed:
-    """What was put in comes out ``delay_s`` later."""
+    """A queue whose items come out ``delay_s`` later."""
 
     def __init__(self, delay_s: float) -> None:
         self._delay_s = delay_s
         self._waiting: deque[tuple[float, Any]] = deque()
 
-    def put(self, now_s: float, what: Any) -> None:
-        """In at ``now_s``."""
-        self._waiting.append((now_s, what))
+    def put(self, now_s: float, item: Any) -> None:
+        """Put an item in at the time ``now_s``."""
+        self._waiting.append((now_s, item))
 
     def due(self, now_s: float) -> Any | None:
-        """The last of what has come out by now and was not taken before; None if nothing has."""
+        """Return the last item that is due by now, and drop all due items; None without any."""
         last = None
         while self._waiting and self._waiting[0][0] + self._delay_s <= now_s + 1e-9:
             _, last = self._waiting.popleft()
@@ -123,15 +123,15 @@ class Delayed:
 
 
 class WorldWrapper:
-    """A world whose observations or commands are changed on their way; all else is the world's own.
+    """A world with changed observations or commands; all else, such as ``acted_faults``, is the world's own.
 
-    So are ``acted_faults``: they are of the scenario; what is seeded from outside has no bit.
+    A fault seeded from outside has no bit in ``acted_faults``, which has the scenario's faults.
     """
 
     name: str
     time_s: float
     acted_faults: int
-    records: Any  # of the world within, for those who edit them
+    records: Any  # of the world within, for edits
 
     def __init__(self, world: World, *, see: Change | None = None, obey: Change | None = None) -> None:
         self.world = world
@@ -141,14 +141,14 @@ class WorldWrapper:
         return getattr(self.world, name)
 
     def true_state(self, tick: Records) -> None:
-        """The truth stays the truth."""
+        """Write the unchanged truth of the world."""
         self.world.true_state(tick)
 
     def observe(self) -> Records:
-        """(1,) OBSERVATION, changed if that is what is changed."""
+        """Return the (1,) OBSERVATION, after the change if there is one."""
         observation = self.world.observe()
         return observation if self._see is None else self._see(observation.copy())
 
     def step(self, command: Records) -> bool:
-        """The command (1,) COMMAND, changed if that is what is changed."""
+        """Give the world the (1,) COMMAND, after the change if there is one."""
         return self.world.step(command if self._obey is None else self._obey(command.copy()))

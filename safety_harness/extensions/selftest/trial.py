@@ -1,4 +1,4 @@
-"""One fault on trial: which claim is violated with it and holds without it, on the same scenario."""
+"""One fault in a sound system: the claims violated with it that hold without it, on the same scenario."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ from safety_harness.trace.trace import Trace
 
 SAME_TWICE = "the same question has the same answer"
 RUN_FAILED = "the run can be carried through"
-LEAST_M = 0.050  # of the catalogue's own sentence about the hand distance
-Words = Mapping[str, Evaluation]  # by sentence
+LEAST_M = 0.050  # limit of the catalogue's example about the hand distance
+Evaluations = Mapping[str, Evaluation]  # by sentence
 
-# How far apart the margins with and without a fault have to be, so that it is no matter of a hair [SI].
+# The least difference of the margins with and without a fault [SI], so that no catch depends on rounding.
 CLEAR = {
     Unit.LENGTH: 1e-3,
     Unit.ANGLE: 1e-3,
@@ -45,8 +45,8 @@ CLEAR = {
 class Alarm:
     """A claim that is violated with the fault and holds without it.
 
-    ``margin`` with it and ``before``, without.  ``true``: geometry that is not ours says so too, which is
-    asked of harmless changes only.
+    ``margin`` is the margin with the fault, and ``before`` the margin without it. ``true``: independent
+    geometry confirms it, which only harmless changes need.
     """
 
     claim: str
@@ -56,16 +56,16 @@ class Alarm:
     true: bool = False
 
     def __str__(self) -> str:
-        words = f"{self.claim} ({self.scenario}: {self.margin}, {self.before} without)"
-        return f"{words}, which is true" if self.true else words
+        text = f"{self.claim} ({self.scenario}: {self.margin}, {self.before} without)"
+        return f"{text}, which is true" if self.true else text
 
 
 @dataclass(frozen=True, kw_only=True)
 class Geometry:
-    """What PyBullet's own kinematics and distances say of the hand distance in so many runs with hands.
+    """The results of PyBullet's kinematics and distances for the hand distance, in runs with hands.
 
-    It is ``kept`` in some and ``broken`` in others, too near to tell in the rest; in those ``contradicted``
-    our verdict is the opposite.
+    The limit is ``kept`` in some runs and ``broken`` in some, and the rest is too near to decide. In the
+    ``contradicted`` runs our verdict is the opposite.
     """
 
     runs: int = 0
@@ -74,22 +74,22 @@ class Geometry:
     contradicted: tuple[str, ...] = ()
 
     def with_run(self, scenario: str, kept: Kept, verdict: Verdict) -> Geometry:
-        """With one more."""
-        wrong = {Kept.PROVEN: Verdict.VIOLATED, Kept.REFUTED: Verdict.HOLDS}.get(kept) is verdict
+        """Return the results with a further run."""
+        contradicted = {Kept.PROVEN: Verdict.VIOLATED, Kept.REFUTED: Verdict.HOLDS}.get(kept) is verdict
         return Geometry(
             runs=self.runs + 1,
             kept=self.kept + (kept is Kept.PROVEN),
             broken=self.broken + (kept is Kept.REFUTED),
-            contradicted=(*self.contradicted, *([scenario] if wrong else [])),
+            contradicted=(*self.contradicted, *([scenario] if contradicted else [])),
         )
 
 
 @dataclass(frozen=True, kw_only=True)
 class Rung:
-    """One magnitude of a fault: what caught it, if anything did, and after how many episodes.
+    """One magnitude of a fault, the number of episodes tried, and the alarms.
 
-    ``alarms`` are all those of the episode that caught it.  ``confirmed``: so does PyBullet; None where
-    it was not asked.  ``geometry`` is of harmless changes.
+    ``alarms`` are all alarms of the episode that caught it. ``confirmed`` states whether PyBullet confirms
+    the catch, None if it did not run. Only harmless changes have a ``geometry``.
     """
 
     magnitude: float
@@ -101,77 +101,78 @@ class Rung:
 
     @property
     def caught(self) -> bool:
-        """Is there an alarm?"""
+        """Whether there is an alarm."""
         return bool(self.alarms)
 
 
 @dataclass(eq=False)
 class FaultTrials:
-    """Tries faults on a suite of episodes, and remembers what the sound system does there."""
+    """Tries faults on a suite of episodes, and remembers the results of the sound system."""
 
     episodes: tuple[Admitted, ...]
-    _sound: dict[tuple[int, str, str], Words] = field(default_factory=dict)
+    _sound: dict[tuple[int, str, str], Evaluations] = field(default_factory=dict)
 
     def applies(self, fault: SeededFault) -> bool:
-        """A fault of the spread needs an avoider that states one; others may need the visual servo.
+        """Return whether a fault applies to these episodes.
 
-        That is a fault in what the visual servo alone has: avoider, gate, and its own records.
+        A fault of the spread needs an avoider with a spread. Faults of avoider, gate and the visual servo's
+        own records do not apply if a controller replaces the servo.
         """
         if not self._all_servo:
             return self._touches_any(fault)
         if not fault.of_spread:
             return True
-        return any(spread_threshold_of(one.avoider) is not None for one in self.episodes)
+        return any(spread_threshold_of(episode.avoider) is not None for episode in self.episodes)
 
     @property
     def _all_servo(self) -> bool:
-        return all(one.driver is None for one in self.episodes)
+        return all(episode.driver is None for episode in self.episodes)
 
     def _touches_any(self, fault: SeededFault) -> bool:
-        """Is all that the fault changes in the world, in what is seen of it or told to it?"""
-        before = ChangedSystem(self.episodes[0])
-        after = fault.seed_into(fault.circumstance.bring_about(before), fault.ladder.values[0])
-        own = after.admitted.avoider is before.admitted.avoider
-        return own and not after.edits and after.pilot is None
+        """Return whether the fault changes only the world, its observations or its commands."""
+        sound = ChangedSystem(self.episodes[0])
+        faulty = fault.seed_into(fault.circumstance.bring_about(sound), fault.ladder.values[0])
+        own = faulty.admitted.avoider is sound.admitted.avoider
+        return own and not faulty.edits and faulty.pilot is None
 
     def rung(self, fault: SeededFault, magnitude: float) -> Rung:
-        """Episode after episode, until something catches it."""
-        words, alarms = fault.ladder.words(magnitude), tuple[Alarm, ...]()
+        """Return the result of one magnitude: episode after episode, up to the first catch."""
+        text, alarms = fault.ladder.label(magnitude), tuple[Alarm, ...]()
         for number in range(len(self.episodes)):
             alarms = self.alarms(fault, magnitude, number)
             if alarms:
                 break
-        return Rung(magnitude=magnitude, words=words, episodes=number + 1, alarms=alarms)
+        return Rung(magnitude=magnitude, words=text, episodes=number + 1, alarms=alarms)
 
     def alarms(
         self, fault: SeededFault, magnitude: float, number: int, world: WorldEntry = KINEMATIC
     ) -> tuple[Alarm, ...]:
-        """What is violated in an episode of the suite with the fault, and holds there without it."""
-        sound, found, _ = self._with_and_without(fault, magnitude, number, world)
-        return alarms_between(sound, found, self.episodes[number].scenario.name)
+        """Return the claims violated with the fault that hold without it, in one episode of the suite."""
+        sound, faulty, _ = self._with_and_without(fault, magnitude, number, world)
+        return alarms_between(sound, faulty, self.episodes[number].scenario.name)
 
     def everywhere(self, fault: SeededFault) -> Rung:
-        """Every alarm on the whole suite, for a fault of which there should be none; what geometry says."""
+        """Return all alarms of a harmless change on the whole suite, and the results of the geometry."""
         magnitude, every, geometry = fault.ladder.values[0], list[Alarm](), Geometry()
         for number, admitted in enumerate(self.episodes):
             name = admitted.scenario.name
-            sound, found, trace = self._with_and_without(fault, magnitude, number)
-            alarms = alarms_between(sound, found, name)
+            sound, faulty, trace = self._with_and_without(fault, magnitude, number)
+            alarms = alarms_between(sound, faulty, name)
             if trace is not None and trace.scenario.hands and REFERENCE.is_installed:
                 kept = hand_distance_kept(trace, LEAST_M)
-                geometry = geometry.with_run(name, kept, found[HAND_DISTANCE.example].verdict)
+                geometry = geometry.with_run(name, kept, faulty[HAND_DISTANCE.example].verdict)
                 alarms = confirmed_by(kept, alarms)
             every += alarms
         return Rung(
             magnitude=magnitude,
-            words=fault.ladder.words(magnitude),
+            words=fault.ladder.label(magnitude),
             episodes=len(self.episodes),
             alarms=tuple(every),
             geometry=geometry,
         )
 
     def confirmed(self, fault: SeededFault, rung: Rung) -> bool | None:
-        """Is one of the claims that caught it violated in the reference as well?  None: not installed."""
+        """Return whether a claim that caught the fault is violated in PyBullet too; None without PyBullet."""
         if not REFERENCE.is_installed:
             return None
         there = self.alarms(fault, rung.magnitude, rung.episodes - 1, REFERENCE)
@@ -179,25 +180,25 @@ class FaultTrials:
 
     def _with_and_without(
         self, fault: SeededFault, magnitude: float, number: int, world: WorldEntry = KINEMATIC
-    ) -> tuple[Words, Words, Trace | None]:
-        """The words on an episode without the fault and with it, and the run with it unless it failed."""
+    ) -> tuple[Evaluations, Evaluations, Trace | None]:
+        """Return the evaluations without the fault and with it, and the run with it unless it failed."""
         system = fault.circumstance.bring_about(ChangedSystem(self.episodes[number]))
         key = (number, fault.circumstance.name, world.name)
         if key not in self._sound:
             run = system.run(world)
             if theorem_bits(run) & REFUTED:
                 raise RuntimeError(f"the sound run {run.scenario.name} refutes the theorem of its shield")
-            self._sound[key] = words_on(system.admitted, run)
+            self._sound[key] = evaluations_of(system.admitted, run)
         faulty = fault.seed_into(system, magnitude)
         try:
             trace = faulty.run(world)
-        except Exception as error:  # what a faulty system raises is what it is tried for; our judging is not
+        except Exception as error:  # an exception of a faulty system is a catch; an error in judging is not
             return self._sound[key], {RUN_FAILED: check(RUN_FAILED, described(error))}, None
-        return self._sound[key], words_on(faulty.admitted, trace), trace
+        return self._sound[key], evaluations_of(faulty.admitted, trace), trace
 
 
-def alarms_between(sound: Words, faulty: Words, scenario: str) -> tuple[Alarm, ...]:
-    """The sentences that hold of the sound run and are violated in the faulty one, by more than a hair."""
+def alarms_between(sound: Evaluations, faulty: Evaluations, scenario: str) -> tuple[Alarm, ...]:
+    """Return the claims that hold in the sound run and are violated in the faulty run, by a clear margin."""
     return tuple(
         Alarm(
             claim=claim,
@@ -211,13 +212,13 @@ def alarms_between(sound: Words, faulty: Words, scenario: str) -> tuple[Alarm, .
 
 
 def confirmed_by(kept: Kept, alarms: Sequence[Alarm]) -> tuple[Alarm, ...]:
-    """Those about the hand distance are true where geometry refutes that it is kept."""
+    """Return the alarms; one about the hand distance is true if the geometry refutes the limit."""
     refuted = kept is Kept.REFUTED
-    return tuple(replace(one, true=refuted and one.claim == HAND_DISTANCE.example) for one in alarms)
+    return tuple(replace(alarm, true=refuted and alarm.claim == HAND_DISTANCE.example) for alarm in alarms)
 
 
 def fallen(sound: Evaluation, faulty: Evaluation) -> bool:
-    """Did a claim hold, and is it violated now, with margins that are more than a hair apart?"""
+    """Return whether a claim held and is violated now, with margins at least ``CLEAR`` apart."""
     if (sound.verdict, faulty.verdict) != (Verdict.HOLDS, Verdict.VIOLATED):
         return False
     if sound.margin is None or faulty.margin is None:
@@ -225,12 +226,12 @@ def fallen(sound: Evaluation, faulty: Evaluation) -> bool:
     return sound.margin - faulty.margin >= CLEAR[sound.unit]
 
 
-def words_on(admitted: Admitted, trace: Trace) -> dict[str, Evaluation]:
-    """The words of every claim on one run, by sentence, and of the two checks that are no claims."""
-    found = {RUN_FAILED: check(RUN_FAILED, ""), SAME_TWICE: check(SAME_TWICE, _flaky(admitted, trace))}
+def evaluations_of(admitted: Admitted, trace: Trace) -> dict[str, Evaluation]:
+    """Return the evaluations of one run by sentence: all claims, and the two further checks."""
+    evaluations = {RUN_FAILED: check(RUN_FAILED, ""), SAME_TWICE: check(SAME_TWICE, _flaky(admitted, trace))}
     for claim in claims_of(admitted.scenario):
-        found[claim.sentence] = property_of(claim, trace.scenario).evaluate(trace)
-    return found
+        evaluations[claim.sentence] = property_of(claim, trace.scenario).evaluate(trace)
+    return evaluations
 
 
 def _flaky(admitted: Admitted, trace: Trace) -> str:
@@ -243,14 +244,14 @@ def _flaky(admitted: Admitted, trace: Trace) -> str:
     return ""
 
 
-def check(sentence: str, wrong: str) -> Evaluation:
-    """A check without a margin as an evaluation: it holds if nothing is ``wrong``."""
+def check(sentence: str, problem: str) -> Evaluation:
+    """Return a check without a margin as an evaluation; it holds without a ``problem``."""
     return Evaluation(
         sentence=sentence,
-        verdict=Verdict.VIOLATED if wrong else Verdict.HOLDS,
+        verdict=Verdict.VIOLATED if problem else Verdict.HOLDS,
         unit=Unit.COUNT,
         margin=None,
         worst_time_s=None,
-        reason=wrong or "nothing wrong",
+        reason=problem or "nothing wrong",
         exercised=1,
     )

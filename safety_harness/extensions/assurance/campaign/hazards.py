@@ -278,10 +278,8 @@ def read_hazards(given: Fields, confidence: float) -> PlannedHazards:
     rates = sum(hazard.approaches is not None for hazard in hazards)
     error = SharedError(confidence, max(rates, 1))
     for item, hazard in zip(items, hazards, strict=True):
-        stated = hazard.approaches
-        if isinstance(stated, StatedApproaches) and 1.0 - stated.confidence > error.of_each_rate * (
-            1.0 + 1e-9
-        ):
+        rate = hazard.approaches
+        if isinstance(rate, StatedApproaches) and 1.0 - rate.confidence > error.of_each_rate * (1.0 + 1e-9):
             least = 100.0 * (1.0 - error.of_each_rate)
             place = (
                 item.fields(HAZARD.names).required("approaches").fields(("at most", "confidence", "source"))
