@@ -168,8 +168,8 @@ class EpisodeRunner:
     def _guarded(self, stratum: int, episode: int, work: Callable[[], _Done]) -> _Done | Row:
         """Return the result of ``work``, tried twice; after two errors of the harness, a failed row.
 
-        A third worker would meet the same error. InputError (the plan is to blame), MemoryError (this
-        process is) and CampaignError (a program that must not run) pass on.
+        Each worker would meet such an error, so that further attempts are useless. InputError (the plan is
+        to blame), MemoryError (this process is) and CampaignError (a program that must not run) pass on.
         """
         for _ in range(2):
             try:
