@@ -24,7 +24,7 @@ from safety_harness.extensions.assurance.campaign.ledger import Ledger
 from safety_harness.extensions.assurance.campaign.plan import Plan
 from safety_harness.extensions.assurance.campaign.processes import Chunk, Limits
 from safety_harness.extensions.assurance.campaign.runner import CampaignRunner
-from safety_harness.extensions.assurance.campaign.session import carry_on, processes
+from safety_harness.extensions.assurance.campaign.session import processes, run_missing
 from safety_harness.extensions.assurance.campaign.summary import fingerprint_of, tally_of
 from safety_harness.extensions.assurance.commands.campaign import run
 from tests.assurance.campaign.benches import CrashesAndHangs, done_by
@@ -56,7 +56,7 @@ def plan(tmp_path_factory: pytest.TempPathFactory) -> Plan:
 @pytest.fixture(scope="module")
 def alone(plan: Plan, tmp_path_factory: pytest.TempPathFactory) -> str:
     path = tmp_path_factory.mktemp("alone") / "ledger.sqlite"
-    assert carry_on(plan, path, processes(1))
+    assert run_missing(plan, path, processes(1))
     with Ledger.open(path) as ledger:
         return fingerprint_of(ledger)
 
@@ -74,12 +74,12 @@ def test_a_cluster_gives_the_bits_of_one_process_and_outlives_its_scheduler(
                 process.send_signal(signal.SIGKILL)
 
         with pytest.raises(CampaignError, match="the scheduler"):
-            carry_on(plan, path, lambda plan: DaskCrew(plan, file), on_progress=watch)
+            run_missing(plan, path, lambda plan: DaskCrew(plan, file), on_progress=watch)
     with Ledger.open(path) as ledger:
         assert 3 <= tally_of(ledger).done < 50
         assert tally_of(ledger).strata[0].failed == 0
     with scheduler(tmp_path) as (_, file), workers(file, tmp_path / "second"):
-        assert carry_on(plan, path, lambda plan: DaskCrew(plan, file))
+        assert run_missing(plan, path, lambda plan: DaskCrew(plan, file))
     with Ledger.open(path) as ledger:
         assert fingerprint_of(ledger) == alone
 
@@ -108,7 +108,7 @@ def test_workers_of_a_cluster_that_crash_hang_and_are_killed_cost_nothing(
             killed.extend(crew._client.run(os.getpid).values())
             os.kill(killed[0], signal.SIGKILL)
 
-    assert carry_on(plan, path, lambda plan: crew, on_progress=watch)
+    assert run_missing(plan, path, lambda plan: crew, on_progress=watch)
     assert killed
     assert crew.replaced >= 1
     assert len(list(tmp_path.glob("*/crash-*"))) == 2

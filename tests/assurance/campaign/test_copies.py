@@ -11,7 +11,7 @@ from safety_harness.base.exceptions import StatisticsError
 from safety_harness.cli.console import DIFFERS
 from safety_harness.cli.main import app
 from safety_harness.extensions.assurance.campaign.ledger import Ledger
-from safety_harness.extensions.assurance.campaign.session import carry_on, processes
+from safety_harness.extensions.assurance.campaign.session import processes, run_missing
 from safety_harness.extensions.assurance.campaign.summary import state_of
 from safety_harness.extensions.assurance.certification.evidence import ClaimStatus, read_evidence
 from safety_harness.extensions.assurance.certification.folder import JSON
@@ -65,7 +65,7 @@ claims:
 
 def run_in(folder: Path, space: str) -> Ledger:
     plan = plan_in(folder, PLAN, space)
-    assert carry_on(plan, folder / "ledger.sqlite", processes(1))
+    assert run_missing(plan, folder / "ledger.sqlite", processes(1))
     return Ledger.open(folder / "ledger.sqlite")
 
 

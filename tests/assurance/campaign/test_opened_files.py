@@ -16,7 +16,7 @@ from safety_harness.base.exceptions import InputError, LedgerError
 from safety_harness.extensions.assurance.campaign.ledger import Ledger
 from safety_harness.extensions.assurance.campaign.merging import merge
 from safety_harness.extensions.assurance.campaign.plan import Plan
-from safety_harness.extensions.assurance.campaign.session import carry_on, plan_of, processes
+from safety_harness.extensions.assurance.campaign.session import plan_of, processes, run_missing
 from safety_harness.extensions.assurance.certification.gather import gather
 from tests.assurance.campaign.plans import plan_in
 from tests.search.short_space import TEXT
@@ -100,7 +100,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Plan, Path]:
     sys.path.insert(0, str(folder))  # as PYTHONPATH does: "layers" lies there
     try:
         plan = plan_with(folder)
-        assert carry_on(plan, folder / "ledger.sqlite", processes(1))
+        assert run_missing(plan, folder / "ledger.sqlite", processes(1))
     finally:
         sys.path.remove(str(folder))
     return plan, folder / "ledger.sqlite"
@@ -122,7 +122,7 @@ def test_other_bytes_refuse_to_go_on(run: tuple[Plan, Path], name: str) -> None:
     write(path.parent, name, -1.0)
     try:
         with pytest.raises(LedgerError, match=f"{name} changed"):
-            carry_on(plan, path, processes(1))
+            run_missing(plan, path, processes(1))
         with Ledger.open(path) as ledger, pytest.raises(LedgerError, match=name), plan_of(ledger):
             pass
     finally:
@@ -137,7 +137,7 @@ def test_nothing_was_run_is_said_first_and_recorded_questions_are_asked_again(
     with Ledger.open(path, write=True) as ledger, ledger.transaction():
         ledger.connection.execute("UPDATE session SET began = '2026-05-12T08:00:00+00:00'")
     before, said = path.read_bytes(), list[str]()
-    assert carry_on(plan, path, processes(1), say=said.append)
+    assert run_missing(plan, path, processes(1), say=said.append)
     assert said[0] == "nothing was run: all 4 episodes are of 12 May 2026"
     assert "asked again of a second avoider" in said[1]
     assert "the same answers" in said[1]
@@ -156,7 +156,7 @@ def test_an_answer_that_is_another_now_takes_the_bound_away(
         ledger.connection.execute("DELETE FROM opened")
     write(path.parent, "late.txt", 2.0)
     try:
-        assert carry_on(plan, other, processes(1))
+        assert run_missing(plan, other, processes(1))
     finally:
         write(path.parent, "late.txt")
     with Ledger.open(other) as ledger:
@@ -182,11 +182,11 @@ class Mine:
     )
     (tmp_path / "mine.py").write_text(memory)
     plan = plan_in(tmp_path, PLAN.format(tested="avoider: mine.py:Mine"), TEXT)
-    assert carry_on(plan, tmp_path / "ledger.sqlite", processes(1))
+    assert run_missing(plan, tmp_path / "ledger.sqlite", processes(1))
     with Ledger.open(tmp_path / "ledger.sqlite") as ledger:
         assert ledger.opened == {"late.txt": ""}
         assert "remembers" in ledger.dependent
-    assert carry_on(plan, tmp_path / "ledger.sqlite", processes(1))
+    assert run_missing(plan, tmp_path / "ledger.sqlite", processes(1))
 
 
 def test_a_file_that_is_written_while_runs_are_made_ends_them(run: tuple[Plan, Path]) -> None:
@@ -236,14 +236,14 @@ def test_a_declared_file_that_is_not_there_is_refused(
     monkeypatch.syspath_prepend(str(tmp_path))
     plan = plan_with(tmp_path, module=AVOIDER.replace("declared.bin", "nowhere.bin"))
     with pytest.raises(InputError, match="HARNESS_FILES"):
-        carry_on(plan, tmp_path / "ledger.sqlite", processes(1))
+        run_missing(plan, tmp_path / "ledger.sqlite", processes(1))
 
 
 def test_a_controllers_weights_are_noted_too(tmp_path: Path) -> None:
     plan = plan_with(tmp_path, "controller: mine.py:Mine", CONTROLLER)
-    assert carry_on(plan, tmp_path / "ledger.sqlite", processes(1))
+    assert run_missing(plan, tmp_path / "ledger.sqlite", processes(1))
     with Ledger.open(tmp_path / "ledger.sqlite") as ledger:
         assert set(ledger.opened) == {"w.npy"}
     write(tmp_path, "w.npy", 2.0)
     with pytest.raises(LedgerError, match=r"w\.npy changed"):
-        carry_on(plan, tmp_path / "ledger.sqlite", processes(1))
+        run_missing(plan, tmp_path / "ledger.sqlite", processes(1))

@@ -24,7 +24,7 @@ from safety_harness.extensions.assurance.campaign.processes import (
     Processes,
 )
 from safety_harness.extensions.assurance.campaign.runner import ATTEMPTS, CampaignRunner
-from safety_harness.extensions.assurance.campaign.session import carry_on, plan_of, processes
+from safety_harness.extensions.assurance.campaign.session import plan_of, processes, run_missing
 from safety_harness.extensions.assurance.campaign.summary import fingerprint_of, tally_of
 from safety_harness.extensions.assurance.statistics.sample import EpisodeOutcome
 from tests.assurance.campaign.benches import Crashes, Grows, Hangs, IsMistaken, NeverReady, Plain, row_of
@@ -322,9 +322,9 @@ def test_a_real_plan_in_processes_is_bit_for_bit_the_same_as_in_one(tmp_path: Pa
         alone = fingerprint_of(ledger)
     path = tmp_path / "together" / "ledger.sqlite"
     looks = iter([False, False, True])
-    assert not carry_on(plan, path, processes(2), enough=lambda: next(looks, True))
-    assert carry_on(plan, path, processes(2))
-    assert carry_on(plan, path, lambda plan: pytest.fail("there is nothing left to run"))
+    assert not run_missing(plan, path, processes(2), enough=lambda: next(looks, True))
+    assert run_missing(plan, path, processes(2))
+    assert run_missing(plan, path, lambda plan: pytest.fail("there is nothing left to run"))
     with Ledger.open(path) as ledger:
         assert fingerprint_of(ledger) == alone
 

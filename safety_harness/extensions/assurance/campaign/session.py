@@ -39,7 +39,7 @@ def processes(workers: int | None = None, limits: Limits = LIMITS) -> MakesCrew:
     return lambda plan: Processes(partial(bench_of_file, plan.file.resolve(), plan.identity), size, limits)
 
 
-def carry_on(
+def run_missing(
     plan: Plan,
     path: Path,
     make_crew: MakesCrew,
@@ -96,6 +96,9 @@ def carry_on(
         complete = runner.run()
         ledger.note_repeated(_checked(runner.repeatability.check))
         return complete
+
+
+carry_on = run_missing  # deprecated: the old name, for one release
 
 
 def _ask_again(plan: Plan, ledger: Ledger, say: Callable[[str], None]) -> None:
