@@ -46,7 +46,7 @@ from safety_harness.extensions.assurance.campaign.processes import (
 from safety_harness.extensions.assurance.campaign.rows import Row
 
 _AHEAD = 2  # chunks per thread, so that a thread need not wait for the network
-_ANSWER_S = 30.0
+_ANSWER_S = 30.0  # for an answer of the scheduler
 _LOOK_S = 2.0  # between looks at the cluster as a whole
 _MOST_REFUSED = 10  # chunks in a row that no worker could begin
 _OF_THREAD = threading.local()  # two threads must not call one avoider at the same time

@@ -30,7 +30,7 @@ from safety_harness.extensions.assurance.campaign.identity import Identity
 from safety_harness.extensions.assurance.campaign.plan import read_plan
 from safety_harness.extensions.assurance.campaign.rows import Row
 
-_MOST_FALSE_STARTS = 10
+_MOST_FALSE_STARTS = 10  # in a row: then no worker can start at all
 _LOOK_S = 1.0  # between looks at clocks and memory
 
 

@@ -30,7 +30,7 @@ ATTEMPTS = 3
 CHUNK_S = 1.0  # of work, beside which handing over and committing cost little
 MOST_IN_CHUNK = 1000
 MOST_TOGETHER = 64  # in a world with batches, which holds all traces of a chunk in memory
-_WAIT_S = 0.5
+_WAIT_S = 0.5  # for events, between looks at ``enough``
 _COMMIT_S = 0.2  # between commits, so that a transaction has many rows
 
 

@@ -50,7 +50,7 @@ FEWEST_WEIGHTS = 25  # whose tail has a shape
 _COMPONENTS, _ROUNDS, _MOST_LEVELS, _MOST_RESTARTS = 3, 20, 30, 16
 _MORE_LEVELS = 6  # that a restart may take beyond those of the pilot
 _LEAST_SHARE = 0.05  # of a component, so that its region has draws
-_LARGEST_EXPONENT = 700.0
+_LARGEST_EXPONENT = 700.0  # exp overflows above 709; such a weight is practically 0
 
 
 @dataclass(frozen=True, kw_only=True)

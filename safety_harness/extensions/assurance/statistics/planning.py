@@ -21,8 +21,8 @@ from safety_harness.extensions.assurance.statistics.sample import refusal
 from safety_harness.extensions.assurance.statistics.sequential import anytime_upper
 
 Upper = Callable[[int, int, float], float]
-MOST_RUNS = 10**12
-_TAIL = 1e-12
+MOST_RUNS = 10**12  # where a search for a number of runs gives up
+_TAIL = 1e-12  # probability that the sum over tested runs omits at each end
 _TARGET = "violated in at most"
 
 

@@ -38,7 +38,7 @@ Margins = Callable[[Floats], Floats]
 
 LARGEST_SHAPE = 0.7  # of the weights' tail (Vehtari, Simpson, Gelman, Yao and Gabry, 2024)
 _MOST_OF_SUM = 0.5  # that a single replication may contribute
-_BELOW_ONE = math.nextafter(1.0, 0.0)
+_BELOW_ONE = math.nextafter(1.0, 0.0)  # the cube [0, 1) excludes 1, which ndtr gives for z above 8.3
 _MOST_LEVELS = 60
 
 
