@@ -164,7 +164,7 @@ class Ledger:
     def refuse_other(
         self,
         identity: Identity,
-        hint: str = "put them back as they were, or begin another ledger (--ledger FILE)",
+        hint: str = "put them back as they were, or begin another ledger (--out FOLDER)",
     ) -> None:
         """LedgerError that names what has changed since the ledger's plan was declared."""
         self.declared.identity.refuse_other(identity, self.path, hint=hint)
