@@ -155,8 +155,8 @@ sample: $(VENV)/installed
 # The full numbers of benchmarks/SHIELD.md: 100,000 episodes of each shielded space, 30,000 in PyBullet: hours;
 # Ctrl-C whenever you like, and the same again goes on.
 shield-all: $(VENV)/benchmarks
-	$(BIN)/safety-harness campaign run plans/shield-hundred-thousand.yaml --ledger reports/shield/shield-hundred-thousand.sqlite
-	$(BIN)/safety-harness campaign run plans/shield-in-pybullet.yaml --ledger reports/shield/shield-in-pybullet.sqlite
+	$(BIN)/safety-harness campaign run plans/shield-hundred-thousand.yaml --out reports/shield/shield-hundred-thousand.sqlite
+	$(BIN)/safety-harness campaign run plans/shield-in-pybullet.yaml --out reports/shield/shield-in-pybullet.sqlite
 	$(BIN)/python benchmarks/shield.py --pairs 1000 --search 20000
 
 # Mutants of properties/ and statistics/ that no test notices: hours, resumes; "mutmut results" lists them.

@@ -34,7 +34,12 @@ def fuzz(
         ),
     ] = None,
     baseline: Annotated[
-        bool, Option("--baseline", help="Sample the space uniformly as well, with the same budget.")
+        bool,
+        Option(
+            "--compare-with-uniform",
+            "--baseline",
+            help="Sample the space uniformly too, with the same budget.",
+        ),
     ] = False,
 ) -> int:
     """Search a space for violations, and write each distinct one as a scenario file that run takes.

@@ -87,7 +87,7 @@ def fuzz(
     make = searcher_named(searcher)
     if baseline and make is UniformSampling:
         expected = "another searcher, to compare with uniform sampling"
-        raise ScenarioError.of_option("--baseline", expected, "--searcher uniform")
+        raise ScenarioError.of_option("--compare-with-uniform", expected, "--searcher uniform")
     attribution = SearchAttribution()
     asked = one_of(avoider, controller)
     reference = reference_for(asked, against)
@@ -261,7 +261,7 @@ def fuzz_command(session: SearchSession) -> str:
     command += [] if trials.avoider is None else [option_of(trials.avoider), told_avoider(trials.avoider)]
     command += [] if trials.reference is None else ["--against", trials.reference.name]
     command += [word for sentence in trials.sentences for word in ("--claim", sentence)]
-    return shlex.join(command + ["--baseline"] * (session.baseline is not None))
+    return shlex.join(command + ["--compare-with-uniform"] * (session.baseline is not None))
 
 
 def as_json(trials: Trials, evidence: SearchEvidence) -> dict[str, object]:

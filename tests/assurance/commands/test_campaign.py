@@ -461,3 +461,12 @@ def test_a_ledger_in_which_nothing_was_run_is_begun_anew_and_one_with_results_is
     before = path.read_bytes()
     assert run(plan.file, ledger=path, workers=1) == BAD_INPUT
     assert path.read_bytes() == before
+
+
+def test_out_is_a_folder_and_older_names_of_options_still_serve(tmp_path: Path) -> None:
+    plan_in(tmp_path, SMALL)
+    plan, kept = str(tmp_path / "plan.yaml"), tmp_path / "kept"
+    made = CliRunner().invoke(app, ["campaign", "run", plan, "--out", str(kept), "--jobs", "1"])
+    assert made.exit_code == AS_EXPECTED, made.output
+    older = ["--ledger", str(kept / "ledger.sqlite"), "--workers", "1"]
+    assert CliRunner().invoke(app, ["campaign", "run", plan, *older]).exit_code == AS_EXPECTED

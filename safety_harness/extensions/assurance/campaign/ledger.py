@@ -183,7 +183,7 @@ class Ledger:
     def refuse_other(
         self,
         identity: Identity,
-        hint: str = "put them back as they were, or begin another ledger (--ledger FILE)",
+        hint: str = "put them back as they were, or begin another ledger (--out FOLDER)",
     ) -> None:
         """Refuse a plan that has changed since the ledger began.
 

@@ -109,7 +109,7 @@ def _refuse_other_version(connection: sqlite3.Connection, path: Path) -> None:
             place=Place(file=path),
             expected=f"a ledger of version {VERSION}",
             got=f"version {version}, of {program} program",
-            hint="use the program that made it, or run its plan anew into another ledger (--ledger FILE)",
+            hint="use the program that made it, or run its plan anew into another ledger (--out FOLDER)",
         )
 
 

@@ -69,7 +69,12 @@ _unwritten = partial(command, commands, interrupted="interrupted; nothing is wri
 @_command()
 def run(
     plan: Annotated[Path, Argument(help="A plan: a file, or shipped:NAME.", metavar="PLAN")],
-    ledger: Annotated[Path | None, Option(help="The ledger; without it reports/PLAN/ledger.sqlite.")] = None,
+    ledger: Annotated[
+        Path | None,
+        Option(
+            "--out", "--ledger", help="Folder of the ledger, or the ledger itself (.sqlite): reports/PLAN."
+        ),
+    ] = None,
     workers: Workers = None,
     cluster: _Cluster = None,
     part: _Part = "1/1",
@@ -97,7 +102,8 @@ def run(
         read = plan_with(read.files, Driver(controller), Path("reports") / read.name)
     if require_shown and all(claim.target is None for claim in read.claims):
         raise ScenarioError.of_option("--require-shown", "a plan with a target to show", f"none in {plan}")
-    path = ledger or Path("reports") / read.name / LEDGER
+    path = ledger or Path("reports") / read.name
+    path = path if path.suffix or path.is_file() else path / LEDGER
     return _carry_on(read, path, workers, cluster, part, require_shown)
 
 
