@@ -137,7 +137,7 @@ class Certification:
         complete = complete and self.search(output, guard)
         without_proof(self.folder)
         if self.certified is not None:
-            guard.of("the copy of the proof", partial(self.certified.write, self.folder), None)
+            guard.run("the copy of the proof", partial(self.certified.write, self.folder), None)
         with Ledger.open(self.folder / LEDGER) as ledger:
             gathered = gather(
                 self.plan,
@@ -171,7 +171,7 @@ class Certification:
             shutil.rmtree(searched.folder, ignore_errors=True)
             try:
                 part = f"the search of {searched.stratum}"
-                made = guard.of(part, partial(self._searched, stratum.space.file, searched, output), None)
+                made = guard.run(part, partial(self._searched, stratum.space.file, searched, output), None)
             except KeyboardInterrupt:
                 output.say("interrupted before anything was tried")
                 return False

@@ -24,7 +24,7 @@ from safety_harness.extensions.assurance.certification.table_cells import (
     millimetres,
     number,
     table_of,
-    words,
+    text_cell,
 )
 from safety_harness.extensions.assurance.certification.tools import (
     Credibility,
@@ -58,10 +58,10 @@ def standards(evidence: Evidence) -> CellTable:
         "statement of conformity.",
         STANDARDS.standards,
         {
-            "Document": lambda one: words(one.name, note=one.about),
-            "Status": lambda one: words(one.status),
-            "Known from": lambda one: words(one.source),
-            "Traced to it": lambda one: words(traced_to(one.name) or DASH),
+            "Document": lambda one: text_cell(one.name, note=one.about),
+            "Status": lambda one: text_cell(one.status),
+            "Known from": lambda one: text_cell(one.source),
+            "Traced to it": lambda one: text_cell(traced_to(one.name) or DASH),
         },
     )
 
@@ -77,9 +77,9 @@ def missing(_: Evidence) -> CellTable:
         "The list has what could be sourced, no more.",
         rows,
         {
-            "Document": lambda one: words(one[0]),
-            "Asks": lambda one: words(one[1].asks),
-            "What would cover it": lambda one: words(one[1].means),
+            "Document": lambda one: text_cell(one[0]),
+            "Asks": lambda one: text_cell(one[1].asks),
+            "What would cover it": lambda one: text_cell(one[1].means),
         },
     )
 
@@ -90,10 +90,10 @@ def spoken_to(_: Evidence) -> CellTable:
         "A part of this report that speaks to a requirement does not fulfil it.",
         [(name, one) for name, one in _ASKED if one.here],
         {
-            "Document": lambda one: words(one[0]),
-            "Asks": lambda one: words(one[1].asks),
-            "Here": lambda one: words(one[1].here, href=one[1].here),
-            "What it says": lambda one: words(one[1].means),
+            "Document": lambda one: text_cell(one[0]),
+            "Asks": lambda one: text_cell(one[1].asks),
+            "Here": lambda one: text_cell(one[1].here, href=one[1].here),
+            "What it says": lambda one: text_cell(one[1].means),
         },
     )
 
@@ -104,10 +104,10 @@ def questions(_: Evidence) -> CellTable:
         f"{len(QUESTIONS)} questions, {sum(not one.here for one in QUESTIONS)} of them not covered here.",
         QUESTIONS,
         {
-            "Question": lambda one: words(one.asks),
-            "Drawn from": lambda one: words(STANDARDS[one.of].name),
-            "Answered in": lambda one: words(one.here or "not covered here", href=one.here),
-            "By what, or what would": lambda one: words(one.means),
+            "Question": lambda one: text_cell(one.asks),
+            "Drawn from": lambda one: text_cell(STANDARDS[one.of].name),
+            "Answered in": lambda one: text_cell(one.here or "not covered here", href=one.here),
+            "By what, or what would": lambda one: text_cell(one.means),
         },
     )
 
@@ -119,7 +119,7 @@ def training(evidence: Evidence) -> CellTable:
         "decision; and of the hands in the decisions of the stored random runs how many were outside of the "
         "box of hands seen in training, and how far.",
         () if evidence.learned is None else evidence.learned.strata,
-        {"Stratum": lambda one: words(one.stratum)}
+        {"Stratum": lambda one: text_cell(one.stratum)}
         | {
             f"Runs, {name}": (lambda one, place=place: count(one.runs[place]))
             for place, name in enumerate(SEEN)
@@ -146,15 +146,15 @@ def separation(evidence: Evidence) -> CellTable:
         "its terms; the margin is the distance less S_p.",
         evidence.separation,
         {
-            "Stratum": lambda one: words(one.stratum),
-            "Run": lambda one: words(one.run),
+            "Stratum": lambda one: text_cell(one.stratum),
+            "Run": lambda one: text_cell(one.run),
             "At": lambda one: number(f"{one.time_s:.3f} s", one.time_s),
             "Distance": lambda one: millimetres(one.distance_m),
             "S_p": lambda one: millimetres(one.required_m),
             "Margin": lambda one: millimetres(one.distance_m - one.required_m),
             "Human": lambda one: number(f"{one.hand_speed_mps:.2f} m/s", one.hand_speed_mps),
             "Robot": lambda one: number(f"{one.robot_speed_mps:.2f} m/s", one.robot_speed_mps),
-            "Terms": lambda one: words(
+            "Terms": lambda one: text_cell(
                 ", ".join(f"{term.symbol} {term.length_m * 1e3:.0f} mm" for term in one.terms)
             ),
         },
@@ -169,11 +169,11 @@ def calibration(evidence: Evidence) -> CellTable:
         "bounds that hold together.",
         evidence.calibration,
         {
-            "Stratum": lambda one: words(one.stratum),
+            "Stratum": lambda one: text_cell(one.stratum),
             "Verdict": lambda one: TableCell(text=one.decided, state=one.decided),
             "Decisions": lambda one: count(one.decisions),
-            "Claim": lambda one: words(one.sentence),
-            "Why": lambda one: words(one.why),
+            "Claim": lambda one: text_cell(one.sentence),
+            "Why": lambda one: text_cell(one.why),
         },
     )
 
@@ -184,15 +184,15 @@ def domain(evidence: Evidence) -> CellTable:
     rows = [("stratum", one.name, one.made, "in, ") for one in evidence.strata]
     rows += [(axis, word, runs, "") for axis in AXES for word, runs in cells.along(axis).items()]
     inside = [
-        (words(of), words(what), words(where + ("tried" if runs else "untested")), count(runs))
+        (text_cell(of), text_cell(what), text_cell(where + ("tried" if runs else "untested")), count(runs))
         for of, what, runs, where in rows
     ]
-    never = words("what no run simulates", href="not-shown")
+    never = text_cell("what no run simulates", href="not-shown")
     return CellTable(
         "In are the plan's strata. Below them is where their runs came to, by the axes of the map; to some "
         "of what is untested no run can come. Out is what no run simulates.",
         ("Of", "What", "Standing", "Runs"),
-        (*inside, (words("simulation"), never, words("out"), number(DASH))),
+        (*inside, (text_cell("simulation"), never, text_cell("out"), number(DASH))),
     )
 
 
@@ -201,7 +201,7 @@ def whose_fault(evidence: Evidence) -> CellTable:
     return table_of(
         "What would have helped, changed alone",
         evidence.whose_fault.would_help,
-        {"Change": lambda one: words(one[0]), "Violations avoided": lambda one: count(one[1])},
+        {"Change": lambda one: text_cell(one[0]), "Violations avoided": lambda one: count(one[1])},
     )
 
 
@@ -212,12 +212,12 @@ def counterexamples(evidence: Evidence) -> CellTable:
         "looks where violations are.",
         evidence.counterexamples,
         {
-            "No.": lambda one: words(str(one.number), href=f"counterexample-{one.number}"),
-            "Violates": lambda one: words(one.sentence),
-            "Margin": lambda one: words(one.margin),
-            "Met by": lambda one: words(one.origin),
+            "No.": lambda one: text_cell(str(one.number), href=f"counterexample-{one.number}"),
+            "Violates": lambda one: text_cell(one.sentence),
+            "Margin": lambda one: text_cell(one.margin),
+            "Met by": lambda one: text_cell(one.origin),
             "Like it": lambda one: count(one.like_it),
-            "Files": lambda one: words(", ".join(filter(None, (one.scenario_file, one.trace_file)))),
+            "Files": lambda one: text_cell(", ".join(filter(None, (one.scenario_file, one.trace_file)))),
         },
     )
 
@@ -228,9 +228,9 @@ def files(evidence: Evidence) -> CellTable:
         "Files of the report's folder beside this page; safety-harness verify checks them.",
         evidence.files,
         {
-            "File": lambda one: words(one.path),
+            "File": lambda one: text_cell(one.path),
             "Bytes": lambda one: count(one.bytes),
-            "sha256": lambda one: words(one.sha256),
+            "sha256": lambda one: text_cell(one.sha256),
         },
     )
 
@@ -244,7 +244,7 @@ def agreement(known: WorldAgreement) -> CellTable:
         f"{known.optimistic} of them optimistic (the kinematic world sees a claim hold that PyBullet sees "
         "violated).",
         known.differences,
-        {"What": lambda one: words(one[0]), "Largest difference": lambda one: number(one[1])},
+        {"What": lambda one: text_cell(one[0]), "Largest difference": lambda one: number(one[1])},
     )
 
 
@@ -262,7 +262,7 @@ def cell_lines(known: RecordedCell) -> CellTable:
         f"Intervals: {found.confidence:.0%} of the mean, by {found.blocks} stretches of it, approximate. "
         f"compare-worlds.json: sha256 {known.sha256}.",
         rows,
-        {"World": lambda one: words(one[0]), "What": lambda one: words(one[1])},
+        {"World": lambda one: text_cell(one[0]), "What": lambda one: text_cell(one[1])},
     )
 
 
@@ -273,7 +273,7 @@ def rerun(known: Rerun) -> CellTable:
         f"{known.how}: {known.changed} of {known.verdicts} verdicts change, "
         f"{known.optimistic} of them from holds to violated.",
         known.largest,
-        {"Claim": lambda one: words(one[0]), "Largest change of the margin": lambda one: number(one[1])},
+        {"Claim": lambda one: text_cell(one[0]), "Largest change of the margin": lambda one: number(one[1])},
     )
 
 
@@ -284,9 +284,9 @@ def oracles(known: Credibility) -> CellTable:
         f"({known.oracles_measured_with}).",
         known.oracles,
         {
-            "Part": lambda one: words(one.part),
-            "Against": lambda one: words(one.against),
-            "Largest disagreement": lambda one: words(one.largest),
+            "Part": lambda one: text_cell(one.part),
+            "Against": lambda one: text_cell(one.against),
+            "Largest disagreement": lambda one: text_cell(one.largest),
         },
     )
 
@@ -299,11 +299,11 @@ def kills(test: SelfTest) -> CellTable:
         f"caught{'' if test.whole else '; not every fault of the catalogue was tried'}.",
         sorted(test.faults, key=lambda one: bool(one.caught_by)),
         {
-            "Fault": lambda one: words(one.name),
-            "Part": lambda one: words(one.part),
-            "Hazard": lambda one: words(one.hazard),
-            "Caught by": lambda one: words(one.caught_by) if one.caught_by else survived,
-            "Smallest caught": lambda one: words(one.smallest or DASH, note=one.known_limit),
+            "Fault": lambda one: text_cell(one.name),
+            "Part": lambda one: text_cell(one.part),
+            "Hazard": lambda one: text_cell(one.hazard),
+            "Caught by": lambda one: text_cell(one.caught_by) if one.caught_by else survived,
+            "Smallest caught": lambda one: text_cell(one.smallest or DASH, note=one.known_limit),
         },
     )
 

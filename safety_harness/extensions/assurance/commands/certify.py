@@ -169,7 +169,7 @@ def _shielded_lines(plan: Plan, ledger: Path) -> list[str]:
     lines = []
     for k, name in shielded.items():
         traces = [one.trace for one in stored if one.stratum == k]
-        words = ReportGuard().of("slowing", partial(shield_lines, traces), []) or [
+        words = ReportGuard().run("slowing", partial(shield_lines, traces), []) or [
             "how much it slowed is not known"
         ]
         lines.append(f"shield in {name}, {len(traces)} stored runs: {words[0]}")
