@@ -29,7 +29,7 @@ from safety_harness.extensions.assurance.certification.evidence import (
     by_gravity,
 )
 from safety_harness.extensions.assurance.certification.system import DATA, LEARNING
-from safety_harness.extensions.assurance.certification.verdicts import at_most, gravest, hourly, percent
+from safety_harness.extensions.assurance.certification.verdicts import at_most, hourly, percent, worst_status
 from safety_harness.report.words import count_words
 
 DONE, DOUBT, FAILS, OPEN = "holds", "inconclusive", "violated", "none"
@@ -171,7 +171,7 @@ def _hazards(evidence: Evidence) -> Iterator[Element]:
     for hazard_text in dict.fromkeys(item.hazard for item in unnamed):
         claims = [item for item in unnamed if item.hazard == hazard_text]
         below = tuple(_claim(item, ()) for item in claims)
-        state = STATE[gravest(item.standing for item in claims)]
+        state = STATE[worst_status(item.standing for item in claims)]
         text = f"Kept rare: {hazard_text}"
         yield Element(ElementKind.GOAL, text, "hazards", state, below, name=f"hazard: {hazard_text}")
 
@@ -198,7 +198,7 @@ def _hazard(hazard: HazardEvidence, claims: list[ClaimEvidence], *, rated: bool)
     ]
     if hazard.approaches:
         beside.append(Element(ElementKind.ASSUMPTION, f"Approaches: {hazard.approaches}", "rates"))
-    state = STATE[gravest(one.standing for one in claims)]
+    state = STATE[worst_status(one.standing for one in claims)]
     return Element(
         ElementKind.GOAL,
         f"Kept rare: {hazard.name}{limit} ({hazard.event})",

@@ -64,7 +64,7 @@ from safety_harness.extensions.assurance.certification.tools import (
     Credibility,
     HarnessTrials,
 )
-from safety_harness.extensions.assurance.certification.verdicts import gravest
+from safety_harness.extensions.assurance.certification.verdicts import worst_status
 from safety_harness.extensions.assurance.certification.whose_fault import whose_fault
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.page_parts import in_words
@@ -185,7 +185,7 @@ def put_together(
         interrupted=any(next(ledger.missing(k), None) is not None for k in range(len(strata)))
         or any(claim.standing is ClaimStatus.INCOMPLETE for claim in claims),
         plan=_plan(plan, ledger),
-        standing=gravest(claim.standing for claim in claims),
+        standing=worst_status(claim.standing for claim in claims),
         strata=strata,
         overruling=guard.run("the account of overruled proposals", lambda: overruling_of(ledger), ()),
         shields=guard.run("the runs behind a shield", lambda: shields_in(ledger), ()),

@@ -51,7 +51,7 @@ MOST_POINTS = 240  # of a curve
 
 
 def refuse_hopeless(plan: Plan) -> None:
-    """Raise InputError for a target that the plan's runs cannot show; it states the required number of runs."""
+    """Raise InputError for a target that the plan's runs cannot show; it has the required number of runs."""
     for claim in plan.claims:
         if claim.target is not None:
             for stratum in plan.strata:
@@ -215,7 +215,7 @@ def strata_of(plan: Plan, ledger: Ledger) -> tuple[StratumResult, ...]:
 
 
 def _stratum(plan: Plan, ledger: Ledger, place: int, hashes: dict[str, str]) -> StratumResult:
-    """Return the results of the stratum number ``place``; ``hashes`` has those of the ledger's files."""
+    """Return the results of stratum number ``place``; ``hashes`` has a hash for each file of the ledger."""
     stratum = plan.strata[place]
     ((made, again, *counts, failed),) = ledger.all(_SUMS, place)
     stored = {episode: violation for where, episode, violation in ledger.traces() if where == place}
