@@ -159,9 +159,10 @@ class Certification:
     def search(self, output: Output, guard: ReportGuard) -> bool:
         """Search each stratum for counterexamples; an unfinished search starts again from its beginning.
 
+        ``output`` receives remarks. A search that fails becomes a finding of ``guard``.
+
         Returns:
-            False after Ctrl-C. A search that fails leaves True: ``guard`` records it as a finding of the
-            report.
+            False after Ctrl-C; True also if a search failed.
 
         """
         for stratum, searched in zip(self.plan.strata, searches_of(self.plan, self.folder), strict=False):

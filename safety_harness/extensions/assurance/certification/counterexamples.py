@@ -63,7 +63,7 @@ class Example:
 
 @dataclass(eq=False)
 class _Kind:
-    """Violations of one kind: their number, and the worst episode with a stored trace (None: no trace)."""
+    """Violations of one kind: their number, and the worst episode with a stored trace (or None)."""
 
     stratum: int
     words: str
@@ -314,7 +314,7 @@ def _example(
     data: bytes | None = None,
 ) -> Example:
     """Return a counterexample with its margin and its ``replay`` command; ``numbered`` sets its number."""
-    about = run.under(sentence).about
+    index = run.under(sentence).about
     shown = CounterexampleEvidence(
         number=0,
         claim=None if claim is None else claim + 1,
@@ -322,7 +322,7 @@ def _example(
         origin=origin,
         independent=data is not None,
         like_it=like_it,
-        margin="\u2013" if about is None else margin_words(run.evaluations[about]),
+        margin="\u2013" if index is None else margin_words(run.evaluations[index]),
         scenario_file=scenario,
         trace_file=trace,
         command=shlex.join(["safety-harness", "replay", trace]),
@@ -363,7 +363,7 @@ def numbered(met: Sequence[Example | str]) -> tuple[Example, ...]:
 
 
 def write_traces(examples: Sequence[Example], folder: Path) -> None:
-    """Write the traces of the declared counterexamples below ``folder``, in place of all earlier ones.
+    """Write the traces of the declared ``examples`` below ``folder``, in place of all earlier ones.
 
     Raises:
         OSError: A trace cannot be written.

@@ -45,7 +45,7 @@ def write_delta(folder: Path, delta: EvidenceDelta, *, command: str, generated_a
 
 
 def render(delta: EvidenceDelta, *, command: str, generated_at: datetime) -> str:
-    """Return the page of ``delta`` as text, with the ``command`` that repeats it and the time of writing."""
+    """Return the page of ``delta`` as text; it shows the ``command`` that repeats it and ``generated_at``."""
     return render_page(
         "delta.html.j2",
         of="safety_harness.extensions.assurance",

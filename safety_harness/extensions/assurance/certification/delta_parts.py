@@ -27,7 +27,7 @@ class PartChange:
 
 
 def both(old: Mapping[str, T], new: Mapping[str, T]) -> Iterator[tuple[str, T | None, T | None]]:
-    """Yield each key of either mapping with its two values; None for a missing key."""
+    """Yield each key of ``old`` or ``new`` with its two values; None for a missing key."""
     for name in dict.fromkeys([*old, *new]):
         yield name, old.get(name), new.get(name)
 

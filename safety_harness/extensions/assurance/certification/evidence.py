@@ -551,7 +551,7 @@ def by_gravity(claims: Iterable[ClaimEvidence]) -> list[ClaimEvidence]:
 
 
 def as_text(evidence: Evidence) -> str:
-    """Return the whole report as JSON.
+    """Return ``evidence`` as JSON.
 
     Raises:
         ValueError: A number is not finite.

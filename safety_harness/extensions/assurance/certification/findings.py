@@ -69,7 +69,7 @@ def findings_of(
 
 
 def of_claims(claims: Sequence[ClaimEvidence]) -> Iterator[OpenFinding]:
-    """Yield every claim without the status SHOWN."""
+    """Yield every claim in ``claims`` without the status SHOWN."""
     for claim in claims:
         if claim.standing in _PLAIN:
             text = f"{claim.sentence} {_PLAIN[claim.standing]}: {claim.why}"
@@ -79,7 +79,7 @@ def of_claims(claims: Sequence[ClaimEvidence]) -> Iterator[OpenFinding]:
 
 
 def of_hazards(hazards: Sequence[HazardEvidence], *, model_only: bool) -> Iterator[OpenFinding]:
-    """Yield each hazard without a claim, without a required rate, or with a rate that does not meet it.
+    """Yield the ``hazards`` without a claim, without a required rate, or with a rate that does not meet it.
 
     ``model_only`` is true if the world is not validated: no rate then meets it.
     """
@@ -96,7 +96,7 @@ def of_hazards(hazards: Sequence[HazardEvidence], *, model_only: bool) -> Iterat
 
 
 def of_strata(ledger: Ledger, strata: Sequence[StratumResult]) -> Iterator[OpenFinding]:
-    """Yield the strata with runs that could not finish, or with questions that the avoider did not answer."""
+    """Yield the ``strata`` with runs in ``ledger`` that could not finish, or with unanswered questions."""
     for place, stratum in enumerate(strata):
         if stratum.failed:
             reasons = ledger.all(
@@ -130,7 +130,7 @@ def of_searches(searches: Sequence[Searched], planned: int) -> Iterator[OpenFind
 
 
 def of_examples(examples: Sequence[Example | str]) -> Iterator[OpenFinding]:
-    """Yield the counterexamples that the page cannot show, and how many no bound covers."""
+    """Yield the ``examples`` that the page cannot show, and how many no bound covers."""
     shown = [item.shown for item in examples if isinstance(item, Example)]
     problems = [item for item in examples if isinstance(item, str)]
     texts = []
@@ -147,7 +147,7 @@ def of_examples(examples: Sequence[Example | str]) -> Iterator[OpenFinding]:
 
 
 def of_worlds(credibility: Credibility, tested: Sequence[SystemUnderTest]) -> Iterator[OpenFinding]:
-    """Yield reasons to doubt the simulator, and recorded cells that are not of the ``tested`` systems."""
+    """Yield reasons to doubt the simulator: its ``credibility``, and cells of no ``tested`` system."""
     agreement = credibility.agreement
     if agreement is None or not agreement.present:
         text = "the agreement of the two worlds was not measured with this source"
@@ -174,7 +174,7 @@ def of_worlds(credibility: Credibility, tested: Sequence[SystemUnderTest]) -> It
 
 
 def of_selftest(selftest: SelfTest | None) -> Iterator[OpenFinding]:
-    """Yield reasons to doubt the judges."""
+    """Yield reasons to doubt the judges: a missing or partial ``selftest``, false alarms, missed faults."""
     if selftest is None:
         yield OpenFinding("nothing is said of how well the harness notices faults", "tools")
         return

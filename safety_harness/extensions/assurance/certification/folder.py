@@ -91,7 +91,7 @@ def _pack_opened(folder: Path, ledger: Ledger) -> None:
 
 
 def is_file_of(path: Path, sha256: str) -> bool:
-    """Return whether ``path`` is a file with this hash."""
+    """Return whether ``path`` is a file with the hash ``sha256``."""
     return path.is_file() and sha256_of(path) == sha256
 
 
@@ -128,7 +128,7 @@ def put_back_opened(report: Path, plan: Path, root: Path, ledger: Ledger) -> Non
 
 
 def argument_texts(evidence: Evidence) -> dict[str, str]:
-    """Return the texts of the argument's files, by their names."""
+    """Return the texts of the argument's files for ``evidence``, by their names."""
     return {GSN: gsn_text(evidence, PAGE), NOTES: notes_text(evidence)}
 
 
@@ -146,7 +146,7 @@ def _clear(folder: Path) -> None:
 
 
 def write_manifest(folder: Path, files: Iterable[StoredFile]) -> None:
-    """Write the hashes of all files of a report, last of all, when the ledger is closed.
+    """Write the hashes of all files in ``folder``, last of all, when the ledger is closed.
 
     ``files`` have their hashes already.
 
@@ -188,7 +188,7 @@ def read_manifest(folder: Path) -> dict[str, str]:
 
 
 def stored_files(folder: Path) -> Iterator[StoredFile]:
-    """Yield the files of a report that its evidence lists: all apart from those in ``MADE``."""
+    """Yield the files in ``folder`` that the evidence lists: all apart from those in ``MADE``."""
     for name in names_in(folder):
         path = folder / name
         if name not in MADE:
@@ -210,7 +210,7 @@ _NOT_XML = re.compile(r"[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
 def junit_xml(evidence: Evidence) -> str:
-    """Return the claims as JUnit XML, for machines that gate on tests.
+    """Return the claims of ``evidence`` as JUnit XML, for machines that gate on tests.
 
     A stratum is a suite, and a claim is a case. Only a claim with the status SHOWN passes. A refuted claim is
     a failure. So is a violated claim without a target; without a violation it is skipped. Every remaining

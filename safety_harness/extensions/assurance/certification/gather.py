@@ -271,14 +271,14 @@ def _origin(plan: Plan, ledger: Ledger, folder: Path, command: str) -> Origin:
 
 
 def libraries_of(ledger: Ledger) -> tuple[tuple[str, str], ...]:
-    """Return the libraries of the declared runs with their versions."""
+    """Return the libraries of the declared runs in ``ledger`` with their versions."""
     prefix = "the library "
     parts = ledger.declared.identity.parts
     return tuple((name.removeprefix(prefix), text) for name, text in parts if name.startswith(prefix))
 
 
 def sessions_of(ledger: Ledger) -> tuple[str, str, float]:
-    """Return the beginning of the first session, the machines of all sessions, and the seconds in runs."""
+    """Return the first beginning, all machines, and the seconds in runs (s) of the sessions in ``ledger``."""
     sessions = list(ledger.all("SELECT began, machine, workers FROM session ORDER BY id"))
     ((spent_s,),) = ledger.all("SELECT coalesce(sum(seconds), 0.0) FROM episode")
     machines = dict.fromkeys(f"{machine}; {workers} workers" for _, machine, workers in sessions)

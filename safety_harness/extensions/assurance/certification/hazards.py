@@ -16,7 +16,7 @@ from safety_harness.extensions.assurance.certification.evidence import HazardEvi
 
 
 def hazards_of(plan: Plan, ledger: Ledger) -> tuple[HazardEvidence, ...]:
-    """Return every hazard of the plan with its rates.
+    """Return every hazard of ``plan`` with its rates from ``ledger``.
 
     There is no rate while runs are missing, or without a rate of approaches.
     """

@@ -1,4 +1,4 @@
-"""The hashes for lodging elsewhere: the declaration of a plan before its runs, and the seal of its report.
+"""The hashes to lodge: the declaration of a plan before its runs, and the seal of its report.
 
 A declaration, which ``certify declare`` writes, holds plan, seed, avoider, targets and software, by name.
 
@@ -211,13 +211,16 @@ class Seal(Lodged):
 
 
 def seal_of(folder: Path, ledger: Ledger) -> Seal:
-    """Return the seal of a report in its present state."""
+    """Return the seal of the report in ``folder``, with its open ``ledger``, in its present state."""
     declaration = read_evidence(folder / JSON).record.declaration_sha256
     return Seal(root_of(ledger), declaration, sha256_of(folder / MANIFEST))
 
 
 def seal_file(folder: Path) -> Path:
-    """Return the file for a report's seal, beside the folder: inside, the seal would not cover it."""
+    """Return the file for the seal of the report in ``folder``, beside it.
+
+    A file in the folder would not be covered by the seal.
+    """
     whole = folder.resolve()
     return whole.with_name(whole.name + ".seal.json")
 

@@ -71,14 +71,14 @@ def _meanings(evidence: Evidence) -> dict[ClaimStatus, str]:
 
 
 def render(evidence: Evidence, runs: Mapping[int, JudgedRun]) -> str:
-    """Return the page of ``drawn`` as text: equal arguments give equal bytes."""
+    """Return the page of ``drawn`` for ``evidence`` and ``runs``: equal arguments give equal bytes."""
     return drawn(evidence, runs)[0]
 
 
 def drawn(evidence: Evidence, runs: Mapping[int, JudgedRun]) -> tuple[str, Evidence]:
     """Return the page as text, and the evidence with a finding for each part that could not be drawn.
 
-    The page loads no data from elsewhere.  A page that fails as a whole has the JSON as its text.
+    The page loads no data over the network.  A page that fails as a whole has the JSON as its text.
 
     Args:
         evidence: The evidence.

@@ -108,7 +108,7 @@ def without_proof(folder: Path) -> None:
 
 @lru_cache(maxsize=2)
 def evidence_of(certified: CertifiedNetwork, file: Path) -> tuple[CertifiedProofs, tuple[ProofRegion, ...]]:
-    """Check a certificate, and return its claims and the region of each.
+    """Check the certificate in ``certified``, and return its claims and the region of each.
 
     ``file`` is its origin, for errors.
 

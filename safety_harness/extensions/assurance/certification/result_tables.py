@@ -37,14 +37,14 @@ from safety_harness.report.words import with_minus
 
 
 def margin_words(margin_si: float | None, claim: ClaimEvidence) -> str:
-    """Return a margin (SI) with its sign, in the claim's unit; a dash for None."""
+    """Return ``margin_si`` (SI) with its sign, in the claim's unit; a dash for None."""
     if margin_si is None:
         return DASH
     return with_minus(shown_margin(margin_si * claim.per_si, claim.unit))
 
 
 def at_least_words(margin_si: float, claim: ClaimEvidence) -> str:
-    """Return a lower limit of a margin (SI), in the claim's unit, rounded down."""
+    """Return ``margin_si`` (SI), a lower limit of a margin, in the claim's unit, rounded down."""
     shown = margin_si * claim.per_si
     digit = 0.1 if abs(shown) >= 1.0 else 10.0 ** (math.floor(math.log10(max(abs(shown), 1e-300))) - 2)
     return with_minus(shown_margin(math.floor(shown / digit + 1e-9) * digit, claim.unit))
@@ -188,7 +188,7 @@ def _bounds(outcome: ClaimResult | OverrulingResult) -> TableCell:
 
 
 def quantiles(claim: ClaimEvidence) -> CellTable:
-    """Return the table of the margins that most runs keep."""
+    """Return the table of the margins of ``claim`` that most runs keep."""
     return table_of(
         "Margins that most runs keep.",
         [(outcome.stratum, quantile) for outcome in claim.outcomes for quantile in outcome.quantiles],

@@ -209,7 +209,7 @@ _SUMS = (
 
 
 def strata_of(plan: Plan, ledger: Ledger) -> tuple[StratumResult, ...]:
-    """Return the results of each stratum of ``plan``."""
+    """Return the results of each stratum of ``plan`` from ``ledger``."""
     hashes = {file.name: file.sha256 for file in ledger.files}
     return tuple(_stratum(plan, ledger, place, hashes) for place in range(len(plan.strata)))
 
@@ -238,7 +238,10 @@ def _stratum(plan: Plan, ledger: Ledger, place: int, hashes: dict[str, str]) -> 
 
 
 def overruling_of(ledger: Ledger) -> tuple[OverrulingResult, ...]:
-    """Return how often the gate overruled the avoider in each stratum, each with an interval of its own."""
+    """Return how often the gate overruled the avoider in each stratum of ``ledger``.
+
+    Each has an interval of its own.
+    """
     return tuple(_overruling(ledger, place, name) for place, name in enumerate(ledger.declared.strata))
 
 

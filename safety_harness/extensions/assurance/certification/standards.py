@@ -17,7 +17,7 @@ from safety_harness.claims.properties.entry import CatalogueEntry
 from safety_harness.extensions.assurance.certification.evidence import StandardTerm
 from safety_harness.scenario.typed_json import typed
 
-TABLE, ASKED = (Path(__file__).with_name(name) for name in ("standards.yaml", "questions.yaml"))
+TABLE, QUESTIONS_FILE = (Path(__file__).with_name(name) for name in ("standards.yaml", "questions.yaml"))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,9 +75,9 @@ class AssessorQuestion:
 
 
 QUESTIONS = typed(
-    YAML(typ="safe", pure=True).load(ASKED.read_text("utf-8")),
+    YAML(typ="safe", pure=True).load(QUESTIONS_FILE.read_text("utf-8")),
     tuple[AssessorQuestion, ...],
-    ASKED,
+    QUESTIONS_FILE,
     defaults=True,
 )
 CELL, ROBOT, RISK = (STANDARDS[key].name for key in ("cell", "robot", "risk"))
@@ -197,7 +197,7 @@ OWN = _traced("not stated by the plan: the claim is a formula of its author's")
 
 
 def standards_of(entry: CatalogueEntry) -> Iterator[tuple[str, str]]:
-    """Yield the line of a claim's description that names its standards."""
+    """Yield the line that names the standards of the catalogue's ``entry``, for its description."""
     terms = TRACED.get(entry.example, OWN).terms
     yield "standards", "; ".join(f"{item.standard}: {item.term}" for item in terms) or "none"
 

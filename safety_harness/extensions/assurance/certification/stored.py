@@ -84,7 +84,7 @@ def came_nearest(plan: Plan, stored: Sequence[Stored], stratum: int, claim: int)
 
 
 def untried_in(plan: Plan, stored: Sequence[Stored]) -> list[str]:
-    """Return a line for each part of a stratum that no stored run tried.
+    """Return a line for each part of a stratum of ``plan`` that no ``stored`` run tried.
 
     A part also counts as tried if one of ``MOST_SUPPOSED`` draws would try it beside an arm that stands
     still.
@@ -110,7 +110,10 @@ def judged_run(trace: Trace) -> JudgedRun:
 
 
 def separation_of(plan: Plan, stored: Sequence[Stored]) -> Iterator[SeparationCase]:
-    """Yield, for each stratum, the random run whose pair has the least margin, for a hand that reaches."""
+    """Yield, for each stratum of ``plan``, the ``stored`` run with the least margin of protective separation.
+
+    The hands reach: the claim assumes the speed of a reaching hand.
+    """
     prop = property_of(
         replace(plan.claims[0].claim, sentence=ProtectiveSeparation().sentence), plan.strata[0].space.simplest
     )
@@ -141,7 +144,7 @@ def separation_of(plan: Plan, stored: Sequence[Stored]) -> Iterator[SeparationCa
 
 
 def calibration_of(plan: Plan, stored: Sequence[Stored]) -> Iterator[CalibrationCheck]:
-    """Yield, for each stratum, how often the avoider's intervals held."""
+    """Yield, for each stratum of ``plan``, how often the avoider's intervals held in the ``stored`` runs."""
     for place, stratum in enumerate(plan.strata):
         model = model_of(plan.with_avoider(stratum.space.simplest))
         prop = SpreadCalibration(intervals=None if model is None else IntervalRule.of(model))
@@ -163,7 +166,7 @@ _CELLS = (
 
 
 def coverage_of(ledger: Ledger) -> CoverageOfRuns:
-    """Return the coverage by all runs of the plan; a run with a hand is in one cell."""
+    """Return the coverage by all runs in ``ledger``; a run with a hand is in one cell."""
     rows = [(labels.split(", "), int(runs), int(bad)) for labels, runs, bad in ledger.all(_CELLS)]
     cells = tuple(
         CellCount(*labels, runs=runs, violating=bad) for labels, runs, bad in rows if len(labels) == len(AXES)

@@ -42,31 +42,38 @@ class CellTable:
 
 
 def table_of(caption: str, things: Iterable[T], columns: Mapping[str, Callable[[T], TableCell]]) -> CellTable:
-    """Return a table with a row for each of ``things``, and a cell for each of the named ``columns``."""
+    """Return a table with a row for each of ``things``.
+
+    Args:
+        caption: The text above the table.
+        things: The objects of the rows.
+        columns: For each column's name, a function that returns the cell of a thing.
+
+    """
     rows = tuple(tuple(cell(thing) for cell in columns.values()) for thing in things)
     return CellTable(caption, tuple(columns), rows)
 
 
 def text_cell(text: str, *, href: str = "", note: str = "", row: str = "") -> TableCell:
-    """Return a cell of text."""
+    """Return a cell of ``text`` with a ``note``; ``href`` is its target, ``row`` the id of the row."""
     return TableCell(text=text, href=href, note=note, row=row)
 
 
 def number(text: str, sort: float | None = None, href: str = "") -> TableCell:
-    """Return a cell of a number, sorted by ``sort``, that leads to the counted items (``href``)."""
+    """Return a cell of the number ``text``, sorted by ``sort``; ``href`` leads to the counted items."""
     return TableCell(text=text, number=True, sort="" if sort is None else repr(float(sort)), href=href)
 
 
 def count(value: int, href: str = "") -> TableCell:
-    """Return a cell of a whole number; zero leads nowhere."""
+    """Return a cell of the whole number ``value`` that leads to ``href``; zero leads nowhere."""
     return number(f"{value:,}".replace(",", "\u202f"), value, href if value else "")
 
 
 def standing(value: ClaimStatus) -> TableCell:
-    """Return a cell of a claim's status."""
+    """Return a cell of the status ``value`` of a claim."""
     return TableCell(text=value.value, state=STATE[value])
 
 
 def millimetres(length_m: float) -> TableCell:
-    """Return a cell of a length (m) in mm."""
+    """Return a cell of ``length_m`` in mm."""
     return number(with_minus(f"{length_m * 1e3:.0f} mm"), length_m)

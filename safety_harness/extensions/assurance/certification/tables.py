@@ -236,7 +236,7 @@ def files(evidence: Evidence) -> CellTable:
 
 
 def agreement(known: WorldAgreement) -> CellTable:
-    """Return the table of the largest differences between the two worlds."""
+    """Return the table of the largest differences between the two worlds, from their ``known`` agreement."""
     present = "this very source" if known.present else f"another source, {known.source_hash}"
     return table_of(
         f"The two worlds on the same {known.scenarios} scenarios, measured with {present}: "
@@ -249,7 +249,7 @@ def agreement(known: WorldAgreement) -> CellTable:
 
 
 def cell_lines(known: RecordedCell) -> CellTable:
-    """Return the table of the differences between both worlds and the log of a cell."""
+    """Return the table of the differences between both worlds and the log of the cell ``known``."""
     cell = known.comparison
     source = "this very source" if known.present else f"another source, {cell.source_hash}"
     rows = [(world.world, line) for world in cell.worlds for line in world_lines(world, cell.usually)]
@@ -267,7 +267,10 @@ def cell_lines(known: RecordedCell) -> CellTable:
 
 
 def rerun(known: Rerun) -> CellTable:
-    """Return the table of the changes when declared random runs are repeated with another step or world."""
+    """Return the table of the changes when declared random runs are repeated with another step or world.
+
+    ``known`` has their results.
+    """
     return table_of(
         f"{count_words(known.runs, 'declared random run', 'declared random runs')} again "
         f"{known.how}: {known.changed} of {known.verdicts} verdicts change, "
@@ -278,7 +281,7 @@ def rerun(known: Rerun) -> CellTable:
 
 
 def oracles(known: Credibility) -> CellTable:
-    """Return the table of the parts that were checked against independent software."""
+    """Return the table of the parts that were checked against independent software, from ``known``."""
     return table_of(
         "Parts checked against software that is not ours, with the largest disagreement seen "
         f"({known.oracles_measured_with}).",
@@ -292,7 +295,7 @@ def oracles(known: Credibility) -> CellTable:
 
 
 def kills(test: SelfTest) -> CellTable:
-    """Return the table of every seeded fault with the claim that caught it."""
+    """Return the table of every seeded fault in ``test`` with the claim that caught it."""
     survived = TableCell(text="survived", state="violated")
     return table_of(
         f"Faults seeded into the system, profile {test.profile}: {test.caught} of {len(test.faults)} "

@@ -240,7 +240,7 @@ class _Oracle:
 
 
 def read_selftest(path: Path) -> SelfTest:
-    """Read a selftest.json.
+    """Read the selftest.json in ``path``.
 
     Raises:
         InputError: The file is no selftest.json, or its trial has no fault; the error names the field.
@@ -265,7 +265,7 @@ def read_selftest(path: Path) -> SelfTest:
 
 
 def read_cell(path: Path) -> RecordedCell:
-    """Read a file that ``compare-worlds`` wrote.
+    """Read ``path``, a file that ``compare-worlds`` wrote.
 
     Raises:
         InputError: The file is another.
@@ -277,7 +277,7 @@ def read_cell(path: Path) -> RecordedCell:
 
 
 def read_oracles(path: Path) -> tuple[Oracle, ...]:
-    """Read the table that ``make oracles`` writes.
+    """Read ``path``, the table that ``make oracles`` writes.
 
     Raises:
         InputError: The file is another.

@@ -94,12 +94,12 @@ def standing_of(
 
 
 def worst_status(standings: Iterable[ClaimStatus]) -> ClaimStatus:
-    """Return the most severe status; UNTESTED without any."""
+    """Return the most severe of ``standings``; UNTESTED without any."""
     return max(standings, key=SEVERITY.index, default=ClaimStatus.UNTESTED)
 
 
 def overall(outcomes: Sequence[ClaimResult]) -> tuple[ClaimStatus, str]:
-    """Return a claim's status over its strata, with the reason of the most severe stratum."""
+    """Return a claim's status over its ``outcomes``, with the reason of the most severe stratum."""
     standing = worst_status(outcome.standing for outcome in outcomes)
     if not outcomes:
         return standing, "the plan has no stratum"
@@ -112,7 +112,7 @@ def overall(outcomes: Sequence[ClaimResult]) -> tuple[ClaimStatus, str]:
 
 
 def percent(share: float) -> str:
-    """Return a probability in per cent, with two or three significant digits.
+    """Return the probability ``share`` in per cent, with two or three significant digits.
 
     A positive probability never becomes 0 %, and a probability below 1 never becomes 100 %.
     """
@@ -125,7 +125,7 @@ def percent(share: float) -> str:
 
 
 def at_most(share: float) -> str:
-    """Return an upper bound in per cent; its digits are never below it."""
+    """Return the upper bound ``share`` in per cent; its digits are never below it."""
     return f"{100.0 * float(rounded_up(share)):.3g} %"
 
 
@@ -139,17 +139,17 @@ def beside_target(bound: Bound, target: float) -> tuple[str, str]:
 
 
 def hourly(rate: float) -> str:
-    """Return an upper bound per hour; its digits are never below it."""
+    """Return the upper bound ``rate`` per hour; its digits are never below it."""
     return f"{float(rounded_up(rate)):.3g}"
 
 
 def at_least(share: float) -> str:
-    """Return a lower bound in per cent; its digits are never above it."""
+    """Return the lower bound ``share`` in per cent; its digits are never above it."""
     return f"{100.0 * float(rounded_down(share)):.3g} %"
 
 
 def overruling_line(row: OverrulingResult) -> str:
-    """Return how often the gate overruled the avoider in a stratum, and in how many of its runs."""
+    """Return how often the gate overruled the avoider in the stratum of ``row``, and in how many runs."""
     bound = row.bound
     ends = "" if bound is None else f" ({at_least(bound.lower)} to {at_most(bound.upper)}, 95 % alone)"
     return f"{row.stratum}: {row.words}; in {row.runs_overruled} of {row.runs} runs with a proposal{ends}"

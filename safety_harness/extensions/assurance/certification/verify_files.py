@@ -192,7 +192,7 @@ def _wrongly_stopped(known: Plan, ledger: Ledger) -> Iterator[str]:
 
 
 def check_rows(ledger: Ledger) -> Examination:
-    """Check that every row belongs to a declared run, has the right types, and occurs once.
+    """Check that every row of ``ledger`` belongs to a declared run, has the right types, and occurs once.
 
     It comes before every computation, which relies on the rows.
     """
@@ -298,7 +298,7 @@ _ODD = {
 
 
 def kept(known: Plan, ledger: Ledger) -> Iterator[str]:
-    """Yield runs whose seeds are not the plan's, and traces that are missing or wrongly marked."""
+    """Yield wrong seeds in ``ledger``, and missing or wrongly marked traces, by the plan ``known``."""
     distinct = "SELECT DISTINCT stratum, episode FROM judgement WHERE outcome = ?"
     violating = set(ledger.all(distinct, int(EpisodeOutcome.VIOLATED)))
     every = "SELECT stratum, episode FROM judgement GROUP BY 1, 2 HAVING min(outcome) = ?"

@@ -127,7 +127,10 @@ def check_pages(report: ReportFolder, gathered: GatheredEvidence) -> Examination
 
 
 def differences(there: bytes, made: bytes) -> tuple[str, ...]:
-    """Return the lines in which a page differs from its copy ``made`` here; empty within the tolerance."""
+    """Return the lines in which the page ``there`` differs from its copy ``made`` here.
+
+    Places within the tolerance do not differ.
+    """
     (text, places), (own_text, own_places) = _parted(there), _parted(made)
     if text != own_text:
         style, text = _without_style(text, own_text)
@@ -162,7 +165,7 @@ def _parted(page: bytes) -> tuple[bytes, list[float]]:
 
 
 def passed_in(junit: bytes) -> list[tuple[str, str]] | None:
-    """Return stratum and claim of each case of a JUnit file that passes; None if the file is no XML."""
+    """Return stratum and claim of each case of ``junit`` that passes; None if it is no XML."""
     try:
         cases = ElementTree.fromstring(junit).iter("testcase")
         passed = (case for case in cases if _NOT_PASSED.isdisjoint(child.tag for child in case))
@@ -197,8 +200,8 @@ def _texts(page: bytes, openings: re.Pattern[bytes]) -> Iterator[tuple[bytes, by
 def _without_style(there: bytes, made: bytes) -> tuple[tuple[str, ...], bytes]:
     """Return a line if the style sheet is another, and the page with the style sheet that is ``made`` here.
 
-    This holds only if all before it is the same: elsewhere a browser might not take it as a style sheet, and
-    show it.
+    This holds only if all before it is the same. In another place a browser might not take it as a style
+    sheet, and show it.
     """
     theirs, ours = _styled(there), _styled(made)
     if theirs is None or ours is None or theirs[0] != ours[0] or theirs[1] == ours[1]:
@@ -233,7 +236,7 @@ def _traces(folder: Path, gathered: GatheredEvidence) -> Iterator[str]:
 
 
 def bytes_of(path: Path) -> bytes:
-    """Return the bytes of a file in a report, which may come from a stranger.
+    """Return the bytes of ``path``, a file in a report that may come from a stranger.
 
     Raises:
         InputError: The file cannot be read, or is too large.

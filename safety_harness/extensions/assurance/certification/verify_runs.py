@@ -92,7 +92,10 @@ class Drawing:
 
 
 def drawn(there: int, again: int, seed: int) -> list[int]:
-    """Return the numbers of the runs to repeat; each set of ``again`` out of ``there`` is equally likely."""
+    """Return the numbers of the runs to repeat, drawn with ``seed``.
+
+    Each set of ``again`` runs out of ``there`` is equally likely.
+    """
     rng = generator(seed, Branch.CAMPAIGN, 1)
     return sorted(rng.choice(there, again, replace=False).tolist())
 
@@ -182,7 +185,7 @@ class Compared:
         self.far += not all(_is_close(*pair) for pair in pairs)
 
     def add_trace(self, stored: Trace, row: Row) -> None:
-        """Compare a stored trace with the trace of the repeated run, bit by bit."""
+        """Compare a stored trace, bit by bit, with the trace of the repeated run in ``row``."""
         if row.trace is None:  # the run fails here, of which its row tells
             return
         again = trace_of(self.plan, row.stratum, row.trace)
@@ -194,7 +197,7 @@ class Compared:
             self.faults.append(f"{self.where(row.stratum, row.episode)}: its stored trace: {difference}")
 
     def where(self, stratum: int, episode: int) -> str:
-        """Return the name of a run: its stratum and its number."""
+        """Return the name of a run: its stratum and ``episode``."""
         return f"{self.plan.strata[stratum].name}, run {episode}"
 
     @property

@@ -92,8 +92,7 @@ def certify(
     is no certificate, and says so. The command prints a line for each claim.
 
     certify declare PLAN, before, and certify seal REPORT, after, print hashes
-    for lodging elsewhere. The command refuses a plan that differs from its
-    declaration.
+    to lodge. The command refuses a plan that differs from its declaration.
 
     Bounds come from the plan's own independent runs. The report has the
     findings of its search too, but they estimate no probability.
@@ -243,8 +242,8 @@ def declare(
 ) -> int:
     """Print a hash over plan, seed, avoider, targets and software.
 
-    Lodge it elsewhere before the runs. Later, verify REPORT --declared HASH
-    shows that the report is of the declared plan.
+    Lodge it before the runs, where its date cannot change. Later, verify REPORT
+    --declared HASH shows that the report is of the declared plan.
 
     Exit code 0: the declaration is written.
     Exit code 2: bad input, or another declaration is there.
@@ -273,8 +272,8 @@ def seal_report(
 ) -> int:
     """Print a hash over a report's rows, declaration and files.
 
-    Lodge it elsewhere. The file REPORT.seal.json has it too. Later, verify
-    REPORT --seal HASH shows that no file was altered since.
+    Lodge it where it cannot change. The file REPORT.seal.json has it too.
+    Later, verify REPORT --seal HASH shows that no file was altered since.
 
     Exit code 0: the seal is written.
     Exit code 1: files of the report differ from its manifest.
