@@ -68,7 +68,7 @@ def rows_to_turn(outcome: ClaimResult, target: float | None, *, early: bool) -> 
 
 def _least_rows(outcome: ClaimResult, target: float | None, chance: float, early: bool) -> Iterator[int]:
     """Yield the least number of altered rows that gives the outcome each different status."""
-    yield outcome.tested  # all of them, never put to the test
+    yield outcome.tested  # every tested row must change to leave the claim untested
     if target is None:
         return
     lower, upper = (anytime_lower, anytime_upper) if early else (lower_bound, upper_bound)
@@ -76,7 +76,7 @@ def _least_rows(outcome: ClaimResult, target: float | None, chance: float, early
     bad = violated + outcome.inconclusive + outcome.failed
 
     def refuted(rows: int) -> bool:
-        new = max(rows - (tested - violated), 0)  # that were untested
+        new = max(rows - (tested - violated), 0)  # rows that were untested before
         return lower(violated + rows, tested + new, chance) > target
 
     def met(rows: int) -> bool:

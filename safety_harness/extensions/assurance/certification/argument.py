@@ -42,7 +42,7 @@ STATE = {
     ClaimStatus.REFUTED: FAILS,
     ClaimStatus.ESTIMATED: OPEN,
 }
-MOST_STRATA = 4  # of a claim, the gravest first; the rest in one element
+MOST_STRATA = 4  # elements of a claim, the most severe first; one element has the rest
 
 
 class ElementKind(Enum):
@@ -183,10 +183,10 @@ def _hazard(hazard: HazardEvidence, claims: list[ClaimEvidence], *, rated: bool)
     """
     limit = "" if hazard.asked_an_hour is None else f", at most {hazard.asked_an_hour:g} an hour"
     rates = {
-        one.claim: Element(
-            ElementKind.SOLUTION, f"At most {hourly(one.an_hour)} an hour", "rates", DONE if rated else DOUBT
+        row.claim: Element(
+            ElementKind.SOLUTION, f"At most {hourly(row.an_hour)} an hour", "rates", DONE if rated else DOUBT
         )
-        for one in hazard.rates
+        for row in hazard.rates
     }
     beside = [
         Element(ElementKind.CONTEXT, f"{hazard.task}; {hazard.zone}; {hazard.body_region}", "rates"),
@@ -198,13 +198,13 @@ def _hazard(hazard: HazardEvidence, claims: list[ClaimEvidence], *, rated: bool)
     ]
     if hazard.approaches:
         beside.append(Element(ElementKind.ASSUMPTION, f"Approaches: {hazard.approaches}", "rates"))
-    state = STATE[worst_status(one.standing for one in claims)]
+    state = STATE[worst_status(row.standing for row in claims)]
     return Element(
         ElementKind.GOAL,
         f"Kept rare: {hazard.name}{limit} ({hazard.event})",
         "rates",
         DOUBT if state == DONE and not rated else state,
-        tuple(_claim(one, (rates[one.number],) if one.number in rates else ()) for one in by_gravity(claims)),
+        tuple(_claim(row, (rates[row.number],) if row.number in rates else ()) for row in by_gravity(claims)),
         tuple(beside),
         name=f"hazard: {hazard.name}",
     )
@@ -223,7 +223,7 @@ def _claim(claim: ClaimEvidence, rates: tuple[Element, ...]) -> Element:
         label = f"{len(rest)} more strata: {rest[0].standing.value} at worst"
         strata.append(Element(ElementKind.SOLUTION, label, place, STATE[rest[0].standing]))
     untested = [row.stratum for row in claim.outcomes if not row.tested]
-    if strata and untested:  # a goal of its own, which nothing supports
+    if strata and untested:  # a separate goal, which no element supports
         label = f"{', '.join(untested)}: never put to the test"
         strata.append(Element(ElementKind.GOAL, label, place, STATE[ClaimStatus.UNTESTED]))
     below = (*strata, *rates) if strata else ()

@@ -25,7 +25,7 @@ from safety_harness.scenario.files import decode, read_bytes
 from safety_harness.scenario.nodes import parse_tree
 
 GSN, NOTES = "argument.gsn.yaml", "argument.yaml"
-MOST_LETTERS, MOST_BYTES = 2000, 2**20  # of a note, of all
+MOST_LETTERS, MOST_BYTES = 2000, 2**20  # letters of a note, bytes of the file
 _ABOUT = """\
 # Yours to write: a note on any element of the argument. certify keeps it and shows it as a justification of
 # yours; it changes no verdict. Run certify again when you have written, for the report has this file's hash.

@@ -15,7 +15,7 @@ from safety_harness.report.svg import plain
 WIDTH, PAD, LINE, GAP_X, GAP_Y = 176.0, 10.0, 15.0, 22.0, 12.0
 LETTERS = 25  # in a line of a box
 _HASH = re.compile(r"\b([0-9a-f]{16})[0-9a-f]{48}\b")
-INDENT = 12.0  # of what stands beside an element, which is drawn below it
+INDENT = 12.0  # of elements beside an element: the picture has them below it
 
 
 class _Box:

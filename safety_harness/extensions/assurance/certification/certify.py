@@ -106,7 +106,7 @@ class Certification:
         if pdf:
             browser()
         folder = folder or Path("reports") / plan.name
-        read_notes(folder)  # which may be none that can be read
+        read_notes(folder)  # the check: an unreadable file is refused before any run
         certificate = proof or plan.proof
         certified = None if certificate is None else read_certified(certificate, plan)
         trials = HarnessTrials(

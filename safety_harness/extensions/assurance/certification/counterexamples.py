@@ -38,9 +38,9 @@ from safety_harness.trace.unmeasured import refuse_not_simulated
 
 FOLDER = "counterexamples"
 LARGEST_SCENARIO_BYTES = 2**20
-MOST = 40  # with pictures on the page: drawings and a replay take some 0.2 MB, 0.3 at most
+MOST = 40  # with pictures on the page: the pictures of each take some 0.2 MB, 0.3 at most
 MOST_LINES = 14
-MOST_ASKED = 2  # kinds of violation of each claim, the worst, of which it is told whose fault they are
+MOST_ASKED = 2  # the worst kinds of violation of each claim get an attribution
 FAULT = "whose fault: "
 TO = "A counterexample to:"
 
@@ -92,7 +92,7 @@ def declared_counterexamples(plan: Plan, ledger: Ledger) -> Iterator[Example | s
                 continue
             try:
                 run = judged_run(trace_of(plan, kind.stratum, data))
-            except Exception as error:  # a claim that cannot be judged again, say
+            except Exception as error:  # such as a claim that cannot be judged again
                 why = error.got if isinstance(error, InputError) else described(error)
                 yield f"{stratum}, run {kind.episode}: its stored trace cannot be read: {why}"
                 continue
@@ -129,7 +129,7 @@ def _circumstances(run: JudgedRun) -> tuple[str, ...]:
         lines = circumstances(run.trace)
     except InputError:
         return ("where it lies relative to the training data is not known: its network is not there",)
-    except Exception as error:  # no reason to lose the report
+    except Exception as error:  # a missing line is no reason to lose the report
         return (f"where it lies relative to the training data is not known: {described(error)}",)
     more = len(lines) - MOST_LINES
     return tuple(lines[:MOST_LINES]) + ((f"and {more} more decisions",) if more > 0 else ())

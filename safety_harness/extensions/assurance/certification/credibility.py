@@ -22,7 +22,7 @@ from safety_harness.report.words import with_minus
 from safety_harness.scenario.model import Scenario, Verdict
 from safety_harness.trace.trace import Trace
 
-MOST_RERUNS = 12  # some seconds
+MOST_RERUNS = 12  # they take some seconds
 NO_CELL = "Nothing here was measured on a real cell."
 
 
@@ -38,7 +38,7 @@ def credibility_of(
 
     """
     complete = [item.trace for item in stored if item.trace.complete]
-    chosen = complete[:: max(1, -(-len(complete) // MOST_RERUNS))]  # evenly
+    chosen = complete[:: max(1, -(-len(complete) // MOST_RERUNS))]  # spread evenly
     absent = _no_reruns(chosen)
     if reruns is None or absent:
         reruns = () if absent else _reruns_of(chosen)
@@ -134,7 +134,7 @@ def _rerun(
         verdicts += len(first)
         try:
             second = judge(run_trial(admit(change(trace.scenario)), world=world))
-        except Exception:  # also of a user's program, whatever it raises
+        except Exception:  # a user's program may raise anything
             changed += len(first)
             continue
         for old, new in zip(first, second, strict=True):

@@ -111,7 +111,7 @@ class EvidenceDelta:
     bounds: tuple[BoundChange, ...]
     opened: tuple[str, ...]
     closed: tuple[str, ...]
-    reworded: tuple[tuple[str, str], ...]  # findings that are open still, with other numbers
+    reworded: tuple[tuple[str, str], ...]  # findings that are still open, with other numbers
     carried: tuple[CarriedPart, ...]
 
     @property

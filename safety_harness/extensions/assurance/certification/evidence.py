@@ -33,9 +33,9 @@ LATER = (
     "hazards",
     "notes",
     "learned",
-)  # fields that stand in the JSON only where there is something in them
-UNMADE = "cannot be made"  # of a part of the report that failed after the runs
-UNANSWERED = "decision faults"  # among a stratum's decisions: those without a usable answer of the avoider
+)  # the JSON has these fields only if they are not empty
+UNMADE = "cannot be made"  # marks the finding on a part of the report that failed after the runs
+UNANSWERED = "decision faults"  # key of a stratum's decisions without a usable answer of the avoider
 
 
 class ClaimStatus(Enum):
@@ -44,7 +44,7 @@ class ClaimStatus(Enum):
     # from best to worst: SEVERITY and the verdict of a plan depend on this order
     SHOWN = "shown"
     ESTIMATED = "estimated only"  # the plan sets no target
-    DOUBTED = "shown with doubt"  # runs without a verdict count against it; model only; by the fallback
+    DOUBTED = "shown with doubt"  # some run has no verdict, or model only, or by the fallback
     NOT_SHOWN = "not shown"
     INCOMPLETE = "runs missing"
     UNTESTED = "never put to the test"
@@ -257,7 +257,7 @@ class SystemDescription:
     Pairs are (label, value) in words.  ``gate`` is empty without a gate.
     """
 
-    under_test: tuple[SystemUnderTest, ...]  # each that a stratum has
+    under_test: tuple[SystemUnderTest, ...]  # the different systems of the strata
     card: tuple[tuple[str, str], ...]
     limits: tuple[str, ...]
     gate: tuple[tuple[str, str], ...]
@@ -407,7 +407,7 @@ class EvidenceProvenance:
     machine: str
     libraries: tuple[tuple[str, str], ...]
     command: str
-    commands: tuple[str, ...]  # by which each part can be made again
+    commands: tuple[str, ...]  # each repeats a part of the report
     began_at: str
     ended_at: str
     run_seconds_s: float
@@ -508,11 +508,11 @@ class Evidence:
     record: Record
     provenance: EvidenceProvenance
     files: tuple[StoredFile, ...]
-    proven: CertifiedProofs | None = None  # about the avoider's network, where a certificate was given
-    hazards: tuple[HazardEvidence, ...] = ()  # where the plan names any
-    notes: tuple[ArgumentNote, ...] = ()  # where its author wrote any
-    learned: LearnedPart | None = None  # where an avoider is a network
-    shields: tuple[str, ...] = ()  # how their theorem stands, where a stratum has one
+    proven: CertifiedProofs | None = None  # about the avoider's network; None without a certificate
+    hazards: tuple[HazardEvidence, ...] = ()  # the plan's hazards
+    notes: tuple[ArgumentNote, ...] = ()  # the author's notes on the argument
+    learned: LearnedPart | None = None  # None if no part can be learned
+    shields: tuple[str, ...] = ()  # how the theorem of each shield stands
 
     @property
     def fallback(self) -> str:
@@ -619,7 +619,7 @@ def schema() -> dict[str, Any]:
     """
     document = msgspec.json.schema(Evidence)
     for kind in document["$defs"].values():
-        if kind.get("type") == "object":  # with all of its fields and no others
+        if kind.get("type") == "object":  # it has exactly these fields
             kind |= {"required": list(kind["properties"]), "additionalProperties": False}
             for part in kind["properties"].values():
                 part.pop("default", None)

@@ -42,7 +42,7 @@ LOG = f"{LEDGER}-wal"
 PASSING = (LOG, f"{LEDGER}-shm", f"{LEDGER}.lock")
 LARGEST_MANIFEST_BYTES = 2**21  # some 20,000 files
 LARGEST_TRACE_BYTES = 2**26
-MOST_OPENED_BYTES = 2**26  # of all that programs opened; of more, reports carry the hashes alone
+MOST_OPENED_BYTES = 2**26  # of all files that programs opened; a report has only the hashes of more
 
 
 def write_folder(folder: Path, gathered: GatheredEvidence, ledger: Ledger) -> Evidence:
@@ -115,8 +115,10 @@ def put_back_opened(report: Path, plan: Path, root: Path, ledger: Ledger) -> Non
         target = (plan.parent / name).resolve()
         if not sha256 or resolved(root) not in target.parents or is_file_of(target, sha256):
             continue
-        places = [one / sha256 for one in (report / OPENED, report.with_name(f"{report.name}.{OPENED}"))]
-        packed = next((one for one in places if is_file_of(one, sha256)), None)
+        places = [
+            folder / sha256 for folder in (report / OPENED, report.with_name(f"{report.name}.{OPENED}"))
+        ]
+        packed = next((folder for folder in places if is_file_of(folder, sha256)), None)
         if packed is None or target.exists():
             expected = f"{name} with the SHA-256 {sha256}, which its program opened"
             hint = f"put it at {places[1]}"
@@ -256,7 +258,7 @@ def _xml_text(text: str) -> str:
 
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
-LIMIT_S = 180.0
+LIMIT_S = 180.0  # for the browser to print
 
 
 def browser() -> str:

@@ -32,7 +32,7 @@ class ReportGuard:
             return make()
         except LedgerError:
             raise
-        except Exception as error:  # also of a user's program, whatever it raises
+        except Exception as error:  # a user's program may raise anything
             self.findings.append(OpenFinding(f"{part} {UNMADE}: {described(error)}", "strata"))
             substitute: T = otherwise
             return substitute

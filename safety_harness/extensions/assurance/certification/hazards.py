@@ -32,7 +32,7 @@ def _worst(plan: Plan, ledger: Ledger, claim: int, rated: set[str]) -> tuple[flo
         return None
     try:
         samples = [ledger.sample(item.name, plan.claims[claim].sentence) for item in plan.strata]
-    except StatisticsError:  # episodes are missing yet
+    except StatisticsError:  # episodes are still missing
         return None
     largest = plan.risks.error.worst_run(samples, len(rated_claims))
     return largest.high, largest.stratum

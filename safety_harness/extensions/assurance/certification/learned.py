@@ -49,7 +49,7 @@ LIFE = (
         "simulators against the log, which certify --cell takes in. No run of a cell enters a bound here",
     ),
 )
-TRAINING = "training"  # among the metadata of an ONNX file
+TRAINING = "training"  # a key in the metadata of an ONNX file
 MOST_LETTERS = 2000
 NOT_STATED = "not stated: on what, and how. The metadata of an ONNX file may say it under the name 'training'"
 PROGRAM = (
@@ -124,7 +124,7 @@ def _distance(
     decisions = [item.trace.decisions for item in stored if item.stratum == place]
     hands_m = np.concatenate([row["hand_position_in_base_m"] for row in decisions] or [np.empty((0, 3))])
     seen = seen_of(scenario).hand
-    outside = ~seen.contains(hands_m)  # a hand that is no number is not inside
+    outside = ~seen.contains(hands_m)  # NaN counts as outside
     far_m = seen.outside_m(hands_m[outside])
     far_m = far_m[np.isfinite(far_m)]
     return TrainingDistance(

@@ -58,9 +58,9 @@ MEANINGS = {
     ClaimStatus.INCOMPLETE: "declared runs are missing, so there is no bound yet",
 }
 
-MOST_LED = 3  # findings before the rest folds
-MOST_OPEN = 2  # counterexamples that are drawn as the page opens
-# Without --full a printed page has so many of each, the gravest first.
+MOST_LED = 3  # findings in view; the page folds the rest
+MOST_OPEN = 2  # counterexamples that the page draws when it opens
+# Without --full a printed page has at most this number of each, the most severe first.
 MOST_PRINTED, MOST_PRINTED_CLAIMS, MOST_PRINTED_ROWS = 3, 4, 25
 
 
@@ -87,7 +87,7 @@ def drawn(evidence: Evidence, runs: Mapping[int, JudgedRun]) -> tuple[str, Evide
     """
     guard = ReportGuard()
     page = guard.run("the page", lambda: _page(evidence, runs, guard), "")
-    if guard.findings:  # which the page has to name, too
+    if guard.findings:  # the page has to show them, too
         new = tuple(finding for finding in guard.findings if finding not in evidence.findings)
         evidence = replace(evidence, findings=(*evidence.findings, *new))
         page = page and guard.run("the page", lambda: _page(evidence, runs, ReportGuard()), "")

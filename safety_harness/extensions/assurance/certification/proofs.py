@@ -118,7 +118,7 @@ def evidence_of(certified: CertifiedNetwork, file: Path) -> tuple[CertifiedProof
     """
     try:
         lines = check(certified.certificate, certified.network)
-    except Exception as error:  # whatever a stranger's certificate makes of the checker
+    except Exception as error:  # a stranger's certificate may make the checker raise anything
         got = f"{type(error).__name__}: {error}"
         expected = "a certificate that the checker confirms"
         raise InputError(place=Place(file=file), expected=expected, got=got) from None

@@ -46,8 +46,8 @@ from safety_harness.extensions.assurance.statistics.planning import refuse_if_im
 from safety_harness.extensions.assurance.statistics.sample import EpisodeOutcome as Code
 from safety_harness.extensions.assurance.statistics.sample import Floats, IndependentSample
 
-CONTENTS = (0.9, 0.99, 0.999)
-MOST_POINTS = 240  # of a curve
+CONTENTS = (0.9, 0.99, 0.999)  # shares of runs whose margin is bounded from below
+MOST_POINTS = 240  # points of a curve
 
 
 def refuse_hopeless(plan: Plan) -> None:
@@ -113,7 +113,7 @@ def _outcome(plan: Plan, ledger: Ledger, stored: Sequence[Stored], place: int, c
     problem = ""
     try:
         sample = ledger.sample(stratum.name, planned.sentence)
-    except StatisticsError as error:  # episodes are missing yet, or rows contradict themselves
+    except StatisticsError as error:  # episodes are still missing, or rows contradict themselves
         problem = str(error)
         _, codes, margins = ledger.outcomes(place, claim)
     else:
@@ -140,7 +140,7 @@ def _outcome(plan: Plan, ledger: Ledger, stored: Sequence[Stored], place: int, c
     if standing is ClaimStatus.UNTESTED:
         try:
             why += f"; {came_nearest(plan, stored, place, claim)}"
-        except Exception as error:  # of a run judged again
+        except Exception as error:  # a run that is judged again may fail
             why += f"; how near a hand came {UNMADE}: {described(error)}"
     sure = np.isin(codes, (Code.HOLDS, Code.VIOLATED)) & np.isfinite(margins)
     shown, shares = _curve(np.sort(margins[sure]), without)
@@ -256,7 +256,7 @@ def _overruling(ledger: Ledger, place: int, stratum: str) -> OverrulingResult:
         raw = violation_bounds(overruled_episodes(ledger, place), LEVEL, Sides.BOTH)
         if raw.trials and not ledger.dependent:
             bound = Bound(lower=raw.low, upper=raw.high, confidence=raw.confidence, method=raw.method.value)
-    except StatisticsError:  # episodes are missing yet
+    except StatisticsError:  # episodes are still missing
         pass
     return OverrulingResult(
         stratum=stratum,

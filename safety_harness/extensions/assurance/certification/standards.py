@@ -65,7 +65,7 @@ STANDARDS = typed(
 class AssessorQuestion:
     """An assessor's question (``asks``) by the standard ``of``.
 
-    ``here`` and ``means`` are those of a Requirement.
+    A Requirement explains ``here`` and ``means``.
     """
 
     of: str
@@ -81,7 +81,7 @@ QUESTIONS = typed(
     defaults=True,
 )
 CELL, ROBOT, RISK = (STANDARDS[key].name for key in ("cell", "robot", "risk"))
-FORMERLY = STANDARDS["contact"].name  # its content is within the cell's standard now
+FORMERLY = STANDARDS["contact"].name  # the cell's standard has its content now
 
 
 @dataclass(frozen=True)
@@ -149,7 +149,7 @@ MEASUREMENT = _traced(
     "hands are taken to be where they are not", (CELL, "position uncertainty of the human, Z_d")
 )
 
-TRACED = {  # by the example in the entry of the catalogue
+TRACED = {  # keys: the examples of the catalogue's entries
     "hand distance never below 50 mm": DISTANCE,
     "no moving part touches a hand": SEPARATION,
     "protective separation kept": SEPARATION,

@@ -29,7 +29,7 @@ from safety_harness.search.coverage import AXES, CoverageCell
 from safety_harness.search.coverage import Coverage as Cells
 from safety_harness.trace.trace import Trace
 
-MOST_SUPPOSED = 100  # draws of a stratum
+MOST_SUPPOSED = 100  # draws of a stratum for parts that no run tried
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +57,7 @@ def random_traces(plan: Plan, ledger: Ledger) -> tuple[list[Stored], list[str]]:
         try:
             data = ledger.trace(stratum, episode) or b""
             stored.append(Stored(stratum, episode, trace_of(plan, stratum, data)))
-        except Exception as error:  # also of a scenario that cannot be read any more
+        except Exception as error:  # such as a scenario that cannot be read any more
             why = error.got if isinstance(error, InputError) else described(error)
             damaged.append(
                 f"{plan.strata[stratum].name}, run {episode}: its stored trace cannot be read: {why}"

@@ -19,8 +19,8 @@ from safety_harness.report.decisions import cost_words
 from safety_harness.report.words import changed_settings, drives_as_modelled, setting_words, unknown_files
 from safety_harness.scenario.model import Scenario
 
-DATA, LEARNING = "Data: ", "Learning: "  # how names begin of the data set's sheet and of the log of learning
-CARD = {  # what is shown of a model's card
+DATA, LEARNING = "Data: ", "Learning: "  # prefixes: data sheet, log of learning
+CARD = {  # keys of a model's card, and their labels
     "command": LEARNING + "made by",
     "recipe": LEARNING + "recipe",
     "software": LEARNING + "software",
@@ -103,7 +103,7 @@ def _datasheet(data: Mapping[str, Any], recipe: Mapping[str, Any]) -> Iterator[t
     answer = ANSWERS.get(str(recipe.get("target")), "not stated")
     known = {key: value for key, value in data.items() if isinstance(value, str | int)}
     for name, text in ("how many", amount), ("where from", origin), ("answers", answer):
-        with suppress(KeyError):  # a card that does not say it
+        with suppress(KeyError):  # a card without the values
             yield DATA + name, text.format(**known)
     yield DATA + "not in it", "two hands at once, recorded hands, and what lies outside of the corners below"
 

@@ -66,7 +66,7 @@ def standards(evidence: Evidence) -> CellTable:
     )
 
 
-_REQUIREMENTS = [(standard.name, one) for standard in STANDARDS.standards for one in standard.requirements]
+_REQUIREMENTS = [(standard.name, item) for standard in STANDARDS.standards for item in standard.requirements]
 
 
 def missing(_: Evidence) -> CellTable:
@@ -333,4 +333,4 @@ _EVERY: tuple[Callable[..., object], ...] = (
     ),
     *(agreement, cell_lines, rerun, oracles, kills, files),
 )
-TABLES = {make.__name__: make for make in _EVERY}  # as the page calls them
+TABLES = {make.__name__: make for make in _EVERY}  # the names that the page uses

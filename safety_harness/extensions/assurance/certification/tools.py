@@ -35,7 +35,7 @@ class WorldAgreement:
     verdicts: int
     disagreements: int
     optimistic: int
-    differences: tuple[tuple[str, str], ...]  # what, the largest
+    differences: tuple[tuple[str, str], ...]  # quantity, its largest difference
     source_hash: str
     present: bool
 
@@ -128,9 +128,9 @@ class FaultState(Enum):
     SURVIVES = "survives"
     LIMIT = "a stated limit"
     UNTOUCHED = "does not apply"
-    QUIET = "quiet"  # a harmless one, as it should be
+    QUIET = "quiet"  # a harmless change without an alarm, as expected
     FALSE_ALARM = "false alarm"
-    TRUE_ALARM = "true alarm"  # about a change that was declared harmless: geometry confirms it
+    TRUE_ALARM = "true alarm"  # geometry confirms the alarm about a change that was declared harmless
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -117,7 +117,7 @@ def percent(share: float) -> str:
     A positive probability never becomes 0 %, and a probability below 1 never becomes 100 %.
     """
     shown = 100.0 * share
-    if 99.995 <= shown < 100.0:  # two digits of what it lacks
+    if 99.995 <= shown < 100.0:  # two digits of the difference to 100 %
         return f"{shown:.{1 - floor(log10(100.0 - shown))}f}".rstrip("0") + " %"
     if shown == 0.0 or shown >= 99.95:
         return f"{shown:.4g} %"

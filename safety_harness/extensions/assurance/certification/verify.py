@@ -116,7 +116,7 @@ def _differs(lodged: str | Path, now: L, read: Callable[[Path], L], kind: str) -
     return [] if lodged == now.sha256 else [f"the {kind} of this report is {now.sha256}, not what was lodged"]
 
 
-MISS = 0.01
+MISS = 0.01  # the default of --miss
 
 
 def verify(

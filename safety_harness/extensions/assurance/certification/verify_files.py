@@ -33,7 +33,7 @@ from safety_harness.extensions.assurance.certification.folder import (
 from safety_harness.extensions.assurance.statistics.sample import EpisodeOutcome
 from safety_harness.scenario.model import EDITION
 
-MOST_NAMED = 10
+MOST_NAMED = 10  # faults of an examination; a last line counts the rest
 
 
 @dataclass(frozen=True)
@@ -85,13 +85,13 @@ def check_files(folder: Path, hashes: dict[str, str]) -> Examination:
     there = set(names_in(folder))
     faults += [f"{name} is not in the manifest" for name in sorted(there - hashes.keys() - set(REQUIRED))]
     paths = sorted(folder.rglob("*"))
-    linked = [one for one in paths if one.is_symlink() or not (one.is_file() or one.is_dir())]
-    faults += [f"{one.relative_to(folder)} is a link or a device, and no file" for one in linked]
-    unseen = [one.relative_to(folder) for one in paths if one.name.startswith(".") and one.is_file()]
+    linked = [path for path in paths if path.is_symlink() or not (path.is_file() or path.is_dir())]
+    faults += [f"{path.relative_to(folder)} is a link or a device, and no file" for path in linked]
+    unseen = [path.relative_to(folder) for path in paths if path.name.startswith(".") and path.is_file()]
     log = folder / LOG
     if log.exists() and (not log.is_file() or log.stat().st_size > 0):
         faults.append(f"{LOG}: changes of the ledger that are not in it")
-    mark = sha256_of(folder / MANIFEST)[:16]  # by which two people know that they have the same report
+    mark = sha256_of(folder / MANIFEST)[:16]  # two people compare it to know that they have the same report
     text = f"{len(hashes)} files and their hashes, {MANIFEST} {mark}"
     hidden = [f"{name}: a hidden file, which nothing here has looked into" for name in unseen]
     return Examination("files", text, few(faults), unchecked=few(hidden))

@@ -71,14 +71,14 @@ from safety_harness.scenario.typed_json import plain
 from safety_harness.trace.provenance import provenance
 
 LARGEST_PAGE_BYTES = 2**28
-TOLERANCE_PX = 0.1
+TOLERANCE_PX = 0.1  # a step of a coordinate's last decimal
 PROOF = (CERTIFICATE, NETWORK)
 _PLOT = re.compile(rb'<svg (?=[^<>]*role="img")(?![^<>]*"coverage-map-)')
 _VERDICT = re.compile(rb'<(span class="verdict [^"<>]*"|div class="banner [^"<>]*" role="note"><p><strong)>')
 _VERDICTS = re.compile(rb'<table class="[^"<>]*\bverdicts"[^<>]*>')
 _NUMBERS = re.compile(rb'<(td)[^<>]*class="number"[^<>]*>')
 _CLOSING = re.compile(rb"</(?:strong|td)>|(?<!</svg>)</span>")
-_HIDING = re.compile(rb"<!--|<template\b", re.IGNORECASE)  # no version's page has any
+_HIDING = re.compile(rb"<!--|<template\b", re.IGNORECASE)  # no version writes any: they could hide a verdict
 _LONGEST_BADGE = 2_000  # bytes, with its icon
 _MARKUP = re.compile(rb"<[^<>]*>")
 _TAG = re.compile(rb"<\w[^<>]*>")
@@ -102,12 +102,12 @@ def check_pages(report: ReportFolder, gathered: GatheredEvidence) -> Examination
     faults, notes = list(_traces(folder, gathered)), []
     unchecked: list[str] = []
     junit, own = bytes_of(folder / JUNIT), written(junit_xml(recorded))
-    if junit != own:  # which claims pass follows from the evidence by rule, whichever version wrote it
+    if junit != own:  # a rule derives the passing claims from the evidence in every version
         same = not report.same_words and passed_in(junit) == passed_in(own)
         (unchecked if same else faults).append(f"{JUNIT} does not say what {JSON} says")
     for name, text in argument_texts(recorded).items():
         file = folder / name
-        absent = not file.is_file() and not report.same_words  # earlier versions wrote none
+        absent = not file.is_file() and not report.same_words  # earlier versions did not write it
         if not absent and not (file.is_file() and bytes_of(file) == written(text)):
             (faults if report.same_words else unchecked).append(f"{name} does not say what {JSON} says")
     there, made = bytes_of(folder / PAGE), written(render(recorded, gathered.runs))
@@ -156,7 +156,7 @@ def _parted(page: bytes) -> tuple[bytes, list[float]]:
         if match.start() < done:
             continue
         end = page.find(b"</svg>", match.start())
-        if end < 0:  # neither has any later one an end
+        if end < 0:  # then no later plot has an end
             break
         parts.append(page[done : match.start()])
         parts.append(_TAG.sub(lambda tag: _WHERE.sub(where, tag[0]), page[match.start() : end]))
@@ -260,8 +260,8 @@ WORDS = {
     *("system", "separation", "calibration", "credibility", "findings", "margin", "selftest_absent"),
     *("whose_fault", "steps", "approaches"),
 }
-OF_RUNS = frozenset({"reruns", "absent", "whose_fault", "lines"})  # of runs made again
-CLOSE = 1e-9  # relative: another scipy's last digits
+OF_RUNS = frozenset({"reruns", "absent", "whose_fault", "lines"})  # fields that follow from repeated runs
+CLOSE = 1e-9  # relative: the last digits depend on the version of scipy
 
 
 def check_numbers(report: ReportFolder, *, again: bool) -> tuple[Examination, GatheredEvidence]:
@@ -283,7 +283,7 @@ def check_numbers(report: ReportFolder, *, again: bool) -> tuple[Examination, Ga
         return now if report.same_words else replace(now, agreement=then.agreement)
 
     oracles_with = then.oracles_measured_with if then.oracles else ""
-    # if anything was declared, it is this very plan with the ledger's software
+    # a declaration can only be of this plan with the ledger's software
     declared = recorded.record.declaration_sha256
     gathered = put_together(
         report.plan,
@@ -297,7 +297,7 @@ def check_numbers(report: ReportFolder, *, again: bool) -> tuple[Examination, Ga
         believe=believe,
         explain=told_whose_fault if again else partial(_as_recorded, recorded),
         blame=whose_fault if again else lambda plan, ledger: recorded.whose_fault,
-        proven=recorded.proven,  # of which check_proof has told
+        proven=recorded.proven,  # check_proof compares it
         notes=recorded.notes,
     )
     now = replace(gathered.evidence, files=recorded.files)

@@ -32,7 +32,7 @@ from safety_harness.trace.compare import first_difference
 from safety_harness.trace.overruling import COUNTS as OVERRULED
 from safety_harness.trace.trace import Trace
 
-MOST_AGAIN = 1000  # unless more are asked for: some minutes in PyBullet
+MOST_AGAIN = 1000  # unless --runs is higher: some minutes in PyBullet
 MOST_TOGETHER = 32
 COUNTS = ("seed", "draws", "decisions", "proposed", "opposite", "stopped", "faults", "late", "theorem")
 
@@ -121,7 +121,7 @@ def programs_in(plan: Plan) -> list[str]:
     return sorted({text for text in texts if is_executed(text)})
 
 
-SAMPLED = "repulsive ways clear of"  # how the sentences of claims begin whose margins are samples' of a way
+SAMPLED = "repulsive ways clear of"  # begins claims on samples of a path
 
 
 class Compared:
@@ -139,7 +139,7 @@ class Compared:
         self.plan, self.ledger, self.program = plan, ledger, program
         self.same, self.answers = same and not program, same
         self.faults: list[str] = []
-        self._runs: dict[tuple[int, int], tuple[int, int]] = {}  # their number now: episode, number then
+        self._runs: dict[tuple[int, int], tuple[int, int]] = {}  # by number now: episode, number then
         self.moved = self.otherwise = self.far = self.other_traces = 0
 
     def add(self, row: Row) -> None:
@@ -160,7 +160,7 @@ class Compared:
         if faults:
             return
         counts = next(self.ledger.all(_COUNTS, row.stratum, row.episode))
-        if "theorem" not in self.ledger.counts:  # of an older program
+        if "theorem" not in self.ledger.counts:  # an older program wrote the ledger
             row = replace(row, theorem=0)
         now = (*(getattr(row, name) for name in COUNTS), *row.overruling.counts)
         where, silent = self.where(row.stratum, row.episode), COUNTS.index("faults")
@@ -186,7 +186,7 @@ class Compared:
 
     def add_trace(self, stored: Trace, row: Row) -> None:
         """Compare a stored trace, bit by bit, with the trace of the repeated run in ``row``."""
-        if row.trace is None:  # the run fails here, of which its row tells
+        if row.trace is None:  # the run fails here; its row shows it
             return
         again = trace_of(self.plan, row.stratum, row.trace)
         difference: object = first_difference(stored, again)
@@ -294,7 +294,7 @@ def check_traces(plan: Plan, ledger: Ledger, *, same: bool) -> Examination:
         )
         try:
             trace = trace_of(plan, stratum, ledger.trace(stratum, episode) or b"")
-            refuse_contradictions(trace)  # claims believe poses, speeds and distances
+            refuse_contradictions(trace)  # claims rely on poses, speeds and distances
             drawn = bench.scenario(stratum, episode, draws - 1)
             differs = write_scenario(trace.scenario, all_settings=True) != write_scenario(
                 drawn, all_settings=True
@@ -304,7 +304,7 @@ def check_traces(plan: Plan, ledger: Ledger, *, same: bool) -> Examination:
         except InputError as error:
             faults.append(f"{where}: {error.place.field or 'its trace'}: got {error.got}")
             continue
-        except Exception as error:  # whatever a stranger's trace does to what judges it
+        except Exception as error:  # a stranger's trace may make a claim raise anything
             faults.append(f"{where}: its trace cannot be judged: {described(error)}")
             continue
         foreign += differs

@@ -9,7 +9,7 @@ from safety_harness.extensions.assurance.certification.evidence import WhoseFaul
 from safety_harness.search.attribution.attribute import attribute
 from safety_harness.search.attribution.tally import AttributionTally
 
-MOST = 20  # violations of each claim: the first ones
+MOST = 20  # the first violations of each claim
 
 
 def whose_fault(plan: Plan, ledger: Ledger) -> WhoseFault:

@@ -188,7 +188,7 @@ def _bound_lines(ledger: Ledger, bounds: Sequence[ProbabilityBounds]) -> list[st
         shown = target is not None and row.shows(target)
         goal = "" if target is None else f", asked at most {target:.4g}: {'shown' if shown else 'NOT shown'}"
         model = ", model only" if row.model_only else ""
-        failed = f", {row.failed} could not be run" if row.failed else ""  # each may be a violation, or none
+        failed = f", {row.failed} could not be run" if row.failed else ""  # each may be a violation
         runs = f"{row.trials - row.failed} runs tested it{failed}{goal}{model}"
         known = f"{rounded_down(row.low)} to {rounded_up(row.high)} ({runs})"
         lines.append(

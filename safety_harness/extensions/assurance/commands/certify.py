@@ -177,7 +177,7 @@ def _shielded_lines(plan: Plan, ledger: Path) -> list[str]:
 
     shielded = {k: item.name for k, item in enumerate(plan.strata) if item.space.simplest.shield is not None}
     if not shielded:
-        return []  # stored traces are not read for nothing
+        return []  # without a shield, reading the traces has no use
     with Ledger.open(ledger, alone=True) as opened:
         stored, _ = random_traces(plan, opened)
     lines = []
@@ -367,7 +367,7 @@ def verify(
         for check in verify_report(
             report,
             runs=runs,
-            miss=_chance(miss),  # the default is as it is shown
+            miss=_chance(miss),  # the default is a text, as the help shows it
             seed=secrets.randbelow(2**31) if seed is None else seed,
             execute_programs=execute_programs,
             seal=seal,

@@ -30,8 +30,8 @@ from safety_harness.report.words import with_minus
 from safety_harness.scenario.files import told
 from safety_harness.trace.store import load_trace
 
-MOST_EPISODES = 1000  # of violations; the ledger has all
-MOST_SHOWN = 5  # of them as replays
+MOST_EPISODES = 1000  # with violations; the ledger has all
+MOST_SHOWN = 5  # as replays
 SHOWN, REFUTED, NOT_SHOWN, NO_TARGET = "shown", "refuted", "not shown", "no target"
 CSS = {SHOWN: "holds", REFUTED: "violated", NOT_SHOWN: "inconclusive", NO_TARGET: "none"}
 _WORST = (
@@ -39,7 +39,7 @@ _WORST = (
     "LEFT JOIN trace t ON t.stratum = j.stratum AND t.episode = j.episode "
     f"WHERE j.outcome = {int(EpisodeOutcome.VIOLATED)} "
     "ORDER BY row_number() OVER (PARTITION BY j.claim ORDER BY j.margin, j.stratum, j.episode), j.claim "
-    f"LIMIT {MOST_EPISODES}"  # each claim's worst, then each claim's next: metres are not radians
+    f"LIMIT {MOST_EPISODES}"  # the worst of each claim first, since margins of different units do not compare
 )
 _FAILED = (
     "SELECT failure, count(*), min(episode) FROM episode WHERE failure IS NOT NULL GROUP BY 1 ORDER BY 2 DESC"

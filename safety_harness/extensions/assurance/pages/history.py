@@ -23,7 +23,7 @@ from safety_harness.report.svg import HANDS
 from safety_harness.report.words import count_words, with_minus
 
 REPORT = "report.json"
-LIKELY_TREND = 0.05  # a trend by Kendall's tau that is less likely by chance is called one
+LIKELY_TREND = 0.05  # level of the test: a less likely trend counts as growth
 WIDTH_PX, HEIGHT_PX, EDGE_PX = 960.0, 240.0, 60.0
 _UNITS = {si: unit for unit, si in SI_UNITS.items() if si != "1"}
 Claimed = tuple[str, str, str]  # scenario, avoider, claim
@@ -41,7 +41,7 @@ class Revision:
     source_hash: str
     claims: dict[Claimed, Row]
     overruling: dict[str, tuple[int, int]]
-    basis: str  # of its verdicts
+    basis: str  # basis line of its verdicts
     made_at: str
 
 
