@@ -3,8 +3,9 @@
 These are regressions:
 
 - A claim with the status SHOWN in a stratum lost it; a claim that is gone counts too.
-- A target or a confidence is lower.
-- A claim without the status SHOWN is no longer in the plan, or has another space.
+- The confidence is lower.
+- A target is larger, and the earlier target is not met any more.
+- A claim whose status was neither SHOWN nor ESTIMATED is no longer in the plan, or has another space.
 - A finding is new.
 - A proof is gone.
 - A hazard met its hourly limit and does not meet it any more.
@@ -299,9 +300,10 @@ def _lost(old: Evidence, new: Evidence) -> Iterator[str]:
 
 
 def _unasked(old: Evidence, new: Evidence) -> Iterator[tuple[tuple[str, str], str]]:
-    """Yield, by (claim, stratum), each claim without the status SHOWN that the later plan avoids.
+    """Yield, by (claim, stratum), each claim that was not shown before and that the later plan avoids.
 
-    Its claim or its stratum is gone, or it has the status SHOWN now in another space.
+    Its status was neither SHOWN nor ESTIMATED. Its claim or its stratum is gone, or it has the status SHOWN
+    now in another space.
     """
     later, claims = _outcomes(new), _claims_by(new)
     spaces = [{stratum.name: stratum.space_sha256 for stratum in each.strata} for each in (old, new)]

@@ -2,7 +2,7 @@
 
 In each stratum a claim is *refuted* if even the lower bound is above the target. It is *shown* if the upper
 bound is at or below the target. Runs without a verdict and runs that could not finish count as violations in
-the upper bound. Three conditions allow *shown with doubt* at best:
+the upper bound. Any of three conditions allows *shown with doubt* at best:
 
 - some run has no verdict
 - the runs are from the kinematic world only

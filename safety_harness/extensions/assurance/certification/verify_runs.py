@@ -39,10 +39,10 @@ COUNTS = ("seed", "draws", "decisions", "proposed", "opposite", "stopped", "faul
 
 @dataclass(frozen=True, kw_only=True)
 class Drawing:
-    """The number of runs to repeat: ``runs``, or enough to miss the weakest verdict with chance ``miss``.
+    """The number of runs to repeat: ``runs``, or enough to find altered rows except with chance ``miss``.
 
-    ``seed`` draws them; the maker of the report cannot know it.  ``programs`` is true if programs in the
-    report may run.
+    The altered rows are the fewest that turn the weakest verdict. ``seed`` draws the runs; the maker of the
+    report cannot know it.  ``programs`` is true if programs in the report may run.
     """
 
     runs: int | None
