@@ -120,8 +120,8 @@ def pilot_runs(
     many it needs; then how long the plan's runs take. It writes no file and
     looks at no declared run.
 
-    The bounds then show the target with a chance of 90 %, if shares are as in
-    the pilot. Each interval holds alone with 95 % confidence.
+    The needed runs let the bounds show the target with a chance of 90 %, if
+    shares are as in the pilot. Each interval holds alone with 95 % confidence.
 
     Exit code 0: the planned runs are enough, according to the pilot.
     Exit code 1: they are not enough for some claim, a run failed, the avoider did
