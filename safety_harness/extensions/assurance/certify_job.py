@@ -43,44 +43,48 @@ def certify(
     since: str | Path | None = None,
     output: Output = QUIET,
 ) -> CertificationResult:
-    """Run what is missing of a plan's episodes and searches, and write the evidence to a folder.
+    """Run the missing episodes and searches of a plan, and write the evidence to a folder.
+
+    Ctrl-C keeps every finished run. The same call then goes on.
 
     Args:
         plan: A plan or its file.
-        controller: What drives the arm in place of what the plan names.
+        controller: The reference of a controller that drives the arm in place of the plan's avoider.
         out: The folder of the report; None: reports/NAME of the plan.  It keeps every finished run.
         pdf: Print the page too, with an installed Chromium.
-        full: On paper have all of the page.
-        workers: Processes; None: one for each core.
-        selftest: The selftest.json to be part of the report.
-        oracles: The file of independent oracles, likewise.
-        cells: Files compare-worlds.json, likewise.
-        declared: The declaration of the plan; None: the one beside it, if there is one.
-        proof: A certificate of ``prove`` of the avoider's network.
-        since: The folder of an earlier report, to say what changed.
-        output: What hears of the progress.
+        full: Print the whole page on paper, not only the most severe parts of each kind.
+        workers: The number of processes; None: one for each core.
+        selftest: A selftest.json for the report; None: the report says that it has no self-test.
+        oracles: A file of independent oracles for the report; None: no oracles.
+        cells: Files compare-worlds.json for the report.
+        declared: The declaration of the plan; None: the file beside the plan, if it exists.
+        proof: A certificate of ``prove`` for the avoider's network; None: the plan's own, if it names one.
+        since: The folder of an earlier report, for a comparison with it; None: no comparison.
+        output: Receives the progress.
 
-    Ctrl-C keeps every finished run; the same call goes on.
+    Returns:
+        The plan, its evidence, the folder, and the comparison with the earlier report.
 
     Raises:
         InputError: The plan or a file cannot be used, or the plan's runs cannot meet a target.
+        OutputError: A file of the report cannot be written.
 
     """
     file = plan.file if isinstance(plan, Plan) else Path(plan)
-    words = ["safety-harness", "certify", str(told(file))]
+    argv = ["safety-harness", "certify", str(told(file))]
     if controller is not None:
         read, tested = read_plan(file), Driver(controller)
         file = plan_with(read.files, tested, Path("reports") / read.name).file
-        words += ["--controller", told_avoider(tested)]
+        argv += ["--controller", told_avoider(tested)]
     given = {"out": out, "selftest": selftest, "oracles": oracles, "declared": declared, "proof": proof}
-    paths = {name: None if one is None else Path(one) for name, one in (given | {"since": since}).items()}
-    of_cells = [Path(one) for one in cells]
+    paths = {name: None if path is None else Path(path) for name, path in (given | {"since": since}).items()}
+    of_cells = [Path(path) for path in cells]
     for name, value in paths.items():
-        words += [f"--{name}", str(told(value))] if value else []
-    words += [word for one in of_cells for word in ("--cell", str(told(one)))]
+        argv += [f"--{name}", str(told(value))] if value else []
+    argv += [argument for path in of_cells for argument in ("--cell", str(told(path)))]
     earlier = None if paths["since"] is None else EarlierReport.read(paths["since"])
-    again = shlex.join(words + ["--pdf"] * pdf + ["--full"] * full)
-    job = Certification.of(
+    again = shlex.join(argv + ["--pdf"] * pdf + ["--full"] * full)
+    job = Certification.prepare(
         file,
         paths["out"],
         again,
@@ -91,7 +95,7 @@ def certify(
         pdf=pdf,
         proof=paths["proof"],
     )
-    # Results of the search are remarks: results are the verdicts.
+    # Results of the search go out as remarks: the verdicts are the results.
     evidence, complete = job.run(workers, watching_campaign, replace(output, result=output.say))
     delta = None
     if complete and earlier is not None:
@@ -99,10 +103,24 @@ def certify(
     return CertificationResult(job.plan, evidence, job.folder, complete, delta)
 
 
-def compare_reports(before: EarlierReport, after: EarlierReport, made_by: str) -> EvidenceDelta:
-    """Return what changed between two reports, and write it beside the later one."""
-    delta = delta_of(before, after)
-    write_delta(folder_of_delta(after.folder), delta, command=made_by, generated_at=datetime.now(UTC))
+def compare_reports(old: EarlierReport, new: EarlierReport, made_by: str) -> EvidenceDelta:
+    """Compare two reports and write the comparison beside the later report.
+
+    Args:
+        old: The earlier report.
+        new: The later report.
+        made_by: The command that repeats the comparison; the page shows it.
+
+    Returns:
+        All changes from the earlier report to the later report.
+
+    Raises:
+        InputError: A ledger cannot be read, or the two reports are in the wrong order.
+        OutputError: The comparison cannot be written.
+
+    """
+    delta = delta_of(old, new)
+    write_delta(folder_of_delta(new.folder), delta, command=made_by, generated_at=datetime.now(UTC))
     return delta
 
 
@@ -111,11 +129,11 @@ class CertificationResult:
     """The evidence of a plan, which is no certificate.
 
     Args:
-        plan: The plan that was run.
-        evidence: What evidence.json holds.
+        plan: The plan of the runs.
+        evidence: The content of evidence.json.
         folder: The folder of the report.
-        complete: All declared runs were made.
-        delta: What changed since the earlier report, if one was given.
+        complete: True if all declared runs and searches have finished.
+        delta: The changes since the earlier report; None without an earlier report.
 
     """
 
@@ -127,7 +145,7 @@ class CertificationResult:
 
     @property
     def claims(self) -> tuple[ClaimEvidence, ...]:
-        """Each claim with its ``standing``, and why."""
+        """Each claim with its ``standing`` and the reason."""
         return self.evidence.claims
 
     @property
@@ -137,7 +155,11 @@ class CertificationResult:
 
     @property
     def exit_code(self) -> int:
-        """The command's exit code."""
+        """The command's exit code: as expected, different or interrupted.
+
+        An incomplete report gives *interrupted*. Regressions decide in place of the standing if there is an
+        earlier report. A part of the report that failed after the runs gives *different* too.
+        """
         if not self.complete:
             return INTERRUPTED
         shown = (
@@ -147,11 +169,22 @@ class CertificationResult:
 
     def __repr__(self) -> str:
         counts = [claim.standing.value for claim in self.claims]
-        words = ", ".join(f"{counts.count(one)} {one}" for one in dict.fromkeys(counts))
-        return f"<{self.evidence.standing.value}: {self.plan.title}, claims: {words}. {self.evidence.basis}>"
+        parts = ", ".join(f"{counts.count(status)} {status}" for status in dict.fromkeys(counts))
+        return f"<{self.evidence.standing.value}: {self.plan.title}, claims: {parts}. {self.evidence.basis}>"
 
     def write(self, folder: str | Path) -> CertificationResult:
-        """Copy the report to another folder, which must not be there; OutputError if it cannot be written."""
+        """Copy the report to another folder.
+
+        Args:
+            folder: A folder that does not exist yet, or the report's own folder, which needs no copy.
+
+        Returns:
+            This result with the new folder.
+
+        Raises:
+            OutputError: The folder exists already, or it cannot be written.
+
+        """
         out = Path(folder)
         if out.resolve() == self.folder.resolve():
             return self

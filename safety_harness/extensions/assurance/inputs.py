@@ -1,4 +1,4 @@
-"""Plans as files that ``validate``, ``explain``, ``new`` and ``schema`` of the core take."""
+"""Plans as files that ``validate``, ``explain``, ``new`` and ``schema`` of the core accept."""
 
 from __future__ import annotations
 
@@ -13,8 +13,12 @@ from safety_harness.scenario.kinds import FileKind
 from safety_harness.scenario.model import Scenario
 
 
-def _check(path: Path, look: Callable[[Scenario], object]) -> CheckedFile:
-    """Read a plan of whose strata a draw can be tried; a warning says if ``certify`` will refuse it."""
+def _check(path: Path, inspect: Callable[[Scenario], object]) -> CheckedFile:
+    """Check that a draw of every stratum of the plan in ``path`` is admissible.
+
+    A warning says if ``certify`` will refuse the plan. ``inspect`` receives the simplest scenario of each
+    stratum.
+    """
     from safety_harness.admission.spaces import draw_admissible
     from safety_harness.cli.console import say
     from safety_harness.extensions.assurance.campaign.plan import read_packable
@@ -28,7 +32,7 @@ def _check(path: Path, look: Callable[[Scenario], object]) -> CheckedFile:
         say(f"warning: {error.place}: certify refuses it: {error.expected}, and not {error.got}")
     for stratum in plan.strata:
         draw_admissible(stratum.space, seed=0, count=1)
-        look(plan.with_avoider(stratum.space.simplest))
+        inspect(plan.with_avoider(stratum.space.simplest))
     return CheckedFile(
         file=plan.file,
         words=", ".join(

@@ -180,10 +180,10 @@ def test_a_plan_may_name_it_and_the_command_another(tmp_path: Path) -> None:
     rest: dict[str, Any] = dict.fromkeys(("selftest", "oracles", "declared"), None)
     rest |= {"cells": (), "pdf": False}
     with pytest.raises(InputError, match=r"certificate\.json"):
-        Certification.of(file, tmp_path / "report", "", **rest)
+        Certification.prepare(file, tmp_path / "report", "", **rest)
     own = certificate_in(tmp_path)
-    found = Certification.of(file, tmp_path / "report", "", **rest)
+    found = Certification.prepare(file, tmp_path / "report", "", **rest)
     assert found.certified is not None
     assert found.certified.certificate == own.read_bytes()
     with pytest.raises(InputError):
-        Certification.of(file, tmp_path / "report", "", proof=tmp_path / "another.json", **rest)
+        Certification.prepare(file, tmp_path / "report", "", proof=tmp_path / "another.json", **rest)

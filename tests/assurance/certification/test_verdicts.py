@@ -12,9 +12,9 @@ from safety_harness.extensions.assurance.certification.verdicts import (
     at_most,
     beside_target,
     confidence_words,
-    gravest,
     percent,
     standing_of,
+    worst_status,
 )
 
 
@@ -93,9 +93,9 @@ def test_only_complete_tested_runs_with_verdicts_in_the_reference_world_are_ever
 
 
 def test_the_gravest_standing_speaks_for_all() -> None:
-    assert gravest([ClaimStatus.SHOWN, ClaimStatus.NOT_SHOWN]) is ClaimStatus.NOT_SHOWN
-    assert gravest([ClaimStatus.SHOWN] * 3) is ClaimStatus.SHOWN
-    assert gravest([]) is ClaimStatus.UNTESTED
+    assert worst_status([ClaimStatus.SHOWN, ClaimStatus.NOT_SHOWN]) is ClaimStatus.NOT_SHOWN
+    assert worst_status([ClaimStatus.SHOWN] * 3) is ClaimStatus.SHOWN
+    assert worst_status([]) is ClaimStatus.UNTESTED
     assert next(iter(ClaimStatus)) is ClaimStatus.SHOWN
 
 

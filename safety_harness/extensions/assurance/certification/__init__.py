@@ -1,1 +1,1 @@
-"""Evidence put together: results, argument, counterexamples, one page that can be checked again."""
+"""Evidence as one report: results, argument, counterexamples, and a page that ``verify`` checks again."""

@@ -1,10 +1,12 @@
-"""How few altered rows would turn a verdict, and with what chance runs that are made again miss them all.
+"""The least number of altered rows that would change a verdict, and the chance that a check misses them all.
 
-Of N runs n are drawn without replacement by who verifies.  If k of the N rows were altered, none of them is
-among the n with the chance C(N - k, n) / C(N, n) (hypergeometric); a row with another outcome is seen for
-certain once its run is made again.  k is the least number of rows that, with whatever outcomes, give another
-word on the target: *met* (shown, with or without doubt), *not shown*, *refuted* or *never put to the test*;
-without a target only the last one.  Doubt is no such word: a single run without a verdict makes it.
+The verifier draws n of N runs without replacement. If k of the N rows were altered, all k stay outside of the
+n with the chance C(N - k, n) / C(N, n) (hypergeometric). A repeated run always exposes a row with another
+outcome.
+
+k is the least number of rows that can give another status against the target, with any outcomes. The statuses
+are *met* (shown, with or without doubt), *not shown*, *refuted* and *never put to the test*. Without a target
+only the last status counts. Doubt is no separate status, since a single run without a verdict causes it.
 """
 
 from __future__ import annotations
@@ -20,7 +22,7 @@ from safety_harness.extensions.assurance.statistics.sequential import anytime_lo
 
 @dataclass(frozen=True)
 class Turn:
-    """``rows`` altered, and no fewer, give a claim another verdict in a stratum."""
+    """The least number of altered ``rows`` that gives a claim another verdict in a stratum."""
 
     claim: str
     stratum: str
@@ -29,7 +31,10 @@ class Turn:
 
 
 def turns_of(claims: Sequence[ClaimEvidence], *, early: bool) -> tuple[Turn, ...]:
-    """Of every verdict that there is, the most easily turned first; ``early``: of bounds at every time."""
+    """Return the turn of every verdict of ``claims``, the most easily changed verdict first.
+
+    ``early`` is true for bounds that hold at every time, as a plan with early stopping has them.
+    """
     turns = [
         Turn(claim.sentence, outcome.stratum, outcome.standing, rows)
         for claim in claims
@@ -40,20 +45,30 @@ def turns_of(claims: Sequence[ClaimEvidence], *, early: bool) -> tuple[Turn, ...
 
 
 def rows_to_turn(outcome: ClaimResult, target: float | None, *, early: bool) -> int | None:
-    """The least number of rows with other outcomes that turn the verdict; None where runs are missing.
+    """Return the least number of rows with other outcomes that change the verdict of ``outcome``.
 
-    The quickest way to more violations is from runs that have none, and then from untested ones; the quickest
-    to fewer is the way back.
+    The quickest way to more violations changes runs without a violation first, and then untested runs. The
+    quickest way to fewer violations is the reverse.
+
+    Args:
+        outcome: The results of a claim in a stratum.
+        target: The violation probability that the plan allows; None: the plan sets no target.
+        early: True for bounds that hold at every time.
+
+    Returns:
+        The number of rows, at least 1; None while runs are missing.
+
     """
     if outcome.standing is ClaimStatus.UNTESTED:
         return 1
     if outcome.bound is None:
         return None
-    return min(_ways(outcome, target, 1.0 - outcome.bound.of_one_end, early))
+    return min(_least_rows(outcome, target, 1.0 - outcome.bound.of_one_end, early))
 
 
-def _ways(outcome: ClaimResult, target: float | None, chance: float, early: bool) -> Iterator[int]:
-    yield outcome.tested  # all of them, never put to the test
+def _least_rows(outcome: ClaimResult, target: float | None, chance: float, early: bool) -> Iterator[int]:
+    """Yield the least number of altered rows that gives the outcome each different status."""
+    yield outcome.tested  # every tested row must change to leave the claim untested
     if target is None:
         return
     lower, upper = (anytime_lower, anytime_upper) if early else (lower_bound, upper_bound)
@@ -61,7 +76,7 @@ def _ways(outcome: ClaimResult, target: float | None, chance: float, early: bool
     bad = violated + outcome.inconclusive + outcome.failed
 
     def refuted(rows: int) -> bool:
-        new = max(rows - (tested - violated), 0)  # that were untested
+        new = max(rows - (tested - violated), 0)  # rows that were untested before
         return lower(violated + rows, tested + new, chance) > target
 
     def met(rows: int) -> bool:
@@ -82,7 +97,10 @@ def _ways(outcome: ClaimResult, target: float | None, chance: float, early: bool
 
 
 def _least(turns: Callable[[int], bool], most: int) -> Iterator[int]:
-    """The least number from 1 that does, if ``most`` does: who does stays with every further one."""
+    """Yield the least number from 1 to ``most`` for which ``turns`` is true, if it is true for ``most``.
+
+    ``turns`` must be monotone: once true, it stays true for every larger number.
+    """
     least = 1
     if least <= most and turns(most):
         while least < most:
@@ -92,12 +110,12 @@ def _least(turns: Callable[[int], bool], most: int) -> Iterator[int]:
 
 
 def chance_to_miss(runs: int, altered: int, again: int) -> float:
-    """That ``again`` of ``runs`` runs, drawn without replacement, are none of the ``altered`` ones."""
+    """Return the chance that ``again`` of ``runs`` runs, drawn without replacement, miss ``altered`` rows."""
     few, many = sorted((altered, again))
     return math.prod(max(runs - many - k, 0) / (runs - k) for k in range(few))
 
 
 def runs_to_see(runs: int, altered: int, miss: float) -> int:
-    """The least number of runs made again that miss all ``altered`` rows with a chance of ``miss``."""
+    """Return how many of ``runs`` to repeat, so that they miss ``altered`` rows with chance ``miss`` only."""
     (again,) = _least(lambda again: chance_to_miss(runs, altered, again) <= miss, runs - altered + 1)
     return again

@@ -1,11 +1,15 @@
-"""The assurance argument in goal structuring notation, by hazard, made from the evidence.
+"""The assurance argument in goal structuring notation (GSN), by hazard, made from the evidence.
 
-The top goal is argued by hazard, claim and stratum, and by the stages of AMLAS where a part is learned.
-Goals are what should be true, strategies how a goal is broken down, solutions the evidence it rests on;
-contexts, assumptions and justifications stand beside.  Defeaters are what would undermine the top goal, each
-with what was done about it (counter goals and counter solutions of the notation's dialectic extension).  A
-goal without support is undeveloped and is drawn so.  The words are the evidence's own: an argument whose
-evidence fails shows it.  What an author adds (``notes``) stands beside, and changes no state.
+The top goal is argued by hazard, claim and stratum, and by the stages of AMLAS if a part is learned.
+
+- Goals are statements that should be true. Strategies divide a goal. Solutions are the evidence below it.
+- Contexts, assumptions and justifications stand beside an element.
+- Defeaters would undermine the top goal. Each leads to the answers to it: counter goals and counter solutions
+  of GSN's dialectic extension.
+- A goal without support is undeveloped, and the picture marks it.
+
+All texts come from the evidence, so an argument with failed evidence shows the failure. An author's notes
+(``notes``) stand beside an element and change no state.
 """
 
 from __future__ import annotations
@@ -25,7 +29,7 @@ from safety_harness.extensions.assurance.certification.evidence import (
     by_gravity,
 )
 from safety_harness.extensions.assurance.certification.system import DATA, LEARNING
-from safety_harness.extensions.assurance.certification.verdicts import at_most, gravest, hourly, percent
+from safety_harness.extensions.assurance.certification.verdicts import at_most, hourly, percent, worst_status
 from safety_harness.report.words import count_words
 
 DONE, DOUBT, FAILS, OPEN = "holds", "inconclusive", "violated", "none"
@@ -38,11 +42,11 @@ STATE = {
     ClaimStatus.REFUTED: FAILS,
     ClaimStatus.ESTIMATED: OPEN,
 }
-MOST_STRATA = 4  # of a claim, the gravest first; the rest in one element
+MOST_STRATA = 4  # elements of a claim, the most severe first; one element has the rest
 
 
 class ElementKind(Enum):
-    """The elements of the notation; the value is the letter of its keys."""
+    """The kinds of elements in GSN; each value is the letter of the element's key."""
 
     GOAL = "G"
     STRATEGY = "S"
@@ -56,10 +60,12 @@ class ElementKind(Enum):
 
 @dataclass(frozen=True)
 class Element:
-    """One element: ``place`` is the id on the page that it leads to, ``state`` the colour of what it says.
+    """An element of the argument.
 
-    ``below`` supports it, or challenges it if it is a defeater or an answer; ``beside`` is what it is to be
-    read in.  ``key`` has its kind and number; ``name``, which outlives a run, is what a note is on.
+    ``place`` is the id on the page that the element leads to. ``state`` is the colour of its statement.
+    ``below`` has the elements that support it, or that challenge it if they are defeaters or answers.
+    ``beside`` has its context. ``key`` has its kind and number, which may change from run to run. ``name``
+    stays the same, so notes refer to it.
     """
 
     kind: ElementKind
@@ -73,15 +79,15 @@ class Element:
 
     @property
     def undeveloped(self) -> bool:
-        """A goal, strategy or defeater of which nothing is said."""
+        """True for a goal, strategy or defeater without an element below it."""
         return self.kind in UNDEVELOPED and not self.below
 
     def every(self) -> Iterator[Element]:
-        """It, what stands beside it, and all below."""
+        """Yield this element, the elements beside it, and all elements below it."""
         yield self
         yield from self.beside
-        for one in self.below:
-            yield from one.every()
+        for element in self.below:
+            yield from element.every()
 
 
 UNDEVELOPED = {
@@ -92,9 +98,9 @@ UNDEVELOPED = {
 
 
 def argument_of(evidence: Evidence) -> Element:
-    """The whole argument; its leaves lead to the parts of the page that hold their evidence."""
+    """Return the top goal of the whole argument; its leaves lead to the page's parts with their evidence."""
     plan, system = evidence.plan, evidence.system
-    domain = "Domain: " + ", ".join(one.name for one in evidence.strata)
+    domain = "Domain: " + ", ".join(item.name for item in evidence.strata)
     sure = f"{percent(plan.confidence)} for all {plan.bounds} bounds together, {plan.world}"
     by_hazard = Element(
         ElementKind.STRATEGY,
@@ -131,50 +137,56 @@ def argument_of(evidence: Evidence) -> Element:
         ),
         name="top",
     )
-    return _numbered(_noted(top, {one.element: one.text for one in evidence.notes}), Counter())
+    return _numbered(_noted(top, {item.element: item.text for item in evidence.notes}), Counter())
 
 
 def _noted(element: Element, notes: dict[str, str]) -> Element:
-    """With the author's notes as justifications beside."""
+    """Return ``element`` and everything below it, with the author's notes as justifications beside."""
     text = notes.get(element.name, "") if element.name else ""
     note = (Element(ElementKind.JUSTIFICATION, f"The author: {text}", element.place),) if text else ()
-    below = tuple(_noted(one, notes) for one in element.below)
+    below = tuple(_noted(child, notes) for child in element.below)
     return replace(element, beside=element.beside + note, below=below)
 
 
 def _numbered(element: Element, counts: Counter[ElementKind]) -> Element:
-    """With keys, counted by kind: what stands beside an element before what stands below it."""
+    """Return ``element`` with keys, counted by kind.
+
+    Elements beside an element count before the elements below it.
+    """
     counts[element.kind] += 1
     key = f"{element.kind.value}{counts[element.kind]}"
-    beside = tuple(_numbered(one, counts) for one in element.beside)
+    beside = tuple(_numbered(child, counts) for child in element.beside)
     return replace(
-        element, key=key, beside=beside, below=tuple(_numbered(one, counts) for one in element.below)
+        element, key=key, beside=beside, below=tuple(_numbered(child, counts) for child in element.below)
     )
 
 
 def _hazards(evidence: Evidence) -> Iterator[Element]:
-    """A goal for each hazard of the plan, then one for the words of each claim that names none."""
+    """Yield a goal for each hazard of the plan, then for each hazard text of the remaining claims."""
     for hazard in evidence.hazards:
-        claims = [one for one in evidence.claims if one.number in hazard.claims]
+        claims = [item for item in evidence.claims if item.number in hazard.claims]
         yield _hazard(hazard, claims, rated=bool(hazard.met) and not evidence.plan.model_only)
     named = {number for hazard in evidence.hazards for number in hazard.claims}
-    others = [one for one in by_gravity(evidence.claims) if one.number not in named]
-    for words in dict.fromkeys(one.hazard for one in others):
-        claims = [one for one in others if one.hazard == words]
-        below = tuple(_claim(one, ()) for one in claims)
-        state = STATE[gravest(one.standing for one in claims)]
-        text = f"Kept rare: {words}"
-        yield Element(ElementKind.GOAL, text, "hazards", state, below, name=f"hazard: {words}")
+    unnamed = [item for item in by_gravity(evidence.claims) if item.number not in named]
+    for hazard_text in dict.fromkeys(item.hazard for item in unnamed):
+        claims = [item for item in unnamed if item.hazard == hazard_text]
+        below = tuple(_claim(item, ()) for item in claims)
+        state = STATE[worst_status(item.standing for item in claims)]
+        text = f"Kept rare: {hazard_text}"
+        yield Element(ElementKind.GOAL, text, "hazards", state, below, name=f"hazard: {hazard_text}")
 
 
 def _hazard(hazard: HazardEvidence, claims: list[ClaimEvidence], *, rated: bool) -> Element:
-    """``rated``: are its rates shown, and not of a model alone?"""
-    asked = "" if hazard.asked_an_hour is None else f", at most {hazard.asked_an_hour:g} an hour"
+    """Return the goal of ``hazard``.
+
+    ``rated`` is true if its rates meet the limit, and not in the model alone.
+    """
+    limit = "" if hazard.asked_an_hour is None else f", at most {hazard.asked_an_hour:g} an hour"
     rates = {
-        one.claim: Element(
-            ElementKind.SOLUTION, f"At most {hourly(one.an_hour)} an hour", "rates", DONE if rated else DOUBT
+        row.claim: Element(
+            ElementKind.SOLUTION, f"At most {hourly(row.an_hour)} an hour", "rates", DONE if rated else DOUBT
         )
-        for one in hazard.rates
+        for row in hazard.rates
     }
     beside = [
         Element(ElementKind.CONTEXT, f"{hazard.task}; {hazard.zone}; {hazard.body_region}", "rates"),
@@ -186,45 +198,47 @@ def _hazard(hazard: HazardEvidence, claims: list[ClaimEvidence], *, rated: bool)
     ]
     if hazard.approaches:
         beside.append(Element(ElementKind.ASSUMPTION, f"Approaches: {hazard.approaches}", "rates"))
-    state = STATE[gravest(one.standing for one in claims)]
+    state = STATE[worst_status(row.standing for row in claims)]
     return Element(
         ElementKind.GOAL,
-        f"Kept rare: {hazard.name}{asked} ({hazard.event})",
+        f"Kept rare: {hazard.name}{limit} ({hazard.event})",
         "rates",
         DOUBT if state == DONE and not rated else state,
-        tuple(_claim(one, (rates[one.number],) if one.number in rates else ()) for one in by_gravity(claims)),
+        tuple(_claim(row, (rates[row.number],) if row.number in rates else ()) for row in by_gravity(claims)),
         tuple(beside),
         name=f"hazard: {hazard.name}",
     )
 
 
 def _claim(claim: ClaimEvidence, rates: tuple[Element, ...]) -> Element:
+    """Return the goal of a claim: its ``rates``, and a solution for each stratum, the most severe first."""
     place, state = f"claim-{claim.number}", STATE[claim.standing]
     target = "" if claim.target is None else f", violated in at most {percent(claim.target)}"
     tested = sorted(
-        (one for one in claim.outcomes if one.tested), key=lambda one: -SEVERITY.index(one.standing)
+        (row for row in claim.outcomes if row.tested), key=lambda row: -SEVERITY.index(row.standing)
     )
     many = tested if len(tested) <= MOST_STRATA else tested[: MOST_STRATA - 1]
-    strata = [_stratum(one, place) for one in many]
+    strata = [_stratum(row, place) for row in many]
     if rest := tested[len(many) :]:
-        words = f"{len(rest)} more strata: {rest[0].standing.value} at worst"
-        strata.append(Element(ElementKind.SOLUTION, words, place, STATE[rest[0].standing]))
-    untested = [one.stratum for one in claim.outcomes if not one.tested]
-    if strata and untested:  # a goal of its own, which nothing supports
-        words = f"{', '.join(untested)}: never put to the test"
-        strata.append(Element(ElementKind.GOAL, words, place, STATE[ClaimStatus.UNTESTED]))
+        label = f"{len(rest)} more strata: {rest[0].standing.value} at worst"
+        strata.append(Element(ElementKind.SOLUTION, label, place, STATE[rest[0].standing]))
+    untested = [row.stratum for row in claim.outcomes if not row.tested]
+    if strata and untested:  # a separate goal, which no element supports
+        label = f"{', '.join(untested)}: never put to the test"
+        strata.append(Element(ElementKind.GOAL, label, place, STATE[ClaimStatus.UNTESTED]))
     below = (*strata, *rates) if strata else ()
     return Element(
         ElementKind.GOAL, f"{claim.sentence}{target}", place, state, below, name=f"claim: {claim.sentence}"
     )
 
 
-def _stratum(one: ClaimResult, place: str) -> Element:
-    bound = "" if one.bound is None else f", at most {at_most(one.bound.upper)}"
-    words = (
-        f"{one.stratum}: {one.violated} of {one.tested} tested runs violate it{bound}: {one.standing.value}"
+def _stratum(row: ClaimResult, place: str) -> Element:
+    """Return the solution for a claim in one stratum."""
+    bound = "" if row.bound is None else f", at most {at_most(row.bound.upper)}"
+    text = (
+        f"{row.stratum}: {row.violated} of {row.tested} tested runs violate it{bound}: {row.standing.value}"
     )
-    return Element(ElementKind.SOLUTION, words, place, STATE[one.standing])
+    return Element(ElementKind.SOLUTION, text, place, STATE[row.standing])
 
 
 NOT_SUPERVISED = (
@@ -234,15 +248,15 @@ NOT_SUPERVISED = (
 
 
 def _stages(evidence: Evidence) -> Iterator[Element]:
-    """AMLAS's six stages, each with what this report has of it."""
+    """Yield the six stages of AMLAS, each with the evidence for it in this report."""
     card, claims, proven = dict(evidence.system.card), evidence.claims, evidence.proven
-    asked = sum(one.target is not None for one in claims)
-    risks = f"{len(evidence.hazards)} hazards; {asked} of {len(claims)} claims have a target"
-    runs = f"{sum(one.made for one in evidence.strata)} declared runs"
+    targets = sum(item.target is not None for item in claims)
+    risks = f"{len(evidence.hazards)} hazards; {targets} of {len(claims)} claims have a target"
+    runs = f"{sum(item.made for item in evidence.strata)} declared runs"
     hashes = [value for name, value in evidence.system.facts if "sha256" in value and name == "Avoider"]
 
     life = dict(evidence.learned.life) if evidence.learned else {}
-    told = [(f"{name}: {text}", "learned", OPEN) for name, text in life.items() if name.endswith("trained")]
+    stated = [(f"{name}: {text}", "learned", OPEN) for name, text in life.items() if name.endswith("trained")]
 
     def carded(*begin: str) -> Solutions:
         return [(f"{name}: {text}", "system", OPEN) for name, text in card.items() if name.startswith(begin)]
@@ -253,7 +267,7 @@ def _stages(evidence: Evidence) -> Iterator[Element]:
             "safety requirements: what is asked of it follows from the system's risk",
             [(risks, "rates", OPEN)] if evidence.hazards else [],
         ),
-        ("data: what it learned from is known", carded(DATA, "Seen hands") + told),
+        ("data: what it learned from is known", carded(DATA, "Seen hands") + stated),
         ("learning: how it was made can be repeated", carded(LEARNING)),
         (
             "verification: it does what is asked",
@@ -268,10 +282,10 @@ def _stages(evidence: Evidence) -> Iterator[Element]:
         ),
     )
     for number, (text, solutions) in enumerate(stages, start=1):
-        below = tuple(Element(ElementKind.SOLUTION, *one) for one in solutions)
+        below = tuple(Element(ElementKind.SOLUTION, *item) for item in solutions)
         if number == len(stages) and below:
             below += (Element(ElementKind.GOAL, IN_THE_CELL, "learned", name="AMLAS stage 6, in the cell"),)
-        frozen = tuple(Element(ElementKind.CONTEXT, one, "system") for one in hashes if number == 4)
+        frozen = tuple(Element(ElementKind.CONTEXT, item, "system") for item in hashes if number == 4)
         name = f"AMLAS stage {number}"
         yield Element(ElementKind.GOAL, f"Stage {number}, {text}", "system", OPEN, below, frozen, name=name)
 
@@ -283,13 +297,13 @@ IN_THE_CELL = (
 
 
 def _deployment(evidence: Evidence) -> Answers:
-    """What the project has of it: how another network is noticed, and what a cell's logs came to."""
+    """Yield how a changed network is noticed, and the outcome of each recorded cell."""
     yield "Frozen and known by its hash: another network takes another report", "learned", OPEN
     for part in evidence.system.under_test:
         if part.gate is not None and "question" in part.gate.name:
             yield f"The gate takes no answer to other questions: {part.gate.name}", "system", OPEN
     cells = [
-        (f"Came back: {one[0]}", *one[1:]) for one in _credibility(evidence) if one[1] == "recorded-cells"
+        (f"Came back: {fact[0]}", *fact[1:]) for fact in _credibility(evidence) if fact[1] == "recorded-cells"
     ]
     yield from cells or [("No log of a cell came back: judge, monitor, certify --cell", "learned", DOUBT)]
 
@@ -299,20 +313,23 @@ Answers = Iterator[tuple[str, str, str]]  # text, place, state
 
 
 def _hunt(evidence: Evidence) -> Answers:
+    """Yield the size of the search, and how many counterexamples came from it and from declared runs."""
     if evidence.search is not None:
         distinct = len(evidence.counterexamples)
-        found = sum(not one.independent for one in evidence.counterexamples)
-        words = f"Search of {evidence.search.runs} runs; {found} distinct counterexamples of it, and "
-        yield f"{words}{distinct - found} of declared runs", "counterexamples", DOUBT if distinct else OPEN
+        searched = sum(not example.independent for example in evidence.counterexamples)
+        text = f"Search of {evidence.search.runs} runs; {searched} distinct counterexamples of it, and "
+        yield f"{text}{distinct - searched} of declared runs", "counterexamples", DOUBT if distinct else OPEN
 
 
 def _domain(evidence: Evidence) -> Answers:
+    """Yield how many cells of the coverage map have runs."""
     if evidence.coverage.runs:
-        words = f"Coverage: {len(evidence.coverage.cells)} cells in {evidence.coverage.runs} runs"
-        yield words, "coverage", OPEN
+        text = f"Coverage: {len(evidence.coverage.cells)} cells in {evidence.coverage.runs} runs"
+        yield text, "coverage", OPEN
 
 
 def _credibility(evidence: Evidence) -> Answers:
+    """Yield each comparison of the simulator: other world, repeated runs, recorded cells, oracles."""
     known = evidence.credibility
     if (agreement := known.agreement) is not None:
         state = DOUBT if agreement.optimistic or not agreement.present else DONE
@@ -322,38 +339,42 @@ def _credibility(evidence: Evidence) -> Answers:
             state,
         )
     for rerun in known.reruns:
-        words = f"{rerun.title}: {rerun.changed} of {rerun.verdicts} verdicts change"
-        yield words, rerun.place, DOUBT if rerun.changed else DONE
+        text = f"{rerun.title}: {rerun.changed} of {rerun.verdicts} verdicts change"
+        yield text, rerun.place, DOUBT if rerun.changed else DONE
     for cell in known.cells:
         fine = cell.decided and not cell.differing and cell.present
         fine = fine and not cell.foreign_to(evidence.system.under_test)
-        words = f"A recorded cell: {cell.differing} of {cell.decided} verdicts differ"
-        yield words, "recorded-cells", DONE if fine else DOUBT
+        text = f"A recorded cell: {cell.differing} of {cell.decided} verdicts differ"
+        yield text, "recorded-cells", DONE if fine else DOUBT
     if known.oracles:
         yield f"{len(known.oracles)} parts against other software", "oracles", OPEN
 
 
 def _tools(evidence: Evidence) -> Answers:
+    """Yield how many seeded faults the self-test caught."""
     test = evidence.selftest
     if test is not None:
         every = 0 < len(test.faults) == test.caught and test.whole
-        words = f"Seeded faults: {test.caught} of {len(test.faults)} caught"
-        words += "" if test.whole else ", not all tried"
-        yield words, "tools", DONE if every and not test.false_alarms and test.present else DOUBT
+        text = f"Seeded faults: {test.caught} of {len(test.faults)} caught"
+        text += "" if test.whole else ", not all tried"
+        yield text, "tools", DONE if every and not test.false_alarms and test.present else DOUBT
 
 
 def _declared(evidence: Evidence) -> Answers:
+    """Yield the declaration's hash, if there is a declaration."""
     if digest := evidence.record.declaration_sha256:
         yield f"Declared as {digest[:12]}, if that was lodged before the runs", "plan", OPEN
 
 
 def _calibration(evidence: Evidence) -> Answers:
-    for one in evidence.calibration:
-        decisions = count_words(one.decisions, "decision", "decisions")
-        yield f"{one.stratum}: {decisions}, calibration {one.decided}", "calibration", one.decided
+    """Yield the verdict on the avoider's intervals for each stratum."""
+    for check in evidence.calibration:
+        decisions = count_words(check.decisions, "decision", "decisions")
+        yield f"{check.stratum}: {decisions}, calibration {check.decided}", "calibration", check.decided
 
 
 def _altered(evidence: Evidence) -> Answers:
+    """Yield the root over all rows, which a seal outside of the report protects."""
     yield f"Root over all rows {evidence.record.rows_sha256[:12]}, to be sealed elsewhere", "provenance", OPEN
 
 
@@ -369,14 +390,14 @@ DEFEATERS: tuple[tuple[str, str, str, Callable[[Evidence], Answers]], ...] = (
 
 
 def _defeaters(evidence: Evidence) -> Iterator[Element]:
-    """What would undermine the top goal: green where all answers are, and no finding is open."""
+    """Yield each defeater of the top goal: green if all its answers are, and no finding on them is open."""
     for name, text, place, known in DEFEATERS:
         if name == "certain" and not evidence.system.asks:
             continue
-        answers = tuple(Element(ElementKind.ANSWER, *one) for one in known(evidence))
-        places = {place, *(one.place for one in answers)} | ({"strata"} if name == "domain" else set())
-        findings = sum(one.place in places for one in evidence.findings)
-        states = {one.state for one in answers}
+        answers = tuple(Element(ElementKind.ANSWER, *item) for item in known(evidence))
+        places = {place, *(item.place for item in answers)} | ({"strata"} if name == "domain" else set())
+        findings = sum(item.place in places for item in evidence.findings)
+        states = {item.state for item in answers}
         state = DONE if states == {DONE} and not findings else DOUBT
-        words = f"{text}: {count_words(findings, 'open finding', 'open findings')}" if findings else text
-        yield Element(ElementKind.DEFEATER, words, place, state, answers, name=f"defeater: {name}")
+        label = f"{text}: {count_words(findings, 'open finding', 'open findings')}" if findings else text
+        yield Element(ElementKind.DEFEATER, label, place, state, answers, name=f"defeater: {name}")

@@ -15,11 +15,11 @@ from safety_harness.report.svg import plain
 WIDTH, PAD, LINE, GAP_X, GAP_Y = 176.0, 10.0, 15.0, 22.0, 12.0
 LETTERS = 25  # in a line of a box
 _HASH = re.compile(r"\b([0-9a-f]{16})[0-9a-f]{48}\b")
-INDENT = 12.0  # of what stands beside an element, which is drawn below it
+INDENT = 12.0  # of elements beside an element: the picture has them below it
 
 
 class _Box:
-    """An element with its place: the left upper corner and the size; its words are markup."""
+    """An element at its place: left upper corner and size in px. Its lines are escaped markup."""
 
     def __init__(self, element: Element, x: float, y: float) -> None:
         kind = element.kind.name.lower()
@@ -32,7 +32,7 @@ class _Box:
 
 
 class _Layout:
-    """Places every element, from left to right, and remembers what is joined to what."""
+    """Places every element from left to right, and records the lines between them."""
 
     def __init__(self, top: Element) -> None:
         self.boxes: list[_Box] = []
@@ -41,21 +41,28 @@ class _Layout:
         self.width = max(box.x for box in self.boxes) + WIDTH + GAP_X
 
     def _place(self, element: Element, x: float, y: float) -> tuple[_Box, float]:
-        """Put ``element``, with what is beside it below and its support to the right; the lowest end."""
+        """Place ``element`` with its left upper corner at ``x``, ``y`` (px), and its whole subtree.
+
+        Elements beside it come below its box. Elements below it in the argument come to its right.
+
+        Returns:
+            The box of the element, and the lower end (px) of everything placed.
+
+        """
         box = self._box(element, x, y)
         bottom = box.bottom + (10.0 if element.undeveloped else 0.0)
-        for one in element.beside:
-            beside = self._box(one, x + INDENT, bottom + 8.0)
+        for child in element.beside:
+            beside = self._box(child, x + INDENT, bottom + 8.0)
             self.arrows.append(
                 ([(x + 4.0, box.bottom), (x + 4.0, beside.middle), (beside.x, beside.middle)], "ring")
             )
             bottom = beside.bottom
         end, rail = y, x + WIDTH + INDENT + GAP_X / 2.0
-        for one in element.below:
-            below, end = self._place(one, x + WIDTH + GAP_X + INDENT, end)
+        for child in element.below:
+            below, end = self._place(child, x + WIDTH + GAP_X + INDENT, end)
             line = [(x + WIDTH, box.y + PAD + 8.0), (rail, box.y + PAD + 8.0), (rail, below.y + PAD + 8.0)]
             line.append((below.x, below.y + PAD + 8.0))
-            against = one.kind in (ElementKind.DEFEATER, ElementKind.ANSWER)
+            against = child.kind in (ElementKind.DEFEATER, ElementKind.ANSWER)
             self.arrows.append((line[::-1], "against") if against else (line, "tip"))
             end += GAP_Y
         return box, max(bottom, end - GAP_Y)
@@ -66,7 +73,10 @@ class _Layout:
 
 
 def argument_svg(top: Element, *, prefix: str) -> str:
-    """The picture as an ``<svg>`` element; every element is a link to its place on the page."""
+    """Return the picture of the argument below ``top`` as an ``<svg>`` element.
+
+    Every element is a link to its place on the page. ``prefix`` begins all ids in the picture.
+    """
     drawn = templates("safety_harness.extensions.assurance").get_template("argument.svg.j2")
     return drawn.render(
         layout=_Layout(top), prefix=prefix, pad=PAD, line_height=LINE, undeveloped=UNDEVELOPED

@@ -1,4 +1,4 @@
-"""A declared plan made into a report: its campaign, its search, the folder with the evidence."""
+"""Make a declared plan into a report: its campaign, its search, and the folder with the evidence."""
 
 from __future__ import annotations
 
@@ -51,7 +51,11 @@ WatchCampaign = Callable[[Plan, Output], AbstractContextManager[Callable[[Campai
 
 @dataclass(frozen=True, eq=False)
 class Certification:
-    """One plan and the folder that its report goes to; ``command`` is what makes it again."""
+    """A plan and the folder for its report.
+
+    ``command`` repeats the report. ``declaration_sha256`` is empty without a declaration. ``certified`` is
+    None without a proof.
+    """
 
     plan: Plan
     folder: Path
@@ -62,7 +66,7 @@ class Certification:
     certified: CertifiedNetwork | None = None
 
     @classmethod
-    def of(
+    def prepare(
         cls,
         file: Path,
         folder: Path | None,
@@ -75,11 +79,25 @@ class Certification:
         pdf: bool,
         proof: Path | None = None,
     ) -> Certification:
-        """Everything that can be refused before anything is run; the folder is reports/NAME without one.
+        """Return the certification of the plan in ``file``, after every check that needs no run.
 
-        InputError for a plan that is not as declared or whose targets its runs cannot meet, for files that
-        cannot be read, for a proof that is not confirmed or not of its network, for two packages that own one
-        module, and for a PDF that no browser can print.
+        Args:
+            file: The plan.
+            folder: The folder of the report; None: reports/NAME of the plan.
+            command: The command that repeats the report.
+            selftest: A selftest.json; None: no self-test.
+            oracles: A file of independent oracles; None: no oracles.
+            cells: Files compare-worlds.json.
+            declared: The declaration of the plan; None: the file beside the plan, if it exists.
+            pdf: Print the page too.
+            proof: A certificate of ``prove``; None: the plan's own, if it names one.
+
+        Raises:
+            InputError: The plan differs from its declaration, or its runs cannot meet a target. Or: a file
+                cannot be read, the checker does not confirm the proof, the proof is of another network, or no
+                browser can print the PDF.
+            InstallationError: Two packages own one module.
+
         """
         plan = read_packable(file)
         declaration_sha256 = declared_sha256(plan, declared)
@@ -88,7 +106,7 @@ class Certification:
         if pdf:
             browser()
         folder = folder or Path("reports") / plan.name
-        read_notes(folder)  # which may be none that can be read
+        read_notes(folder)  # the check: an unreadable file is refused before any run
         certificate = proof or plan.proof
         certified = None if certificate is None else read_certified(certificate, plan)
         trials = HarnessTrials(
@@ -100,7 +118,17 @@ class Certification:
         return cls(plan, folder, trials, command, declaration_sha256, pdf, certified)
 
     def run(self, workers: int | None, watch: WatchCampaign, output: Output) -> tuple[Evidence, bool]:
-        """All of it; what is there already is not made again.  The evidence, and whether it is complete."""
+        """Run the missing episodes and searches, and write the report.
+
+        Args:
+            workers: The number of processes; None: one for each core.
+            watch: Opens the display of the campaign's progress.
+            output: Receives remarks.
+
+        Returns:
+            The evidence, and True if all declared runs and searches have finished.
+
+        """
         remark = "what is under way is finished and kept; Ctrl-C again drops it"
         with one_more_ctrl_c(output.say, remark) as interrupted, watch(self.plan, output) as show:
             path, crew = self.folder / LEDGER, processes(workers)
@@ -109,7 +137,7 @@ class Certification:
         complete = complete and self.search(output, guard)
         without_proof(self.folder)
         if self.certified is not None:
-            guard.of("the copy of the proof", partial(self.certified.write, self.folder), None)
+            guard.run("the copy of the proof", partial(self.certified.write, self.folder), None)
         with Ledger.open(self.folder / LEDGER) as ledger:
             gathered = gather(
                 self.plan,
@@ -129,18 +157,22 @@ class Certification:
         return evidence, complete
 
     def search(self, output: Output, guard: ReportGuard) -> bool:
-        """The plan's search, shared among its strata; what was begun and not finished is begun anew.
+        """Search each stratum for counterexamples; an unfinished search starts again from its beginning.
 
-        False for Ctrl-C; what fails is said in the report.
+        ``output`` receives remarks. A search that fails becomes a finding of ``guard``.
+
+        Returns:
+            False after Ctrl-C; True also if a search failed.
+
         """
-        for stratum, one in zip(self.plan.strata, searches_of(self.plan, self.folder), strict=False):
-            if one.complete or stratum.space.file is None:
+        for stratum, searched in zip(self.plan.strata, searches_of(self.plan, self.folder), strict=False):
+            if searched.complete or stratum.space.file is None:
                 continue
-            output.say(f"searching {one.stratum} for counterexamples, {one.asked} runs")
-            shutil.rmtree(one.folder, ignore_errors=True)
+            output.say(f"searching {searched.stratum} for counterexamples, {searched.asked} runs")
+            shutil.rmtree(searched.folder, ignore_errors=True)
             try:
-                what = f"the search of {one.stratum}"
-                made = guard.of(what, partial(self._searched, stratum.space.file, one, output), None)
+                part = f"the search of {searched.stratum}"
+                made = guard.run(part, partial(self._searched, stratum.space.file, searched, output), None)
             except KeyboardInterrupt:
                 output.say("interrupted before anything was tried")
                 return False
@@ -150,21 +182,25 @@ class Certification:
                 return False
         return True
 
-    def _searched(self, space: Path, one: Searched, output: Output) -> SearchResult:
-        found = fuzz(
+    def _searched(self, space: Path, searched: Searched, output: Output) -> SearchResult:
+        """Search one stratum and keep the findings in the folder of ``searched``."""
+        findings = fuzz(
             read_space(space),
             avoider=self.plan.avoider_here,
-            budget=one.asked,
+            budget=searched.asked,
             seed=self.plan.seed,
             claims=[claim.sentence for claim in self.plan.claims],
-            out=one.folder,
+            out=searched.folder,
             output=output,
         )
-        return found.kept(one.folder, output)
+        return findings.kept(searched.folder, output)
 
 
 def refuse_shared_modules() -> None:
-    """InstallationError that names the packages: which of them ran is not told by what is installed."""
+    """Raise InstallationError if two installed packages own one module.
+
+    The list of installed packages cannot tell which of the two ran. The error names the packages.
+    """
     for module, packages in shared_modules().items():
         expected = "one installed package that owns it"
         hint = "uninstall all of them, then install the one that is needed: they overwrite each other"

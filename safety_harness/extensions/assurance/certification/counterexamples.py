@@ -1,9 +1,9 @@
-"""Distinct violations: the worst of each kind among the declared runs, and those that a search found.
+"""Distinct violations: the worst of each kind from the declared runs, and the counterexamples of a search.
 
-A search has one folder a stratum, each with a findings.json, read once.
+A search has one folder for each stratum. Its findings.json is read once.
 
-Violations of a claim are of one kind if the hand came from the same side, the gravest decision had the same
-outcome and the stratum is the same.
+Two violations of a claim have the same kind if they share the stratum, the side that the hand came from, and
+the outcome of the most severe decision.
 """
 
 from __future__ import annotations
@@ -38,9 +38,9 @@ from safety_harness.trace.unmeasured import refuse_not_simulated
 
 FOLDER = "counterexamples"
 LARGEST_SCENARIO_BYTES = 2**20
-MOST = 40  # with pictures on the page: drawings and a replay take some 0.2 MB, 0.3 at most
+MOST = 40  # with pictures on the page: the pictures of each take some 0.2 MB, 0.3 at most
 MOST_LINES = 14
-MOST_ASKED = 2  # kinds of violation of each claim, the worst, of which it is told whose fault they are
+MOST_ASKED = 2  # the worst kinds of violation of each claim get an attribution
 FAULT = "whose fault: "
 TO = "A counterexample to:"
 
@@ -54,7 +54,7 @@ _VIOLATIONS = (
 
 @dataclass(frozen=True, eq=False)
 class Example:
-    """A counterexample and its run; ``data`` is the trace of a declared one."""
+    """A counterexample and its run; ``data`` is the stored trace of a declared run, None for a search."""
 
     shown: CounterexampleEvidence
     run: JudgedRun
@@ -63,7 +63,7 @@ class Example:
 
 @dataclass(eq=False)
 class _Kind:
-    """Violations that are one thing to a reader, how many there are, and the worst whose trace is kept."""
+    """Violations of one kind: their number, and the worst episode with a stored trace (or None)."""
 
     stratum: int
     words: str
@@ -72,9 +72,16 @@ class _Kind:
 
 
 def declared_counterexamples(plan: Plan, ledger: Ledger) -> Iterator[Example | str]:
-    """Of the plan's own runs: of each kind the worst whose trace is kept.
+    """Yield the worst violation with a stored trace for each kind of violation in the declared runs.
 
-    Text is of one that cannot be shown: why, or nothing where no trace of its kind was kept.
+    Args:
+        plan: The plan of the runs.
+        ledger: The ledger with the runs and their stored traces.
+
+    Yields:
+        A counterexample. A text in its place gives the reason why the page cannot show it. The text is empty
+        if the ledger stored no trace of its kind.
+
     """
     for number, claim in enumerate(plan.claims):
         for kind in _kinds(ledger, number):
@@ -85,7 +92,7 @@ def declared_counterexamples(plan: Plan, ledger: Ledger) -> Iterator[Example | s
                 continue
             try:
                 run = judged_run(trace_of(plan, kind.stratum, data))
-            except Exception as error:  # a claim that cannot be judged again, say
+            except Exception as error:  # such as a claim that cannot be judged again
                 why = error.got if isinstance(error, InputError) else described(error)
                 yield f"{stratum}, run {kind.episode}: its stored trace cannot be read: {why}"
                 continue
@@ -103,25 +110,26 @@ def declared_counterexamples(plan: Plan, ledger: Ledger) -> Iterator[Example | s
 
 
 def _kinds(ledger: Ledger, claim: int) -> list[_Kind]:
-    """The worst first."""
+    """Return the kinds of violation of claim number ``claim`` (from 0), the worst first."""
     kept = {(stratum, episode) for stratum, episode, _ in ledger.traces()}
-    found: dict[tuple[int, str], _Kind] = {}
-    for stratum, episode, words, _ in ledger.all(_VIOLATIONS, claim, int(EpisodeOutcome.VIOLATED)):
-        parts = (words or "no hand").split(", ")
+    kinds: dict[tuple[int, str], _Kind] = {}
+    for stratum, episode, label, _ in ledger.all(_VIOLATIONS, claim, int(EpisodeOutcome.VIOLATED)):
+        parts = (label or "no hand").split(", ")
         key = (stratum, f"{parts[0]}, {parts[-1]}")
-        kind = found.setdefault(key, _Kind(*key))
+        kind = kinds.setdefault(key, _Kind(*key))
         kind.count += 1
         if kind.episode is None and (stratum, episode) in kept:
             kind.episode = episode
-    return list(found.values())
+    return list(kinds.values())
 
 
 def _circumstances(run: JudgedRun) -> tuple[str, ...]:
+    """Return lines on the circumstances of each decision, ``MOST_LINES`` at most."""
     try:
         lines = circumstances(run.trace)
     except InputError:
         return ("where it lies relative to the training data is not known: its network is not there",)
-    except Exception as error:  # no reason to lose the report
+    except Exception as error:  # a missing line is no reason to lose the report
         return (f"where it lies relative to the training data is not known: {described(error)}",)
     more = len(lines) - MOST_LINES
     return tuple(lines[:MOST_LINES]) + ((f"and {more} more decisions",) if more > 0 else ())
@@ -131,13 +139,13 @@ SEARCH, FINDINGS = "search", "findings.json"
 
 
 class FaultsFound(Struct, frozen=True):
-    """Whose fault the violations of a search are, in one line."""
+    """The causes of a search's violations, in one line."""
 
     words: str
 
 
 class Found(Struct, frozen=True, kw_only=True):
-    """A findings.json: runs tried of those asked for, distinct violations, files of counterexamples."""
+    """A findings.json: runs tried and runs asked for, distinct violations, files of counterexamples."""
 
     tried: int
     budget: int
@@ -153,7 +161,16 @@ class Found(Struct, frozen=True, kw_only=True):
 
 @dataclass(frozen=True, kw_only=True)
 class Searched:
-    """The search of one stratum: runs ``asked`` for, and what was found; ``problem`` says why nothing was."""
+    """The search of one stratum.
+
+    Args:
+        stratum: The name of the stratum.
+        folder: The folder with the findings and the counterexamples.
+        asked: The number of runs that the plan asks for.
+        found: The findings; None if the file is missing, cannot be read or belongs to another search.
+        problem: The reason why ``found`` is None.
+
+    """
 
     stratum: str
     folder: Path
@@ -163,49 +180,58 @@ class Searched:
 
     @property
     def complete(self) -> bool:
-        """Was it made as the plan asks, to its end?"""
+        """True if the search finished as the plan asks."""
         return self.found is not None and not self.found.interrupted
 
 
 def read_findings(path: Path) -> Found:
-    """InputError, naming the field, for what fuzz did not write."""
-    found = typed(read_json(path, "the findings of a search"), Found, path, others=True)
-    if not 0 <= found.tried <= found.budget:
-        place, got = Place(file=path, field="tried"), str(found.tried)
-        raise InputError(place=place, expected=f"0 to {found.budget} runs", got=got)
-    for k, name in enumerate(found.counterexamples):
+    """Return the findings in ``path``, a file that ``fuzz`` wrote.
+
+    Raises:
+        InputError: ``fuzz`` did not write the file; the error names the field.
+
+    """
+    findings = typed(read_json(path, "the findings of a search"), Found, path, others=True)
+    if not 0 <= findings.tried <= findings.budget:
+        place, got = Place(file=path, field="tried"), str(findings.tried)
+        raise InputError(place=place, expected=f"0 to {findings.budget} runs", got=got)
+    for k, name in enumerate(findings.counterexamples):
         if Path(name).name != name or "\0" in name:
             place = Place(file=path, field=f"counterexamples[{k}]")
             raise InputError(place=place, expected="the name of a file beside it", got=repr(name)[:60])
-    return found
+    return findings
 
 
 def searches_of(plan: Plan, folder: Path) -> tuple[Searched, ...]:
-    """One for each stratum that the plan's search goes to, in the plan's order."""
+    """Return the search of each stratum that gets a share of ``plan``'s search runs, in the plan's order.
+
+    ``folder`` is the report's folder. The first strata get one run more if the shares are uneven.
+    """
     each, more = divmod(plan.search_runs, len(plan.strata))
     shares = [each + (place < more) for place in range(len(plan.strata))]
-    return tuple(_searched(plan, folder, place, asked) for place, asked in enumerate(shares) if asked)
+    return tuple(_searched(plan, folder, place, share) for place, share in enumerate(shares) if share)
 
 
-def _searched(plan: Plan, folder: Path, place: int, asked: int) -> Searched:
+def _searched(plan: Plan, folder: Path, place: int, share: int) -> Searched:
+    """Return the search of the stratum number ``place``, with its findings if they belong to this plan."""
     stratum = plan.strata[place].name
     where = folder / SEARCH / f"{place + 1}-{_slug(stratum)}"
-    file, found, problem = where / FINDINGS, None, "was not made, or failed"
+    file, findings, problem = where / FINDINGS, None, "was not made, or failed"
     try:
         if file.exists():
-            found, problem = read_findings(file), ""
-            if (found.budget, found.seed) != (asked, plan.seed):
-                found, problem = None, "is another search's than the plan's"
+            findings, problem = read_findings(file), ""
+            if (findings.budget, findings.seed) != (share, plan.seed):
+                findings, problem = None, "is another search's than the plan's"
     except InputError as error:
         problem = f"cannot be read: {error.place.field or 'the file'}: expected {error.expected}"
     except OSError as error:
         problem = f"cannot be read: {error.strerror}"
-    return Searched(stratum=stratum, folder=where, asked=asked, found=found, problem=problem)
+    return Searched(stratum=stratum, folder=where, asked=share, found=findings, problem=problem)
 
 
 def search_evidence(searches: tuple[Searched, ...]) -> SearchSummary | None:
-    """What was hunted for and how; None where the plan asks for no search or nothing is known of any."""
-    known = [(one.stratum, one.found) for one in searches if one.found is not None]
+    """Return the summary of ``searches``; None if the plan asks for no search, or no findings are known."""
+    known = [(item.stratum, item.found) for item in searches if item.found is not None]
     if not known:
         return None
     lines = [
@@ -216,7 +242,7 @@ def search_evidence(searches: tuple[Searched, ...]) -> SearchSummary | None:
         f"{count_words(len(found.unconfirmed), 'was', 'were')} not confirmed"
         for stratum, found in known
     ]
-    lines += [f"{one.stratum}: the search {one.problem}" for one in searches if one.found is None]
+    lines += [f"{item.stratum}: the search {item.problem}" for item in searches if item.found is None]
     lines += [f"{stratum}: {found.attribution.words}" for stratum, found in known if found.attribution]
     lines.append("A search looks where violations are: its counts are no estimate of anything.")
     return SearchSummary(
@@ -225,7 +251,7 @@ def search_evidence(searches: tuple[Searched, ...]) -> SearchSummary | None:
 
 
 def _slug(name: str) -> str:
-    """A stratum's name as a part of a folder's."""
+    """Return a stratum's name as a part of a folder's name."""
     kept = "".join(letter if letter.isascii() and letter.isalnum() else "-" for letter in name.lower())
     return kept.strip("-")[:60] or "stratum"
 
@@ -233,30 +259,37 @@ def _slug(name: str) -> str:
 def searched_counterexamples(
     plan: Plan, searches: Sequence[Searched], folder: Path
 ) -> Iterator[Example | str]:
-    """What the search wrote below ``folder``: shrunk, confirmed and explained scenario files with traces.
+    """Yield the counterexamples of the search: minimised, confirmed and explained scenarios with traces.
 
-    Text is why one cannot be shown.
+    Args:
+        plan: The plan of the report.
+        searches: The searches of its strata.
+        folder: The report's folder.
+
+    Yields:
+        A counterexample, or a text with the reason why the page cannot show it.
+
     """
     sentences = [claim.sentence for claim in plan.claims]
-    for one in searches:
-        for name in one.found.counterexamples if one.found else ():
-            file = one.folder / name
+    for search in searches:
+        for name in search.found.counterexamples if search.found else ():
+            file = search.folder / name
             trace = file.with_suffix(".trace")
             try:
                 run = judged_run(load_trace(trace))
                 refuse_not_simulated(run.trace, trace)
                 if _acted(read_scenario(file)) != _acted(run.trace.scenario):
                     raise ScenarioError.of_file(file, "its trace's scenario", "another than its trace has")
-                sentence, lines = _told(file)
+                sentence, lines = _comments_of(file)
             except InputError as error:
                 got = "no trace" if not trace.is_file() else error.got
-                yield f"{one.stratum}: the search's {name} cannot be shown: {got}"
+                yield f"{search.stratum}: the search's {name} cannot be shown: {got}"
                 continue
             yield _example(
                 run,
                 sentences.index(sentence) if sentence in sentences else None,
                 sentence,
-                origin=f"the search of {one.stratum}, shrunk",
+                origin=f"the search of {search.stratum}, shrunk",
                 trace=trace.relative_to(folder).as_posix(),
                 scenario=file.relative_to(folder).as_posix(),
                 lines=lines[:MOST_LINES],
@@ -264,7 +297,7 @@ def searched_counterexamples(
 
 
 def _acted(scenario: Scenario) -> str:
-    """The text of a scenario but for its title and claims, of which a counterexample has its own."""
+    """Return the text of a scenario without its title, description and claims, which a search changes."""
     return write_scenario(replace(scenario, title="-", about="", claims=()))
 
 
@@ -280,7 +313,8 @@ def _example(
     scenario: str = "",
     data: bytes | None = None,
 ) -> Example:
-    of = run.under(sentence).about
+    """Return a counterexample with its margin and its ``replay`` command; ``numbered`` sets its number."""
+    index = run.under(sentence).about
     shown = CounterexampleEvidence(
         number=0,
         claim=None if claim is None else claim + 1,
@@ -288,7 +322,7 @@ def _example(
         origin=origin,
         independent=data is not None,
         like_it=like_it,
-        margin="\u2013" if of is None else margin_words(run.evaluations[of]),
+        margin="\u2013" if index is None else margin_words(run.evaluations[index]),
         scenario_file=scenario,
         trace_file=trace,
         command=shlex.join(["safety-harness", "replay", trace]),
@@ -298,52 +332,62 @@ def _example(
 
 
 def told_whose_fault(plan: Plan, met: Sequence[Example | str]) -> tuple[Example | str, ...]:
-    """The worst declared ones of each claim with what is said of searched ones: whose fault they are.
+    """Return ``met`` with the attribution of the worst declared counterexamples of each claim.
 
-    It executes what the plan names, as the runs did.
+    The attribution runs the scenarios again, and executes the programs that the plan names, as the runs did.
+    It covers ``MOST_ASKED`` counterexamples of each claim. Searched counterexamples have their attribution
+    already.
     """
     attribution = SearchAttribution()
-    asked: Counter[int] = Counter()
-    told: list[Example | str] = []
-    for one in met:
-        claim = one.shown.claim if isinstance(one, Example) and one.shown.independent else None
-        if isinstance(one, Example) and claim is not None and asked[claim] < MOST_ASKED:
-            asked[claim] += 1
-            lines = attribution.explain(one.run.trace.scenario, plan.claims[claim - 1].claim)
-            one = with_fault(one, lines)
-        told.append(one)
-    return tuple(told)
+    counts: Counter[int] = Counter()
+    examples: list[Example | str] = []
+    for item in met:
+        claim = item.shown.claim if isinstance(item, Example) and item.shown.independent else None
+        if isinstance(item, Example) and claim is not None and counts[claim] < MOST_ASKED:
+            counts[claim] += 1
+            lines = attribution.explain(item.run.trace.scenario, plan.claims[claim - 1].claim)
+            item = with_fault(item, lines)
+        examples.append(item)
+    return tuple(examples)
 
 
-def with_fault(one: Example, lines: Sequence[str]) -> Example:
-    """With these lines below the kind that it is of."""
-    return replace(one, shown=replace(one.shown, lines=(*one.shown.lines[:1], *lines, *one.shown.lines[1:])))
+def with_fault(met: Example, lines: Sequence[str]) -> Example:
+    """Return the counterexample ``met`` with the attribution ``lines`` below its kind, the first line."""
+    return replace(met, shown=replace(met.shown, lines=(*met.shown.lines[:1], *lines, *met.shown.lines[1:])))
 
 
 def numbered(met: Sequence[Example | str]) -> tuple[Example, ...]:
-    """With numbers from 1, those that cannot be shown left out."""
-    shown = [one for one in met if isinstance(one, Example)]
-    return tuple(replace(one, shown=replace(one.shown, number=k)) for k, one in enumerate(shown, start=1))
+    """Return the counterexamples in ``met`` with numbers from 1, without the texts."""
+    shown = [item for item in met if isinstance(item, Example)]
+    return tuple(replace(item, shown=replace(item.shown, number=k)) for k, item in enumerate(shown, start=1))
 
 
 def write_traces(examples: Sequence[Example], folder: Path) -> None:
-    """The declared ones' traces below ``folder``, in place of all that were there.  Raises OSError."""
-    keep = {one.shown.trace_file for one in examples}
+    """Write the traces of the declared ``examples`` below ``folder``, in place of all earlier ones.
+
+    Raises:
+        OSError: A trace cannot be written.
+
+    """
+    keep = {example.shown.trace_file for example in examples}
     for file in (folder / FOLDER).glob("claim-*-stratum-*-run-*.trace"):
         if file.relative_to(folder).as_posix() not in keep:
             file.unlink()
-    for one in examples:
-        if one.data is not None:
-            file = folder / one.shown.trace_file
+    for example in examples:
+        if example.data is not None:
+            file = folder / example.shown.trace_file
             file.parent.mkdir(parents=True, exist_ok=True)
-            file.write_bytes(one.data)
+            file.write_bytes(example.data)
 
 
-def _told(file: Path) -> tuple[str, list[str]]:
-    """What a counterexample's file says in its comments: to what it is one, and below the gap why."""
+def _comments_of(file: Path) -> tuple[str, list[str]]:
+    """Return the violated claim and the explanation in the comments of a counterexample's file.
+
+    The explanation begins below the first empty comment line.
+    """
     place = Place(file=file)
     data = read_bytes(file, most=LARGEST_SCENARIO_BYTES, place=place, error=ScenarioError)
     lines = decode(data, most=LARGEST_SCENARIO_BYTES, file=file, error=ScenarioError).splitlines()
     head = [line[1:].strip() for line in lines if line.startswith("#")]
-    told = next((line.removeprefix(TO).strip() for line in head if line.startswith(TO)), "something")
-    return told, [line for line in head[head.index("") + 1 :] if line] if "" in head else []
+    sentence = next((line.removeprefix(TO).strip() for line in head if line.startswith(TO)), "something")
+    return sentence, [line for line in head[head.index("") + 1 :] if line] if "" in head else []

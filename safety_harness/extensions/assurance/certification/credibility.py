@@ -1,4 +1,4 @@
-"""Why numbers from the simulator may be believed: runs made again, agreement of the worlds, oracles."""
+"""Reasons to believe numbers from the simulator: repeated runs, agreement of the worlds, oracles."""
 
 from __future__ import annotations
 
@@ -22,16 +22,23 @@ from safety_harness.report.words import with_minus
 from safety_harness.scenario.model import Scenario, Verdict
 from safety_harness.trace.trace import Trace
 
-MOST_RERUNS = 12  # some seconds
+MOST_RERUNS = 12  # they take some seconds
 NO_CELL = "Nothing here was measured on a real cell."
 
 
 def credibility_of(
     stored: Sequence[Stored], trials: HarnessTrials, *, reruns: tuple[Rerun, ...] | None = None
 ) -> Credibility:
-    """What is known, and what is not and why; ``reruns`` in place of runs that are made again."""
-    complete = [one.trace for one in stored if one.trace.complete]
-    chosen = complete[:: max(1, -(-len(complete) // MOST_RERUNS))]  # evenly
+    """Return the measured evidence on the simulator, and a reason for each missing part.
+
+    Args:
+        stored: The stored random runs. At most ``MOST_RERUNS`` of them, spread evenly, run again.
+        trials: The oracles and the recorded cells.
+        reruns: Known results in place of new runs; None: run again here.
+
+    """
+    complete = [item.trace for item in stored if item.trace.complete]
+    chosen = complete[:: max(1, -(-len(complete) // MOST_RERUNS))]  # spread evenly
     absent = _no_reruns(chosen)
     if reruns is None or absent:
         reruns = () if absent else _reruns_of(chosen)
@@ -40,8 +47,8 @@ def credibility_of(
     except OSError:
         agreement = None
         absent.append("No measured agreement of the two worlds comes with this version.")
-    missing = (one for one in WORLDS if not one.is_installed)
-    absent += [f"{one} is not installed: no run was made again in it." for one in missing]
+    missing = (item for item in WORLDS if not item.is_installed)
+    absent += [f"{item} is not installed: no run was made again in it." for item in missing]
     if not trials.oracles:
         absent.append(
             "Disagreements with other software (kinematics, distances, filter, networks, formulas): no part "
@@ -58,7 +65,12 @@ def credibility_of(
 
 
 def agreement_of() -> WorldAgreement:
-    """What came with the package; OSError if nothing did."""
+    """Return the agreement of the two worlds that ships with the package.
+
+    Raises:
+        OSError: The package has no measured agreement.
+
+    """
     measured = measured_agreement()
     verdicts = measured.compared + measured.compared_near
     return WorldAgreement(
@@ -66,14 +78,14 @@ def agreement_of() -> WorldAgreement:
         verdicts=verdicts,
         disagreements=verdicts - measured.agreed - measured.agreed_near,
         optimistic=len(measured.optimistic),
-        differences=tuple((one.what, f"{one.largest:.3g} in {one.scenario}") for one in measured.differences),
+        differences=tuple((gap.what, f"{gap.largest:.3g} in {gap.scenario}") for gap in measured.differences),
         source_hash=measured.source,
         present=measured.is_of_present_source,
     )
 
 
 def _no_reruns(chosen: Sequence[Trace]) -> list[str]:
-    """Why no run is made again; empty if some are."""
+    """Return the reason why no run is repeated here; an empty list if there is no such reason."""
     if not chosen:
         return ["No declared random run was stored, so none was made again with other step sizes."]
     if any(is_a_program(trace.scenario.under_test) for trace in chosen):
@@ -82,20 +94,21 @@ def _no_reruns(chosen: Sequence[Trace]) -> list[str]:
 
 
 def _reruns_of(chosen: Sequence[Trace]) -> tuple[Rerun, ...]:
-    """Declared random runs with smaller physics steps, and in the other worlds."""
-    found, own = [], world_of_trace(chosen[0].provenance.world)
+    """Repeat declared random runs with smaller physics steps, and in every remaining world."""
+    reruns, own = [], world_of_trace(chosen[0].provenance.world)
     if own.substeps:
         substeps = chosen[0].scenario.settings.clock.physics_substeps
         how = f"with {2 * substeps} physics steps a control tick in place of {substeps}"
-        found.append(_rerun(chosen, own, "step-size", "Finer physics steps", how, change=_finer))
-    for other in WORLDS:
-        if other is not own and other.is_installed:
-            title, how = f"These runs in {other}", f"in {other} in place of {own}"
-            found.append(_rerun(chosen, other, "other-world", title, how))
-    return tuple(found)
+        reruns.append(_rerun(chosen, own, "step-size", "Finer physics steps", how, change=_finer))
+    for entry in WORLDS:
+        if entry is not own and entry.is_installed:
+            title, how = f"These runs in {entry}", f"in {entry} in place of {own}"
+            reruns.append(_rerun(chosen, entry, "other-world", title, how))
+    return tuple(reruns)
 
 
 def _finer(scenario: Scenario) -> Scenario:
+    """Return ``scenario`` with half the physics step."""
     clock = scenario.settings.clock
     finer = replace(clock, physics_substeps=2 * clock.physics_substeps)
     return replace(scenario, settings=replace(scenario.settings, clock=finer))
@@ -110,18 +123,21 @@ def _rerun(
     *,
     change: Callable[[Scenario], Scenario] = lambda scenario: scenario,
 ) -> Rerun:
-    """A run that cannot be made again counts all of its verdicts as changed."""
+    """Repeat ``traces`` in ``world`` after ``change``, and count the changed verdicts.
+
+    A run that cannot be repeated counts all of its verdicts as changed.
+    """
     verdicts = changed = optimistic = 0
     largest: dict[str, tuple[float, str]] = {}
     for trace in traces:
-        before = judge(trace)
-        verdicts += len(before)
+        first = judge(trace)
+        verdicts += len(first)
         try:
-            after = judge(run_trial(admit(change(trace.scenario)), world=world))
-        except Exception:  # also of a user's program, whatever it raises
-            changed += len(before)
+            second = judge(run_trial(admit(change(trace.scenario)), world=world))
+        except Exception:  # a user's program may raise anything
+            changed += len(first)
             continue
-        for old, new in zip(before, after, strict=True):
+        for old, new in zip(first, second, strict=True):
             changed += old.verdict is not new.verdict
             optimistic += old.verdict is Verdict.HOLDS and new.verdict is Verdict.VIOLATED
             _note(largest, old, new)
@@ -138,6 +154,7 @@ def _rerun(
 
 
 def _note(largest: dict[str, tuple[float, str]], old: Evaluation, new: Evaluation) -> None:
+    """Record the change of a claim's margin in ``largest`` if it is the largest so far."""
     if old.margin is None or new.margin is None:
         return
     difference = new.margin - old.margin

@@ -1,10 +1,16 @@
-"""What changed from one evidence report to a later one, what got worse, and which runs carry over.
+"""The changes from an evidence report to a later one: regressions, and the runs that carry over.
 
-Worse is: a claim that was shown in a stratum and is not any more (because it is gone, too), a target or a
-confidence that was lowered, what was not shown and is not asked any more, a finding that was opened, a proof
-that is gone, a hazard that was as rare as is asked and is not any more, and a violation probability that is
-*shown* to be larger.  That is so where the exact interval of the difference, paired by episode, lies above
-zero; or, where the two reports drew other episodes, where the two intervals have no value in common.
+These are regressions:
+
+- A claim with the status SHOWN in a stratum lost it; a claim that is gone counts too.
+- The confidence is lower.
+- A target is larger, and the earlier target is not met any more.
+- A claim whose status was neither SHOWN nor ESTIMATED is no longer in the plan, or has another space.
+- A finding is new.
+- A proof is gone.
+- A hazard met its hourly limit and does not meet it any more.
+- The data show that a violation probability is larger. The interval of the difference, paired by episode,
+  then lies above zero. If the two reports drew different episodes, their two intervals are disjoint instead.
 """
 
 from __future__ import annotations
@@ -50,7 +56,7 @@ FORMAT = "safety-harness delta 1"
 
 @dataclass(frozen=True)
 class ClaimChange:
-    """A claim that stands otherwise, or for another target; None where it is not in the plan.
+    """A claim with another status or another target; None stands for a claim that the plan does not have.
 
     ``stratum`` is empty for the claim as a whole.
     """
@@ -65,7 +71,10 @@ class ClaimChange:
 
 @dataclass(frozen=True)
 class BoundChange:
-    """A bound that is another.  ``worse`` and ``better`` are shown, by ``how``; both may be untrue."""
+    """A bound that changed.
+
+    ``worse`` or ``better`` is true if the data show it, by the method in ``how``. Both may be false.
+    """
 
     sentence: str
     stratum: str
@@ -78,7 +87,7 @@ class BoundChange:
 
 @dataclass(frozen=True)
 class CarriedPart:
-    """A part of the earlier evidence: whether it also speaks of the later system, and ``why`` (not)."""
+    """A part of the earlier evidence, whether it also applies to the later system, and the reason ``why``."""
 
     what: str
     carries: bool
@@ -87,9 +96,10 @@ class CarriedPart:
 
 @dataclass(frozen=True, kw_only=True)
 class EvidenceDelta:
-    """The whole comparison.  ``before`` and ``after`` are the folders' names with the roots of their rows.
+    """The whole comparison.
 
-    ``bases`` say what the verdicts of each rest on.
+    ``before`` and ``after`` are the folders' names with the roots of their rows. ``bases`` are the reports'
+    basis lines. ``reworded`` has findings that are still open with other numbers: (before, after).
     """
 
     format: str
@@ -102,17 +112,17 @@ class EvidenceDelta:
     bounds: tuple[BoundChange, ...]
     opened: tuple[str, ...]
     closed: tuple[str, ...]
-    reworded: tuple[tuple[str, str], ...]  # findings that are open still, with other numbers
+    reworded: tuple[tuple[str, str], ...]  # findings that are still open, with other numbers
     carried: tuple[CarriedPart, ...]
 
     @property
     def empty(self) -> bool:
-        """Is nothing another?"""
+        """True if the two reports do not differ."""
         return not (self.parts or self.claims or self.bounds or self.opened or self.closed or self.reworded)
 
     @property
     def line(self) -> str:
-        """In one sentence."""
+        """The result in one sentence."""
         if self.empty:
             return "nothing changed"
         if self.regressions:
@@ -120,20 +130,25 @@ class EvidenceDelta:
         return f"nothing got worse since {self.before[0]}"
 
     def as_text(self) -> str:
-        """As JSON."""
+        """Return the comparison as JSON."""
         return json.dumps(plain(self), indent=1, allow_nan=False, ensure_ascii=False) + "\n"
 
 
 @dataclass(frozen=True, eq=False)
 class EarlierReport:
-    """A finished report whose files are those that its manifest has."""
+    """A finished report whose files match its manifest."""
 
     folder: Path
     evidence: Evidence
 
     @classmethod
     def read(cls, folder: Path) -> EarlierReport:
-        """InputError for what is no report, one that is not finished, or one whose files were altered."""
+        """Read the report in ``folder``.
+
+        Raises:
+            InputError: The folder is no report, its runs are not finished, or a file was altered.
+
+        """
         hashes = read_manifest(folder)
         if faults := check_files(folder, hashes).faults:
             expected = "the folder of a report as certify wrote it"
@@ -148,7 +163,12 @@ class EarlierReport:
 
 
 def delta_of(earlier: EarlierReport, later: EarlierReport) -> EvidenceDelta:
-    """From the earlier to the later one; InputError for a ledger that cannot be read."""
+    """Return all changes from the ``earlier`` report to the ``later`` one.
+
+    Raises:
+        InputError: A ledger cannot be read, both reports have the same runs, or ``later`` began first.
+
+    """
     with ExitStack() as stack:
         reports = (earlier, later)
         first, second = (stack.enter_context(Ledger.open(one.folder / LEDGER, alone=True)) for one in reports)
@@ -163,9 +183,9 @@ def delta_of(earlier: EarlierReport, later: EarlierReport) -> EvidenceDelta:
 
 
 def _refuse_order(earlier: EarlierReport, first: Ledger, second: Ledger) -> None:
-    """InputError for the runs of one report twice, and for a later report in the place of the earlier."""
+    """Raise InputError if both ledgers hold the same runs, or if the earlier report's runs began later."""
     refuse_itself(first, second)
-    was, now = (began_at(one)[-1:] for one in (first, second))
+    was, now = (began_at(ledger)[-1:] for ledger in (first, second))
     if was > now:
         expected, got = "the earlier report first", f"runs that began at {was[0]}, before which others began"
         raise InputError(place=Place(file=earlier.folder), expected=expected, got=f"{got} at {''.join(now)}")
@@ -175,55 +195,65 @@ Paired = dict[tuple[str, str], tuple[float, float, float]]
 
 
 def delta_between(
-    before: Evidence,
-    after: Evidence,
+    old: Evidence,
+    new: Evidence,
     *,
     names: tuple[str, str],
     identities: tuple[Identity, Identity],
     paired: Paired,
 ) -> EvidenceDelta:
-    """By (claim, stratum) ``paired`` has the difference's interval (later minus earlier) and its confidence.
+    """Compare the evidence of two reports.
 
-    ``identities`` are what the runs of each hang on.
+    Args:
+        old: The evidence of the earlier report.
+        new: The evidence of the later report.
+        names: The names of the two folders.
+        identities: The inputs that the runs of each report depend on.
+        paired: (lower end, upper end, confidence) of the difference in the violation probability, later minus
+            earlier, by (claim, stratum).  A claim without an entry has its two intervals compared instead.
+
+    Returns:
+        The comparison.
+
     """
     if len(set(map(edition_of, identities))) > 1:
-        before, after = (
-            _named(one, edition_of(of)) for one, of in zip((before, after), identities, strict=True)
+        old, new = (
+            _named(report, edition_of(own)) for report, own in zip((old, new), identities, strict=True)
         )
-    bounds = tuple(_bounds(before, after, paired))
-    unasked = dict(_unasked(before, after))
-    opened, closed, reworded = _findings(before, after, unasked)
+    bounds = tuple(_bounds(old, new, paired))
+    unasked = dict(_unasked(old, new))
+    opened, closed, reworded = _findings(old, new, unasked)
     return EvidenceDelta(
         format=FORMAT,
-        before=(names[0], before.record.rows_sha256),
-        after=(names[1], after.record.rows_sha256),
-        bases=(f"{names[0]}: {before.basis}", f"{names[1]}: {after.basis}"),
+        before=(names[0], old.record.rows_sha256),
+        after=(names[1], new.record.rows_sha256),
+        bases=(f"{names[0]}: {old.basis}", f"{names[1]}: {new.basis}"),
         regressions=(
-            *_lost(before, after),
+            *_lost(old, new),
             *unasked.values(),
-            *_loosened(before, after),
-            *(_worse_words(one) for one in bounds if one.worse),
-            *_unproven(before, after),
-            *_unrated(before, after),
+            *_loosened(old, new),
+            *(_worse_words(report) for report in bounds if report.worse),
+            *_unproven(old, new),
+            *_unrated(old, new),
             *(f"a finding was opened: {text}" for text in opened),
         ),
-        parts=tuple(parts_changed(before, after)),
-        claims=tuple(_claims(before, after)),
+        parts=tuple(parts_changed(old, new)),
+        claims=tuple(_claims(old, new)),
         bounds=bounds,
         opened=opened,
         closed=closed,
         reworded=reworded,
-        carried=tuple(_carried(before, after, *identities)),
+        carried=tuple(_carried(old, new, *identities)),
     )
 
 
 def _named(evidence: Evidence, edition: int) -> Evidence:
-    """Return a report with its claims in the words of today: edition 1 takes hands to come at WALKING_MPS."""
+    """Return a report with its claims in today's words: edition 1 assumes that hands come at WALKING_MPS."""
     if edition > 1:
         return evidence
     kept = ProtectiveSeparation().sentence
     now = ProtectiveSeparation(hand_speed_mps=WALKING_MPS).sentence
-    claims = (replace(one, sentence=now) if one.sentence == kept else one for one in evidence.claims)
+    claims = (replace(claim, sentence=now) if claim.sentence == kept else claim for claim in evidence.claims)
     return replace(evidence, claims=tuple(claims))
 
 
@@ -231,9 +261,10 @@ def _claims_by(evidence: Evidence) -> dict[str, ClaimEvidence]:
     return {claim.sentence: claim for claim in evidence.claims}
 
 
-def _claims(before: Evidence, after: Evidence) -> Iterator[ClaimChange]:
-    targets = [{one.sentence: one.target for one in each.claims} for each in (before, after)]
-    earlier, later = (_standings(each) for each in (before, after))
+def _claims(old: Evidence, new: Evidence) -> Iterator[ClaimChange]:
+    """Yield each claim with another status, in a stratum or as a whole, or with another target."""
+    targets = [{claim.sentence: claim.target for claim in each.claims} for each in (old, new)]
+    earlier, later = (_standings(each) for each in (old, new))
     for sentence, stratum in dict.fromkeys([*earlier, *later]):
         key = (sentence, stratum)
         was, now = (earlier.get(key), targets[0].get(sentence)), (later.get(key), targets[1].get(sentence))
@@ -242,37 +273,41 @@ def _claims(before: Evidence, after: Evidence) -> Iterator[ClaimChange]:
 
 
 def _standings(evidence: Evidence) -> dict[tuple[str, str], ClaimStatus]:
-    """Of each claim as a whole, and in each stratum."""
+    """Return the status of each claim as a whole (empty stratum) and in each stratum."""
     whole = {(claim.sentence, ""): claim.standing for claim in evidence.claims}
-    return whole | {key: one.standing for key, one in _outcomes(evidence).items()}
+    return whole | {key: result.standing for key, result in _outcomes(evidence).items()}
 
 
 def _outcomes(evidence: Evidence) -> dict[tuple[str, str], ClaimResult]:
-    return {(claim.sentence, one.stratum): one for claim in evidence.claims for one in claim.outcomes}
+    return {(claim.sentence, row.stratum): row for claim in evidence.claims for row in claim.outcomes}
 
 
-def _lost(before: Evidence, after: Evidence) -> Iterator[str]:
-    """What was shown and is not now: in a stratum, or over all of the plan's."""
-    outcomes, claims = _outcomes(after), _claims_by(after)
-    told = set()
-    for (sentence, stratum), was in _outcomes(before).items():
+def _lost(old: Evidence, new: Evidence) -> Iterator[str]:
+    """Yield each claim that lost the status SHOWN, in a stratum or over the whole plan."""
+    outcomes, claims = _outcomes(new), _claims_by(new)
+    listed = set()
+    for (sentence, stratum), was in _outcomes(old).items():
         now = outcomes.get((sentence, stratum))
         if was.standing is ClaimStatus.SHOWN and (now is None or now.standing is not ClaimStatus.SHOWN):
-            told.add(sentence)
+            listed.add(sentence)
             gone = f"the {'stratum' if sentence in claims else 'claim'} is not in the plan any more"
-            words = gone if now is None else f"{now.standing.value}: {now.why}"
-            yield f"{sentence}, {stratum}: shown before, now {words}"
-    for sentence, claim, later in both(_claims_by(before), claims):
+            state = gone if now is None else f"{now.standing.value}: {now.why}"
+            yield f"{sentence}, {stratum}: shown before, now {state}"
+    for sentence, claim, later in both(_claims_by(old), claims):
         lost = claim and claim.standing is ClaimStatus.SHOWN is not (later and later.standing)
-        if lost and later and sentence not in told:
+        if lost and later and sentence not in listed:
             yield f"{sentence}: shown before, now {later.standing.value}: {later.why}"
 
 
-def _unasked(before: Evidence, after: Evidence) -> Iterator[tuple[tuple[str, str], str]]:
-    """By (claim, stratum) what was asked and not shown, and is gone or asked of another space now."""
-    later, claims = _outcomes(after), _claims_by(after)
-    spaces = [{one.name: one.space_sha256 for one in each.strata} for each in (before, after)]
-    for key, was in _outcomes(before).items():
+def _unasked(old: Evidence, new: Evidence) -> Iterator[tuple[tuple[str, str], str]]:
+    """Yield, by (claim, stratum), each claim that was not shown before and that the later plan avoids.
+
+    Its status was neither SHOWN nor ESTIMATED. Its claim or its stratum is gone, or it has the status SHOWN
+    now in another space.
+    """
+    later, claims = _outcomes(new), _claims_by(new)
+    spaces = [{stratum.name: stratum.space_sha256 for stratum in each.strata} for each in (old, new)]
+    for key, was in _outcomes(old).items():
         now = later.get(key)
         if was.standing in (ClaimStatus.SHOWN, ClaimStatus.ESTIMATED):
             continue
@@ -284,34 +319,35 @@ def _unasked(before: Evidence, after: Evidence) -> Iterator[tuple[tuple[str, str
         yield key, f"{', '.join(key)}: {was.standing.value} before, not asked any more: {why}"
 
 
-def _loosened(before: Evidence, after: Evidence) -> Iterator[str]:
-    """A lower confidence, and a target that is larger than one that was met and is not met any more."""
-    if after.plan.confidence < before.plan.confidence:
-        lower, higher = percent(after.plan.confidence), percent(before.plan.confidence)
+def _loosened(old: Evidence, new: Evidence) -> Iterator[str]:
+    """Yield a lower confidence, and each larger target whose earlier value the claim no longer meets."""
+    if new.plan.confidence < old.plan.confidence:
+        lower, higher = percent(new.plan.confidence), percent(old.plan.confidence)
         yield f"the bounds hold with {lower} confidence, {higher} before"
-    claims = _claims_by(before)
-    for claim in after.claims:
+    claims = _claims_by(old)
+    for claim in new.claims:
         target = claims[claim.sentence].target if claim.sentence in claims else None
-        for one in claim.outcomes:
-            was = _outcomes(before).get((claim.sentence, one.stratum))
-            kept = one.bound is not None and target is not None and one.bound.upper <= target
-            if was and was.standing is one.standing is ClaimStatus.SHOWN and target and not kept:
-                yield f"{claim.sentence}, {one.stratum}: shown for a larger target, not for {percent(target)}"
+        for row in claim.outcomes:
+            was = _outcomes(old).get((claim.sentence, row.stratum))
+            kept = row.bound is not None and target is not None and row.bound.upper <= target
+            if was and was.standing is row.standing is ClaimStatus.SHOWN and target and not kept:
+                yield f"{claim.sentence}, {row.stratum}: shown for a larger target, not for {percent(target)}"
 
 
 def _paired(first: Ledger, second: Ledger) -> Paired:
-    """Each difference's interval, later minus earlier, and its confidence; none for other episodes."""
+    """Return interval and confidence of each difference; empty if the ledgers hold different episodes."""
     try:
         compared = compare_ledgers(first, second)
     except (LedgerError, StatisticsError):
         return {}
-    return {(one.claim, one.stratum): (one.low, one.high, one.confidence) for one in compared}
+    return {(row.claim, row.stratum): (row.low, row.high, row.confidence) for row in compared}
 
 
-def _bounds(before: Evidence, after: Evidence, paired: Paired) -> Iterator[BoundChange]:
-    earlier, later = _outcomes(before), _outcomes(after)
+def _bounds(old: Evidence, new: Evidence, paired: Paired) -> Iterator[BoundChange]:
+    """Yield each bound that changed, and whether the data show that it is worse or better."""
+    earlier, later = _outcomes(old), _outcomes(new)
     for key in dict.fromkeys([*earlier, *later]):
-        was, now = (found[key].bound if key in found else None for found in (earlier, later))
+        was, now = (results[key].bound if key in results else None for results in (earlier, later))
         if was == now:
             continue
         worse = better = False
@@ -329,47 +365,50 @@ def _bounds(before: Evidence, after: Evidence, paired: Paired) -> Iterator[Bound
         yield BoundChange(*key, was, now, worse, better, how)
 
 
-def _worse_words(one: BoundChange) -> str:
+def _worse_words(row: BoundChange) -> str:
+    """Return the line of a bound that is worse."""
     return (
-        f"{one.sentence}, {one.stratum}: {interval(one.before)} before, {interval(one.after)} now; {one.how}"
+        f"{row.sentence}, {row.stratum}: {interval(row.before)} before, {interval(row.after)} now; {row.how}"
     )
 
 
 def interval(bound: Bound | None) -> str:
-    """Both ends in words."""
+    """Return both ends of ``bound`` in words."""
     return NONE if bound is None else f"{at_least(bound.lower)} to {at_most(bound.upper)}"
 
 
-def _unproven(before: Evidence, after: Evidence) -> Iterator[str]:
-    for name, was, now in both(proofs_in(before), proofs_in(after)):
+def _unproven(old: Evidence, new: Evidence) -> Iterator[str]:
+    """Yield each claim that was proven and is not any more."""
+    for name, was, now in both(proofs_in(old), proofs_in(new)):
         if was == "proven" != now:
             yield f"{name}: proven before, now {now or 'no proof is given'}"
 
 
-def _unrated(before: Evidence, after: Evidence) -> Iterator[str]:
-    """A hazard whose rates were shown to be as low as asked."""
-    if before.plan.model_only:
+def _unrated(old: Evidence, new: Evidence) -> Iterator[str]:
+    """Yield each hazard whose rates met their limit and do not meet it any more."""
+    if old.plan.model_only:
         return
-    earlier, later = ({one.name: one for one in each.hazards} for each in (before, after))
+    earlier, later = ({hazard.name: hazard for hazard in each.hazards} for each in (old, new))
     for name, was, now in both(earlier, later):
-        if was and was.met and not (now and now.met and not after.plan.model_only):
-            words = "not shown to be now" if now else "the hazard is not in the plan any more"
-            yield f"{name}: as rare as is asked before, {words}"
+        if was and was.met and not (now and now.met and not new.plan.model_only):
+            state = "not shown to be now" if now else "the hazard is not in the plan any more"
+            yield f"{name}: as rare as is asked before, {state}"
 
 
 _QUOTED_OR_NUMBER = re.compile(r"('[^']*'|\"[^\"]*\")|(?<![\w.-])\d[\d,.]*(?![\w-])")
 
 
 def _findings(
-    before: Evidence, after: Evidence, unasked: Iterable[tuple[str, str]]
+    old: Evidence, new: Evidence, unasked: Iterable[tuple[str, str]]
 ) -> tuple[tuple[str, ...], tuple[str, ...], tuple[tuple[str, str], ...]]:
-    """Opened, closed, and told otherwise: a claim's finding is its own, another is known by its words.
+    """Return the opened, the closed and the reworded findings.
 
-    One of an ``unasked`` claim, or of a stratum that is gone, is not closed.
+    A claim identifies its finding; the text without its numbers identifies any other finding. A finding on an
+    ``unasked`` claim, or on a stratum that is gone, does not count as closed.
     """
-    gone = {one.name for one in before.strata} - {one.name for one in after.strata}
+    gone = {stratum.name for stratum in old.strata} - {stratum.name for stratum in new.strata}
     left = (*(f"claim {claim} " for claim, _ in unasked), *(f"{name}: " for name in gone))
-    earlier, later = _open_in(before), _open_in(after)
+    earlier, later = _open_in(old), _open_in(new)
     opened: list[str] = []
     closed: list[str] = []
     reworded: list[tuple[str, str]] = []
@@ -386,62 +425,65 @@ def _findings(
 
 
 def _open_in(evidence: Evidence) -> dict[str, tuple[int, str]]:
-    """Each finding by what stays of it when its numbers change: how grave it is, and its text."""
-    claims = {f"claim-{one.number}": one for one in evidence.claims}
-    strata = sorted((one.name for one in evidence.strata), key=len, reverse=True)
-    found: dict[str, tuple[int, str]] = {}
+    """Return each finding by the part of it that stays when its numbers change: its severity and its text."""
+    claims = {f"claim-{item.number}": item for item in evidence.claims}
+    strata = sorted((item.name for item in evidence.strata), key=len, reverse=True)
+    findings: dict[str, tuple[int, str]] = {}
     times: Counter[str] = Counter()
-    for one in evidence.findings:
-        claim = claims.get(one.place)
-        gravity = SEVERITY.index(claim.standing) if claim else 0
-        name = next((f"{name}: " for name in strata if one.text.startswith(f"{name}: ")), "")
-        rest = one.text.removeprefix(name)
+    for item in evidence.findings:
+        claim = claims.get(item.place)
+        severity = SEVERITY.index(claim.standing) if claim else 0
+        name = next((f"{name}: " for name in strata if item.text.startswith(f"{name}: ")), "")
+        rest = item.text.removeprefix(name)
         key = f"claim {claim.sentence}" if claim else name + _QUOTED_OR_NUMBER.sub(r"\1", rest)
         times[key] += 1
-        found[f"{key} {times[key]}"] = gravity, one.text
-    return found
+        findings[f"{key} {times[key]}"] = severity, item.text
+    return findings
 
 
-def _carried(before: Evidence, after: Evidence, was: Identity, now: Identity) -> Iterator[CarriedPart]:
-    """Stratum by stratum, then the proofs and the self-test."""
-    earlier = {one.name: one for one in before.strata}
+def _carried(old: Evidence, new: Evidence, was: Identity, now: Identity) -> Iterator[CarriedPart]:
+    """Yield whether the runs of each stratum, the proofs and the self-test carry over."""
+    earlier = {item.name: item for item in old.strata}
     everywhere = [
         f"the {name.replace('_', ' ')} is another"
         for name in ("seed", "world", "stop_early")
-        if getattr(before.plan, name) != getattr(after.plan, name)
+        if getattr(old.plan, name) != getattr(new.plan, name)
     ]
-    judged = {claim.sentence for claim in before.claims}
-    everywhere += [f"never judged: {one.sentence}" for one in after.claims if one.sentence not in judged]
-    for stratum in after.strata:
-        what = f"{stratum.planned} runs of {stratum.name}"
+    judged = {claim.sentence for claim in old.claims}
+    everywhere += [f"never judged: {item.sentence}" for item in new.claims if item.sentence not in judged]
+    for stratum in new.strata:
+        part = f"{stratum.planned} runs of {stratum.name}"
         if stratum.name not in earlier:
-            yield CarriedPart(what, False, "the stratum is new")
+            yield CarriedPart(part, False, "the stratum is new")
             continue
-        others = {one.space for one in (*before.strata, *after.strata)} - {stratum.space}
-        others |= {before.plan.file, after.plan.file}
-        why = _of_stratum(was, stratum.name, others).changes(_of_stratum(now, stratum.name, others))
+        foreign = {item.space for item in (*old.strata, *new.strata)} - {stratum.space}
+        foreign |= {old.plan.file, new.plan.file}
+        why = _of_stratum(was, stratum.name, foreign).changes(_of_stratum(now, stratum.name, foreign))
         why += everywhere
         if (there := earlier[stratum.name].made) < stratum.planned:
             why.append(f"{there} runs are there")
         same = "its space, the system, the software and the claims that were judged are the same"
-        yield CarriedPart(what, not why, "; ".join(why) or same)
-    if before.proven is not None:
-        known = any(value == before.proven.network_sha256 for _, value in now.parts)
-        words = "it is the same network, by its hash" if known else "the network is another"
-        yield CarriedPart("what was proven of the network", known, words)
-    if before.selftest is not None:
-        known = before.selftest.present and before.provenance.source_hash == after.provenance.source_hash
+        yield CarriedPart(part, not why, "; ".join(why) or same)
+    if old.proven is not None:
+        known = any(value == old.proven.network_sha256 for _, value in now.parts)
+        reason = "it is the same network, by its hash" if known else "the network is another"
+        yield CarriedPart("what was proven of the network", known, reason)
+    if old.selftest is not None:
+        known = old.selftest.present and old.provenance.source_hash == new.provenance.source_hash
         yield CarriedPart("the self-test", known, f"the source is {'the same' if known else 'another'}")
 
 
-def _of_stratum(identity: Identity, stratum: str, others: set[str]) -> Identity:
-    """What of an identity the runs of a stratum hang on: not the plan, nor other strata's own files."""
+def _of_stratum(identity: Identity, stratum: str, foreign: set[str]) -> Identity:
+    """Return the part of an identity that the runs of a stratum depend on.
+
+    The plan's file and the files of other strata (``foreign``) are not part of it.
+    """
     mine = f"{SYSTEM} in {stratum}"
     return Identity(
         tuple(
             (name, value)
             for name, value in identity.parts
-            if name.removeprefix("the file ") not in others
+            if name.removeprefix("the file ") not in foreign
             and (name == mine or not name.startswith(f"{SYSTEM} in "))
         )
     )

@@ -1,4 +1,4 @@
-"""The page and the JSON of what changed between two reports, beside the later one's folder."""
+"""The page and the JSON of the changes between two reports, beside the later report's folder."""
 
 from __future__ import annotations
 
@@ -16,12 +16,26 @@ PAGE, JSON = "delta.html", "delta.json"
 
 
 def folder_of_delta(report: Path) -> Path:
-    """Beside the report: within it would be a file more than its manifest has."""
+    """Return the folder for a comparison, beside the report.
+
+    Inside the report it would be a file that the manifest lacks.
+    """
     return report.with_name(f"{report.name}.delta")
 
 
 def write_delta(folder: Path, delta: EvidenceDelta, *, command: str, generated_at: datetime) -> None:
-    """Both files, each whole or not at all; OutputError for what cannot be written."""
+    """Write the page and the JSON, each whole or not at all.
+
+    Args:
+        folder: The folder of both files.
+        delta: The comparison.
+        command: The command that repeats it, for the page.
+        generated_at: The time for the page.
+
+    Raises:
+        OutputError: A file cannot be written.
+
+    """
     try:
         folder.mkdir(parents=True, exist_ok=True)
         write_whole(folder / JSON, delta.as_text())
@@ -31,7 +45,7 @@ def write_delta(folder: Path, delta: EvidenceDelta, *, command: str, generated_a
 
 
 def render(delta: EvidenceDelta, *, command: str, generated_at: datetime) -> str:
-    """The page as text."""
+    """Return the page of ``delta`` as text; it shows the ``command`` that repeats it and ``generated_at``."""
     return render_page(
         "delta.html.j2",
         of="safety_harness.extensions.assurance",
@@ -40,31 +54,31 @@ def render(delta: EvidenceDelta, *, command: str, generated_at: datetime) -> str
         basis=". ".join(delta.bases),
         claims=[
             (
-                one.sentence,
-                one.stratum or "all",
-                one.before.value if one.before else NONE,
-                one.after.value if one.after else NONE,
+                row.sentence,
+                row.stratum or "all",
+                row.before.value if row.before else NONE,
+                row.after.value if row.after else NONE,
                 *(
                     NONE if target is None else percent(target)
-                    for target in (one.target_before, one.target_after)
+                    for target in (row.target_before, row.target_after)
                 ),
             )
-            for one in delta.claims
+            for row in delta.claims
         ],
         bounds=[
             (
-                one.sentence,
-                one.stratum,
-                interval(one.before),
-                interval(one.after),
-                "worse" if one.worse else "better" if one.better else "not told apart",
-                one.how,
+                row.sentence,
+                row.stratum,
+                interval(row.before),
+                interval(row.after),
+                "worse" if row.worse else "better" if row.better else "not told apart",
+                row.how,
             )
-            for one in delta.bounds
+            for row in delta.bounds
         ],
-        parts=[(one.name, one.part, one.before, one.after) for one in delta.parts],
+        parts=[(row.name, row.part, row.before, row.after) for row in delta.parts],
         carried=[
-            (one.what, "carries over" if one.carries else "has to be run again", one.why)
-            for one in delta.carried
+            (row.what, "carries over" if row.carries else "has to be run again", row.why)
+            for row in delta.carried
         ],
     )

@@ -1,4 +1,4 @@
-"""What is another in two evidence reports beside results: software, system, settings, plan, spaces, files."""
+"""Differences between two evidence reports beside results: software, system, settings, plan, space, files."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class PartChange:
-    """A part of the software, the system or the plan that is another; ``NONE`` where there is none."""
+    """A changed part of the software, the system or the plan; ``NONE`` stands for a missing part."""
 
     part: str
     name: str
@@ -26,38 +26,38 @@ class PartChange:
     after: str
 
 
-def both(before: Mapping[str, T], after: Mapping[str, T]) -> Iterator[tuple[str, T | None, T | None]]:
-    """Each key of either, with what both have of it."""
-    for name in dict.fromkeys([*before, *after]):
-        yield name, before.get(name), after.get(name)
+def both(old: Mapping[str, T], new: Mapping[str, T]) -> Iterator[tuple[str, T | None, T | None]]:
+    """Yield each key of ``old`` or ``new`` with its two values; None for a missing key."""
+    for name in dict.fromkeys([*old, *new]):
+        yield name, old.get(name), new.get(name)
 
 
 def proofs_in(evidence: Evidence) -> dict[str, str]:
-    """The verdict on each proven claim, by its sentence and region."""
+    """Return the verdict on each proven claim of ``evidence``, by its sentence and region."""
     claims = evidence.proven.claims if evidence.proven else ()
-    return {f"{one.claim}, {one.region}": one.verdict for one in claims}
+    return {f"{claim.claim}, {claim.region}": claim.verdict for claim in claims}
 
 
-def parts_changed(before: Evidence, after: Evidence) -> Iterator[PartChange]:
-    """Everything else that is another."""
-    for part, of in _PARTS.items():
-        for name, was, now in both(of(before), of(after)):
+def parts_changed(old: Evidence, new: Evidence) -> Iterator[PartChange]:
+    """Yield every changed part from ``old`` to ``new`` that is no result."""
+    for part, read in _PARTS.items():
+        for name, was, now in both(read(old), read(new)):
             if was != now:
                 yield PartChange(part, name, NONE if was is None else was, NONE if now is None else now)
-    yield from _only_earlier(before, after)
+    yield from _only_earlier(old, new)
 
 
 def _software(evidence: Evidence) -> dict[str, str]:
     made = evidence.provenance
-    about = {"package": made.package_version, "source": made.source_hash, "Python": made.python}
-    return about | {"platform": made.platform} | dict(made.libraries)
+    parts = {"package": made.package_version, "source": made.source_hash, "Python": made.python}
+    return parts | {"platform": made.platform} | dict(made.libraries)
 
 
 def _system(evidence: Evidence) -> dict[str, str]:
-    found: dict[str, str] = {}
+    facts: dict[str, str] = {}
     for name, text in (*evidence.system.facts, *evidence.system.card, *evidence.system.gate):
-        found[name] = f"{found[name]}; {text}" if name in found else text
-    return found | {f"limit {k}": text for k, text in enumerate(evidence.system.limits, start=1)}
+        facts[name] = f"{facts[name]}; {text}" if name in facts else text
+    return facts | {f"limit {k}": text for k, text in enumerate(evidence.system.limits, start=1)}
 
 
 def _settings(evidence: Evidence) -> dict[str, str]:
@@ -75,52 +75,52 @@ def _plan(evidence: Evidence) -> dict[str, str]:
 
 
 def _spaces(evidence: Evidence) -> dict[str, str]:
-    return {one.name: f"{one.planned} runs, sha256 {one.space_sha256[:16]}" for one in evidence.strata}
+    return {item.name: f"{item.planned} runs, sha256 {item.space_sha256[:16]}" for item in evidence.strata}
 
 
 def _files(evidence: Evidence) -> dict[str, str]:
-    return {one.path: one.sha256[:16] for one in evidence.files if one.path.startswith("plan/")}
+    return {file.path: file.sha256[:16] for file in evidence.files if file.path.startswith("plan/")}
 
 
 def _hazards(evidence: Evidence) -> dict[str, str]:
     return {
-        one.name: f"{one.severity}, {one.exposure}, {one.avoidance}; {one.approaches}; asked an hour: "
-        f"{'nothing' if one.asked_an_hour is None else f'{one.asked_an_hour:g}'}"
-        for one in evidence.hazards
+        item.name: f"{item.severity}, {item.exposure}, {item.avoidance}; {item.approaches}; asked an hour: "
+        f"{'nothing' if item.asked_an_hour is None else f'{item.asked_an_hour:g}'}"
+        for item in evidence.hazards
     }
 
 
 def _learned(evidence: Evidence) -> dict[str, str]:
-    """By stratum how far it lies from the training, and what is said of the learned part."""
+    """Return the distance of each stratum from the training, and the statements on the learned part."""
     if evidence.learned is None:
         return {}
-    return dict(evidence.learned.life) | {one.stratum: _distance(one) for one in evidence.learned.strata}
+    return dict(evidence.learned.life) | {row.stratum: _distance(row) for row in evidence.learned.strata}
 
 
-def _distance(one: TrainingDistance) -> str:
-    runs = ", ".join(f"{count} {name}" for name, count in zip(SEEN, one.runs, strict=True))
-    if one.share_outside is None:
+def _distance(row: TrainingDistance) -> str:
+    runs = ", ".join(f"{count} {name}" for name, count in zip(SEEN, row.runs, strict=True))
+    if row.share_outside is None:
         return f"runs: {runs}; no decision is stored"
-    far_m = one.largest_outside_m
+    far_m = row.largest_outside_m
     far = "" if far_m is None else f", {1e3 * far_m:.0f} mm at most"
-    return f"runs: {runs}; hands outside of training: {percent(one.share_outside)} of {one.decisions}{far}"
+    return f"runs: {runs}; hands outside of training: {percent(row.share_outside)} of {row.decisions}{far}"
 
 
 def _coverage(evidence: Evidence) -> dict[str, str]:
-    """How many runs were where, by each axis of the map."""
-    found, _ = cells_of(evidence.coverage)
+    """Return the number of runs at each word of each axis of the coverage map."""
+    cells, _ = cells_of(evidence.coverage)
     runs = {
-        f"{axis}: {word}": f"{count} runs"
+        f"{axis}: {label}": f"{count} runs"
         for axis in AXES
-        for word, count in found.along(axis).items()
+        for label, count in cells.along(axis).items()
         if count
     }
-    return {"cells": f"{len(found.counts)} with {evidence.coverage.runs} runs"} | runs
+    return {"cells": f"{len(cells.counts)} with {evidence.coverage.runs} runs"} | runs
 
 
-def _only_earlier(before: Evidence, after: Evidence) -> Iterator[PartChange]:
-    """What was tried and is not any more."""
-    was, now = (cells_of(one.coverage)[0].counts.keys() for one in (before, after))
+def _only_earlier(old: Evidence, new: Evidence) -> Iterator[PartChange]:
+    """Yield the number of cells of the coverage map that only the earlier report has runs in."""
+    was, now = (cells_of(report.coverage)[0].counts.keys() for report in (old, new))
     if lost := len(was - now):
         yield PartChange("coverage", "cells of which only the earlier report has runs", str(lost), NONE)
 

@@ -1,9 +1,9 @@
-"""Everything that the evidence report shows, as frozen data: the page and the JSON are both made from it.
+"""The whole content of the evidence report, as frozen data; the page and the JSON are written from it.
 
-The JSON, what is read of it, and its schema are all three read off the types.
+The types define three things: the JSON, the reader of the JSON, and its schema.
 
-Numbers are in SI; probabilities are of a violation in a run that put the claim to the test.  What is not
-known is None or an empty tuple, never a number that looks well.
+Numbers are in SI. A probability refers to a violation in a run that put the claim to the test. An unknown
+value is None or an empty tuple, never a number.
 """
 
 from __future__ import annotations
@@ -33,18 +33,18 @@ LATER = (
     "hazards",
     "notes",
     "learned",
-)  # fields that stand in the JSON only where there is something in them
-UNMADE = "cannot be made"  # of a part of the report that failed after the runs
-UNANSWERED = "decision faults"  # among a stratum's decisions: those without a usable answer of the avoider
+)  # the JSON has these fields only if they are not empty
+UNMADE = "cannot be made"  # marks the finding on a part of the report that failed after the runs
+UNANSWERED = "decision faults"  # key of a stratum's decisions without a usable answer of the avoider
 
 
 class ClaimStatus(Enum):
-    """The word on a claim.  Only the first one is ever shown in green."""
+    """The status of a claim.  The page colours only SHOWN green."""
 
-    # each is graver than those above it
+    # from best to worst: SEVERITY and the verdict of a plan depend on this order
     SHOWN = "shown"
     ESTIMATED = "estimated only"  # the plan sets no target
-    DOUBTED = "shown with doubt"  # runs without a verdict count against it; model only; by the fallback
+    DOUBTED = "shown with doubt"  # some run has no verdict, or model only, or by the fallback
     NOT_SHOWN = "not shown"
     INCOMPLETE = "runs missing"
     UNTESTED = "never put to the test"
@@ -53,9 +53,9 @@ class ClaimStatus(Enum):
 
 @dataclass(frozen=True, kw_only=True)
 class Bound:
-    """An exact interval of the probability of a violation: it holds with ``confidence`` alone.
+    """An exact interval of the violation probability; it holds alone with ``confidence``.
 
-    Each end is wrong with half of what is left at most.
+    Each end is wrong with at most half of the remaining probability.
     """
 
     lower: float
@@ -71,7 +71,10 @@ class Bound:
 
 @dataclass(frozen=True, kw_only=True)
 class Quantile:
-    """At least ``share`` of runs keep a margin of ``at_least_si``: with the interval's confidence, alone."""
+    """The margin ``at_least_si`` that at least ``share`` of the runs keep.
+
+    It holds with the interval's confidence, alone.
+    """
 
     share: float
     at_least_si: float
@@ -79,10 +82,10 @@ class Quantile:
 
 @dataclass(frozen=True, kw_only=True)
 class ClaimResult:
-    """One claim in one stratum.
+    """The result of a claim in one stratum.
 
-    ``runs`` is the sum of the five counts after it.  ``bound`` is None where there are no trials, or too few
-    runs of the plan.  ``margins_si`` are the least ones first, thinned to what a curve needs.
+    ``runs`` is the sum of the five counts after it.  ``bound`` is None without trials, or while runs of the
+    plan are missing.  ``margins_si`` ascend, and have only as many points as a curve needs.
     """
 
     stratum: str
@@ -98,18 +101,18 @@ class ClaimResult:
     why: str
     least_margin_si: float | None
     margins_si: tuple[float, ...] = ()
-    shares: tuple[float, ...] = ()  # the share of margins that are no larger
+    shares: tuple[float, ...] = ()  # for each of margins_si: the share of runs with no larger margin
     quantiles: tuple[Quantile, ...] = ()
 
     @property
     def tested(self) -> int:
-        """Runs that put the claim to the test, whatever came out."""
+        """The number of runs that put the claim to the test, with any outcome."""
         return self.runs - self.untested
 
 
 @dataclass(frozen=True, kw_only=True)
 class StandardTerm:
-    """A term of a standard that a claim is traced to."""
+    """A term of a standard that a claim refers to."""
 
     standard: str
     term: str
@@ -117,7 +120,11 @@ class StandardTerm:
 
 @dataclass(frozen=True, kw_only=True)
 class ClaimEvidence:
-    """One claim of the plan over all strata; ``unit`` and ``per_si`` are how its margins are shown."""
+    """The evidence on a claim of the plan over all strata.
+
+    ``target`` is None if the plan sets no target.  ``hazard_is_authors`` is true if the plan's author wrote
+    ``hazard``.  ``unit`` and ``per_si`` convert margins for display.
+    """
 
     number: int
     sentence: str
@@ -136,9 +143,10 @@ class ClaimEvidence:
 
 @dataclass(frozen=True, kw_only=True)
 class HourlyBound:
-    """At most ``an_hour`` violations of a claim, of approaches of which ``per_run`` violate it at most.
+    """An upper bound on the violations of a claim in an hour.
 
-    ``stratum`` is that of the largest bound per run: whichever mixture of strata an hour is, it is no worse.
+    It is ``per_run``, the bound per run, times the approaches in an hour. ``stratum`` has the largest bound
+    per run, so the bound holds for every mixture of strata.
     """
 
     claim: int
@@ -149,10 +157,11 @@ class HourlyBound:
 
 @dataclass(frozen=True, kw_only=True)
 class HazardEvidence:
-    """One hazard of the plan in its author's words, the ``steps`` to what is asked, and what is bounded.
+    """A hazard of the plan in its author's words, the ``steps`` from it to the required rate, and the bounds.
 
-    ``claims`` are the numbers of those under it.  ``approaches_an_hour`` is an upper bound that holds with
-    ``rate_confidence``; all rates hold together with the plan's confidence, apart from its bounds per run.
+    ``claims`` are the numbers of the claims under it.  ``asked_an_hour`` is the required rate, None without
+    one. ``approaches_an_hour`` is an upper bound that holds with ``rate_confidence``.  All rates hold
+    together with the plan's confidence, apart from its bounds per run.
     """
 
     name: str
@@ -176,17 +185,18 @@ class HazardEvidence:
 
     @property
     def met(self) -> bool | None:
-        """Is every rate at or below what is asked?  None where nothing is asked, or a rate is missing."""
+        """True if every rate meets the required rate; None if that rate, a claim or a bound is missing."""
         if self.asked_an_hour is None or not self.claims or len(self.rates) < len(self.claims):
             return None
-        return all(one.an_hour <= self.asked_an_hour for one in self.rates)
+        return all(rate.an_hour <= self.asked_an_hour for rate in self.rates)
 
 
 @dataclass(frozen=True, kw_only=True)
 class StratumResult:
-    """One part of the operational domain, and what came of running it.
+    """A part of the operational domain, and the outcome of its runs.
 
-    ``decisions`` are (what, how many) over all runs; ``refused_draws`` those that admission refused.
+    ``decisions`` are (kind, number) over all runs.  ``refused_draws`` counts the draws that admission
+    refused.
     """
 
     name: str
@@ -204,11 +214,12 @@ class StratumResult:
 
 @dataclass(frozen=True, kw_only=True)
 class OverrulingResult:
-    """How often the gate overruled the avoider in one stratum: of its proposals, and of runs with a proposal.
+    """The number of times that the gate overruled the avoider in a stratum.
 
-    ``bound`` is of the share of runs with some proposal overruled, an interval of its own: it is none of the
-    bounds that hold together, and None without such runs, or while runs are missing.  ``words`` say for
-    which reasons, and what came instead.
+    ``proposals`` and ``overruled`` count proposals. ``runs`` counts the runs with a proposal,
+    ``runs_overruled`` the runs with an overruled proposal.  ``bound`` is of the share of the latter, an
+    interval apart from the bounds that hold together. It is None without such runs, or while runs are
+    missing.  ``words`` give the gate's reasons and the replacements.
     """
 
     stratum: str
@@ -222,7 +233,7 @@ class OverrulingResult:
 
 @dataclass(frozen=True, kw_only=True)
 class DeclaredPlan:
-    """The plan that the runs were made by."""
+    """The plan of the runs."""
 
     name: str
     about: str
@@ -241,9 +252,12 @@ class DeclaredPlan:
 
 @dataclass(frozen=True, kw_only=True)
 class SystemDescription:
-    """The system under test.  Pairs are (label, value) in words; ``gate`` is empty where there is none."""
+    """The system under test.
 
-    under_test: tuple[SystemUnderTest, ...]  # each that a stratum has
+    Pairs are (label, value) in words.  ``gate`` is empty without a gate.
+    """
+
+    under_test: tuple[SystemUnderTest, ...]  # the different systems of the strata
     card: tuple[tuple[str, str], ...]
     limits: tuple[str, ...]
     gate: tuple[tuple[str, str], ...]
@@ -253,32 +267,32 @@ class SystemDescription:
     @property
     def tested(self) -> str:
         """Avoiders and controllers, by name."""
-        return " and ".join(dict.fromkeys(one.tested.name for one in self.under_test))
+        return " and ".join(dict.fromkeys(system.tested.name for system in self.under_test))
 
     @property
     def robot(self) -> str:
-        """Or robots."""
-        return " and ".join(dict.fromkeys(one.robot.name for one in self.under_test))
+        """The robot's name, or the names of all robots."""
+        return " and ".join(dict.fromkeys(system.robot.name for system in self.under_test))
 
     @property
     def asks(self) -> bool:
-        """Is there an avoider?"""
-        return any(one.avoider is not None for one in self.under_test)
+        """True if there is an avoider."""
+        return any(system.avoider is not None for system in self.under_test)
 
     @property
     def facts(self) -> tuple[tuple[str, str], ...]:
-        """(part, name and hash), each once."""
-        found = (pair for one in self.under_test for pair in one.parts.items())
+        """(part, name and hash), each pair once."""
+        pairs = (pair for system in self.under_test for pair in system.parts.items())
         labels = (
             (name.capitalize(), f"{part.name}, sha256 {part.sha256}" if part.sha256 else part.name)
-            for name, part in found
+            for name, part in pairs
         )
         return tuple(dict.fromkeys(labels))
 
 
 @dataclass(frozen=True, kw_only=True)
 class SeparationTerm:
-    """One term of the protective separation distance."""
+    """A term of the protective separation distance."""
 
     symbol: str
     length_m: float
@@ -287,7 +301,7 @@ class SeparationTerm:
 
 @dataclass(frozen=True, kw_only=True)
 class SeparationCase:
-    """The pair with least to spare in one stored run, at one assumed speed of the human."""
+    """The pair of hand and arm with the least margin in a stored run, at one assumed speed of the human."""
 
     stratum: str
     run: str
@@ -315,7 +329,11 @@ class CalibrationCheck:
 
 @dataclass(frozen=True, kw_only=True)
 class CounterexampleEvidence:
-    """One distinct violation.  ``independent``: met by a declared run and not by a search."""
+    """A distinct violation.
+
+    ``independent`` is true if a declared run met it, false for a search.  ``like_it`` counts the violations
+    of its kind.  ``claim`` is None if the plan does not have it.
+    """
 
     number: int
     claim: int | None
@@ -332,10 +350,11 @@ class CounterexampleEvidence:
 
 @dataclass(frozen=True, kw_only=True)
 class WhoseFault:
-    """Whose fault the violations of the declared runs are.
+    """The causes of the violations in the declared runs.
 
-    ``about`` says how many of how many were looked at, and is empty without a violation; ``groups`` counts
-    what each is laid at, ``would_help`` the violations that each single change would have avoided.
+    ``about`` states how many of the violations were attributed, and is empty without a violation.  ``groups``
+    counts the violations for each cause. ``would_help`` counts, for each single change, the violations that
+    it would have avoided.
     """
 
     about: str
@@ -345,7 +364,7 @@ class WhoseFault:
 
 @dataclass(frozen=True, kw_only=True)
 class SearchSummary:
-    """What the hunt for counterexamples did; it never enters a bound."""
+    """The search for counterexamples; it never enters a bound."""
 
     runs: int
     searcher: str
@@ -354,7 +373,7 @@ class SearchSummary:
 
 @dataclass(frozen=True)
 class OpenFinding:
-    """Something that is open: an assessor has to look at it."""
+    """An open point that an assessor has to look at."""
 
     text: str
     place: str  # id on the page
@@ -362,7 +381,7 @@ class OpenFinding:
 
 @dataclass(frozen=True, kw_only=True)
 class ArgumentNote:
-    """What the author says beside an element of the argument, by the element's name."""
+    """The author's note on an element of the argument, by the element's name."""
 
     element: str
     text: str
@@ -379,7 +398,7 @@ class StoredFile:
 
 @dataclass(frozen=True, kw_only=True)
 class EvidenceProvenance:
-    """Where all of it comes from."""
+    """The origin of the report."""
 
     package_version: str
     source_hash: str
@@ -388,7 +407,7 @@ class EvidenceProvenance:
     machine: str
     libraries: tuple[tuple[str, str], ...]
     command: str
-    commands: tuple[str, ...]  # by which each part can be made again
+    commands: tuple[str, ...]  # each repeats a part of the report
     began_at: str
     ended_at: str
     run_seconds_s: float
@@ -396,10 +415,10 @@ class EvidenceProvenance:
 
 @dataclass(frozen=True, kw_only=True)
 class Record:
-    """What the report can be held to by what is lodged elsewhere.
+    """The hashes that lodged copies can confirm.
 
-    ``rows_sha256`` is the Merkle root over all episodes (RFC 6962).  ``declaration_sha256`` is what ``certify
-    declare`` printed for this very plan, seed and software; empty if nothing was declared.
+    ``rows_sha256`` is the Merkle root over all episodes (RFC 6962).  ``declaration_sha256`` is the hash that
+    ``certify declare`` printed for this plan, seed and software; empty without a declaration.
     """
 
     rows_sha256: str
@@ -408,9 +427,10 @@ class Record:
 
 @dataclass(frozen=True, kw_only=True)
 class CertifiedClaim:
-    """``claim`` and ``region`` as the certificate calls them, ``confirmed`` in the checker's words.
+    """A proven claim.
 
-    ``gates`` say of each stratum whether the region has all questions whose answers its gate takes.
+    ``claim`` and ``region`` have the certificate's names. ``confirmed`` has the checker's words. ``gates``
+    state for each stratum whether the gate takes answers only to questions in the region.
     """
 
     claim: str
@@ -423,7 +443,7 @@ class CertifiedClaim:
 
 @dataclass(frozen=True, kw_only=True)
 class CertifiedProofs:
-    """What was confirmed of the network with this hash."""
+    """The confirmed proofs about the network with this hash."""
 
     network_sha256: str
     claims: tuple[CertifiedClaim, ...]
@@ -431,11 +451,12 @@ class CertifiedProofs:
 
 @dataclass(frozen=True, kw_only=True)
 class TrainingDistance:
-    """How far a stratum lies from what its network was trained on.
+    """The distance of a stratum from the training data of its network.
 
-    ``runs`` counts all runs with a hand by what was seen at their gravest decision, in the order of
-    ``search.coverage.SEEN``.  Of the hands in the ``decisions`` of the stored random runs: the share outside
-    of the box of seen hands, and their median and largest distance from it; None where there are none.
+    ``runs`` counts all runs with a hand, by whether hand and TCP were seen at the most severe decision, in
+    the order of ``search.coverage.SEEN``.  The next fields cover the hands in the ``decisions`` of the stored
+    random runs. ``share_outside`` is the share outside of the box of seen hands. The distances (m) from that
+    box cover the hands outside.  A field without data is None.
     """
 
     stratum: str
@@ -448,7 +469,11 @@ class TrainingDistance:
 
 @dataclass(frozen=True, kw_only=True)
 class LearnedPart:
-    """``networks`` are (name, SHA-256 of the file), ``seen`` whose training the distances are from."""
+    """The learned part of the system.
+
+    ``networks`` are (name, SHA-256 of the file).  ``seen`` names the training data of the distances.
+    ``life`` has (label, text) on training, use and service.
+    """
 
     networks: tuple[tuple[str, str], ...]
     seen: tuple[str, ...]
@@ -483,37 +508,37 @@ class Evidence:
     record: Record
     provenance: EvidenceProvenance
     files: tuple[StoredFile, ...]
-    proven: CertifiedProofs | None = None  # about the avoider's network, where a certificate was given
-    hazards: tuple[HazardEvidence, ...] = ()  # where the plan names any
-    notes: tuple[ArgumentNote, ...] = ()  # where its author wrote any
-    learned: LearnedPart | None = None  # where an avoider is a network
-    shields: tuple[str, ...] = ()  # how their theorem stands, where a stratum has one
+    proven: CertifiedProofs | None = None  # about the avoider's network; None without a certificate
+    hazards: tuple[HazardEvidence, ...] = ()  # the plan's hazards
+    notes: tuple[ArgumentNote, ...] = ()  # the author's notes on the argument
+    learned: LearnedPart | None = None  # None if no part can be learned
+    shields: tuple[str, ...] = ()  # how the theorem of each shield stands
 
     @property
     def fallback(self) -> str:
-        """For headlines: how often the fallback stood in for the avoider; empty if that always answered."""
+        """How often the fallback stood in for the avoider, for headlines; empty if it never did."""
         decisions = [pair for stratum in self.strata for pair in stratum.decisions]
-        unanswered = sum(count for what, count in decisions if what == UNANSWERED)
-        return fallback_words(unanswered, sum(count for what, count in decisions if what != UNANSWERED))
+        unanswered = sum(count for kind, count in decisions if kind == UNANSWERED)
+        return fallback_words(unanswered, sum(count for kind, count in decisions if kind != UNANSWERED))
 
     @property
     def unmade(self) -> list[str]:
-        """Which parts of the report failed after the runs, and why."""
-        return [one.text for one in self.findings if f" {UNMADE}: " in one.text]
+        """The parts of the report that failed after the runs, each with its reason."""
+        return [finding.text for finding in self.findings if f" {UNMADE}: " in finding.text]
 
     @property
     def basis(self) -> str:
-        """What the verdicts rest on: world, exercised runs, and what the report excludes or assumes."""
+        """The basis of the verdicts: world, exercised runs, exclusions and assumptions."""
         world = f"the {self.plan.world} world" if self.plan.model_only else self.plan.world
         counts = [
-            (sum(one.tested - one.failed for one in claim.outcomes), sum(one.runs for one in claim.outcomes))
+            (sum(row.tested - row.failed for row in claim.outcomes), sum(row.runs for row in claim.outcomes))
             for claim in self.claims
         ]
         return basis([world], counts, (*self.exclusions, *self.assumptions))
 
     @property
     def full(self) -> bool:
-        """Was all of it asked for on paper?"""
+        """True if the command asked for the whole page on paper (``--full``)."""
         return "--full" in self.provenance.command.split()
 
 
@@ -521,34 +546,53 @@ SEVERITY = list(ClaimStatus)
 
 
 def by_gravity(claims: Iterable[ClaimEvidence]) -> list[ClaimEvidence]:
-    """The gravest first; those that stand alike as the plan has them."""
-    return sorted(claims, key=lambda one: -SEVERITY.index(one.standing))
+    """Return ``claims`` with the most severe status first; claims of equal status keep the plan's order."""
+    return sorted(claims, key=lambda claim: -SEVERITY.index(claim.standing))
 
 
 def as_text(evidence: Evidence) -> str:
-    """The whole report as JSON; ValueError for a number that is not finite."""
-    found = plain(evidence)
+    """Return ``evidence`` as JSON.
+
+    Raises:
+        ValueError: A number is not finite.
+
+    """
+    document = plain(evidence)
     for name in LATER:
-        if not found[name]:
-            del found[name]
-    return json.dumps(found, indent=1, allow_nan=False, ensure_ascii=False) + "\n"
+        if not document[name]:
+            del document[name]
+    return json.dumps(document, indent=1, allow_nan=False, ensure_ascii=False) + "\n"
 
 
 def read_evidence(path: Path) -> Evidence:
-    """What ``as_text`` wrote, here or earlier; InputError with the place of what is not as it should be."""
-    found = of_format(read_json(path, "an evidence report"), FORMAT, path)
+    """Read a report that ``as_text`` wrote, in this or an earlier version.
+
+    Args:
+        path: The file, evidence.json of a report's folder.
+
+    Returns:
+        The evidence; a field that an earlier version did not write has its default.
+
+    Raises:
+        InputError: The file is no evidence report, or a field is wrong; the error has its place.
+
+    """
+    document = of_format(read_json(path, "an evidence report"), FORMAT, path)
     try:
-        return typed(_as_now(found), Evidence, path)
+        return typed(_as_now(document), Evidence, path)
     except InputError as error:
-        made = found.get("provenance")
-        if isinstance(made, dict) and made.get("source_hash") == source_hash():
+        origin = document.get("provenance")
+        if isinstance(origin, dict) and origin.get("source_hash") == source_hash():
             raise
         raise InputError(place=error.place, expected=error.expected, got=error.got, hint=OLDER) from error
 
 
-def _as_now(found: dict[str, Any]) -> dict[str, Any]:
-    """With what earlier versions left out, or noted less of: of the system only avoider and robot."""
-    whole = {name: getattr(Evidence, name) for name in LATER} | found
+def _as_now(document: dict[str, Any]) -> dict[str, Any]:
+    """Return the JSON of an earlier version with the fields of this version.
+
+    An earlier version noted only avoider and robot of the system.
+    """
+    whole = {name: getattr(Evidence, name) for name in LATER} | document
     known, system = whole.get("credibility"), whole.get("system")
     if isinstance(known, dict):
         whole["credibility"] = {"cells": []} | known
@@ -556,7 +600,7 @@ def _as_now(found: dict[str, Any]) -> dict[str, Any]:
         parts = {
             part: {"name": system[part], "sha256": system[f"{part}_sha256"]} for part in ("avoider", "robot")
         }
-        rest = {name: one for name, one in system.items() if name not in _NOTED_THEN}
+        rest = {name: value for name, value in system.items() if name not in _NOTED_THEN}
         whole["system"] = rest | {"under_test": [plain(NOT_NOTED) | parts]}
     return whole
 
@@ -569,14 +613,17 @@ _NOTED_THEN = {"avoider", "avoider_sha256", "robot", "robot_sha256"}
 
 
 def schema() -> dict[str, Any]:
-    """The published schema of the JSON (draft 2020-12)."""
-    found = msgspec.json.schema(Evidence)
-    for kind in found["$defs"].values():
-        if kind.get("type") == "object":  # with all of its fields and no others
+    """Return the published schema of the JSON (draft 2020-12).
+
+    Every object has all of its fields and no further ones, apart from the fields in ``LATER``.
+    """
+    document = msgspec.json.schema(Evidence)
+    for kind in document["$defs"].values():
+        if kind.get("type") == "object":  # it has exactly these fields
             kind |= {"required": list(kind["properties"]), "additionalProperties": False}
             for part in kind["properties"].values():
                 part.pop("default", None)
-    whole = found["$defs"]["Evidence"]
+    whole = document["$defs"]["Evidence"]
     whole["properties"]["format"] = {"const": FORMAT}
     whole["required"] = [name for name in whole["required"] if name not in LATER]
-    return {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": FORMAT, **found}
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": FORMAT, **document}

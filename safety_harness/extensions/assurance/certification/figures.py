@@ -28,7 +28,10 @@ TERM_INKS = {
 
 
 def bounds_figure(claim: ClaimEvidence) -> str:
-    """The interval of the probability of a violation in each stratum, with the target; empty without any."""
+    """Return the SVG of a claim's target and of its bounds in each stratum; empty without any bound.
+
+    A bound is an interval of the violation probability.
+    """
     rows = [outcome for outcome in claim.outcomes if outcome.bound is not None]
     if not rows:
         return ""
@@ -41,8 +44,8 @@ def bounds_figure(claim: ClaimEvidence) -> str:
         _interval(axes, lane, outcome, low)
     if claim.target is not None:
         axes.vline(claim.target, Ink.LIMIT, width=1.4, dashes=LIMIT_DASHES)
-        words = f"target {percent(claim.target)}"
-        axes.text(words, claim.target, Share(1.0), shift=(0.0, -6.0), anchor="middle", ink=Ink.LIMIT)
+        label = f"target {percent(claim.target)}"
+        axes.text(label, claim.target, Share(1.0), shift=(0.0, -6.0), anchor="middle", ink=Ink.LIMIT)
     axes.x.label = "probability of a violation, given that the run put the claim to the test"
     described = "; ".join(
         f"{o.stratum}: {at_least(o.bound.lower)} to {at_most(o.bound.upper)}" for o in rows if o.bound
@@ -55,7 +58,7 @@ def bounds_figure(claim: ClaimEvidence) -> str:
 
 
 def _lanes(names: list[str]) -> tuple[Picture, Axes]:
-    """Axes with a lane for each name, from the top down."""
+    """Return a picture, and axes with a lane for each name from the top down."""
     count = len(names)
     picture = Picture(WIDTH_PX, ABOVE_PX + LANE_PX * count + BELOW_PX)
     axes = picture.axes(LEFT_PX, ABOVE_PX, WIDTH_PX - LEFT_PX - 20.0, LANE_PX * count)
@@ -67,7 +70,10 @@ def _lanes(names: list[str]) -> tuple[Picture, Axes]:
 
 
 def _show_shares(axis: Axis, share: float) -> float:
-    """Make a logarithmic axis of shares, from a tenth at most so that it has a length; where it begins."""
+    """Make ``axis`` logarithmic for shares down to ``share``, and return its lower end.
+
+    It begins at a tenth at most, so that it has a length.
+    """
     decades = [10.0**k for k in range(min(int(np.floor(np.log10(share))), -1), 1)]
     axis.log, axis.ticks = True, [(decade, percent(decade)) for decade in decades]
     axis.show(decades[0], 1.0)
@@ -75,6 +81,7 @@ def _show_shares(axis: Axis, share: float) -> float:
 
 
 def _least_shown(outcome: ClaimResult) -> float:
+    """Return the least positive value of a bar: the lower bound, the share, or a tenth of the upper bound."""
     assert outcome.bound is not None
     share = outcome.violated / outcome.tested if outcome.tested else 0.0
     known = [value for value in (outcome.bound.lower, share) if value > 0.0]
@@ -82,7 +89,10 @@ def _least_shown(outcome: ClaimResult) -> float:
 
 
 def _interval(axes: Axes, lane: int, outcome: ClaimResult, low: float) -> None:
-    """A bar from bound to bound (an arrow to the left where the lower one is zero) and the share as a dot."""
+    """Draw a bar from bound to bound and the share as a dot.
+
+    An arrow to the left stands for a lower bound below ``low``, the left end of the axis.
+    """
     assert outcome.bound is not None
     start, end = max(outcome.bound.lower, low), outcome.bound.upper
     axes.line([start, end], [lane, lane], Ink.TCP, width=2.4)
@@ -95,7 +105,10 @@ def _interval(axes: Axes, lane: int, outcome: ClaimResult, low: float) -> None:
 
 
 def margins_figure(claim: ClaimEvidence) -> str:
-    """The share of runs with no larger margin, one curve a stratum; empty without margins."""
+    """Return the SVG of a claim's margins, one curve for each stratum; empty without margins.
+
+    A curve is the share of runs with no larger margin.
+    """
     rows = [outcome for outcome in claim.outcomes if outcome.margins_si]
     if not rows:
         return ""
@@ -124,7 +137,10 @@ def margins_figure(claim: ClaimEvidence) -> str:
 
 
 def separation_figure(cases: tuple[SeparationCase, ...]) -> str:
-    """What the protective separation distance is made of in each case, and the distance that there was."""
+    """Return the SVG of the terms of the protective separation distance, and of the distance, in each case.
+
+    It is empty without ``cases``.
+    """
     if not cases:
         return ""
     picture, axes = _lanes([case.stratum for case in cases])

@@ -1,4 +1,4 @@
-"""What is open in a report, read off the rest of it: an assessor has to look at each."""
+"""The open findings of a report, derived from the rest of it: an assessor has to look at each."""
 
 from __future__ import annotations
 
@@ -36,7 +36,16 @@ def findings_of(
     searches: Sequence[Searched],
     of_stored: Iterable[str],
 ) -> Iterator[OpenFinding]:
-    """All of them; ``of_stored`` says which stored traces cannot be read, and what they left untried."""
+    """Yield all findings of a report.
+
+    Args:
+        evidence: The evidence without its findings.
+        ledger: The ledger of the runs.
+        met: The counterexamples, or the reasons why the page cannot show them.
+        searches: The searches of the strata.
+        of_stored: Findings on stored traces: traces that cannot be read, and parts that no run tried.
+
+    """
     if not evidence.record.declaration_sha256:
         yield OpenFinding("nothing proves that the plan was declared before its runs were made", "plan")
     yield from of_claims(evidence.claims)
@@ -53,14 +62,14 @@ def findings_of(
     yield from of_searches(searches, evidence.plan.search_runs)
     yield from of_worlds(evidence.credibility, evidence.system.under_test)
     yield from of_selftest(evidence.selftest)
-    names = {one.name for one in argument_of(evidence).every()}
+    names = {element.name for element in argument_of(evidence).every()}
     for note in evidence.notes:
         if note.element not in names:
             yield OpenFinding(f"the author's note on {note.element!r} is on no element any more", "argument")
 
 
 def of_claims(claims: Sequence[ClaimEvidence]) -> Iterator[OpenFinding]:
-    """Whatever is not shown."""
+    """Yield every claim in ``claims`` without the status SHOWN."""
     for claim in claims:
         if claim.standing in _PLAIN:
             text = f"{claim.sentence} {_PLAIN[claim.standing]}: {claim.why}"
@@ -70,21 +79,24 @@ def of_claims(claims: Sequence[ClaimEvidence]) -> Iterator[OpenFinding]:
 
 
 def of_hazards(hazards: Sequence[HazardEvidence], *, model_only: bool) -> Iterator[OpenFinding]:
-    """Hazards that no claim speaks to, of which nothing is asked, or whose rate is not shown."""
-    for one in hazards:
-        if not one.claims:
-            yield OpenFinding(f"{one.name}: no claim stands under this hazard", "rates")
-        elif one.level is None:
-            yield OpenFinding(f"{one.name}: {one.steps[-1]}", "rates")
-        elif one.met is not True or model_only:
-            where = ", but of the model alone" if one.met else ""
-            where += "" if one.approaches else ": nobody said how often people come near (approaches)"
-            asked = f"at most {one.asked_an_hour:g} an hour (level {one.level}) is not shown{where}"
-            yield OpenFinding(f"{one.name}: {asked}", "rates")
+    """Yield the ``hazards`` without a claim, without a required rate, or with a rate that does not meet it.
+
+    ``model_only`` is true if the world is not validated: no rate then meets it.
+    """
+    for hazard in hazards:
+        if not hazard.claims:
+            yield OpenFinding(f"{hazard.name}: no claim stands under this hazard", "rates")
+        elif hazard.level is None:
+            yield OpenFinding(f"{hazard.name}: {hazard.steps[-1]}", "rates")
+        elif hazard.met is not True or model_only:
+            where = ", but of the model alone" if hazard.met else ""
+            where += "" if hazard.approaches else ": nobody said how often people come near (approaches)"
+            missed = f"at most {hazard.asked_an_hour:g} an hour (level {hazard.level}) is not shown{where}"
+            yield OpenFinding(f"{hazard.name}: {missed}", "rates")
 
 
 def of_strata(ledger: Ledger, strata: Sequence[StratumResult]) -> Iterator[OpenFinding]:
-    """Runs that could not be carried on, and avoiders that gave no answer."""
+    """Yield the ``strata`` with runs in ``ledger`` that could not finish, or with unanswered questions."""
     for place, stratum in enumerate(strata):
         if stratum.failed:
             reasons = ledger.all(
@@ -101,33 +113,33 @@ def of_strata(ledger: Ledger, strata: Sequence[StratumResult]) -> Iterator[OpenF
             yield OpenFinding(text, "strata")
 
 
-def of_searches(searches: Sequence[Searched], asked: int) -> Iterator[OpenFinding]:
-    """What of the search that the plan asks for is not there, and what it met that is in no bound."""
-    texts = [] if searches or not asked else ["the search that the plan asks for was not made"]
-    for one in searches:
-        if one.found is None:
-            texts.append(f"{one.stratum}: the search {one.problem}")
+def of_searches(searches: Sequence[Searched], planned: int) -> Iterator[OpenFinding]:
+    """Yield missing, interrupted and unconfirmed searches; the plan has ``planned`` search runs."""
+    texts = [] if searches or not planned else ["the search that the plan asks for was not made"]
+    for search in searches:
+        if search.found is None:
+            texts.append(f"{search.stratum}: the search {search.problem}")
             continue
-        if one.found.interrupted:
-            texts.append(f"{one.stratum}: the search was interrupted")
-        if one.found.counterexamples and not one.found.confirmed:
-            texts.append(f"{one.stratum}: without PyBullet, no counterexample was confirmed")
-        if many := len(one.found.unconfirmed):
-            texts.append(f"{one.stratum}: {many} findings of the search were not confirmed in PyBullet")
+        if search.found.interrupted:
+            texts.append(f"{search.stratum}: the search was interrupted")
+        if search.found.counterexamples and not search.found.confirmed:
+            texts.append(f"{search.stratum}: without PyBullet, no counterexample was confirmed")
+        if many := len(search.found.unconfirmed):
+            texts.append(f"{search.stratum}: {many} findings of the search were not confirmed in PyBullet")
     yield from (OpenFinding(text, "counterexamples") for text in texts)
 
 
 def of_examples(examples: Sequence[Example | str]) -> Iterator[OpenFinding]:
-    """What of the counterexamples cannot be shown, or is no part of a bound."""
-    shown = [one.shown for one in examples if isinstance(one, Example)]
-    problems = [one for one in examples if isinstance(one, str)]
+    """Yield the ``examples`` that the page cannot show, and how many no bound covers."""
+    shown = [item.shown for item in examples if isinstance(item, Example)]
+    problems = [item for item in examples if isinstance(item, str)]
     texts = []
     if untraced := problems.count(""):
         texts.append(
             f"{untraced} kinds of violation have no kept trace, and are counted only: keep more violations"
         )
     texts += filter(None, problems)
-    if searched := sum(not one.independent for one in shown):
+    if searched := sum(not item.independent for item in shown):
         texts.append(f"the search found {searched} counterexamples that the declared runs are no measure of")
     if len(shown) > MOST:
         texts.append(f"{len(shown) - MOST} of {len(shown)} counterexamples have files but no pictures here")
@@ -135,7 +147,7 @@ def of_examples(examples: Sequence[Example | str]) -> Iterator[OpenFinding]:
 
 
 def of_worlds(credibility: Credibility, tested: Sequence[SystemUnderTest]) -> Iterator[OpenFinding]:
-    """Reasons to doubt the simulator, and that recorded cells are of the ``tested`` systems."""
+    """Yield reasons to doubt the simulator: its ``credibility``, and cells of no ``tested`` system."""
     agreement = credibility.agreement
     if agreement is None or not agreement.present:
         text = "the agreement of the two worlds was not measured with this source"
@@ -162,7 +174,7 @@ def of_worlds(credibility: Credibility, tested: Sequence[SystemUnderTest]) -> It
 
 
 def of_selftest(selftest: SelfTest | None) -> Iterator[OpenFinding]:
-    """Reasons to doubt the judges."""
+    """Yield reasons to doubt the judges: a missing or partial ``selftest``, false alarms, missed faults."""
     if selftest is None:
         yield OpenFinding("nothing is said of how well the harness notices faults", "tools")
         return

@@ -1,4 +1,4 @@
-"""The folder of a report: the page, JSON, JUnit XML, the plan's files, the ledger, and hashes of them all."""
+"""The folder of a report: page, JSON, JUnit XML, the plan's files, the ledger, and the hashes of them all."""
 
 from __future__ import annotations
 
@@ -42,23 +42,35 @@ LOG = f"{LEDGER}-wal"
 PASSING = (LOG, f"{LEDGER}-shm", f"{LEDGER}.lock")
 LARGEST_MANIFEST_BYTES = 2**21  # some 20,000 files
 LARGEST_TRACE_BYTES = 2**26
-MOST_OPENED_BYTES = 2**26  # of all that programs opened; of more, reports carry the hashes alone
+MOST_OPENED_BYTES = 2**26  # of all files that programs opened; a report has only the hashes of more
 
 
 def write_folder(folder: Path, gathered: GatheredEvidence, ledger: Ledger) -> Evidence:
-    """Write all but the PDF and the manifest; the evidence with the hashes of the files beside it.
+    """Write a report's folder without the PDF and the manifest.
 
-    What an earlier report left there is taken away.  OutputError for what cannot be written.
+    It first removes the PDF, the manifest and the copies of an earlier report.
+
+    Args:
+        folder: The folder of the report, with its ledger.
+        gathered: The evidence and its counterexamples.
+        ledger: The open ledger.
+
+    Returns:
+        The evidence with the hashes of the files, and with a finding for each part that could not be written.
+
+    Raises:
+        OutputError: A file cannot be written.
+
     """
     try:
         _clear(folder)
         guard = ReportGuard()
-        guard.of("the copy of the plan", lambda: unpacked(ledger.files, folder / PLAN), Path())
-        guard.of("the copies of opened files", lambda: _pack_opened(folder / OPENED, ledger), None)
-        guard.of("the copies of traces", lambda: write_traces(gathered.examples, folder), None)
+        guard.run("the copy of the plan", lambda: unpacked(ledger.files, folder / PLAN), Path())
+        guard.run("the copies of opened files", lambda: _pack_opened(folder / OPENED, ledger), None)
+        guard.run("the copies of traces", lambda: write_traces(gathered.examples, folder), None)
         evidence = replace(gathered.evidence, files=tuple(stored_files(folder)))
-        texts = guard.of("the files of the argument", lambda: argument_texts(evidence), {})
-        texts[JUNIT] = guard.of(JUNIT, lambda: junit_xml(evidence), "")
+        texts = guard.run("the files of the argument", lambda: argument_texts(evidence), {})
+        texts[JUNIT] = guard.run(JUNIT, lambda: junit_xml(evidence), "")
         evidence = replace(evidence, findings=(*evidence.findings, *guard.findings))
         texts[PAGE], evidence = drawn(evidence, gathered.runs)
         for name, text in {JSON: as_text(evidence), **texts}.items():
@@ -69,7 +81,7 @@ def write_folder(folder: Path, gathered: GatheredEvidence, ledger: Ledger) -> Ev
 
 
 def _pack_opened(folder: Path, ledger: Ledger) -> None:
-    """Copy what the plan's programs opened, each file under its hash, if all of it is small enough."""
+    """Copy the files that the plan's programs opened, each under its hash, if together they are small."""
     own = ledger.declared.plan_file.parent
     there = {sha256: own / name for name, sha256 in ledger.opened.items() if is_file_of(own / name, sha256)}
     if there and sum(file.stat().st_size for file in there.values()) <= MOST_OPENED_BYTES:
@@ -79,22 +91,34 @@ def _pack_opened(folder: Path, ledger: Ledger) -> None:
 
 
 def is_file_of(path: Path, sha256: str) -> bool:
-    """Is there a file with these bytes?"""
+    """Return whether ``path`` is a file with the hash ``sha256``."""
     return path.is_file() and sha256_of(path) == sha256
 
 
 def put_back_opened(report: Path, plan: Path, root: Path, ledger: Ledger) -> None:
-    """Put what programs opened beside the ``plan`` that is unpacked below ``root``.
+    """Put the files that programs opened beside the unpacked ``plan``.
 
-    Files are taken from the report, or from a folder beside it into which the user puts them.
-    InputError that says which one is missing, and where to put it.
+    The files come from the report, or from a folder beside it that the user fills.
+
+    Args:
+        report: The report's folder.
+        plan: The plan's file, unpacked below ``root``.
+        root: The folder that may receive files.
+        ledger: The ledger, which has the names and hashes.
+
+    Raises:
+        InputError: A file is missing, or another file is in its place; the error has its hash and the place
+            for it.
+
     """
     for name, sha256 in ledger.opened.items():
         target = (plan.parent / name).resolve()
         if not sha256 or resolved(root) not in target.parents or is_file_of(target, sha256):
             continue
-        places = [one / sha256 for one in (report / OPENED, report.with_name(f"{report.name}.{OPENED}"))]
-        packed = next((one for one in places if is_file_of(one, sha256)), None)
+        places = [
+            folder / sha256 for folder in (report / OPENED, report.with_name(f"{report.name}.{OPENED}"))
+        ]
+        packed = next((folder for folder in places if is_file_of(folder, sha256)), None)
         if packed is None or target.exists():
             expected = f"{name} with the SHA-256 {sha256}, which its program opened"
             hint = f"put it at {places[1]}"
@@ -106,12 +130,12 @@ def put_back_opened(report: Path, plan: Path, root: Path, ledger: Ledger) -> Non
 
 
 def argument_texts(evidence: Evidence) -> dict[str, str]:
-    """The files of the argument, by their names."""
+    """Return the texts of the argument's files for ``evidence``, by their names."""
     return {GSN: gsn_text(evidence, PAGE), NOTES: notes_text(evidence)}
 
 
 def _clear(folder: Path) -> None:
-    """The PDF of an earlier page, and the copies of its plan that are not this one's any more."""
+    """Remove the PDF of an earlier page, its manifest, and the copies that it lists."""
     try:
         earlier = read_manifest(folder)
     except InputError:
@@ -124,7 +148,14 @@ def _clear(folder: Path) -> None:
 
 
 def write_manifest(folder: Path, files: Iterable[StoredFile]) -> None:
-    """Hashes of everything, last of all: the ledger has to be closed.  ``files`` are hashed already."""
+    """Write the hashes of all files in ``folder``, last of all, when the ledger is closed.
+
+    ``files`` have their hashes already.
+
+    Raises:
+        OutputError: The manifest cannot be written.
+
+    """
     made = (folder / name for name in MADE)
     hashes = {file.name: sha256_of(file) for file in made if file.is_file()}
     hashes |= {stored.path: stored.sha256 for stored in files}
@@ -136,15 +167,20 @@ def write_manifest(folder: Path, files: Iterable[StoredFile]) -> None:
 
 
 def read_manifest(folder: Path) -> dict[str, str]:
-    """Path and hash of every file of a report; InputError for what is no report's folder."""
+    """Return the path and the hash of every file of the report in ``folder``.
+
+    Raises:
+        InputError: The folder is no report, or its manifest has other fields or files outside of the folder.
+
+    """
     file = folder / MANIFEST
     place = Place(file=file)
     refuse_other_kind(folder, FileKind.REPORT, error=InputError)
     refuse_no_file(file, "the folder of a report that certify wrote", InputError)
-    found = of_format(read_json(file, FORMAT, most=LARGEST_MANIFEST_BYTES), FORMAT, file)
-    if other := sorted(found.keys() - {"format", "sha256"}):
-        raise InputError(place=place, expected="the fields format and sha256", got=repr(other[0])[:120])
-    hashes = typed(found.get("sha256"), dict[str, str], file, where="sha256")
+    document = of_format(read_json(file, FORMAT, most=LARGEST_MANIFEST_BYTES), FORMAT, file)
+    if unknown := sorted(document.keys() - {"format", "sha256"}):
+        raise InputError(place=place, expected="the fields format and sha256", got=repr(unknown[0])[:120])
+    hashes = typed(document.get("sha256"), dict[str, str], file, where="sha256")
     root = resolved(folder)
     for name in hashes:
         plain = "\0" not in name and ".." not in Path(name).parts and Path(name).as_posix() == name
@@ -154,7 +190,7 @@ def read_manifest(folder: Path) -> dict[str, str]:
 
 
 def stored_files(folder: Path) -> Iterator[StoredFile]:
-    """What of a report is listed with its hash: all but the page and its like."""
+    """Yield the files in ``folder`` that the evidence lists: all apart from those in ``MADE``."""
     for name in names_in(folder):
         path = folder / name
         if name not in MADE:
@@ -162,7 +198,10 @@ def stored_files(folder: Path) -> Iterator[StoredFile]:
 
 
 def names_in(folder: Path) -> Iterator[str]:
-    """Every file but the manifest, what comes and goes with the ledger, and hidden ones."""
+    """Yield every file below ``folder`` apart from the manifest, hidden files and passing files.
+
+    Passing files come and go with the ledger (``PASSING``).
+    """
     for path in sorted(folder.rglob("*")):
         name = path.relative_to(folder).as_posix()
         if name not in (MANIFEST, *PASSING) and not path.name.startswith(".") and path.is_file():
@@ -173,10 +212,11 @@ _NOT_XML = re.compile(r"[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
 def junit_xml(evidence: Evidence) -> str:
-    """The claims for machines that gate on tests: one suite a stratum, one case a claim.
+    """Return the claims of ``evidence`` as JUnit XML, for machines that gate on tests.
 
-    Only a claim that is *shown* passes.  Refuted is a failure, and so is any violation where the plan set no
-    target; without one such a claim is skipped, and everything else is an error: nothing open is ever green.
+    A stratum is a suite, and a claim is a case. Only a claim with the status SHOWN passes. A refuted claim is
+    a failure. So is a violated claim without a target; without a violation it is skipped. Every remaining
+    status is an error, so an open claim never looks green.
     """
     name = evidence.plan.name + (f"; {evidence.fallback}" if evidence.fallback else "")
     root = ElementTree.Element("testsuites", name=_xml_text(name))
@@ -205,11 +245,12 @@ def _case(suite: ElementTree.Element, claim: ClaimEvidence, outcome: ClaimResult
 
 
 def _not_passed(case: ElementTree.Element, outcome: ClaimResult) -> None:
+    """Add the failure, error or skipped element of a claim that does not pass."""
     untargeted = "failure" if outcome.violated else "skipped"
     tag = {ClaimStatus.REFUTED: "failure", ClaimStatus.ESTIMATED: untargeted}.get(outcome.standing, "error")
-    said = ElementTree.SubElement(case, tag, message=_xml_text(f"{outcome.standing.value}: {outcome.why}"))
+    element = ElementTree.SubElement(case, tag, message=_xml_text(f"{outcome.standing.value}: {outcome.why}"))
     if tag != "skipped":
-        said.set("type", outcome.standing.value)
+        element.set("type", outcome.standing.value)
 
 
 def _xml_text(text: str) -> str:
@@ -217,14 +258,19 @@ def _xml_text(text: str) -> str:
 
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
-LIMIT_S = 180.0
+LIMIT_S = 180.0  # for the browser to print
 
 
 def browser() -> str:
-    """The installed Chromium or Chrome that prints, found on the path; InputError if there is none."""
-    found = next(filter(None, map(shutil.which, BROWSERS)), None)
-    if found is not None:
-        return found
+    """Return the path of an installed Chromium or Chrome, for printing.
+
+    Raises:
+        InputError: The path has no such browser.
+
+    """
+    path = next(filter(None, map(shutil.which, BROWSERS)), None)
+    if path is not None:
+        return path
     raise InputError(
         place=Place(field="--pdf"),
         expected="an installed Chromium or Chrome, which prints the page",
@@ -234,7 +280,13 @@ def browser() -> str:
 
 
 def write_pdf(page: Path, path: Path) -> None:
-    """Print ``page`` to ``path``; OutputError with what the browser said if it does not."""
+    """Print ``page`` to ``path``.
+
+    Raises:
+        InputError: No browser is installed.
+        OutputError: The browser failed; the error has its last message.
+
+    """
     with tempfile.TemporaryDirectory() as profile:
         command = [
             browser(),
@@ -259,5 +311,5 @@ def write_pdf(page: Path, path: Path) -> None:
             raise _failed(path, "no PDF")
 
 
-def _failed(path: Path, said: str) -> OutputError:
-    return OutputError(place=Place(file=path), expected="a PDF that the browser prints", got=said[:200])
+def _failed(path: Path, got: str) -> OutputError:
+    return OutputError(place=Place(file=path), expected="a PDF that the browser prints", got=got[:200])

@@ -1,6 +1,7 @@
-"""Does each question whose answer a gate takes lie in the region that a certificate is about?
+"""Check whether a gate takes answers only to questions in the region of a certificate.
 
-Of the strata that ask its network, by the boxes of ``gate: {questions within: ...}``, compared as they are.
+It covers the strata that ask the certified network, and compares the boxes of ``gate: {questions within:
+...}`` exactly.
 """
 
 from __future__ import annotations
@@ -18,18 +19,28 @@ AXES = tuple(f"{who} {axis}" for who in ("hand", "TCP") for axis in "xyz")
 
 
 def gate_words(plan: Plan, network_sha256: str, region: ProofRegion) -> tuple[str, ...]:
-    """A line for all strata of which the same is to be said; none of a stratum that asks another network."""
-    said: dict[str, list[str]] = {}
+    """Return a line for each group of strata with the same result.
+
+    A stratum that asks another network is in no group.
+
+    Args:
+        plan: The plan with the strata.
+        network_sha256: The hash of the certified network's file.
+        region: The region of the certificate.
+
+    """
+    groups: dict[str, list[str]] = {}
     for stratum in plan.strata:
         file = network_file_of(plan.with_avoider(stratum.space.simplest))
         if file is not None and sha256(file.read_bytes()).hexdigest() == network_sha256:
-            said.setdefault(_of_stratum(stratum, region), []).append(stratum.name)
-    return tuple(f"{', '.join(names)}: {words}" for words, names in said.items())
+            groups.setdefault(_of_stratum(stratum, region), []).append(stratum.name)
+    return tuple(f"{', '.join(names)}: {text}" for text, names in groups.items())
 
 
 def _of_stratum(stratum: Stratum, region: ProofRegion) -> str:
+    """Return the result for the gate of a stratum."""
     gate = stratum.space.simplest.gate
-    if any(one.name.startswith("gate") for one in stratum.space.parameters):
+    if any(parameter.name.startswith("gate") for parameter in stratum.space.parameters):
         return "the gate varies from run to run, and was not compared with this region."
     if gate is None or gate.questions_within is None:
         return "no gate keeps to a region, so that the arm may act on answers of which this proves nothing."
@@ -39,10 +50,14 @@ def _of_stratum(stratum: Stratum, region: ProofRegion) -> str:
     return "the gate takes answers to questions of this region alone."
 
 
-def outside_words(asked: AskedRegion, region: ProofRegion) -> str:
-    """Which questions of a gate's region a proof's does not have; empty if it has them all."""
-    low = np.array([*asked.hand.low_m, *asked.tcp.low_m])
-    high = np.array([*asked.hand.high_m, *asked.tcp.high_m])
+def outside_words(allowed: AskedRegion, region: ProofRegion) -> str:
+    """Return the questions of a gate's region ``allowed`` that the proof's ``region`` lacks.
+
+    The text is empty if the proof's region has all of them. The function compares the boxes first, then the
+    distances from hand to TCP.
+    """
+    low = np.array([*allowed.hand.low_m, *allowed.tcp.low_m])
+    high = np.array([*allowed.hand.high_m, *allowed.tcp.high_m])
     (least,), (most,) = region.corners()
     beyond_m = np.maximum(least - low, high - most)
     if beyond_m.max() > 0.0:
@@ -54,7 +69,7 @@ def outside_words(asked: AskedRegion, region: ProofRegion) -> str:
     near_m, far_m = region.apart_m
     if nearest_m >= near_m and farthest_m <= far_m:
         return ""
-    apart, counted = (
+    distances, counted = (
         f"{1e3 * a:.4g} to {1e3 * b:.4g}" for a, b in ((nearest_m, farthest_m), (near_m, far_m))
     )
-    return f"hands {apart} mm from the TCP, where this is about {counted} mm"
+    return f"hands {distances} mm from the TCP, where this is about {counted} mm"

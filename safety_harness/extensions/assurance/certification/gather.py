@@ -1,4 +1,4 @@
-"""A plan's ledger, searches and measurements put together into the evidence."""
+"""The evidence of a plan, put together from its ledger, its searches and measurements."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ from safety_harness.extensions.assurance.certification.tools import (
     Credibility,
     HarnessTrials,
 )
-from safety_harness.extensions.assurance.certification.verdicts import gravest
+from safety_harness.extensions.assurance.certification.verdicts import worst_status
 from safety_harness.extensions.assurance.certification.whose_fault import whose_fault
 from safety_harness.report.evidence import JudgedRun
 from safety_harness.report.page_parts import in_words
@@ -85,15 +85,15 @@ NO_SELFTEST = (
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class GatheredEvidence:
-    """The evidence, and the counterexamples in it with their runs."""
+    """The evidence, and its counterexamples with their runs."""
 
     evidence: Evidence
     examples: tuple[Example, ...]
 
     @property
     def runs(self) -> dict[int, JudgedRun]:
-        """Of the counterexamples that have pictures, by their numbers."""
-        return {one.shown.number: one.run for one in self.examples if one.shown.number <= MOST}
+        """The runs of the counterexamples that have pictures, by their numbers."""
+        return {item.shown.number: item.run for item in self.examples if item.shown.number <= MOST}
 
 
 def gather(
@@ -106,9 +106,17 @@ def gather(
     declaration: str = "",
     guard: ReportGuard | None = None,
 ) -> GatheredEvidence:
-    """From the ledger, the searches below ``folder``, and some runs that are made again here.
+    """Return the evidence from the ledger, the searches, and some runs that are repeated here.
 
-    ``declaration`` is the hash of what was declared of this very plan, ``guard`` has what failed before.
+    Args:
+        plan: The plan.
+        ledger: The open ledger of its runs.
+        folder: The report's folder, with the searches below it.
+        command: The command that repeats the report.
+        trials: The self-test, oracles and recorded cells; the default has no such file.
+        declaration: The hash of the plan's declaration; empty without a declaration.
+        guard: Has the findings of earlier failures; None: no earlier failure.
+
     """
     guard = guard or ReportGuard()
     origin = _origin(plan, ledger, folder, command)
@@ -119,8 +127,8 @@ def gather(
         trials,
         declaration=declaration,
         origin=origin,
-        proven=guard.of("the account of what is proven", lambda: stored_proof(folder, plan), None),
-        notes=guard.of("the list of the author's notes", lambda: read_notes(folder), ()),
+        proven=guard.run("the account of what is proven", lambda: stored_proof(folder, plan), None),
+        notes=guard.run("the list of the author's notes", lambda: read_notes(folder), ()),
         guard=guard,
     )
 
@@ -140,45 +148,58 @@ def put_together(
     explain: Explains = told_whose_fault,
     guard: ReportGuard | None = None,
 ) -> GatheredEvidence:
-    """All that follows from the ledger and the searches, around what does not: the last eight.
+    """Return the evidence that follows from the ledger and the searches, with the given parts.
 
-    What ``guard`` notes down is among the findings.
+    ``verify`` replaces the parts that only ``certify`` knows by the recorded ones.
+
+    Args:
+        plan: The plan.
+        ledger: The open ledger of its runs.
+        folder: The report's folder, with the searches below it.
+        trials: The self-test, oracles and recorded cells.
+        declaration: The hash of the plan's declaration; empty without a declaration.
+        origin: The origin of the report.
+        believe: Returns the evidence on the simulator.
+        blame: Returns the causes of the violations.
+        proven: The confirmed proofs; None without a certificate.
+        notes: The author's notes.
+        explain: Adds an attribution to the counterexamples.
+        guard: Its findings become findings of the report; None: a new guard.
+
     """
     guard = guard or ReportGuard()
-    stored, damaged = guard.of("the stored random runs", lambda: random_traces(plan, ledger), ([], []))
+    stored, damaged = guard.run("the stored random runs", lambda: random_traces(plan, ledger), ([], []))
     claims, strata = claims_of(plan, ledger, stored), strata_of(plan, ledger)
-    searches = guard.of("the account of searches", lambda: searches_of(plan, folder), ())
-    declared = guard.of(
-        "the table of counterexamples", lambda: tuple(declared_counterexamples(plan, ledger)), ()
-    )
-    searched = guard.of(
+    searches = guard.run("the account of searches", lambda: searches_of(plan, folder), ())
+    own = guard.run("the table of counterexamples", lambda: tuple(declared_counterexamples(plan, ledger)), ())
+    searched = guard.run(
         "the table of the search's counterexamples",
         lambda: tuple(searched_counterexamples(plan, searches, folder)),
         (),
     )
-    told = guard.of("the attribution of counterexamples", lambda: tuple(explain(plan, declared)), declared)
-    met = [*told, *searched]
+    attributed = guard.run("the attribution of counterexamples", lambda: tuple(explain(plan, own)), own)
+    met = [*attributed, *searched]
     examples = numbered(met)
     evidence = Evidence(
         format=FORMAT,
         interrupted=any(next(ledger.missing(k), None) is not None for k in range(len(strata)))
         or any(claim.standing is ClaimStatus.INCOMPLETE for claim in claims),
         plan=_plan(plan, ledger),
-        standing=gravest(claim.standing for claim in claims),
+        standing=worst_status(claim.standing for claim in claims),
         strata=strata,
-        overruling=guard.of("the account of overruled proposals", lambda: overruling_of(ledger), ()),
-        shields=guard.of("the runs behind a shield", lambda: shields_in(ledger), ()),
+        overruling=guard.run("the account of overruled proposals", lambda: overruling_of(ledger), ()),
+        shields=guard.run("the runs behind a shield", lambda: shields_in(ledger), ()),
         claims=claims,
-        system=guard.of("the description of the system", lambda: system_of(plan, ledger.opened), NO_SYSTEM),
+        system=guard.run("the description of the system", lambda: system_of(plan, ledger.opened), NO_SYSTEM),
         assumptions=ASSUMPTIONS,
         exclusions=(*EXCLUSIONS, *ledger.wrists),
-        separation=guard.of("the separation of the runs", lambda: tuple(separation_of(plan, stored)), ()),
-        calibration=guard.of("the calibration of the runs", lambda: tuple(calibration_of(plan, stored)), ()),
-        coverage=guard.of("the coverage of the runs", lambda: coverage_of(ledger), NO_COVERAGE),
-        counterexamples=tuple(one.shown for one in examples),
-        whose_fault=guard.of("the attribution", lambda: blame(plan, ledger), NOT_BLAMED),
-        search=guard.of("the summary of searches", lambda: search_evidence(searches), None),
-        credibility=guard.of("the account of credibility", lambda: believe(stored, trials), NOT_BELIEVED),
+        separation=guard.run("the separation of the runs", lambda: tuple(separation_of(plan, stored)), ()),
+        calibration=guard.run("the calibration of the runs", lambda: tuple(calibration_of(plan, stored)), ()),
+        coverage=guard.run("the coverage of the runs", lambda: coverage_of(ledger), NO_COVERAGE),
+        counterexamples=tuple(example.shown for example in examples),
+        whose_fault=guard.run("the attribution", lambda: blame(plan, ledger), NOT_BLAMED),
+        search=guard.run("the summary of searches", lambda: search_evidence(searches), None),
+        credibility=guard.run("the account of credibility", lambda: believe(stored, trials), NOT_BELIEVED),
         selftest=trials.selftest,
         selftest_absent="" if trials.selftest else NO_SELFTEST,
         record=Record(rows_sha256=root_of(ledger), declaration_sha256=declaration),
@@ -186,12 +207,12 @@ def put_together(
         provenance=replace(origin, libraries=origin.libraries + _files(stored)),
         files=(),
         proven=proven,
-        hazards=guard.of("the account of hazards", lambda: hazards_of(plan, ledger), ()),
+        hazards=guard.run("the account of hazards", lambda: hazards_of(plan, ledger), ()),
         notes=notes,
-        learned=guard.of("the account of the learned part", lambda: learned_of(plan, ledger, stored), None),
+        learned=guard.run("the account of the learned part", lambda: learned_of(plan, ledger, stored), None),
     )
-    untried = guard.of("the list of what no run tried", lambda: untried_in(plan, stored), [])
-    findings = guard.of(
+    untried = guard.run("the list of what no run tried", lambda: untried_in(plan, stored), [])
+    findings = guard.run(
         "the list of findings",
         lambda: tuple(findings_of(evidence, ledger, met, searches, [*damaged, *untried])),
         (),
@@ -202,8 +223,8 @@ def put_together(
 
 
 def _files(stored: Sequence[Stored]) -> tuple[tuple[str, str], ...]:
-    """The compiled files that the stored runs were made with, and their hashes."""
-    files = dict.fromkeys(file for one in stored for file in one.trace.provenance.files)
+    """Return the compiled files that made the stored runs, with their hashes."""
+    files = dict.fromkeys(file for item in stored for file in item.trace.provenance.files)
     return tuple((name, f"sha256 {sha256}") for name, sha256 in files)
 
 
@@ -250,14 +271,14 @@ def _origin(plan: Plan, ledger: Ledger, folder: Path, command: str) -> Origin:
 
 
 def libraries_of(ledger: Ledger) -> tuple[tuple[str, str], ...]:
-    """The libraries of the declared runs and their versions."""
+    """Return the libraries of the declared runs in ``ledger`` with their versions."""
     prefix = "the library "
     parts = ledger.declared.identity.parts
     return tuple((name.removeprefix(prefix), text) for name, text in parts if name.startswith(prefix))
 
 
 def sessions_of(ledger: Ledger) -> tuple[str, str, float]:
-    """When the first began, on which machines they were, and the seconds spent in runs."""
+    """Return the first beginning, all machines, and the seconds in runs (s) of the sessions in ``ledger``."""
     sessions = list(ledger.all("SELECT began, machine, workers FROM session ORDER BY id"))
     ((spent_s,),) = ledger.all("SELECT coalesce(sum(seconds), 0.0) FROM episode")
     machines = dict.fromkeys(f"{machine}; {workers} workers" for _, machine, workers in sessions)

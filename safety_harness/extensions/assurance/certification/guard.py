@@ -1,4 +1,7 @@
-"""What is made after the runs: a part of the report that fails is an open finding, the others are written."""
+"""A guard for the work after the runs: a part that fails becomes an open finding.
+
+The report has all remaining parts.
+"""
 
 from __future__ import annotations
 
@@ -14,20 +17,22 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, eq=False)
 class ReportGuard:
-    """Collects ``findings``: which parts could not be made, and why."""
+    """Collects ``findings``: the parts of a report that failed, and the reasons."""
 
     findings: list[OpenFinding] = field(default_factory=list)
 
-    def of(self, what: str, make: Callable[[], T], otherwise: Any) -> T:
-        """Return what ``make`` gives, or ``otherwise`` if it fails, which is noted down.
+    def run(self, part: str, make: Callable[[], T], otherwise: Any) -> T:
+        """Return the result of ``make``; if it fails, record a finding on ``part`` and return ``otherwise``.
 
-        A ledger that cannot be read is raised: without it there is nothing to report.
+        Raises:
+            LedgerError: The ledger cannot be read.  Without it there is no report.
+
         """
         try:
             return make()
         except LedgerError:
             raise
-        except Exception as error:  # also of a user's program, whatever it raises
-            self.findings.append(OpenFinding(f"{what} {UNMADE}: {described(error)}", "strata"))
-            found: T = otherwise
-            return found
+        except Exception as error:  # a user's program may raise anything
+            self.findings.append(OpenFinding(f"{part} {UNMADE}: {described(error)}", "strata"))
+            substitute: T = otherwise
+            return substitute

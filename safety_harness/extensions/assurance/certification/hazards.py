@@ -1,8 +1,9 @@
-"""The plan's hazards with what the ledger bounds of them: a rate an hour for each claim under each.
+"""The plan's hazards with their bounds: a rate an hour for each claim under each hazard.
 
-The upper bound of the approaches an hour, times that of a violation in a run.  Every approach counts as a run
-that puts the claim to the test, and whatever mixture of the strata an hour's approaches are, the largest
-bound per run is no smaller.  ``extensions.assurance.statistics.rates`` has how the error is shared.
+A rate is the product of two upper bounds: on the approaches in an hour, and on a violation in a run. Every
+approach counts as a run that puts the claim to the test. The largest bound per run holds for every mixture of
+the strata in an hour's approaches.  ``extensions.assurance.statistics.rates`` explains how the bounds share
+the error.
 """
 
 from __future__ import annotations
@@ -15,28 +16,31 @@ from safety_harness.extensions.assurance.certification.evidence import HazardEvi
 
 
 def hazards_of(plan: Plan, ledger: Ledger) -> tuple[HazardEvidence, ...]:
-    """Every hazard that the plan names; without a rate of approaches, or while runs are missing, no rate."""
-    rated = {one.name for one in plan.risks.hazards if one.approaches is not None}
+    """Return every hazard of ``plan`` with its rates from ``ledger``.
+
+    There is no rate while runs are missing, or without a rate of approaches.
+    """
+    rated = {hazard.name for hazard in plan.risks.hazards if hazard.approaches is not None}
     worst = [_worst(plan, ledger, k, rated) for k in range(len(plan.claims))]
-    return tuple(_hazard(plan, one, worst) for one in plan.risks.hazards)
+    return tuple(_hazard(plan, hazard, worst) for hazard in plan.risks.hazards)
 
 
 def _worst(plan: Plan, ledger: Ledger, claim: int, rated: set[str]) -> tuple[float, str] | None:
-    """The largest upper bound of a claim over the strata, and where; None where there is none."""
-    under = [one for one in plan.claims if rated & set(one.hazards)]
-    if plan.claims[claim] not in under or ledger.dependent:
+    """Return the largest upper bound of a claim over the strata, and its stratum; None without a bound."""
+    rated_claims = [item for item in plan.claims if rated & set(item.hazards)]
+    if plan.claims[claim] not in rated_claims or ledger.dependent:
         return None
     try:
-        samples = [ledger.sample(one.name, plan.claims[claim].sentence) for one in plan.strata]
-    except StatisticsError:  # episodes are missing yet
+        samples = [ledger.sample(item.name, plan.claims[claim].sentence) for item in plan.strata]
+    except StatisticsError:  # episodes are still missing
         return None
-    found = plan.risks.error.worst_run(samples, len(under))
-    return found.high, found.stratum
+    largest = plan.risks.error.worst_run(samples, len(rated_claims))
+    return largest.high, largest.stratum
 
 
 def _hazard(plan: Plan, hazard: Hazard, worst: list[tuple[float, str] | None]) -> HazardEvidence:
-    found, error, known = hazard.derived(plan.risks.graph), plan.risks.error, hazard.approaches
-    claims = tuple(k for k, one in enumerate(plan.claims) if hazard.name in one.hazards)
+    required, error, known = hazard.derived(plan.risks.graph), plan.risks.error, hazard.approaches
+    claims = tuple(k for k, planned in enumerate(plan.claims) if hazard.name in planned.hazards)
     most = None if known is None else known.most_an_hour(error.of_each_rate)
     rates = []
     for claim in claims:
@@ -56,9 +60,9 @@ def _hazard(plan: Plan, hazard: Hazard, worst: list[tuple[float, str] | None]) -
         avoidance=hazard.avoidance,
         decided_by=hazard.decided_by,
         because=hazard.because,
-        steps=found.steps,
-        level=found.level,
-        asked_an_hour=found.an_hour,
+        steps=required.steps,
+        level=required.level,
+        asked_an_hour=required.an_hour,
         claims=tuple(claim + 1 for claim in claims),
         approaches="" if known is None else known.words,
         approaches_an_hour=most,

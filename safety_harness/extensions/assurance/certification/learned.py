@@ -1,4 +1,4 @@
-"""What a report says of the learned part: its training, how far the strata lie from that, its service."""
+"""The learned part in a report: its training, the distance of the strata from it, and its service."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ LIFE = (
         "simulators against the log, which certify --cell takes in. No run of a cell enters a bound here",
     ),
 )
-TRAINING = "training"  # among the metadata of an ONNX file
+TRAINING = "training"  # a key in the metadata of an ONNX file
 MOST_LETTERS = 2000
 NOT_STATED = "not stated: on what, and how. The metadata of an ONNX file may say it under the name 'training'"
 PROGRAM = (
@@ -68,19 +68,28 @@ _CELLS = (
 
 
 def learned_of(plan: Plan, ledger: Ledger, stored: Sequence[Stored]) -> LearnedPart | None:
-    """None where nothing that is under test can be learned: what ships without a network."""
+    """Return the learned part of a plan's system; None if no part under test can be learned.
+
+    Every program may have a learned part. A shipped avoider without a network has no such part.
+
+    Args:
+        plan: The plan.
+        ledger: The open ledger of its runs.
+        stored: The stored random runs.
+
+    """
     scenarios = [plan.with_avoider(stratum.space.simplest) for stratum in plan.strata]
-    learned = {place: one for place, one in enumerate(scenarios) if _is_network(one)}
-    told = dict(pair for one in scenarios for pair in _told(one))
-    if not told and not learned:
+    learned = {place: item for place, item in enumerate(scenarios) if _is_network(item)}
+    facts = dict(pair for item in scenarios for pair in _training_facts(item))
+    if not facts and not learned:
         return None
-    networks = ((str(one.under_test), str(named_system(one).tested.sha256)) for one in learned.values())
-    asked = {place: one for place, one in learned.items() if not one.driven}
+    networks = ((str(item.under_test), str(named_system(item).tested.sha256)) for item in learned.values())
+    nets = {place: item for place, item in learned.items() if not item.driven}
     return LearnedPart(
         networks=tuple(dict.fromkeys(networks)),
-        seen=tuple(dict.fromkeys(seen_of(one).source for one in asked.values())),
-        strata=tuple(_distance(plan, ledger, stored, place, scenario) for place, scenario in asked.items()),
-        life=(*told.items(), *(LIFE if learned else ())),
+        seen=tuple(dict.fromkeys(seen_of(item).source for item in nets.values())),
+        strata=tuple(_distance(plan, ledger, stored, place, scenario) for place, scenario in nets.items()),
+        life=(*facts.items(), *(LIFE if learned else ())),
     )
 
 
@@ -90,8 +99,8 @@ def _is_network(scenario: Scenario) -> bool:
     return in_onnx or model_of(scenario) is not None
 
 
-def _told(scenario: Scenario) -> Iterator[tuple[str, str]]:
-    """What is stated of the training of a part without a card, or how it can be."""
+def _training_facts(scenario: Scenario) -> Iterator[tuple[str, str]]:
+    """Yield a label and a text on the training of a part without a card."""
     reference = scenario.under_test
     if is_a_program(reference):
         yield f"{reference}, whether learned", PROGRAM
@@ -108,14 +117,14 @@ def _distance(
     plan: Plan, ledger: Ledger, stored: Sequence[Stored], place: int, scenario: Scenario
 ) -> TrainingDistance:
     counts: Counter[str] = Counter()
-    for words, runs in ledger.all(_CELLS, place):
-        parts = words.split(", ")
+    for label, runs in ledger.all(_CELLS, place):
+        parts = label.split(", ")
         if len(parts) == len(AXES):
             counts[parts[list(AXES).index("seen")]] += int(runs)
-    decisions = [one.trace.decisions for one in stored if one.stratum == place]
-    hands_m = np.concatenate([found["hand_position_in_base_m"] for found in decisions] or [np.empty((0, 3))])
+    decisions = [item.trace.decisions for item in stored if item.stratum == place]
+    hands_m = np.concatenate([row["hand_position_in_base_m"] for row in decisions] or [np.empty((0, 3))])
     seen = seen_of(scenario).hand
-    outside = ~seen.contains(hands_m)  # a hand that is no number is not inside
+    outside = ~seen.contains(hands_m)  # NaN counts as outside
     far_m = seen.outside_m(hands_m[outside])
     far_m = far_m[np.isfinite(far_m)]
     return TrainingDistance(

@@ -1,14 +1,14 @@
-"""What is lodged elsewhere by its hash: the declaration of a plan before its runs, the seal of its report.
+"""The hashes to lodge: the declaration of a plan before its runs, and the seal of its report.
 
 A declaration, which ``certify declare`` writes, holds plan, seed, avoider, targets and software, by name.
 
-Its hash is to be lodged where its day cannot be changed.  A report whose ledger gives the same hash was
-declared on that day at the latest; that nobody had made the same runs before, no hash can show: they repeat
-themselves.  So whoever doubts names the seed.
+Lodge its hash where its date cannot change. If a report's ledger gives the same hash, the plan was declared
+on that date at the latest. Runs repeat themselves, so a hash cannot show that the author never made the same
+runs before. A doubting reader therefore chooses the seed.
 
-A seal is one hash over the root of a report's rows, its declaration and all of its files.  Lodged where
-nobody can change it, it shows that none of them was altered since.  Without it whoever alters a row can make
-every hash in the report anew.
+A seal is one hash over the root of a report's rows, its declaration and all of its files. Lodge it where its
+content cannot change. It then shows that no file has changed since. Without it, whoever alters a row can
+compute every hash in the report anew.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from safety_harness.scenario.typed_json import of_format, read_json, typed
 
 
 class Lodged(ABC):
-    """One text for one content, and the hash of it."""
+    """A content with exactly one text, and the hash of the text."""
 
     @property
     @abstractmethod
@@ -44,7 +44,7 @@ class Lodged(ABC):
 
     @property
     def sha256(self) -> str:
-        """What is lodged."""
+        """The hash to lodge."""
         return hashlib.sha256(self.as_json.encode()).hexdigest()
 
 
@@ -52,7 +52,22 @@ L = TypeVar("L", "PlanDeclaration", "Seal")
 
 
 def write_once(made: L, file: Path, read: Callable[[Path], L], *, expected: str) -> L:
-    """Write ``made``; InputError if ``file`` has something else, as ``read`` has it: it may be lodged."""
+    """Write ``made`` to ``file``, if the file does not exist or has the same content.
+
+    Args:
+        made: The declaration or the seal.
+        file: The file.
+        read: Reads an existing file.
+        expected: The text of the error for the expected file.
+
+    Returns:
+        ``made``.
+
+    Raises:
+        InputError: The file has another content, which may be lodged already.
+        OutputError: The file cannot be written.
+
+    """
     if file.exists() and (there := read(file)) != made:
         raise InputError(
             place=Place(file=file),
@@ -72,26 +87,26 @@ DECLARATION_FORMAT = "safety-harness declaration 1"
 
 @dataclass(frozen=True)
 class PlanDeclaration(Lodged):
-    """Everything that was declared, by name, and the hash of it all."""
+    """The declared ``parts`` by name, and their common hash."""
 
     parts: dict[str, Any]
 
     @property
     def as_json(self) -> str:
-        """One text for one content."""
-        found = {"format": DECLARATION_FORMAT, "declared": self.parts}
-        return json.dumps(found, indent=1, sort_keys=True, ensure_ascii=True) + "\n"
+        """The only text of this content: keys are sorted."""
+        document = {"format": DECLARATION_FORMAT, "declared": self.parts}
+        return json.dumps(document, indent=1, sort_keys=True, ensure_ascii=True) + "\n"
 
     def changes(self, now: PlanDeclaration) -> Iterator[str]:
-        """What is otherwise now, in words."""
+        """Yield each difference of ``now`` from this declaration, in words."""
         for name in sorted(self.parts.keys() | now.parts.keys()):
-            then, new = (one.parts.get(name, "nothing") for one in (self, now))
+            then, new = (side.parts.get(name, "nothing") for side in (self, now))
             if then != new:
                 yield f"{name}: {_short(then)} was declared, and it is {_short(new)} now"
 
 
 def declaration_of(plan: Plan, identity: Identity | None = None) -> PlanDeclaration:
-    """Of a plan with the software that is here, or with the ``identity`` that a ledger was begun with."""
+    """Return the declaration of ``plan`` with the present software, or with the ``identity`` of a ledger."""
     parts: dict[str, Any] = {
         "plan": plan.title,
         "avoider": plan.avoider or "what the spaces name",
@@ -110,27 +125,47 @@ def declaration_of(plan: Plan, identity: Identity | None = None) -> PlanDeclarat
 
 
 def declaration_file(plan: Path) -> Path:
-    """Where the declaration of a plan lies if nobody says otherwise; never where we are installed."""
+    """Return the default file for a plan's declaration, beside the plan.
+
+    A plan that ships with an installed package has it in the working directory.
+    """
     beside = located(plan).with_suffix(".declared.json")
     return Path(beside.name) if is_installed() and shipped_name(located(plan)) else beside
 
 
 def write_declaration(plan: Plan, file: Path) -> PlanDeclaration:
-    """Beside the plan, or wherever; InputError if another one is there, which was perhaps lodged."""
+    """Write the declaration of ``plan`` to ``file``.
+
+    Raises:
+        InputError: The file has another declaration, which may be lodged already.
+        OutputError: The file cannot be written.
+
+    """
     expected = "no file there yet, or this very declaration"
     return write_once(declaration_of(plan), file, read_declaration, expected=expected)
 
 
 def read_declaration(file: Path) -> PlanDeclaration:
-    """InputError for what ``certify declare`` did not write."""
-    found = of_format(read_json(file, DECLARATION_FORMAT), DECLARATION_FORMAT, file)
-    return PlanDeclaration(typed(found.get("declared"), dict[str, Any], file, where="declared"))
+    """Read a declaration that ``certify declare`` wrote.
+
+    Raises:
+        InputError: The file is no declaration.
+
+    """
+    document = of_format(read_json(file, DECLARATION_FORMAT), DECLARATION_FORMAT, file)
+    return PlanDeclaration(typed(document.get("declared"), dict[str, Any], file, where="declared"))
 
 
 def declared_sha256(plan: Plan, file: Path | None) -> str:
-    """Of the declaration in ``file``, or beside the plan; empty if none is there.
+    """Return the hash of the plan's declaration; empty without a declaration.
 
-    InputError that names what is not as it was declared.
+    Args:
+        plan: The plan.
+        file: The declaration; None: the file beside the plan, if it exists.
+
+    Raises:
+        InputError: The plan or the software differs from the declaration; the error names the difference.
+
     """
     path = file or declaration_file(plan.file)
     if file is None and not path.exists():
@@ -157,7 +192,7 @@ SEAL_FORMAT = "safety-harness seal 1"
 
 @dataclass(frozen=True)
 class Seal(Lodged):
-    """The root over the rows, the declaration (empty: none), the manifest with the hash of every file."""
+    """The root over the rows, the declaration's hash (empty: no declaration), and the manifest's hash."""
 
     rows: str
     declaration: str
@@ -165,30 +200,39 @@ class Seal(Lodged):
 
     @property
     def as_json(self) -> str:
-        """One text for one content."""
+        """The only text of this content."""
         return json.dumps({"format": SEAL_FORMAT} | asdict(self), indent=1) + "\n"
 
     def changes(self, now: Seal) -> Iterator[str]:
-        """What is otherwise now, in words."""
+        """Yield each difference of ``now`` from this seal, in words."""
         for name, then in asdict(self).items():
             if then != getattr(now, name):
                 yield f"the {name} is another than was sealed"
 
 
 def seal_of(folder: Path, ledger: Ledger) -> Seal:
-    """Of a report as it is now."""
+    """Return the seal of the report in ``folder``, with its open ``ledger``, in its present state."""
     declaration = read_evidence(folder / JSON).record.declaration_sha256
     return Seal(root_of(ledger), declaration, sha256_of(folder / MANIFEST))
 
 
 def seal_file(folder: Path) -> Path:
-    """Where the seal of a report lies: in the folder it would be a file that it does not cover."""
+    """Return the file for the seal of the report in ``folder``, beside it.
+
+    A file in the folder would not be covered by the seal.
+    """
     whole = folder.resolve()
     return whole.with_name(whole.name + ".seal.json")
 
 
 def write_seal(folder: Path) -> Seal:
-    """Beside the folder; InputError if another one is there, which was perhaps lodged."""
+    """Write the seal of the report in ``folder`` beside the folder.
+
+    Raises:
+        InputError: Another seal is there, which may be lodged already.
+        OutputError: The file cannot be written.
+
+    """
     with Ledger.open(folder / LEDGER, alone=True) as ledger:
         made = seal_of(folder, ledger)
     expected = "no file there yet, or the seal of this very report"
@@ -196,5 +240,10 @@ def write_seal(folder: Path) -> Seal:
 
 
 def read_seal(file: Path) -> Seal:
-    """InputError for what ``certify seal`` did not write."""
+    """Read a seal that ``certify seal`` wrote.
+
+    Raises:
+        InputError: The file is no seal.
+
+    """
     return typed(of_format(read_json(file, SEAL_FORMAT), SEAL_FORMAT, file), Seal, file, others=True)

@@ -1,4 +1,4 @@
-"""One self-contained HTML page of the evidence, for a reader in a hurry and for one with a day."""
+"""The evidence as one self-contained HTML page, for a quick look and for a day of study."""
 
 from __future__ import annotations
 
@@ -58,44 +58,51 @@ MEANINGS = {
     ClaimStatus.INCOMPLETE: "declared runs are missing, so there is no bound yet",
 }
 
-MOST_LED = 3  # findings before the rest folds
-MOST_OPEN = 2  # counterexamples that are drawn as the page opens
-# Without --full a printed page has so many of each, the gravest first.
+MOST_LED = 3  # findings in view; the page folds the rest
+MOST_OPEN = 2  # counterexamples that the page draws when it opens
+# Without --full a printed page has at most this number of each, the most severe first.
 MOST_PRINTED, MOST_PRINTED_CLAIMS, MOST_PRINTED_ROWS = 3, 4, 25
 
 
 def _meanings(evidence: Evidence) -> dict[ClaimStatus, str]:
+    """Return the meaning of each status; the fallback is part of it if the system has an avoider."""
     stood_in = ", or about the fallback in the avoider's place" if evidence.system.asks else ""
     return MEANINGS | {ClaimStatus.DOUBTED: MEANINGS[ClaimStatus.DOUBTED] + stood_in}
 
 
 def render(evidence: Evidence, runs: Mapping[int, JudgedRun]) -> str:
-    """The page of ``drawn`` as text: the same arguments give the same bytes."""
+    """Return the page of ``drawn`` for ``evidence`` and ``runs``: equal arguments give equal bytes."""
     return drawn(evidence, runs)[0]
 
 
 def drawn(evidence: Evidence, runs: Mapping[int, JudgedRun]) -> tuple[str, Evidence]:
     """Return the page as text, and the evidence with a finding for each part that could not be drawn.
 
-    It asks nothing of the network.  ``runs`` are those of counterexamples, by their numbers.  A page that
-    cannot be made at all has the evidence as it is in the JSON.
+    The page loads no data over the network.  A page that fails as a whole has the JSON as its text.
+
+    Args:
+        evidence: The evidence.
+        runs: The runs of counterexamples, by their numbers.
+
     """
     guard = ReportGuard()
-    page = guard.of("the page", lambda: _page(evidence, runs, guard), "")
-    if guard.findings:  # which the page has to name, too
-        new = tuple(one for one in guard.findings if one not in evidence.findings)
+    page = guard.run("the page", lambda: _page(evidence, runs, guard), "")
+    if guard.findings:  # the page has to show them, too
+        new = tuple(finding for finding in guard.findings if finding not in evidence.findings)
         evidence = replace(evidence, findings=(*evidence.findings, *new))
-        page = page and guard.of("the page", lambda: _page(evidence, runs, ReportGuard()), "")
+        page = page and guard.run("the page", lambda: _page(evidence, runs, ReportGuard()), "")
     return page or f"<!DOCTYPE html><title>Evidence</title><pre>{escape(as_text(evidence))}</pre>", evidence
 
 
 def _page(evidence: Evidence, runs: Mapping[int, JudgedRun], guard: ReportGuard) -> str:
-    def picture(what: str, draw: Callable[[], str]) -> Markup:
-        return Markup(guard.of(f"the picture of {what}", draw, ""))
+    """Return the page; a picture that fails is empty and becomes a finding of ``guard``."""
+
+    def picture(name: str, draw: Callable[[], str]) -> Markup:
+        return Markup(guard.run(f"the picture of {name}", draw, ""))
 
     top = argument_of(evidence)
     replays = Replays()
-    views = [_counterexample(one, runs.get(one.number), replays, guard) for one in evidence.counterexamples]
+    views = [_counterexample(met, runs.get(met.number), replays, guard) for met in evidence.counterexamples]
     return render_page(
         "evidence.html.j2",
         of="safety_harness.extensions.assurance",
@@ -140,18 +147,18 @@ def _page(evidence: Evidence, runs: Mapping[int, JudgedRun], guard: ReportGuard)
         ),
         percent=percent,
         added_sections=added_sections("evidence", evidence),
-        proven=guard.of("the picture of what is proven", lambda: _proven(evidence), []),
+        proven=guard.run("the picture of what is proven", lambda: _proven(evidence), []),
         proven_key=Markup(key_of(SCALE)),
         confidence=confidence_words,
     )
 
 
 def _counts(evidence: Evidence) -> list[tuple[str, str, list[ClaimEvidence]]]:
-    """(words, class, claims) for the four numbers at the top."""
+    """Return (words, class, claims) for the four numbers at the top."""
     open_ones = (ClaimStatus.NOT_SHOWN, ClaimStatus.INCOMPLETE, ClaimStatus.ESTIMATED, ClaimStatus.DOUBTED)
     return [
-        (words, css, [claim for claim in by_gravity(evidence.claims) if claim.standing in which])
-        for words, css, which in (
+        (label, css, [claim for claim in by_gravity(evidence.claims) if claim.standing in statuses])
+        for label, css, statuses in (
             ("shown", "holds", (ClaimStatus.SHOWN,)),
             ("refuted", "violated", (ClaimStatus.REFUTED,)),
             ("open", "inconclusive", open_ones),
@@ -161,42 +168,46 @@ def _counts(evidence: Evidence) -> list[tuple[str, str, list[ClaimEvidence]]]:
 
 
 def _answer(evidence: Evidence) -> str:
-    """In one sentence, the gravest first; the worst claim decides."""
+    """Return the result in one sentence, the most severe status first; the worst claim decides."""
     standings = [claim.standing for claim in evidence.claims]
-    words = (f"{standings.count(one)} {one.value}" for one in reversed(SEVERITY) if one in standings)
+    parts = (f"{standings.count(kind)} {kind.value}" for kind in reversed(SEVERITY) if kind in standings)
     claims = "the plan's one claim" if len(standings) == 1 else f"{len(standings)} claims"
-    return f"Of {claims}: {', '.join(words)}. The plan as a whole stands as its gravest claim does."
+    return f"Of {claims}: {', '.join(parts)}. The plan as a whole stands as its gravest claim does."
 
 
 def _by_gravity(evidence: Evidence) -> list[OpenFinding]:
-    """The gravest first: whatever is open beside the claims comes after those that are not shown."""
-    grave = {f"claim-{one.number}": SEVERITY.index(one.standing) for one in evidence.claims}
+    """Return the findings, the most severe first.
+
+    A finding that is not on a claim comes between the statuses NOT_SHOWN and DOUBTED.
+    """
+    grave = {f"claim-{item.number}": SEVERITY.index(item.standing) for item in evidence.claims}
     beside = SEVERITY.index(ClaimStatus.NOT_SHOWN) - 0.5
-    return sorted(evidence.findings, key=lambda one: -grave.get(one.place, beside))
+    return sorted(evidence.findings, key=lambda item: -grave.get(item.place, beside))
 
 
 def _proven(evidence: Evidence) -> list[tuple[CertifiedClaim, str, list[tuple[str, Markup]]]]:
-    """Each claim of the certificate with its state and its maps."""
+    """Return each claim of the certificate with its state and its maps."""
     claims = () if evidence.proven is None else evidence.proven.claims
     return [
-        (one, STATES.get(one.verdict, "inconclusive"), list(drawn_maps(one.maps, f"proven-{number}-")))
-        for number, one in enumerate(claims)
+        (claim, STATES.get(claim.verdict, "inconclusive"), list(drawn_maps(claim.maps, f"proven-{number}-")))
+        for number, claim in enumerate(claims)
     ]
 
 
 def _counterexample(
-    one: CounterexampleEvidence, run: JudgedRun | None, replays: Replays, guard: ReportGuard
+    met: CounterexampleEvidence, run: JudgedRun | None, replays: Replays, guard: ReportGuard
 ) -> dict[str, object]:
-    """With its pictures; without a stored trace there are none."""
+    """Return a counterexample with its pictures; without a stored trace it has no picture."""
     none: dict[str, object] = {"run": None, "moment": ""}
     if run is None or len(run.trace.ticks) == 0:
-        return {"one": one} | none
-    what = f"the pictures of counterexample {one.number}"
-    return {"one": one} | guard.of(what, lambda: _pictures(one, run.under(one.sentence), replays), none)
+        return {"one": met} | none
+    part = f"the pictures of counterexample {met.number}"
+    return {"one": met} | guard.run(part, lambda: _pictures(met, run.under(met.sentence), replays), none)
 
 
-def _pictures(one: CounterexampleEvidence, run: JudgedRun, replays: Replays) -> dict[str, object]:
-    prefix = f"counterexample-{one.number}-"
+def _pictures(met: CounterexampleEvidence, run: JudgedRun, replays: Replays) -> dict[str, object]:
+    """Return the views, the timeline and the replay of a counterexample, and its most important moment."""
+    prefix = f"counterexample-{met.number}-"
     moment = shown_moment(run)
     return {
         "run": run,

@@ -1,7 +1,7 @@
-"""What is proven about the avoider's network, beside what runs have shown: a certificate and its check.
+"""The proofs about the avoider's network, beside the results of runs: a certificate and its check.
 
-The certificate and the network lie in the report's folder.  What is told of them is what the independent
-checker (``extensions.lab.proof.check``) confirms, in its own words.
+The certificate and the network lie in the report's folder. The report quotes the words of the independent
+checker (``extensions.lab.proof.check``).
 """
 
 from __future__ import annotations
@@ -32,13 +32,18 @@ CERTIFICATE, NETWORK = f"{FOLDER}/certificate.json", f"{FOLDER}/network.safetens
 
 @dataclass(frozen=True)
 class CertifiedNetwork:
-    """A certificate and its network as files, read whole."""
+    """The bytes of a certificate and of its network."""
 
     certificate: bytes
     network: bytes
 
     def write(self, folder: Path) -> None:
-        """Into the folder of a report; raises OutputError."""
+        """Write both files into a report's ``folder``.
+
+        Raises:
+            OutputError: A file cannot be written.
+
+        """
         for name, data in ((CERTIFICATE, self.certificate), (NETWORK, self.network)):
             try:
                 with replacing(folder / name) as part:
@@ -48,16 +53,18 @@ class CertifiedNetwork:
 
 
 def read_certified(file: Path, plan: Plan) -> CertifiedNetwork:
-    """A certificate of ``prove`` about the network of the plan's avoider.
+    """Read a certificate of ``prove`` about a network of the plan's avoiders.
 
-    InputError if it is none, is of another network, or says what its checker does not confirm.
+    Raises:
+        InputError: The file is no certificate, has another network, or the checker does not confirm it.
+
     """
     networks = {hashlib.sha256(data).hexdigest(): data for data in networks_of(plan)}
     data = _bytes(file)
-    found = of_format(
+    document = of_format(
         parsed(data.decode("utf-8", "replace"), file, "a certificate", InputError), FORMAT, file
     )
-    sha256 = found.get("model_sha256")
+    sha256 = document.get("model_sha256")
     if not isinstance(sha256, str) or sha256 not in networks:
         expected = "a certificate of the network of the plan's avoider"
         raise InputError(place=Place(file=file), expected=expected, got=f"one of {str(sha256)[:16]}")
@@ -67,39 +74,51 @@ def read_certified(file: Path, plan: Plan) -> CertifiedNetwork:
 
 
 def networks_of(plan: Plan) -> list[bytes]:
-    """The files of the networks that the plan's strata ask."""
+    """Return the files of the networks that the plan's strata ask."""
     scenarios = (plan.with_avoider(stratum.space.simplest) for stratum in plan.strata)
     files = dict.fromkeys(map(network_file_of, scenarios))
     return [_bytes(file) for file in files if file is not None]
 
 
 def stored_proof(folder: Path, plan: Plan) -> CertifiedProofs | None:
-    """That of a report's folder, confirmed again, beside the plan's gates; None for none.
+    """Check the certificate in a report's ``folder`` again, and compare it with the gates of ``plan``.
 
-    InputError if it does not hold.
+    Returns:
+        The confirmed proofs; None without a certificate.
+
+    Raises:
+        InputError: The checker does not confirm the certificate.
+
     """
     if not (folder / FOLDER).exists():
         return None
     certified = CertifiedNetwork(*(_bytes(folder / name) for name in (CERTIFICATE, NETWORK)))
-    found, regions = evidence_of(certified, folder / CERTIFICATE)
+    proofs, regions = evidence_of(certified, folder / CERTIFICATE)
     claims = (
-        replace(one, gates=gate_words(plan, found.network_sha256, region))
-        for one, region in zip(found.claims, regions, strict=True)
+        replace(claim, gates=gate_words(plan, proofs.network_sha256, region))
+        for claim, region in zip(proofs.claims, regions, strict=True)
     )
-    return replace(found, claims=tuple(claims))
+    return replace(proofs, claims=tuple(claims))
 
 
 def without_proof(folder: Path) -> None:
-    """An earlier report's is taken away."""
+    """Remove the certificate of an earlier report from ``folder``."""
     shutil.rmtree(folder / FOLDER, ignore_errors=True)
 
 
 @lru_cache(maxsize=2)
 def evidence_of(certified: CertifiedNetwork, file: Path) -> tuple[CertifiedProofs, tuple[ProofRegion, ...]]:
-    """With each claim's region; InputError for whatever is not confirmed; ``file`` is where it came from."""
+    """Check the certificate in ``certified``, and return its claims and the region of each.
+
+    ``file`` is its origin, for errors.
+
+    Raises:
+        InputError: The checker does not confirm the certificate.
+
+    """
     try:
         lines = check(certified.certificate, certified.network)
-    except Exception as error:  # whatever a stranger's certificate makes of the checker
+    except Exception as error:  # a stranger's certificate may make the checker raise anything
         got = f"{type(error).__name__}: {error}"
         expected = "a certificate that the checker confirms"
         raise InputError(place=Place(file=file), expected=expected, got=got) from None

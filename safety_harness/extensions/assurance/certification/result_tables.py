@@ -1,4 +1,4 @@
-"""Tables of what came of the plan: verdicts, hazards with their rates, results by stratum, overruling."""
+"""Tables of the plan's results: verdicts, hazards with their rates, results by stratum, overruling."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from safety_harness.extensions.assurance.certification.table_cells import (
     number,
     standing,
     table_of,
-    words,
+    text_cell,
 )
 from safety_harness.extensions.assurance.certification.verdicts import (
     at_least,
@@ -37,49 +37,50 @@ from safety_harness.report.words import with_minus
 
 
 def margin_words(margin_si: float | None, claim: ClaimEvidence) -> str:
-    """A margin with its sign, in the claim's unit."""
+    """Return ``margin_si`` (SI) with its sign, in the claim's unit; a dash for None."""
     if margin_si is None:
         return DASH
     return with_minus(shown_margin(margin_si * claim.per_si, claim.unit))
 
 
 def at_least_words(margin_si: float, claim: ClaimEvidence) -> str:
-    """A margin that is kept at least: no digit makes it look larger than it is."""
+    """Return ``margin_si`` (SI), a lower limit of a margin, in the claim's unit, rounded down."""
     shown = margin_si * claim.per_si
     digit = 0.1 if abs(shown) >= 1.0 else 10.0 ** (math.floor(math.log10(max(abs(shown), 1e-300))) - 2)
     return with_minus(shown_margin(math.floor(shown / digit + 1e-9) * digit, claim.unit))
 
 
 def verdicts(evidence: Evidence) -> CellTable:
-    """The first page: every claim with its verdict, bound, how often it was exercised, and its hazard."""
+    """Return the table of the first page: every claim with verdict, bound, number of tests, and hazard."""
     return table_of(
         "The gravest claim first, over all strata of the plan: the largest upper bound, and the counts of "
         "all strata together; each number leads to its rows. Performance level: none claimed.",
         by_gravity(evidence.claims),
         {
-            "Claim": lambda one: words(
-                one.sentence, href=f"claim-{one.number}", row=f"claim-row-{one.number}"
+            "Claim": lambda row: text_cell(
+                row.sentence, href=f"claim-{row.number}", row=f"claim-row-{row.number}"
             ),
-            "Verdict": lambda one: standing(one.standing),
+            "Verdict": lambda row: standing(row.standing),
             "May be violated in up to": _upper,
-            "Target": lambda one: number(DASH if one.target is None else percent(one.target), one.target),
+            "Target": lambda row: number(DASH if row.target is None else percent(row.target), row.target),
             "Put to the test": _tested,
-            "Without verdict": lambda one: count(
-                sum(o.inconclusive + o.failed for o in one.outcomes), _row(one, 0)
+            "Without verdict": lambda row: count(
+                sum(o.inconclusive + o.failed for o in row.outcomes), _row(row, 0)
             ),
-            "Hazard": lambda one: words(
-                one.hazard, note="in the plan's own words" if one.hazard_is_authors else ""
+            "Hazard": lambda row: text_cell(
+                row.hazard, note="in the plan's own words" if row.hazard_is_authors else ""
             ),
         },
     )
 
 
 def _row(claim: ClaimEvidence, stratum: int) -> str:
-    """The id of a claim's row of a stratum among the results."""
+    """Return the id of a claim's row for a stratum in the table of results."""
     return f"row-{claim.number}-{stratum + 1}"
 
 
 def _upper(claim: ClaimEvidence) -> TableCell:
+    """Return the cell of the largest upper bound over the strata."""
     uppers = [outcome.bound.upper for outcome in claim.outcomes if outcome.bound is not None]
     if not uppers or len(uppers) < len(claim.outcomes):
         return number("not bounded")
@@ -87,41 +88,42 @@ def _upper(claim: ClaimEvidence) -> TableCell:
 
 
 def _tested(claim: ClaimEvidence) -> TableCell:
+    """Return the cell with the number of runs that put a claim to the test."""
     tested = sum(outcome.tested for outcome in claim.outcomes)
     runs = sum(outcome.runs for outcome in claim.outcomes)
     return number(f"{tested} of {runs} runs", tested, _row(claim, 0) if runs else "")
 
 
 def hazards(evidence: Evidence) -> CellTable:
-    """The plan's hazards, and how the risk graph leads to what is asked."""
+    """Return the table of the plan's hazards, with the risk graph's steps to the required rates."""
     return table_of(
         "The plan's hazards in its author's words, and the steps from them to what is asked.",
         evidence.hazards,
         {
-            "Hazard": lambda one: words(one.name, note=one.event),
-            "Where": lambda one: words(f"{one.task}; {one.zone}", note=one.body_region),
-            "Step by step": lambda one: words("; ".join(one.steps)),
-            "Decided by": lambda one: words(one.decided_by, note=one.because),
-            "Claims": lambda one: words(", ".join(map(str, one.claims)) or "none"),
+            "Hazard": lambda row: text_cell(row.name, note=row.event),
+            "Where": lambda row: text_cell(f"{row.task}; {row.zone}", note=row.body_region),
+            "Step by step": lambda row: text_cell("; ".join(row.steps)),
+            "Decided by": lambda row: text_cell(row.decided_by, note=row.because),
+            "Claims": lambda row: text_cell(", ".join(map(str, row.claims)) or "none"),
         },
     )
 
 
 def rates(evidence: Evidence) -> CellTable:
-    """A bound an hour for each claim under each hazard of which approaches are known."""
+    """Return the table of hourly bounds, for each claim under each hazard with a rate of approaches."""
 
-    def asked(one: HazardEvidence) -> TableCell:
-        return number(DASH if one.asked_an_hour is None else f"{one.asked_an_hour:g}", one.asked_an_hour)
+    def asked_cell(row: HazardEvidence) -> TableCell:
+        return number(DASH if row.asked_an_hour is None else f"{row.asked_an_hour:g}", row.asked_an_hour)
 
-    def verdict(one: tuple[HazardEvidence, HourlyBound]) -> TableCell:
-        limit = one[0].asked_an_hour
+    def verdict(row: tuple[HazardEvidence, HourlyBound]) -> TableCell:
+        limit = row[0].asked_an_hour
         if limit is None:
-            return words("nothing is asked")
-        if one[1].an_hour > limit:
+            return text_cell("nothing is asked")
+        if row[1].an_hour > limit:
             return TableCell(text="not shown", state="inconclusive")
         alone = ", in the model alone" if evidence.plan.model_only else ""
         if (
-            next(claim for claim in evidence.claims if claim.number == one[1].claim).standing
+            next(claim for claim in evidence.claims if claim.number == row[1].claim).standing
             is ClaimStatus.UNTESTED
         ):
             alone += ", and never put to the test"
@@ -129,102 +131,103 @@ def rates(evidence: Evidence) -> CellTable:
 
     return table_of(
         "Violations an hour, at most: approaches an hour times the bound per run, each at its upper end.",
-        [(one, rate) for one in evidence.hazards for rate in one.rates],
+        [(row, rate) for row in evidence.hazards for rate in row.rates],
         {
-            "Hazard": lambda one: words(one[0].name),
-            "Claim": lambda one: words(str(one[1].claim)),
-            "Approaches an hour": lambda one: number(
-                hourly(one[0].approaches_an_hour or 0.0), one[0].approaches_an_hour
+            "Hazard": lambda row: text_cell(row[0].name),
+            "Claim": lambda row: text_cell(str(row[1].claim)),
+            "Approaches an hour": lambda row: number(
+                hourly(row[0].approaches_an_hour or 0.0), row[0].approaches_an_hour
             ),
-            "Known from": lambda one: words(one[0].approaches),
-            "In a run": lambda one: words(at_most(one[1].per_run), note=one[1].stratum),
-            "An hour": lambda one: number(hourly(one[1].an_hour), one[1].an_hour),
-            "Asked": lambda one: asked(one[0]),
+            "Known from": lambda row: text_cell(row[0].approaches),
+            "In a run": lambda row: text_cell(at_most(row[1].per_run), note=row[1].stratum),
+            "An hour": lambda row: number(hourly(row[1].an_hour), row[1].an_hour),
+            "Asked": lambda row: asked_cell(row[0]),
             "Against what is asked": verdict,
-            "Beside PFH_D": lambda one: words(band_of(one[1].an_hour)),
+            "Beside PFH_D": lambda row: text_cell(band_of(row[1].an_hour)),
         },
     )
 
 
 def results(evidence: Evidence) -> CellTable:
-    """Every claim in every stratum, the gravest claim first."""
+    """Return the table of every claim in every stratum, the most severe claim first."""
     known = confidence_alone(evidence)
-    rows = [(one, k, what) for one in by_gravity(evidence.claims) for k, what in enumerate(one.outcomes)]
+    rows = [(row, k, part) for row in by_gravity(evidence.claims) for k, part in enumerate(row.outcomes)]
     return table_of(
         "Trials are the runs that put the claim to the test. The upper bound counts runs without a "
         "verdict and runs that could not be carried on as violations, the lower bound counts none of them."
         + (f" Each interval holds with {known} confidence alone." if known else ""),
         rows,
         {
-            "Claim": lambda one: words(one[0].sentence, row=_row(one[0], one[1])),
-            "Stratum": lambda one: words(one[2].stratum),
-            "Verdict": lambda one: standing(one[2].standing),
-            "Runs": lambda one: count(one[2].runs),
-            "Trials": lambda one: count(one[2].tested),
-            "Violated": lambda one: count(one[2].violated, f"claim-{one[0].number}"),
-            "No verdict": lambda one: count(one[2].inconclusive),
-            "Could not run": lambda one: count(one[2].failed),
-            "Bounds": lambda one: _bounds(one[2]),
-            "Least margin": lambda one: number(
-                margin_words(one[2].least_margin_si, one[0]), one[2].least_margin_si
+            "Claim": lambda row: text_cell(row[0].sentence, row=_row(row[0], row[1])),
+            "Stratum": lambda row: text_cell(row[2].stratum),
+            "Verdict": lambda row: standing(row[2].standing),
+            "Runs": lambda row: count(row[2].runs),
+            "Trials": lambda row: count(row[2].tested),
+            "Violated": lambda row: count(row[2].violated, f"claim-{row[0].number}"),
+            "No verdict": lambda row: count(row[2].inconclusive),
+            "Could not run": lambda row: count(row[2].failed),
+            "Bounds": lambda row: _bounds(row[2]),
+            "Least margin": lambda row: number(
+                margin_words(row[2].least_margin_si, row[0]), row[2].least_margin_si
             ),
         },
     )
 
 
 def confidence_alone(evidence: Evidence) -> str:
-    """Of each interval alone: the error is shared equally."""
+    """Return the confidence of each interval alone; the intervals share the error equally."""
     bounds = (outcome.bound for claim in evidence.claims for outcome in claim.outcomes)
-    return next((confidence_words(one.confidence) for one in bounds if one), "")
+    return next((confidence_words(bound.confidence) for bound in bounds if bound), "")
 
 
 def _bounds(outcome: ClaimResult | OverrulingResult) -> TableCell:
+    """Return the cell with both ends of a bound."""
     if outcome.bound is None:
         return number("none")
     return number(f"{at_least(outcome.bound.lower)} to {at_most(outcome.bound.upper)}", outcome.bound.upper)
 
 
 def quantiles(claim: ClaimEvidence) -> CellTable:
-    """How much at least most runs keep."""
+    """Return the table of the margins of ``claim`` that most runs keep."""
     return table_of(
         "Margins that most runs keep.",
         [(outcome.stratum, quantile) for outcome in claim.outcomes for quantile in outcome.quantiles],
         {
-            "Stratum": lambda one: words(one[0]),
-            "Share of runs": lambda one: number(percent(one[1].share), one[1].share),
-            "Margin of at least": lambda one: number(
-                at_least_words(one[1].at_least_si, claim), one[1].at_least_si
+            "Stratum": lambda row: text_cell(row[0]),
+            "Share of runs": lambda row: number(percent(row[1].share), row[1].share),
+            "Margin of at least": lambda row: number(
+                at_least_words(row[1].at_least_si, claim), row[1].at_least_si
             ),
         },
     )
 
 
 def strata(evidence: Evidence) -> CellTable:
-    """The operational domain, part by part."""
+    """Return the table of the operational domain, part by part."""
     return table_of(
         "Each run draws from its space with a seed of its own; draws that cannot be tried (a start "
         "out of reach, ...) are drawn again and counted."
-        + "".join(f" {one[0].upper()}{one[1:]}." for one in evidence.shields),
+        + "".join(f" {row[0].upper()}{row[1:]}." for row in evidence.shields),
         evidence.strata,
         {
-            "Stratum": lambda one: words(one.name, note=one.about),
-            "Space": lambda one: words(one.space, note=f"sha256 {one.space_sha256[:12]}\u2026"),
-            "Runs made": lambda one: count(one.made),
-            "Planned": lambda one: count(one.planned),
-            "Could not run": lambda one: count(one.failed),
-            "Draws refused": lambda one: count(one.refused_draws),
-            "Decisions": lambda one: words(
-                ", ".join(f"{how_many} {what}" for what, how_many in one.decisions) or "none recorded"
+            "Stratum": lambda row: text_cell(row.name, note=row.about),
+            "Space": lambda row: text_cell(row.space, note=f"sha256 {row.space_sha256[:12]}\u2026"),
+            "Runs made": lambda row: count(row.made),
+            "Planned": lambda row: count(row.planned),
+            "Could not run": lambda row: count(row.failed),
+            "Draws refused": lambda row: count(row.refused_draws),
+            "Decisions": lambda row: text_cell(
+                ", ".join(f"{how_many} {kind}" for kind, how_many in row.decisions) or "none recorded"
             ),
-            "Stored traces": lambda one: words(
-                f"{one.random_traces} at random, {one.violation_traces} of violations"
+            "Stored traces": lambda row: text_cell(
+                f"{row.random_traces} at random, {row.violation_traces} of violations"
             ),
         },
     )
 
 
 def overruling(evidence: Evidence) -> CellTable:
-    """How often the gate did not let the arm do what the avoider proposed."""
+    """Return the table of how often the gate overruled the avoider."""
     return table_of(
         "What the gate overruled: of all proposals, and of the runs with a proposal those in which at least "
         "one was overruled. A proposal may be overruled for several reasons. Each interval holds with 95 % "
@@ -232,10 +235,10 @@ def overruling(evidence: Evidence) -> CellTable:
         "could not be carried on as overruled, its lower end counts none of them.",
         evidence.overruling,
         {
-            "Stratum": lambda one: words(one.stratum),
-            "Proposals": lambda one: words(one.words or "none"),
-            "Runs with a proposal": lambda one: count(one.runs),
-            "Runs with one overruled": lambda one: count(one.runs_overruled),
+            "Stratum": lambda row: text_cell(row.stratum),
+            "Proposals": lambda row: text_cell(row.words or "none"),
+            "Runs with a proposal": lambda row: count(row.runs),
+            "Runs with one overruled": lambda row: count(row.runs_overruled),
             "Share of runs": _bounds,
         },
     )

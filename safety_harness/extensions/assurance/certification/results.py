@@ -1,8 +1,8 @@
-"""From a ledger to the results of a report: claims with their bounds, strata with their counts.
+"""The results of a report, from its ledger: claims with their bounds, strata with their counts.
 
-Both ends are shown for each claim in each stratum, and all of them hold together with the plan's confidence:
-``ends_of`` of them share the error.  *Shown* rests on upper ends, *refuted* on lower ones.  Margins by order
-statistics are no part of it: each holds with the confidence of one interval alone.
+The report has both ends of each bound, for each claim in each stratum. They hold together with the plan's
+confidence: ``ends_of`` ends share the error. *Shown* rests on upper ends, *refuted* on lower ends. Margins by
+order statistics do not share it: each holds alone with the confidence of one interval.
 """
 
 from __future__ import annotations
@@ -46,12 +46,12 @@ from safety_harness.extensions.assurance.statistics.planning import refuse_if_im
 from safety_harness.extensions.assurance.statistics.sample import EpisodeOutcome as Code
 from safety_harness.extensions.assurance.statistics.sample import Floats, IndependentSample
 
-CONTENTS = (0.9, 0.99, 0.999)
-MOST_POINTS = 240  # of a curve
+CONTENTS = (0.9, 0.99, 0.999)  # shares of runs whose margin is bounded from below
+MOST_POINTS = 240  # points of a curve
 
 
 def refuse_hopeless(plan: Plan) -> None:
-    """InputError, with the number of runs that would do, for a target that the plan's runs cannot show."""
+    """Raise InputError for a target that the plan's runs cannot show; it has the required number of runs."""
     for claim in plan.claims:
         if claim.target is not None:
             for stratum in plan.strata:
@@ -59,18 +59,26 @@ def refuse_hopeless(plan: Plan) -> None:
 
 
 def bounds(plan: Plan) -> int:
-    """How many bounds the report of a plan shows."""
+    """Return the number of bounds in the report of ``plan``."""
     return ends_of(len(plan.claims), len(plan.strata))
 
 
 def claims_of(plan: Plan, ledger: Ledger, stored: Sequence[Stored] = ()) -> tuple[ClaimEvidence, ...]:
-    """Every claim of the plan, with what the ledger says of it now, and its ``stored`` random runs."""
+    """Return every claim of ``plan`` with its results.
+
+    Args:
+        plan: The plan.
+        ledger: The open ledger in its present state.
+        stored: The stored random runs, for the reason why no run tested a claim.
+
+    """
     return tuple(_claim(plan, ledger, stored, place, claim) for place, claim in enumerate(plan.claims))
 
 
 def _claim(
     plan: Plan, ledger: Ledger, stored: Sequence[Stored], place: int, claim: PlannedClaim
 ) -> ClaimEvidence:
+    """Return the evidence on the claim number ``place``."""
     entry, tracing = entry_of(claim.sentence), traced(claim.sentence)
     prop = property_of(claim.claim, plan.strata[0].space.simplest)
     outcomes = tuple(_outcome(plan, ledger, stored, stratum, place) for stratum in range(len(plan.strata)))
@@ -93,17 +101,19 @@ def _claim(
 
 
 def _sentence(text: str) -> str:
+    """Return ``text`` with a capital letter and a full stop."""
     return text[0].upper() + text[1:].rstrip(".") + "."
 
 
 def _outcome(plan: Plan, ledger: Ledger, stored: Sequence[Stored], place: int, claim: int) -> ClaimResult:
+    """Return the result of the claim number ``claim`` in the stratum number ``place``."""
     stratum, planned = plan.strata[place], plan.claims[claim]
     bound: Bound | None = None
     quantiles: tuple[Quantile, ...] = ()
     problem = ""
     try:
         sample = ledger.sample(stratum.name, planned.sentence)
-    except StatisticsError as error:  # episodes are missing yet, or rows contradict themselves
+    except StatisticsError as error:  # episodes are still missing, or rows contradict themselves
         problem = str(error)
         _, codes, margins = ledger.outcomes(place, claim)
     else:
@@ -111,7 +121,7 @@ def _outcome(plan: Plan, ledger: Ledger, stored: Sequence[Stored], place: int, c
         quantiles = _quantiles(sample, bound.confidence) if bound else ()
     counts = {code: int(np.count_nonzero(codes == code)) for code in Code}
     without = counts[Code.INCONCLUSIVE] + counts[Code.FAILED]
-    fallback, claimed = fallback_of(ledger, place), is_claimed(one.claim for one in plan.claims)
+    fallback, claimed = fallback_of(ledger, place), is_claimed(item.claim for item in plan.claims)
     standing, why = standing_of(
         target=planned.target,
         bound=bound,
@@ -130,7 +140,7 @@ def _outcome(plan: Plan, ledger: Ledger, stored: Sequence[Stored], place: int, c
     if standing is ClaimStatus.UNTESTED:
         try:
             why += f"; {came_nearest(plan, stored, place, claim)}"
-        except Exception as error:  # of a run judged again
+        except Exception as error:  # a run that is judged again may fail
             why += f"; how near a hand came {UNMADE}: {described(error)}"
     sure = np.isin(codes, (Code.HOLDS, Code.VIOLATED)) & np.isfinite(margins)
     shown, shares = _curve(np.sort(margins[sure]), without)
@@ -154,15 +164,22 @@ def _outcome(plan: Plan, ledger: Ledger, stored: Sequence[Stored], place: int, c
 
 
 def _bound(sample: IndependentSample, plan: Plan) -> Bound | None:
-    """With the error shared among all bounds of the plan; None without a trial."""
-    (one,) = bounds_of([sample], plan.confidence, Sides.BOTH, family=bounds(plan))
-    if not one.trials:
+    """Return the bound of ``sample``; None without a trial.
+
+    It shares the error with all bounds of the plan.
+    """
+    (raw,) = bounds_of([sample], plan.confidence, Sides.BOTH, family=bounds(plan))
+    if not raw.trials:
         return None
-    return Bound(lower=one.low, upper=one.high, confidence=one.confidence, method=one.method.value)
+    return Bound(lower=raw.low, upper=raw.high, confidence=raw.confidence, method=raw.method.value)
 
 
 def _curve(margins: Floats, without: int) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Margins that ascend, and the share of runs with none larger; without a verdict is the least of all."""
+    """Return ascending margins, and for each the share of runs with no larger margin.
+
+    A run without a verdict counts as the least margin of all. At most ``MOST_POINTS`` points stay, dense at
+    the least margins.
+    """
     n = len(margins)
     if n == 0:
         return (), ()
@@ -174,11 +191,12 @@ def _curve(margins: Floats, without: int) -> tuple[tuple[float, ...], tuple[floa
 
 
 def _quantiles(sample: IndependentSample, confidence: float) -> tuple[Quantile, ...]:
+    """Return the margins that shares of the runs keep; empty for a plan that may stop early."""
     if sample.declaration.stop_early:
         return ()
-    found = (tolerance_bound(sample, content, confidence) for content in CONTENTS)
+    limits = (tolerance_bound(sample, content, confidence) for content in CONTENTS)
     return tuple(
-        Quantile(share=one.content, at_least_si=one.at_least) for one in found if np.isfinite(one.at_least)
+        Quantile(share=row.content, at_least_si=row.at_least) for row in limits if np.isfinite(row.at_least)
     )
 
 
@@ -191,18 +209,19 @@ _SUMS = (
 
 
 def strata_of(plan: Plan, ledger: Ledger) -> tuple[StratumResult, ...]:
-    """The operational domain as it was run."""
+    """Return the results of each stratum of ``plan`` from ``ledger``."""
     hashes = {file.name: file.sha256 for file in ledger.files}
     return tuple(_stratum(plan, ledger, place, hashes) for place in range(len(plan.strata)))
 
 
 def _stratum(plan: Plan, ledger: Ledger, place: int, hashes: dict[str, str]) -> StratumResult:
+    """Return the results of stratum number ``place``; ``hashes`` has a hash for each file of the ledger."""
     stratum = plan.strata[place]
     ((made, again, *counts, failed),) = ledger.all(_SUMS, place)
     stored = {episode: violation for where, episode, violation in ledger.traces() if where == place}
     random = random_episodes(plan, place) & stored.keys()
     file = stratum.space.file
-    name = "" if file is None else next((one for one in hashes if one.endswith(f"/{file.name}")), file.name)
+    name = "" if file is None else next((key for key in hashes if key.endswith(f"/{file.name}")), file.name)
     return StratumResult(
         name=stratum.name,
         space=name or stratum.space.name,
@@ -212,28 +231,32 @@ def _stratum(plan: Plan, ledger: Ledger, place: int, hashes: dict[str, str]) -> 
         made=int(made),
         failed=int(failed),
         refused_draws=int(again),
-        decisions=tuple((what, int(many)) for what, many in zip(_DECISIONS, counts, strict=True) if many),
+        decisions=tuple((kind, int(many)) for kind, many in zip(_DECISIONS, counts, strict=True) if many),
         random_traces=len(random),
         violation_traces=sum(stored.values()),
     )
 
 
 def overruling_of(ledger: Ledger) -> tuple[OverrulingResult, ...]:
-    """How often the gate overruled the avoider, by stratum, each with an interval of its own."""
+    """Return how often the gate overruled the avoider in each stratum of ``ledger``.
+
+    Each has an interval of its own.
+    """
     return tuple(_overruling(ledger, place, name) for place, name in enumerate(ledger.declared.strata))
 
 
 def _overruling(ledger: Ledger, place: int, stratum: str) -> OverrulingResult:
+    """Return how often the gate overruled the avoider in the stratum number ``place``."""
     whole, bound = overruling_in(ledger, place), None
     some = (
         "SELECT count(*), coalesce(sum(overruled > 0), 0) FROM episodes WHERE stratum = ? AND proposals > 0"
     )
     ((runs, overruled),) = ledger.all(some, stratum)
     try:
-        one = violation_bounds(overruled_episodes(ledger, place), LEVEL, Sides.BOTH)
-        if one.trials and not ledger.dependent:
-            bound = Bound(lower=one.low, upper=one.high, confidence=one.confidence, method=one.method.value)
-    except StatisticsError:  # episodes are missing yet
+        raw = violation_bounds(overruled_episodes(ledger, place), LEVEL, Sides.BOTH)
+        if raw.trials and not ledger.dependent:
+            bound = Bound(lower=raw.low, upper=raw.high, confidence=raw.confidence, method=raw.method.value)
+    except StatisticsError:  # episodes are still missing
         pass
     return OverrulingResult(
         stratum=stratum,

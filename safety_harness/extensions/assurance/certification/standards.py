@@ -1,7 +1,7 @@
-"""Which hazard a claim of the catalogue is about, and the terms of the standards that it is traced to.
+"""The hazard of each claim of the catalogue, and the terms of the standards that the claim refers to.
 
-Terms only: a claim speaks the standards' language so that an assessor finds the way, which is no statement
-of conformity.  The standards, their editions, and what of them this report speaks to are ``standards.yaml``.
+These are terms only: they help an assessor to find the way, and state no conformity. ``standards.yaml`` has
+the standards, their editions, and the requirements that this report addresses.
 """
 
 from __future__ import annotations
@@ -17,14 +17,15 @@ from safety_harness.claims.properties.entry import CatalogueEntry
 from safety_harness.extensions.assurance.certification.evidence import StandardTerm
 from safety_harness.scenario.typed_json import typed
 
-TABLE, ASKED = (Path(__file__).with_name(name) for name in ("standards.yaml", "questions.yaml"))
+TABLE, QUESTIONS_FILE = (Path(__file__).with_name(name) for name in ("standards.yaml", "questions.yaml"))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Requirement:
-    """What a standard ``asks``; ``here`` is the id of the part of the page that speaks to it, or empty.
+    """A requirement of a standard (``asks``).
 
-    ``means`` is what that part says of it, or what it would take where nothing here speaks to it.
+    ``here`` is the id of the page's part that addresses it, or empty. ``means`` is that part's answer, or the
+    missing work if ``here`` is empty.
     """
 
     asks: str
@@ -34,7 +35,7 @@ class Requirement:
 
 @dataclass(frozen=True, kw_only=True)
 class Standard:
-    """A document with its edition in its ``name``, what it is ``about``, and where that is known from."""
+    """A document: ``name`` with its edition, its subject ``about``, and the ``source`` of this knowledge."""
 
     id: str
     name: str
@@ -46,13 +47,13 @@ class Standard:
 
 @dataclass(frozen=True, kw_only=True)
 class StandardsTable:
-    """``checked``: year and month in which each status was last looked up."""
+    """All standards; ``checked`` is the year and month of the last check of each status."""
 
     checked: str
     standards: tuple[Standard, ...]
 
     def __getitem__(self, key: str) -> Standard:
-        return next(one for one in self.standards if one.id == key)
+        return next(standard for standard in self.standards if standard.id == key)
 
 
 STANDARDS = typed(
@@ -62,7 +63,10 @@ STANDARDS = typed(
 
 @dataclass(frozen=True, kw_only=True)
 class AssessorQuestion:
-    """What an assessor ``asks`` by the standard ``of``; ``here`` and ``means`` as of a requirement."""
+    """An assessor's question (``asks``) by the standard ``of``.
+
+    A Requirement explains ``here`` and ``means``.
+    """
 
     of: str
     asks: str
@@ -71,18 +75,18 @@ class AssessorQuestion:
 
 
 QUESTIONS = typed(
-    YAML(typ="safe", pure=True).load(ASKED.read_text("utf-8")),
+    YAML(typ="safe", pure=True).load(QUESTIONS_FILE.read_text("utf-8")),
     tuple[AssessorQuestion, ...],
-    ASKED,
+    QUESTIONS_FILE,
     defaults=True,
 )
 CELL, ROBOT, RISK = (STANDARDS[key].name for key in ("cell", "robot", "risk"))
-FORMERLY = STANDARDS["contact"].name  # its content is within the cell's standard now
+FORMERLY = STANDARDS["contact"].name  # the cell's standard has its content now
 
 
 @dataclass(frozen=True)
 class Tracing:
-    """A hazard in words, and terms."""
+    """A hazard in words, and terms of standards."""
 
     hazard: str
     terms: tuple[StandardTerm, ...]
@@ -145,7 +149,7 @@ MEASUREMENT = _traced(
     "hands are taken to be where they are not", (CELL, "position uncertainty of the human, Z_d")
 )
 
-TRACED = {  # by the example in the entry of the catalogue
+TRACED = {  # keys: the examples of the catalogue's entries
     "hand distance never below 50 mm": DISTANCE,
     "no moving part touches a hand": SEPARATION,
     "protective separation kept": SEPARATION,
@@ -193,17 +197,17 @@ OWN = _traced("not stated by the plan: the claim is a formula of its author's")
 
 
 def standards_of(entry: CatalogueEntry) -> Iterator[tuple[str, str]]:
-    """Yield the line of a claim's description that names the standards it is traced to."""
+    """Yield the line that names the standards of the catalogue's ``entry``, for its description."""
     terms = TRACED.get(entry.example, OWN).terms
-    yield "standards", "; ".join(f"{one.standard}: {one.term}" for one in terms) or "none"
+    yield "standards", "; ".join(f"{item.standard}: {item.term}" for item in terms) or "none"
 
 
 def entry_of(sentence: str) -> CatalogueEntry | None:
-    """The entry of the catalogue that a sentence claims; None for a formula."""
+    """Return the catalogue's entry for a ``sentence``; None for a formula."""
     return next((entry for entry in CATALOGUE if entry.understands(sentence)), None)
 
 
 def traced(sentence: str) -> Tracing:
-    """The hazard and the terms of a claim."""
+    """Return the hazard and the terms of the claim with this ``sentence``."""
     entry = entry_of(sentence)
     return OWN if entry is None else TRACED.get(entry.example, OWN)

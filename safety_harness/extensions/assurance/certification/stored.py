@@ -1,4 +1,4 @@
-"""The traces that a ledger keeps, and what they say besides the plan's claims."""
+"""The traces that a ledger keeps, and their content beside the plan's claims."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ from safety_harness.search.coverage import AXES, CoverageCell
 from safety_harness.search.coverage import Coverage as Cells
 from safety_harness.trace.trace import Trace
 
-MOST_SUPPOSED = 100  # draws of a stratum
+MOST_SUPPOSED = 100  # draws of a stratum for parts that no run tried
 
 
 @dataclass(frozen=True, eq=False)
 class Stored:
-    """The trace of a declared run that was to be kept whatever came of it."""
+    """The trace of a declared run that the plan chose to keep before its outcome was known."""
 
     stratum: int
     episode: int
@@ -42,38 +42,56 @@ class Stored:
 
 
 def random_traces(plan: Plan, ledger: Ledger) -> tuple[list[Stored], list[str]]:
-    """Those of the runs drawn beforehand, and what is wrong with the ones that cannot be read."""
+    """Return the stored traces of the runs that the plan chose beforehand, and a reason for each failure.
+
+    Args:
+        plan: The plan.
+        ledger: The open ledger of its runs.
+
+    """
     random = [random_episodes(plan, stratum) for stratum in range(len(plan.strata))]
-    found, damaged = [], []
+    stored, damaged = [], []
     for stratum, episode, _ in ledger.traces():
         if episode not in random[stratum]:
             continue
         try:
             data = ledger.trace(stratum, episode) or b""
-            found.append(Stored(stratum, episode, trace_of(plan, stratum, data)))
-        except Exception as error:  # also of a scenario that cannot be read any more
+            stored.append(Stored(stratum, episode, trace_of(plan, stratum, data)))
+        except Exception as error:  # such as a scenario that cannot be read any more
             why = error.got if isinstance(error, InputError) else described(error)
             damaged.append(
                 f"{plan.strata[stratum].name}, run {episode}: its stored trace cannot be read: {why}"
             )
-    return found, damaged
+    return stored, damaged
 
 
 def came_nearest(plan: Plan, stored: Sequence[Stored], stratum: int, claim: int) -> str:
-    """Of the random runs of a stratum that in which a hand came nearest: what it lacked to test a claim."""
-    mine = [one for one in stored if one.stratum == stratum]
+    """Return the reason why the stored run with the nearest hand did not test a claim.
+
+    Args:
+        plan: The plan.
+        stored: The stored random runs.
+        stratum: The number of the stratum.
+        claim: The number of the claim.
+
+    """
+    mine = [run for run in stored if run.stratum == stratum]
     if not mine:
         return "no run's trace was kept that says how near they came"
-    nearest = min(mine, key=lambda one: (np.nanmin(nearest_hand_m(one.trace), initial=np.inf), one.episode))
-    found = property_of(plan.claims[claim].claim, nearest.trace.scenario).evaluate(nearest.trace)
-    return f"in run {nearest.episode}, of {len(mine)} kept the one with the nearest hand, {found.reason}"
+    nearest = min(mine, key=lambda run: (np.nanmin(nearest_hand_m(run.trace), initial=np.inf), run.episode))
+    evaluation = property_of(plan.claims[claim].claim, nearest.trace.scenario).evaluate(nearest.trace)
+    return f"in run {nearest.episode}, of {len(mine)} kept the one with the nearest hand, {evaluation.reason}"
 
 
 def untried_in(plan: Plan, stored: Sequence[Stored]) -> list[str]:
-    """Of each stratum what no kept run tried, nor would any of some draws beside an arm that stands."""
+    """Return a line for each part of a stratum of ``plan`` that no ``stored`` run tried.
+
+    A part also counts as tried if one of ``MOST_SUPPOSED`` draws would try it beside an arm that stands
+    still.
+    """
     lines = []
     for number, stratum in enumerate(plan.strata):
-        traces = [one.trace for one in stored if one.stratum == number]
+        traces = [run.trace for run in stored if run.stratum == number]
         tried = TriedParts.of(*traces)
         if tried.lines():
             start_m = traces[0].ticks["transform_tcp_to_base"][0, :3, 3]
@@ -87,22 +105,25 @@ def untried_in(plan: Plan, stored: Sequence[Stored]) -> list[str]:
 
 
 def judged_run(trace: Trace) -> JudgedRun:
-    """Judged again by its scenario's claims."""
+    """Judge ``trace`` again by its scenario's claims."""
     return JudgedRun(trace=trace, evaluations=judge(trace), replay_command="")
 
 
 def separation_of(plan: Plan, stored: Sequence[Stored]) -> Iterator[SeparationCase]:
-    """In each stratum the random run whose pair has least to spare, for a hand that reaches."""
+    """Yield, for each stratum of ``plan``, the ``stored`` run with the least margin of protective separation.
+
+    The hands reach: the claim assumes the speed of a reaching hand.
+    """
     prop = property_of(
         replace(plan.claims[0].claim, sentence=ProtectiveSeparation().sentence), plan.strata[0].space.simplest
     )
     assert isinstance(prop, ProtectiveSeparation)
     for place, stratum in enumerate(plan.strata):
         worst = [
-            (case.margin_m, one.episode, case, one.trace)
-            for one in stored
-            if one.stratum == place and one.trace.scenario.hands and len(one.trace.ticks)
-            if (case := prop.worst(one.trace)) is not None
+            (case.margin_m, run.episode, case, run.trace)
+            for run in stored
+            if run.stratum == place and run.trace.scenario.hands and len(run.trace.ticks)
+            if (case := prop.worst(run.trace)) is not None
         ]
         if not worst:
             continue
@@ -123,11 +144,11 @@ def separation_of(plan: Plan, stored: Sequence[Stored]) -> Iterator[SeparationCa
 
 
 def calibration_of(plan: Plan, stored: Sequence[Stored]) -> Iterator[CalibrationCheck]:
-    """How often the avoider's intervals held, by stratum."""
+    """Yield, for each stratum of ``plan``, how often the avoider's intervals held in the ``stored`` runs."""
     for place, stratum in enumerate(plan.strata):
         model = model_of(plan.with_avoider(stratum.space.simplest))
         prop = SpreadCalibration(intervals=None if model is None else IntervalRule.of(model))
-        evaluation = prop.evaluate(one.trace for one in stored if one.stratum == place)
+        evaluation = prop.evaluate(run.trace for run in stored if run.stratum == place)
         yield CalibrationCheck(
             stratum=stratum.name,
             sentence=evaluation.sentence,
@@ -145,10 +166,10 @@ _CELLS = (
 
 
 def coverage_of(ledger: Ledger) -> CoverageOfRuns:
-    """Of all runs of the plan; a run is in one cell."""
-    rows = [(words.split(", "), int(runs), int(bad)) for words, runs, bad in ledger.all(_CELLS)]
+    """Return the coverage by all runs in ``ledger``; a run with a hand is in one cell."""
+    rows = [(labels.split(", "), int(runs), int(bad)) for labels, runs, bad in ledger.all(_CELLS)]
     cells = tuple(
-        CellCount(*words, runs=runs, violating=bad) for words, runs, bad in rows if len(words) == len(AXES)
+        CellCount(*labels, runs=runs, violating=bad) for labels, runs, bad in rows if len(labels) == len(AXES)
     )
     ((every,),) = ledger.all("SELECT count(*) FROM episode")
     runs = sum(cell.runs for cell in cells)
@@ -164,11 +185,11 @@ def coverage_of(ledger: Ledger) -> CoverageOfRuns:
 
 
 def cells_of(coverage: CoverageOfRuns) -> tuple[Cells, dict[CoverageCell, int]]:
-    """As the coverage map draws them: all runs, and those that violate a claim."""
-    found, violating = Cells(without=coverage.without_hand), {}
-    for one in coverage.cells:
-        cell = CoverageCell(one.direction, one.speed, one.distance, one.seen, one.outcome)
-        found.counts[cell] += one.runs
-        if one.violating:
-            violating[cell] = one.violating
-    return found, violating
+    """Return the cells of the coverage map with all runs, and the runs in each cell that violate a claim."""
+    cells, violating = Cells(without=coverage.without_hand), {}
+    for item in coverage.cells:
+        cell = CoverageCell(item.direction, item.speed, item.distance, item.seen, item.outcome)
+        cells.counts[cell] += item.runs
+        if item.violating:
+            violating[cell] = item.violating
+    return cells, violating

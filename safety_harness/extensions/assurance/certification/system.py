@@ -19,8 +19,8 @@ from safety_harness.report.decisions import cost_words
 from safety_harness.report.words import changed_settings, drives_as_modelled, setting_words, unknown_files
 from safety_harness.scenario.model import Scenario
 
-DATA, LEARNING = "Data: ", "Learning: "  # how names begin of the data set's sheet and of the log of learning
-CARD = {  # what is shown of a model's card
+DATA, LEARNING = "Data: ", "Learning: "  # prefixes: data sheet, log of learning
+CARD = {  # keys of a model's card, and their labels
     "command": LEARNING + "made by",
     "recipe": LEARNING + "recipe",
     "software": LEARNING + "software",
@@ -34,9 +34,9 @@ ANSWERS = {
 
 
 def system_of(plan: Plan, opened: Mapping[str, str]) -> SystemDescription:
-    """What the plan's strata have in common is taken from each one's simplest scenario.
+    """Return the description of the plan's system, from the simplest scenario of each stratum.
 
-    ``opened`` has the SHA-256 of what the user's own modules opened.
+    ``opened`` has the SHA-256 of the files that the user's own modules opened.
     """
     scenarios = [plan.with_avoider(stratum.space.simplest) for stratum in plan.strata]
     first = scenarios[0]
@@ -59,19 +59,19 @@ def system_of(plan: Plan, opened: Mapping[str, str]) -> SystemDescription:
 
 
 def _changed(scenario: Scenario) -> list[tuple[str, str, str]]:
-    """What differs from the defaults: settings, and how the drives of an own arm are modelled."""
+    """Return the differences from the defaults: settings, and the drives of an arm of the user."""
     drives = drives_as_modelled(scenario.robot, scenario.settings.clock.control_period_s)
     return changed_settings(scenario.settings) + drives
 
 
 def model_of(scenario: Scenario) -> Model | None:
-    """The network of a scenario's avoider; None for one that is no file of this package's format."""
+    """Return the network of a scenario's avoider; None if it is no file of this package's format."""
     file = network_file_of(scenario)
     return None if file is None else load_model(file)
 
 
 def card_of(model: Model) -> Iterator[tuple[str, str]]:
-    """What the model's own file says of it."""
+    """Yield the statements on a model in its own file."""
     yield "Network", f"{model.kind}, {model.members} member(s), dropout {model.dropout.value}"
     if model.passes > 1:
         yield "Passes", f"{model.passes}, dropout probability {model.dropout_probability:g}"
@@ -88,19 +88,22 @@ def card_of(model: Model) -> Iterator[tuple[str, str]]:
         known = model.calibration
         residual = " / ".join(f"{value * 1e3:.1f}" for value in known.residual_std_m)
         intervals = f"intervals of {known.interval_multiplier:.3f} times the spread"
-        words = f"{known.samples} held-out samples: {intervals} and the residual {residual} mm together"
-        yield "Calibration", words
+        text = f"{known.samples} held-out samples: {intervals} and the residual {residual} mm together"
+        yield "Calibration", text
 
 
 def _datasheet(data: Mapping[str, Any], recipe: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    """Of the set that ``train`` draws, as far as a card says it: what is in it, and what is not."""
+    """Yield the content of the data set that ``train`` draws, and the content that it lacks.
+
+    A card that lacks the values of a line has no such line.
+    """
     yield DATA + "a sample", "where one hand and the TCP are in the base frame; no image, person or motion"
-    asked = "{tcps} TCPs, each with the same {hands} hands; split {split}, {training_samples} to learn from"
+    amount = "{tcps} TCPs, each with the same {hands} hands; split {split}, {training_samples} to learn from"
     origin = "drawn from the regions of the space {space!r}, seed {seed}; sha256 {sha256}"
     answer = ANSWERS.get(str(recipe.get("target")), "not stated")
     known = {key: value for key, value in data.items() if isinstance(value, str | int)}
-    for name, text in ("how many", asked), ("where from", origin), ("answers", answer):
-        with suppress(KeyError):  # a card that does not say it
+    for name, text in ("how many", amount), ("where from", origin), ("answers", answer):
+        with suppress(KeyError):  # a card without the values
             yield DATA + name, text.format(**known)
     yield DATA + "not in it", "two hands at once, recorded hands, and what lies outside of the corners below"
 
@@ -110,19 +113,21 @@ def _corner(point_m: tuple[float, ...]) -> str:
 
 
 def _plain(value: Any) -> str:
+    """Return a value of a card in words."""
     if isinstance(value, Mapping):
-        return ", ".join(f"{str(name).replace('_', ' ')} {_plain(one)}" for name, one in value.items())
+        return ", ".join(f"{str(name).replace('_', ' ')} {_plain(item)}" for name, item in value.items())
     if isinstance(value, list | tuple):
         return ", ".join(map(_plain, value))
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def _gate(settings: Settings, model: Model | None, *, named: bool) -> Iterator[tuple[str, str]]:
+    """Yield the gate's checks and limits; ``named`` is true for an avoider that ships."""
     avoidance = settings.avoidance
-    asked = "finite, reachable, above the table"
+    checks = "finite, reachable, above the table"
     if avoidance.gate.value == "full":
-        asked = "certain, reachable with margin, away from every hand, clear of table and robot, in time"
-    yield "Asks", f"{avoidance.gate.value}: {asked}"
+        checks = "certain, reachable with margin, away from every hand, clear of table and robot, in time"
+    yield "Asks", f"{avoidance.gate.value}: {checks}"
     if model is not None and model.calibration is not None and model.calibration.spread_threshold_m > 0.0:
         yield "Largest spread", f"{model.calibration.spread_threshold_m * 1e3:.2f} mm"
     yield "Otherwise", "the opposite pose under the same checks, and else a protective stop"
@@ -131,11 +136,12 @@ def _gate(settings: Settings, model: Model | None, *, named: bool) -> Iterator[t
         yield label, setting_words(name, getattr(avoidance, name))
     declared_s = 0.0 if model is None else model.decision_time_s
     known = model is not None or named or avoidance.decision_time is not DecisionCost.AS_DECLARED
-    words = cost_words(avoidance.decision_time, declared_s)
-    yield "Computing time", words if known else f"as the avoider declares, and if it does not: {NOT_MODELLED}"
+    cost = cost_words(avoidance.decision_time, declared_s)
+    yield "Computing time", cost if known else f"as the avoider declares, and if it does not: {NOT_MODELLED}"
 
 
 def _settings(prefix: str, part: Any) -> Iterator[tuple[str, str]]:
+    """Yield every setting of ``part`` with its path and its value."""
     for item in fields(part):
         value = getattr(part, item.name)
         if is_dataclass(value):

@@ -17,9 +17,10 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, kw_only=True)
 class TableCell:
-    """One cell: ``sort`` is what a sorted column compares, ``state`` the class and icon of a verdict.
+    """A cell of a table.
 
-    ``href`` leads from it, ``row`` is the id of the row that it begins.
+    Sorted columns compare ``sort``. ``state`` is the class and the icon of a verdict. ``href`` is the id that
+    the cell leads to. ``row`` is the id of the row that the cell begins.
     """
 
     text: str
@@ -33,7 +34,7 @@ class TableCell:
 
 @dataclass(frozen=True)
 class CellTable:
-    """``head`` names the columns; the first cell of each row names the row."""
+    """A table; ``head`` names the columns, and the first cell of each row names the row."""
 
     caption: str
     head: tuple[str, ...]
@@ -41,31 +42,38 @@ class CellTable:
 
 
 def table_of(caption: str, things: Iterable[T], columns: Mapping[str, Callable[[T], TableCell]]) -> CellTable:
-    """A row for each thing, with a cell for each of the named columns."""
-    rows = tuple(tuple(cell(one) for cell in columns.values()) for one in things)
+    """Return a table with a row for each of ``things``.
+
+    Args:
+        caption: The text above the table.
+        things: The objects of the rows.
+        columns: For each column's name, a function that returns the cell of a thing.
+
+    """
+    rows = tuple(tuple(cell(thing) for cell in columns.values()) for thing in things)
     return CellTable(caption, tuple(columns), rows)
 
 
-def words(text: str, *, href: str = "", note: str = "", row: str = "") -> TableCell:
-    """A cell of words."""
+def text_cell(text: str, *, href: str = "", note: str = "", row: str = "") -> TableCell:
+    """Return a cell of ``text`` with a ``note``; ``href`` is its target, ``row`` the id of the row."""
     return TableCell(text=text, href=href, note=note, row=row)
 
 
 def number(text: str, sort: float | None = None, href: str = "") -> TableCell:
-    """A cell of a number, sorted by ``sort``, that leads to what it counts."""
+    """Return a cell of the number ``text``, sorted by ``sort``; ``href`` leads to the counted items."""
     return TableCell(text=text, number=True, sort="" if sort is None else repr(float(sort)), href=href)
 
 
 def count(value: int, href: str = "") -> TableCell:
-    """A cell of a whole number; zero leads nowhere."""
+    """Return a cell of the whole number ``value`` that leads to ``href``; zero leads nowhere."""
     return number(f"{value:,}".replace(",", "\u202f"), value, href if value else "")
 
 
 def standing(value: ClaimStatus) -> TableCell:
-    """A cell of a claim's standing."""
+    """Return a cell of the status ``value`` of a claim."""
     return TableCell(text=value.value, state=STATE[value])
 
 
 def millimetres(length_m: float) -> TableCell:
-    """A cell of a length."""
+    """Return a cell of ``length_m`` in mm."""
     return number(with_minus(f"{length_m * 1e3:.0f} mm"), length_m)

@@ -1,4 +1,4 @@
-"""Every table of the evidence report by its name, and those that are not of results."""
+"""Every table of the evidence report by its name, and the tables that are not about results."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from safety_harness.extensions.assurance.certification.table_cells import (
     millimetres,
     number,
     table_of,
-    words,
+    text_cell,
 )
 from safety_harness.extensions.assurance.certification.tools import (
     Credibility,
@@ -40,17 +40,17 @@ from safety_harness.search.coverage import AXES, SEEN
 
 
 def standards(evidence: Evidence) -> CellTable:
-    """The documents with their status, and which claims are traced to which of their terms."""
+    """Return the table of the documents with their status, and of the claims that refer to their terms."""
     claims: dict[tuple[str, str], list[int]] = {}
     for claim in evidence.claims:
         for term in claim.terms:
             claims.setdefault((term.standard, term.term), []).append(claim.number)
 
     def traced_to(name: str) -> str:
-        found = {term: numbers for (standard, term), numbers in claims.items() if standard == name}
+        numbers_of_term = {term: numbers for (standard, term), numbers in claims.items() if standard == name}
         return "; ".join(
             f"{term}: {'claim' if len(numbers) == 1 else 'claims'} {', '.join(map(str, numbers))}"
-            for term, numbers in found.items()
+            for term, numbers in numbers_of_term.items()
         )
 
     return table_of(
@@ -58,79 +58,79 @@ def standards(evidence: Evidence) -> CellTable:
         "statement of conformity.",
         STANDARDS.standards,
         {
-            "Document": lambda one: words(one.name, note=one.about),
-            "Status": lambda one: words(one.status),
-            "Known from": lambda one: words(one.source),
-            "Traced to it": lambda one: words(traced_to(one.name) or DASH),
+            "Document": lambda row: text_cell(row.name, note=row.about),
+            "Status": lambda row: text_cell(row.status),
+            "Known from": lambda row: text_cell(row.source),
+            "Traced to it": lambda row: text_cell(traced_to(row.name) or DASH),
         },
     )
 
 
-_ASKED = [(standard.name, one) for standard in STANDARDS.standards for one in standard.requirements]
+_REQUIREMENTS = [(standard.name, item) for standard in STANDARDS.standards for item in standard.requirements]
 
 
 def missing(_: Evidence) -> CellTable:
-    """By standard, what nothing in this report speaks to."""
-    rows = [(name, one) for name, one in _ASKED if not one.here]
+    """Return the table of the requirements that no part of this report addresses, by standard."""
+    rows = [(name, row) for name, row in _REQUIREMENTS if not row.here]
     return table_of(
-        f"{len(rows)} of {len(_ASKED)} points are not covered here. "
+        f"{len(rows)} of {len(_REQUIREMENTS)} points are not covered here. "
         "The list has what could be sourced, no more.",
         rows,
         {
-            "Document": lambda one: words(one[0]),
-            "Asks": lambda one: words(one[1].asks),
-            "What would cover it": lambda one: words(one[1].means),
+            "Document": lambda row: text_cell(row[0]),
+            "Asks": lambda row: text_cell(row[1].asks),
+            "What would cover it": lambda row: text_cell(row[1].means),
         },
     )
 
 
 def spoken_to(_: Evidence) -> CellTable:
-    """By standard, which part of this report speaks to what."""
+    """Return the table of the requirements that a part of this report addresses, by standard."""
     return table_of(
         "A part of this report that speaks to a requirement does not fulfil it.",
-        [(name, one) for name, one in _ASKED if one.here],
+        [(name, row) for name, row in _REQUIREMENTS if row.here],
         {
-            "Document": lambda one: words(one[0]),
-            "Asks": lambda one: words(one[1].asks),
-            "Here": lambda one: words(one[1].here, href=one[1].here),
-            "What it says": lambda one: words(one[1].means),
+            "Document": lambda row: text_cell(row[0]),
+            "Asks": lambda row: text_cell(row[1].asks),
+            "Here": lambda row: text_cell(row[1].here, href=row[1].here),
+            "What it says": lambda row: text_cell(row[1].means),
         },
     )
 
 
 def questions(_: Evidence) -> CellTable:
-    """What an assessor asks, and where it is answered."""
+    """Return the table of an assessor's questions with the places of their answers."""
     return table_of(
-        f"{len(QUESTIONS)} questions, {sum(not one.here for one in QUESTIONS)} of them not covered here.",
+        f"{len(QUESTIONS)} questions, {sum(not row.here for row in QUESTIONS)} of them not covered here.",
         QUESTIONS,
         {
-            "Question": lambda one: words(one.asks),
-            "Drawn from": lambda one: words(STANDARDS[one.of].name),
-            "Answered in": lambda one: words(one.here or "not covered here", href=one.here),
-            "By what, or what would": lambda one: words(one.means),
+            "Question": lambda row: text_cell(row.asks),
+            "Drawn from": lambda row: text_cell(STANDARDS[row.of].name),
+            "Answered in": lambda row: text_cell(row.here or "not covered here", href=row.here),
+            "By what, or what would": lambda row: text_cell(row.means),
         },
     )
 
 
 def training(evidence: Evidence) -> CellTable:
-    """How far the strata lie from what the network was trained on."""
+    """Return the table of the strata's distances from the network's training data."""
     return table_of(
         "All runs with a hand, by whether hand and TCP were where the training data are at the gravest "
         "decision; and of the hands in the decisions of the stored random runs how many were outside of the "
         "box of hands seen in training, and how far.",
         () if evidence.learned is None else evidence.learned.strata,
-        {"Stratum": lambda one: words(one.stratum)}
+        {"Stratum": lambda row: text_cell(row.stratum)}
         | {
-            f"Runs, {name}": (lambda one, place=place: count(one.runs[place]))
+            f"Runs, {name}": (lambda row, place=place: count(row.runs[place]))
             for place, name in enumerate(SEEN)
         }
         | {
-            "Decisions": lambda one: count(one.decisions),
-            "Hand outside": lambda one: number(
-                DASH if one.share_outside is None else percent(one.share_outside), one.share_outside
+            "Decisions": lambda row: count(row.decisions),
+            "Hand outside": lambda row: number(
+                DASH if row.share_outside is None else percent(row.share_outside), row.share_outside
             ),
-            "Median distance": lambda one: _far(one.median_outside_m),
-            "Largest distance": lambda one: _far(one.largest_outside_m),
+            "Median distance": lambda row: _far(row.median_outside_m),
+            "Largest distance": lambda row: _far(row.largest_outside_m),
         },
     )
 
@@ -140,103 +140,103 @@ def _far(distance_m: float | None) -> TableCell:
 
 
 def separation(evidence: Evidence) -> CellTable:
-    """The cases of the figure, number by number."""
+    """Return the table of the cases in the figure of protective separation."""
     return table_of(
         "The stored run with least to spare in each stratum, at its worst moment. S_p is the sum of "
         "its terms; the margin is the distance less S_p.",
         evidence.separation,
         {
-            "Stratum": lambda one: words(one.stratum),
-            "Run": lambda one: words(one.run),
-            "At": lambda one: number(f"{one.time_s:.3f} s", one.time_s),
-            "Distance": lambda one: millimetres(one.distance_m),
-            "S_p": lambda one: millimetres(one.required_m),
-            "Margin": lambda one: millimetres(one.distance_m - one.required_m),
-            "Human": lambda one: number(f"{one.hand_speed_mps:.2f} m/s", one.hand_speed_mps),
-            "Robot": lambda one: number(f"{one.robot_speed_mps:.2f} m/s", one.robot_speed_mps),
-            "Terms": lambda one: words(
-                ", ".join(f"{term.symbol} {term.length_m * 1e3:.0f} mm" for term in one.terms)
+            "Stratum": lambda row: text_cell(row.stratum),
+            "Run": lambda row: text_cell(row.run),
+            "At": lambda row: number(f"{row.time_s:.3f} s", row.time_s),
+            "Distance": lambda row: millimetres(row.distance_m),
+            "S_p": lambda row: millimetres(row.required_m),
+            "Margin": lambda row: millimetres(row.distance_m - row.required_m),
+            "Human": lambda row: number(f"{row.hand_speed_mps:.2f} m/s", row.hand_speed_mps),
+            "Robot": lambda row: number(f"{row.robot_speed_mps:.2f} m/s", row.robot_speed_mps),
+            "Terms": lambda row: text_cell(
+                ", ".join(f"{term.symbol} {term.length_m * 1e3:.0f} mm" for term in row.terms)
             ),
         },
     )
 
 
 def calibration(evidence: Evidence) -> CellTable:
-    """How often the avoider's intervals held what they promise, by stratum."""
+    """Return the table of the verdicts on the avoider's intervals, by stratum."""
     return table_of(
         "The first answered decision of each declared random run whose trace is stored; a verdict "
         "takes a hundred of them. Each interval holds with 95 % confidence alone, and is none of the "
         "bounds that hold together.",
         evidence.calibration,
         {
-            "Stratum": lambda one: words(one.stratum),
-            "Verdict": lambda one: TableCell(text=one.decided, state=one.decided),
-            "Decisions": lambda one: count(one.decisions),
-            "Claim": lambda one: words(one.sentence),
-            "Why": lambda one: words(one.why),
+            "Stratum": lambda row: text_cell(row.stratum),
+            "Verdict": lambda row: TableCell(text=row.decided, state=row.decided),
+            "Decisions": lambda row: count(row.decisions),
+            "Claim": lambda row: text_cell(row.sentence),
+            "Why": lambda row: text_cell(row.why),
         },
     )
 
 
 def domain(evidence: Evidence) -> CellTable:
-    """The operational domain: what is in, what of it was tried and what was not, and what is out."""
+    """Return the table of the operational domain: its tried and untested parts, and the parts outside."""
     cells, _ = cells_of(evidence.coverage)
-    rows = [("stratum", one.name, one.made, "in, ") for one in evidence.strata]
-    rows += [(axis, word, runs, "") for axis in AXES for word, runs in cells.along(axis).items()]
+    rows = [("stratum", stratum.name, stratum.made, "in, ") for stratum in evidence.strata]
+    rows += [(axis, label, runs, "") for axis in AXES for label, runs in cells.along(axis).items()]
     inside = [
-        (words(of), words(what), words(where + ("tried" if runs else "untested")), count(runs))
-        for of, what, runs, where in rows
+        (text_cell(group), text_cell(name), text_cell(where + ("tried" if runs else "untested")), count(runs))
+        for group, name, runs, where in rows
     ]
-    never = words("what no run simulates", href="not-shown")
+    never = text_cell("what no run simulates", href="not-shown")
     return CellTable(
         "In are the plan's strata. Below them is where their runs came to, by the axes of the map; to some "
         "of what is untested no run can come. Out is what no run simulates.",
         ("Of", "What", "Standing", "Runs"),
-        (*inside, (words("simulation"), never, words("out"), number(DASH))),
+        (*inside, (text_cell("simulation"), never, text_cell("out"), number(DASH))),
     )
 
 
 def whose_fault(evidence: Evidence) -> CellTable:
-    """Which single changes would have avoided how many violations."""
+    """Return the table of the single changes, each with the number of violations that it would avoid."""
     return table_of(
         "What would have helped, changed alone",
         evidence.whose_fault.would_help,
-        {"Change": lambda one: words(one[0]), "Violations avoided": lambda one: count(one[1])},
+        {"Change": lambda row: text_cell(row[0]), "Violations avoided": lambda row: count(row[1])},
     )
 
 
 def counterexamples(evidence: Evidence) -> CellTable:
-    """All of them, with where they came from."""
+    """Return the table of all counterexamples with their origin."""
     return table_of(
         "Those of the declared runs are part of the bounds; those of the search are not, for it "
         "looks where violations are.",
         evidence.counterexamples,
         {
-            "No.": lambda one: words(str(one.number), href=f"counterexample-{one.number}"),
-            "Violates": lambda one: words(one.sentence),
-            "Margin": lambda one: words(one.margin),
-            "Met by": lambda one: words(one.origin),
-            "Like it": lambda one: count(one.like_it),
-            "Files": lambda one: words(", ".join(filter(None, (one.scenario_file, one.trace_file)))),
+            "No.": lambda row: text_cell(str(row.number), href=f"counterexample-{row.number}"),
+            "Violates": lambda row: text_cell(row.sentence),
+            "Margin": lambda row: text_cell(row.margin),
+            "Met by": lambda row: text_cell(row.origin),
+            "Like it": lambda row: count(row.like_it),
+            "Files": lambda row: text_cell(", ".join(filter(None, (row.scenario_file, row.trace_file)))),
         },
     )
 
 
 def files(evidence: Evidence) -> CellTable:
-    """Everything in the folder, with its hash."""
+    """Return the table of the folder's files with their hashes."""
     return table_of(
         "Files of the report's folder beside this page; safety-harness verify checks them.",
         evidence.files,
         {
-            "File": lambda one: words(one.path),
-            "Bytes": lambda one: count(one.bytes),
-            "sha256": lambda one: words(one.sha256),
+            "File": lambda row: text_cell(row.path),
+            "Bytes": lambda row: count(row.bytes),
+            "sha256": lambda row: text_cell(row.sha256),
         },
     )
 
 
 def agreement(known: WorldAgreement) -> CellTable:
-    """The largest differences between the two worlds."""
+    """Return the table of the largest differences between the two worlds, from their ``known`` agreement."""
     present = "this very source" if known.present else f"another source, {known.source_hash}"
     return table_of(
         f"The two worlds on the same {known.scenarios} scenarios, measured with {present}: "
@@ -244,66 +244,69 @@ def agreement(known: WorldAgreement) -> CellTable:
         f"{known.optimistic} of them optimistic (the kinematic world sees a claim hold that PyBullet sees "
         "violated).",
         known.differences,
-        {"What": lambda one: words(one[0]), "Largest difference": lambda one: number(one[1])},
+        {"What": lambda row: text_cell(row[0]), "Largest difference": lambda row: number(row[1])},
     )
 
 
 def cell_lines(known: RecordedCell) -> CellTable:
-    """How far both worlds lie from what was recorded in a cell."""
-    found = known.comparison
-    source = "this very source" if known.present else f"another source, {found.source_hash}"
-    rows = [(world.world, line) for world in found.worlds for line in world_lines(world, found.usually)]
+    """Return the table of the differences between both worlds and the log of the cell ``known``."""
+    cell = known.comparison
+    source = "this very source" if known.present else f"another source, {cell.source_hash}"
+    rows = [(world.world, line) for world in cell.worlds for line in world_lines(world, cell.usually)]
     return table_of(
-        f"{found.log}, {found.title}, {found.duration_s:g} s: {found.tested} on "
-        f"{found.system.robot if found.system else 'an arm that is not noted'} under the recorded hands, "
+        f"{cell.log}, {cell.title}, {cell.duration_s:g} s: {cell.tested} on "
+        f"{cell.system.robot if cell.system else 'an arm that is not noted'} under the recorded hands, "
         f"simulated minus recorded, run with {source}. "
         f"{count_words(known.differing, 'verdict', 'verdicts')} of {known.decided} differ, "
         f"{known.optimistic} of them optimistic (a claim holds in simulation that was violated in the cell). "
-        f"Intervals: {found.confidence:.0%} of the mean, by {found.blocks} stretches of it, approximate. "
+        f"Intervals: {cell.confidence:.0%} of the mean, by {cell.blocks} stretches of it, approximate. "
         f"compare-worlds.json: sha256 {known.sha256}.",
         rows,
-        {"World": lambda one: words(one[0]), "What": lambda one: words(one[1])},
+        {"World": lambda row: text_cell(row[0]), "What": lambda row: text_cell(row[1])},
     )
 
 
 def rerun(known: Rerun) -> CellTable:
-    """What changes when declared random runs are made again with something else."""
+    """Return the table of the changes when declared random runs are repeated with another step or world.
+
+    ``known`` has their results.
+    """
     return table_of(
         f"{count_words(known.runs, 'declared random run', 'declared random runs')} again "
         f"{known.how}: {known.changed} of {known.verdicts} verdicts change, "
         f"{known.optimistic} of them from holds to violated.",
         known.largest,
-        {"Claim": lambda one: words(one[0]), "Largest change of the margin": lambda one: number(one[1])},
+        {"Claim": lambda row: text_cell(row[0]), "Largest change of the margin": lambda row: number(row[1])},
     )
 
 
 def oracles(known: Credibility) -> CellTable:
-    """What was checked against software that we did not write."""
+    """Return the table of the parts that were checked against independent software, from ``known``."""
     return table_of(
         "Parts checked against software that is not ours, with the largest disagreement seen "
         f"({known.oracles_measured_with}).",
         known.oracles,
         {
-            "Part": lambda one: words(one.part),
-            "Against": lambda one: words(one.against),
-            "Largest disagreement": lambda one: words(one.largest),
+            "Part": lambda row: text_cell(row.part),
+            "Against": lambda row: text_cell(row.against),
+            "Largest disagreement": lambda row: text_cell(row.largest),
         },
     )
 
 
 def kills(test: SelfTest) -> CellTable:
-    """Every seeded fault and what caught it."""
+    """Return the table of every seeded fault in ``test`` with the claim that caught it."""
     survived = TableCell(text="survived", state="violated")
     return table_of(
         f"Faults seeded into the system, profile {test.profile}: {test.caught} of {len(test.faults)} "
         f"caught{'' if test.whole else '; not every fault of the catalogue was tried'}.",
-        sorted(test.faults, key=lambda one: bool(one.caught_by)),
+        sorted(test.faults, key=lambda row: bool(row.caught_by)),
         {
-            "Fault": lambda one: words(one.name),
-            "Part": lambda one: words(one.part),
-            "Hazard": lambda one: words(one.hazard),
-            "Caught by": lambda one: words(one.caught_by) if one.caught_by else survived,
-            "Smallest caught": lambda one: words(one.smallest or DASH, note=one.known_limit),
+            "Fault": lambda row: text_cell(row.name),
+            "Part": lambda row: text_cell(row.part),
+            "Hazard": lambda row: text_cell(row.hazard),
+            "Caught by": lambda row: text_cell(row.caught_by) if row.caught_by else survived,
+            "Smallest caught": lambda row: text_cell(row.smallest or DASH, note=row.known_limit),
         },
     )
 
@@ -330,4 +333,4 @@ _EVERY: tuple[Callable[..., object], ...] = (
     ),
     *(agreement, cell_lines, rerun, oracles, kills, files),
 )
-TABLES = {make.__name__: make for make in _EVERY}  # as the page calls them
+TABLES = {make.__name__: make for make in _EVERY}  # the names that the page uses

@@ -1,6 +1,6 @@
-"""What is known of the tools: agreement of the worlds, step sizes, oracles, seeded faults, coverage.
+"""Evidence on the tools: agreement of the worlds, step sizes, oracles, seeded faults, coverage.
 
-The trial of the harness on seeded faults, and its independent oracles, are read from files.
+The self-test on seeded faults and the independent oracles come from files.
 """
 
 from __future__ import annotations
@@ -25,27 +25,27 @@ from safety_harness.trace.system import SystemUnderTest
 
 @dataclass(frozen=True, kw_only=True)
 class WorldAgreement:
-    """The kinematic world against PyBullet on the same scenarios.
+    """The kinematic world beside PyBullet on the same scenarios.
 
-    ``optimistic`` disagreements are those in which the kinematic world sees a claim hold that PyBullet sees
-    violated.  ``present``: measured with the very source that made this report.
+    ``optimistic`` counts the disagreements in which a claim holds in the kinematic world and is violated in
+    PyBullet. ``present`` is true if the source of the measurement is that of this report.
     """
 
     scenarios: int
     verdicts: int
     disagreements: int
     optimistic: int
-    differences: tuple[tuple[str, str], ...]  # what, the largest
+    differences: tuple[tuple[str, str], ...]  # quantity, its largest difference
     source_hash: str
     present: bool
 
 
 @dataclass(frozen=True, kw_only=True)
 class Rerun:
-    """Declared random runs of this plan made again with something else: smaller physics steps, another world.
+    """Declared random runs of this plan, repeated with one change: smaller physics steps, or another world.
 
-    ``changed`` counts verdicts that differ; ``optimistic`` those of them in which the rerun sees a claim
-    violated that the plan's own run sees hold.  ``largest`` are (claim, the largest change of its margin).
+    ``changed`` counts the verdicts that differ.  ``optimistic`` counts the changes from holds to violated.
+    ``largest`` has (claim, the largest change of its margin).
     """
 
     place: str
@@ -60,7 +60,7 @@ class Rerun:
 
 @dataclass(frozen=True, kw_only=True)
 class Oracle:
-    """One part checked against software that we did not write."""
+    """A part with its comparison against independent software."""
 
     part: str
     against: str
@@ -69,9 +69,10 @@ class Oracle:
 
 @dataclass(frozen=True, kw_only=True)
 class RecordedCell:
-    """Both worlds beside the log of a real cell; ``present``: run with the very source of this report.
+    """Both worlds beside the log of a real cell.
 
-    ``sha256`` is of the file that ``compare-worlds`` wrote.
+    ``present`` is true if the source of the runs is that of this report.  ``sha256`` is the hash of the file
+    that ``compare-worlds`` wrote.
     """
 
     comparison: CellComparison
@@ -79,32 +80,38 @@ class RecordedCell:
     present: bool
 
     def foreign_to(self, tested: Sequence[SystemUnderTest]) -> str:
-        """Say what of its system is in none of ``tested``, by hash; empty if one of them is its system."""
+        """Return the differences of the cell's system from the nearest system in ``tested``, by hash.
+
+        The text is empty if the cell's system is in ``tested``.
+        """
         own = self.comparison.system
         if own is None:
             return "which arm, controller and settings it is of is not noted; write it again"
-        changes = sorted((list(own.changes(one)) for one in tested), key=len)
+        changes = sorted((list(own.changes(system)) for system in tested), key=len)
         return "; ".join(changes[0]) if changes else "no system is tested"
 
     @property
     def decided(self) -> int:
-        """Verdicts that log and run both decide."""
-        return sum(one.decided for one in self.comparison.claims)
+        """The number of verdicts that log and run both decide."""
+        return sum(claim.decided for claim in self.comparison.claims)
 
     @property
     def differing(self) -> int:
-        """Those of them that contradict each other."""
-        return sum(one.differs for one in self.comparison.claims)
+        """The number of decided verdicts that differ between log and run."""
+        return sum(claim.differs for claim in self.comparison.claims)
 
     @property
     def optimistic(self) -> int:
-        """Those in which a claim holds in simulation that was violated in the cell."""
-        return sum(one.optimistic for one in self.comparison.claims)
+        """The number of claims that hold in simulation and were violated in the cell."""
+        return sum(claim.optimistic for claim in self.comparison.claims)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Credibility:
-    """Why a number from the simulator may be believed; ``absent`` says what was not measured, and why."""
+    """The reasons to believe a number from the simulator.
+
+    ``absent`` has each missing measurement with its reason.
+    """
 
     agreement: WorldAgreement | None
     reruns: tuple[Rerun, ...]
@@ -115,22 +122,22 @@ class Credibility:
 
 
 class FaultState(Enum):
-    """What the trial of a fault says."""
+    """The outcome of a fault in the self-test."""
 
     CAUGHT = "caught"
     SURVIVES = "survives"
     LIMIT = "a stated limit"
     UNTOUCHED = "does not apply"
-    QUIET = "quiet"  # a harmless one, as it should be
+    QUIET = "quiet"  # a harmless change without an alarm, as expected
     FALSE_ALARM = "false alarm"
-    TRUE_ALARM = "true alarm"  # about a change that was declared harmless: geometry confirms it
+    TRUE_ALARM = "true alarm"  # geometry confirms the alarm about a change that was declared harmless
 
 
 @dataclass(frozen=True, kw_only=True)
 class CaughtFault:
-    """One seeded fault, and what caught it; ``caught_by`` is empty for one that survived.
+    """A seeded fault and the claim that caught it; ``caught_by`` is empty for a fault that survived.
 
-    ``known_limit`` is why it survives, where that was said beforehand.
+    ``known_limit`` is the reason for its survival, stated beforehand.
     """
 
     name: str
@@ -143,9 +150,10 @@ class CaughtFault:
 
 @dataclass(frozen=True, kw_only=True)
 class SelfTest:
-    """The harness on trial: faults that were seeded into the system, and whether they were caught.
+    """The self-test of the harness: seeded faults, and whether a claim caught them.
 
-    ``whole``: every fault of the catalogue was tried.
+    ``whole`` is true if it covered every fault of the catalogue.  ``present`` is true if its source is that
+    of this report.
     """
 
     profile: str
@@ -157,13 +165,13 @@ class SelfTest:
 
     @property
     def caught(self) -> int:
-        """How many were."""
+        """The number of caught faults."""
         return sum(bool(fault.caught_by) for fault in self.faults)
 
 
 @dataclass(frozen=True, kw_only=True)
 class HarnessTrials:
-    """What is known of the harness itself, where files of it were given."""
+    """The given files on the harness itself: self-test, oracles and recorded cells."""
 
     selftest: SelfTest | None = None
     oracles: tuple[Oracle, ...] = ()
@@ -176,7 +184,7 @@ NO_TRIALS = HarnessTrials()
 
 @dataclass(frozen=True, kw_only=True)
 class CellCount(CoverageCell):
-    """Runs in one cell of the coverage map; ``violating`` ones violate a claim."""
+    """The runs in a cell of the coverage map; ``violating`` counts the runs that violate a claim."""
 
     runs: int
     violating: int
@@ -184,7 +192,7 @@ class CellCount(CoverageCell):
 
 @dataclass(frozen=True, kw_only=True)
 class CoverageOfRuns:
-    """Where the declared runs were, by approach, speed, distance, seen or unseen, outcome."""
+    """The declared runs by approach, speed, distance, seen or unseen, and outcome."""
 
     runs: int
     without_hand: int
@@ -232,17 +240,22 @@ class _Oracle:
 
 
 def read_selftest(path: Path) -> SelfTest:
-    """InputError, naming the field, for what is no such file, or for one of a trial without any fault."""
-    found = typed(of_format(read_json(path, "a selftest.json"), FORMAT, path), _Trial, path, others=True)
-    about, tried = found.about, found.faults
-    faults = tuple(_caught(one) for one in tried if one.state in ON_TRIAL)
+    """Read the selftest.json in ``path``.
+
+    Raises:
+        InputError: The file is no selftest.json, or its trial has no fault; the error names the field.
+
+    """
+    trial = typed(of_format(read_json(path, "a selftest.json"), FORMAT, path), _Trial, path, others=True)
+    about, tried = trial.about, trial.faults
+    faults = tuple(_caught(fault) for fault in tried if fault.state in ON_TRIAL)
     if not faults:
         place = Place(file=path, field="faults")
         raise InputError(place=place, expected="at least one fault that was on trial", got="none")
     return SelfTest(
         profile=about.profile,
         faults=faults,
-        false_alarms=tuple(str(one.fault) for one in tried if one.state is FaultState.FALSE_ALARM),
+        false_alarms=tuple(str(fault.fault) for fault in tried if fault.state is FaultState.FALSE_ALARM),
         source_hash=about.source_hash,
         present=about.source_hash == source_hash(),
         whole=not about.interrupted
@@ -252,28 +265,38 @@ def read_selftest(path: Path) -> SelfTest:
 
 
 def read_cell(path: Path) -> RecordedCell:
-    """What ``compare-worlds`` wrote; InputError for what is none."""
-    found = read_comparison(path)
+    """Read ``path``, a file that ``compare-worlds`` wrote.
+
+    Raises:
+        InputError: The file is another.
+
+    """
+    comparison = read_comparison(path)
     data = hashlib.sha256(path.read_bytes()).hexdigest()
-    return RecordedCell(comparison=found, sha256=data, present=found.source_hash == source_hash())
+    return RecordedCell(comparison=comparison, sha256=data, present=comparison.source_hash == source_hash())
 
 
 def read_oracles(path: Path) -> tuple[Oracle, ...]:
-    """The table that ``make oracles`` writes; InputError for what is none."""
+    """Read ``path``, the table that ``make oracles`` writes.
+
+    Raises:
+        InputError: The file is another.
+
+    """
     path = located(path)
-    found = typed(read_json(path, "a table of oracles"), list[_Oracle], path, others=True)
+    table = typed(read_json(path, "a table of oracles"), list[_Oracle], path, others=True)
     return tuple(
-        Oracle(part=one.what, against=one.oracle, largest=f"{one.largest:.2g} {one.unit}") for one in found
+        Oracle(part=row.what, against=row.oracle, largest=f"{row.largest:.2g} {row.unit}") for row in table
     )
 
 
-def _caught(one: _Fault) -> CaughtFault:
-    caught = one.state is FaultState.CAUGHT
+def _caught(fault: _Fault) -> CaughtFault:
+    caught = fault.state is FaultState.CAUGHT
     return CaughtFault(
-        name=one.fault or "",
-        part=one.part or "",
-        hazard=one.hazard or "",
-        caught_by=(one.caught_by or "a claim that is not named") if caught else "",
-        smallest=one.slightest_caught or "",
-        known_limit=one.limit or "",
+        name=fault.fault or "",
+        part=fault.part or "",
+        hazard=fault.hazard or "",
+        caught_by=(fault.caught_by or "a claim that is not named") if caught else "",
+        smallest=fault.slightest_caught or "",
+        known_limit=fault.limit or "",
     )

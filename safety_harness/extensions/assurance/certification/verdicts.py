@@ -1,10 +1,14 @@
-"""The word on a claim, from what is bounded and what is not.  Green is for one case only.
+"""The status of a claim, from its bounds and its gaps.  Only one status is green.
 
-For each stratum: *refuted* if even the lower bound is above the target; *shown* if the upper bound is at or
-below it.  Runs without a verdict, or that could not be carried on, count as violations in the upper bound,
-and a claim that has any is *shown with doubt* at best; so is one whose runs were made in the kinematic world
-only, and one in whose runs the fallback stood in for the avoider: throughout, or without a claim of the plan
-about that.  The claim gets the gravest of its strata.
+In each stratum a claim is *refuted* if even the lower bound is above the target. It is *shown* if the upper
+bound is at or below the target. Runs without a verdict and runs that could not finish count as violations in
+the upper bound. Any of three conditions allows *shown with doubt* at best:
+
+- some run has no verdict
+- the runs are from the kinematic world only
+- the fallback stood in for the avoider throughout, or the plan has no claim on that
+
+The claim has the most severe status of its strata.
 """
 
 from __future__ import annotations
@@ -39,11 +43,24 @@ def standing_of(
     stood_in: bool = False,
     dependent: str = "",
 ) -> tuple[ClaimStatus, str]:
-    """The standing of one claim in one stratum, and why in a sentence.
+    """Return the status of a claim in a stratum, with the reason in a sentence.
 
-    ``problem`` says why there is no bound.  ``fallback`` says how often the avoider did not answer, if it did
-    not always; ``stood_in``: so often that nothing was shown of the avoider, or more often than the plan says
-    anything of.  ``dependent`` says why the runs are not independent, if they are not.
+    Args:
+        target: The allowed violation probability; None: the plan sets no target.
+        bound: The interval of the violation probability; None: there is none.
+        runs: The number of runs in the ledger.
+        planned: The number of declared runs.
+        tested: The number of runs that put the claim to the test.
+        violated: The number of runs that violate it.
+        without_verdict: The number of inconclusive and failed runs.
+        may_stop_early: True if a stratum may end before its planned runs.
+        world: The world of the runs.
+        problem: The reason why there is no bound.
+        fallback: How often the avoider did not answer; empty if it always answered.
+        stood_in: True if the fallback answered every question, or if it answered any and the plan has no
+            claim on it.
+        dependent: The reason why the runs are not independent; empty if they are.
+
     """
     if dependent:
         return ClaimStatus.NOT_SHOWN, dependent
@@ -76,31 +93,31 @@ def standing_of(
     return ClaimStatus.SHOWN, f"{counted}: at most {most} of them do, and {limit} was the target"
 
 
-def gravest(standings: Iterable[ClaimStatus]) -> ClaimStatus:
-    """The one that a reader has to know first; UNTESTED of nothing at all."""
+def worst_status(standings: Iterable[ClaimStatus]) -> ClaimStatus:
+    """Return the most severe of ``standings``; UNTESTED without any."""
     return max(standings, key=SEVERITY.index, default=ClaimStatus.UNTESTED)
 
 
 def overall(outcomes: Sequence[ClaimResult]) -> tuple[ClaimStatus, str]:
-    """A claim's standing over its strata, and why: the gravest stratum's own reason."""
-    standing = gravest(outcome.standing for outcome in outcomes)
+    """Return a claim's status over its ``outcomes``, with the reason of the most severe stratum."""
+    standing = worst_status(outcome.standing for outcome in outcomes)
     if not outcomes:
         return standing, "the plan has no stratum"
     worst = [outcome for outcome in outcomes if outcome.standing is standing]
     worst.sort(key=lambda outcome: -outcome.bound.upper if outcome.bound else 0.0)
     where = "" if len(outcomes) == 1 else f"{worst[0].stratum}: "
-    others = len(worst) - 1
-    more = f" ({others} more {'stratum' if others == 1 else 'strata'} likewise)" if others else ""
+    extra = len(worst) - 1
+    more = f" ({extra} more {'stratum' if extra == 1 else 'strata'} likewise)" if extra else ""
     return standing, f"{where}{worst[0].why}{more}"
 
 
 def percent(share: float) -> str:
-    """A probability in per cent with two or three significant digits.
+    """Return the probability ``share`` in per cent, with two or three significant digits.
 
-    Never 0 % of something, nor 100 % of less.
+    A positive probability never becomes 0 %, and a probability below 1 never becomes 100 %.
     """
     shown = 100.0 * share
-    if 99.995 <= shown < 100.0:  # two digits of what it lacks
+    if 99.995 <= shown < 100.0:  # two digits of the difference to 100 %
         return f"{shown:.{1 - floor(log10(100.0 - shown))}f}".rstrip("0") + " %"
     if shown == 0.0 or shown >= 99.95:
         return f"{shown:.4g} %"
@@ -108,12 +125,12 @@ def percent(share: float) -> str:
 
 
 def at_most(share: float) -> str:
-    """An upper bound in per cent: its digits are never below it."""
+    """Return the upper bound ``share`` in per cent; its digits are never below it."""
     return f"{100.0 * float(rounded_up(share)):.3g} %"
 
 
 def beside_target(bound: Bound, target: float) -> tuple[str, str]:
-    """A target and an upper bound in per cent, with so many digits that they say which is the larger one."""
+    """Return a target and an upper bound in per cent, with enough digits to tell which is larger."""
     limit, most = percent(target), at_most(bound.upper)
     shown, ends = float(limit[:-2]), (100.0 * bound.lower, float(most[:-2]))
     if (ends[0] > shown, ends[1] > shown) == (bound.lower > target, bound.upper > target):
@@ -122,22 +139,22 @@ def beside_target(bound: Bound, target: float) -> tuple[str, str]:
 
 
 def hourly(rate: float) -> str:
-    """An upper bound an hour: its digits are never below it."""
+    """Return the upper bound ``rate`` per hour; its digits are never below it."""
     return f"{float(rounded_up(rate)):.3g}"
 
 
 def at_least(share: float) -> str:
-    """A lower bound in per cent: its digits are never above it."""
+    """Return the lower bound ``share`` in per cent; its digits are never above it."""
     return f"{100.0 * float(rounded_down(share)):.3g} %"
 
 
-def overruling_line(one: OverrulingResult) -> str:
-    """How often the gate overruled the avoider in a stratum, and in how many of its runs it may."""
-    bound = one.bound
+def overruling_line(row: OverrulingResult) -> str:
+    """Return how often the gate overruled the avoider in the stratum of ``row``, and in how many runs."""
+    bound = row.bound
     ends = "" if bound is None else f" ({at_least(bound.lower)} to {at_most(bound.upper)}, 95 % alone)"
-    return f"{one.stratum}: {one.words}; in {one.runs_overruled} of {one.runs} runs with a proposal{ends}"
+    return f"{row.stratum}: {row.words}; in {row.runs_overruled} of {row.runs} runs with a proposal{ends}"
 
 
 def confidence_words(confidence: float) -> str:
-    """A confidence in per cent, never more of it than there is: what may fail is rounded up."""
+    """Return a confidence in per cent; its digits are never above it, since the error is rounded up."""
     return f"{100.0 * (1.0 - float(rounded_up(1.0 - confidence))):.9g} %"

@@ -1,7 +1,8 @@
-"""Does a report stand?  Files, plan, ledger, stored traces, numbers, pages, and runs made again.
+"""Check whether a report stands: files, plan, ledger, stored traces, numbers, pages, and repeated runs.
 
-Each question is answered with what was looked at and what is otherwise.  A change of the software since is
-named and is no fault by itself: what it changes in verdicts is.  Nothing in a report is executed unasked.
+Each examination states its subject and the differences. A later change of the software is no fault by itself,
+and the report of the check names it; a change of verdicts is a fault. A program in a report runs only with
+permission.
 """
 
 from __future__ import annotations
@@ -62,7 +63,12 @@ _HASH = re.compile(r"[0-9a-f]{64}")
 
 
 def lodged_hash(text: str | None, field: str) -> str | Path | None:
-    """A hash as it was lodged, or the file that it is of; InputError for neither."""
+    """Return a lodged hash, or the file that has it; None for None.
+
+    Raises:
+        InputError: ``text`` is neither a hash nor a file; the error names the option ``field``.
+
+    """
     if text is None or _HASH.fullmatch(text.strip().lower()):
         return text and text.strip().lower()
     if Path(text).is_file():
@@ -75,7 +81,14 @@ def lodged_hash(text: str | None, field: str) -> str | Path | None:
 def check_lodged(
     report: ReportFolder, *, seal: str | Path | None, declared: str | Path | None
 ) -> Examination:
-    """Against what was lodged elsewhere, or what it means that nothing was."""
+    """Compare a report with its lodged seal and declaration; a missing one leaves a point unchecked.
+
+    Args:
+        report: The report.
+        seal: The lodged seal or its hash; None: not lodged.
+        declared: The lodged declaration or its hash; None: not lodged.
+
+    """
     faults, notes, unchecked = [], [], []
     if seal is None:
         unchecked.append(NO_SEAL)
@@ -96,14 +109,14 @@ def check_lodged(
     return Examination("lodged", text, few(faults), () if faults else tuple(notes), tuple(unchecked))
 
 
-def _differs(lodged: str | Path, now: L, read: Callable[[Path], L], what: str) -> list[str]:
-    """In words, if it does; what of it is otherwise is known from the file only."""
+def _differs(lodged: str | Path, now: L, read: Callable[[Path], L], kind: str) -> list[str]:
+    """Return the differences from a lodged hash or file, in words; only a file shows which part differs."""
     if isinstance(lodged, Path):
         return list(read(lodged).changes(now))
-    return [] if lodged == now.sha256 else [f"the {what} of this report is {now.sha256}, not what was lodged"]
+    return [] if lodged == now.sha256 else [f"the {kind} of this report is {now.sha256}, not what was lodged"]
 
 
-MISS = 0.01
+MISS = 0.01  # the default of --miss
 
 
 def verify(
@@ -115,15 +128,30 @@ def verify(
     execute_programs: bool = False,
     seal: str | None = None,
     declared: str | None = None,
-    on_progress: Callable[[str], None] = lambda words: None,
+    on_progress: Callable[[str], None] = lambda text: None,
 ) -> Iterator[Examination]:
-    """Check by check; InputError for what is no report, or whose avoider may not be executed.
+    """Check a report, examination by examination.
 
-    ``runs`` episodes are made again, drawn at random with ``seed``, or as many as overlook rows that turn a
-    verdict with the chance ``miss``.  ``seal`` and ``declared`` are hashes (or their files) that were lodged
-    elsewhere.  A file of a report that cannot be read is a fault of the report, and ends what can be checked.
+    A file that cannot be read is a fault of the report, and ends the check.
+
+    Args:
+        folder: The report's folder.
+        runs: The number of runs to repeat; None: enough for ``miss``, but at most ``MOST_AGAIN``.
+        miss: The chance that the repeated runs miss altered rows that turn a verdict.
+        seed: Draws the runs to repeat.
+        execute_programs: Allow the execution of programs in the report.
+        seal: The lodged seal's hash or file; None: not lodged.
+        declared: The lodged declaration's hash or file; None: not lodged.
+        on_progress: Receives a text before each step.
+
+    Yields:
+        The examinations in the order of the checks.
+
+    Raises:
+        InputError: The folder is no report, or the report has a program that may not run.
+
     """
-    sealed, before = lodged_hash(seal, "--seal"), lodged_hash(declared, "--declared")
+    sealed, lodged_declaration = lodged_hash(seal, "--seal"), lodged_hash(declared, "--declared")
     hashes = read_manifest(folder)
     on_progress("files")
     yield check_files(folder, hashes)
@@ -160,7 +188,7 @@ def verify(
         drawing = Drawing(runs=runs, miss=miss, seed=seed, programs=execute_programs, on_progress=on_progress)
         try:
             yield from _of_the_plan(report, drawing)
-            yield check_lodged(report, seal=sealed, declared=before)
+            yield check_lodged(report, seal=sealed, declared=lodged_declaration)
         except OutputError:
             raise
         except InputError as error:
@@ -168,7 +196,7 @@ def verify(
 
 
 def _of_the_plan(report: ReportFolder, drawing: Drawing) -> Iterator[Examination]:
-    """What follows from a plan that is the declared one, and a ledger whose rows are of its runs."""
+    """Yield the examinations of a report whose plan is the declared one and whose rows belong to its runs."""
     plan, ledger, same = report.plan, report.ledger, report.same
     drawing.on_progress("stored traces, judged with the present code")
     stored = check_traces(plan, ledger, same=same)
@@ -182,7 +210,7 @@ def _of_the_plan(report: ReportFolder, drawing: Drawing) -> Iterator[Examination
     if numbers.stands:
         drawing.on_progress("the page")
         yield check_pages(report, gathered)
-    if again and any(not one.shown.independent for one in gathered.examples):
+    if again and any(not example.shown.independent for example in gathered.examples):
         drawing.on_progress("counterexamples of the search")
         yield check_searched(gathered, same=same and not programs_in(plan), programs=drawing.programs)
     turns = turns_of(gathered.evidence.claims, early=plan.stop_early)
@@ -194,7 +222,10 @@ _REST = "the rest, which cannot be checked without it"
 
 
 def _refuse_to_execute(plan: Plan, runs: int | None, execute_programs: bool) -> None:
-    """A report may come from anybody: a program in it is executed only when the user says so."""
+    """Raise InputError if a repeated run would execute a program from the report without permission.
+
+    A report may come from a stranger.
+    """
     programs = programs_in(plan)
     if programs and runs != 0 and not execute_programs:
         raise InputError(

@@ -1,4 +1,4 @@
-"""Are all files there, is the plan the declared one, and is the ledger a record of its runs?"""
+"""Check that all files are there, that the plan is the declared one, and that the ledger records its runs."""
 
 from __future__ import annotations
 
@@ -33,14 +33,15 @@ from safety_harness.extensions.assurance.certification.folder import (
 from safety_harness.extensions.assurance.statistics.sample import EpisodeOutcome
 from safety_harness.scenario.model import EDITION
 
-MOST_NAMED = 10
+MOST_NAMED = 10  # faults of an examination; a last line counts the rest
 
 
 @dataclass(frozen=True)
 class Examination:
-    """What was looked at, and in which ways it does not stand.
+    """The subject of a check and the faults in it.
 
-    ``notes`` are no fault; ``unchecked`` says what could not be looked at, which may be anything.
+    ``notes`` are no faults.  ``unchecked`` has the points that the check could not decide; each may hide a
+    fault.
     """
 
     name: str
@@ -51,12 +52,12 @@ class Examination:
 
     @property
     def stands(self) -> bool:
-        """Nothing wrong was found."""
+        """True without a fault."""
         return not self.faults
 
 
 def few(faults: Sequence[str]) -> tuple[str, ...]:
-    """The first of them, and how many more there are."""
+    """Return the first faults, and the number of the remaining ones."""
     more = len(faults) - MOST_NAMED
     return (*faults[:MOST_NAMED], *([f"and {more} more"] if more > 0 else []))
 
@@ -65,7 +66,7 @@ REQUIRED = (PAGE, JSON, JUNIT, LEDGER)
 
 
 def check_files(folder: Path, hashes: dict[str, str]) -> Examination:
-    """The manifest names every file of the folder, and nothing else."""
+    """Check that the manifest's ``hashes`` match the files of the folder, and cover all of them."""
     faults = [f"{name} is not in the manifest" for name in REQUIRED if name not in hashes]
     for name, digest in hashes.items():
         try:
@@ -84,20 +85,27 @@ def check_files(folder: Path, hashes: dict[str, str]) -> Examination:
     there = set(names_in(folder))
     faults += [f"{name} is not in the manifest" for name in sorted(there - hashes.keys() - set(REQUIRED))]
     paths = sorted(folder.rglob("*"))
-    linked = [one for one in paths if one.is_symlink() or not (one.is_file() or one.is_dir())]
-    faults += [f"{one.relative_to(folder)} is a link or a device, and no file" for one in linked]
-    unseen = [one.relative_to(folder) for one in paths if one.name.startswith(".") and one.is_file()]
+    linked = [path for path in paths if path.is_symlink() or not (path.is_file() or path.is_dir())]
+    faults += [f"{path.relative_to(folder)} is a link or a device, and no file" for path in linked]
+    unseen = [path.relative_to(folder) for path in paths if path.name.startswith(".") and path.is_file()]
     log = folder / LOG
     if log.exists() and (not log.is_file() or log.stat().st_size > 0):
         faults.append(f"{LOG}: changes of the ledger that are not in it")
-    mark = sha256_of(folder / MANIFEST)[:16]  # by which two people know that they have the same report
+    mark = sha256_of(folder / MANIFEST)[:16]  # two people compare it to know that they have the same report
     text = f"{len(hashes)} files and their hashes, {MANIFEST} {mark}"
     hidden = [f"{name}: a hidden file, which nothing here has looked into" for name in unseen]
     return Examination("files", text, few(faults), unchecked=few(hidden))
 
 
 def check_plan(folder: Path, known: Plan, ledger: Ledger) -> Examination:
-    """The ledger's files are those of its declaration and those in the folder, and say what it says."""
+    """Check that the ledger's files match its declaration and the folder, and that its tables match the plan.
+
+    Args:
+        folder: The report's folder.
+        known: The plan, as read from the ledger's files.
+        ledger: The open ledger.
+
+    """
     changes = ledger.declared.identity.changes(known.identity)
     own = tuple(change for change in changes if change.startswith("the file "))
     faults = [f"{change}: the ledger declares another" for change in own]
@@ -111,22 +119,22 @@ def check_plan(folder: Path, known: Plan, ledger: Ledger) -> Examination:
     of_programs = {f"{OPENED}/{sha256}" for sha256 in ledger.opened.values()}
     opened = {name for name in names_in(folder) if name.startswith(f"{OPENED}/")}
     faults += [f"{name} was opened by no program" for name in sorted(opened - of_programs)]
-    faults += [f"{what}: the ledger says otherwise than its plan" for what in _other(known, ledger)]
+    faults += [f"{key}: the ledger says otherwise than its plan" for key in _contradictions(known, ledger)]
     faults += _wrongly_stopped(known, ledger)
     notes = tuple(f"since it was made: {change}" for change in changes if change not in own)
     if (edition := edition_of(ledger.declared.identity)) < EDITION:
-        words = (
+        note = (
             f"its claims are read in edition {edition}: hands come at {WALKING_MPS:g} m/s where none is named"
         )
-        notes += (words,)
+        notes += (note,)
         if not any(change.startswith("the source of this package") for change in changes):
-            faults.append(f"{words}, but this version of the source writes edition {EDITION}")
+            faults.append(f"{note}, but this version of the source writes edition {EDITION}")
     return Examination("plan", f"the plan as it was declared, {len(files)} files", few(faults), notes)
 
 
 @dataclass(frozen=True, eq=False)
 class ReportFolder:
-    """What is verified: a folder, the hashes in its manifest, its evidence, its plan and its ledger."""
+    """A report under verification: folder, manifest's hashes, evidence, plan and ledger."""
 
     folder: Path
     hashes: dict[str, str]
@@ -136,20 +144,21 @@ class ReportFolder:
 
     @property
     def same(self) -> bool:
-        """Is all but the plan's files what it was made with: source, libraries, networks, platform?"""
+        """True if source, libraries, networks and platform are unchanged; the plan's files do not count."""
         changes = self.ledger.declared.identity.changes(self.plan.identity)
         return all(change.startswith("the file ") for change in changes)
 
     @property
     def same_words(self) -> bool:
-        """Is the source of this package what it was made with?  All words and pages are made by it alone."""
+        """True if the source of this package is unchanged: all words and pages depend on it alone."""
         source = "the source of this package"
         return not any(
-            one.startswith(source) for one in self.ledger.declared.identity.changes(self.plan.identity)
+            item.startswith(source) for item in self.ledger.declared.identity.changes(self.plan.identity)
         )
 
 
-def _other(known: Plan, ledger: Ledger) -> Iterator[str]:
+def _contradictions(known: Plan, ledger: Ledger) -> Iterator[str]:
+    """Yield the name of each value in the ledger that differs from the plan."""
     declared = ledger.declared
     hazards, spaces = (
         tuple(text for (text,) in ledger.all(f"SELECT {column} FROM {table} ORDER BY id"))
@@ -161,29 +170,32 @@ def _other(known: Plan, ledger: Ledger) -> Iterator[str]:
         "world": (known.world.label, declared.world.label),
         "confidence": (known.confidence, declared.confidence),
         "stop early": (known.stop_early, declared.stop_early),
-        "strata": (tuple(one.name for one in known.strata), declared.strata),
-        "runs": (tuple(one.runs for one in known.strata), declared.planned),
-        "claims": (tuple(one.sentence for one in known.claims), declared.claims),
-        "units": (tuple(one.unit for one in known.claims), declared.units),
-        "targets": (tuple(one.target for one in known.claims), declared.targets),
-        "hazards": (tuple(one.hazard for one in known.claims), hazards),
-        "spaces": (tuple(one.space.name for one in known.strata), spaces),
+        "strata": (tuple(item.name for item in known.strata), declared.strata),
+        "runs": (tuple(item.runs for item in known.strata), declared.planned),
+        "claims": (tuple(item.sentence for item in known.claims), declared.claims),
+        "units": (tuple(item.unit for item in known.claims), declared.units),
+        "targets": (tuple(item.target for item in known.claims), declared.targets),
+        "hazards": (tuple(item.hazard for item in known.claims), hazards),
+        "spaces": (tuple(item.space.name for item in known.strata), spaces),
     }
-    yield from (name for name, (one, other) in pairs.items() if one != other)
+    yield from (name for name, (item, noted) in pairs.items() if item != noted)
 
 
 def _wrongly_stopped(known: Plan, ledger: Ledger) -> Iterator[str]:
-    """A stratum ends before its time only where its runs decide all claims, as the plan allows."""
+    """Yield each stratum that ended early although its runs do not decide all claims."""
     stopped = [ledger.stopped_after(place) for place in range(len(ledger.declared.strata))]
-    if any(after is not None for after in stopped):
+    if any(count is not None for count in stopped):
         decided = Stopping(known, ledger).decided
-        for place, after in enumerate(stopped):
-            if after is not None and decided.get(place) != after:
-                yield f"{ledger.declared.strata[place]}: stopped after {after} runs, which do not decide it"
+        for place, count in enumerate(stopped):
+            if count is not None and decided.get(place) != count:
+                yield f"{ledger.declared.strata[place]}: stopped after {count} runs, which do not decide it"
 
 
 def check_rows(ledger: Ledger) -> Examination:
-    """Every row is of a declared run, of the right kind, and once; nothing is computed from it yet."""
+    """Check that every row of ``ledger`` belongs to a declared run, has the right types, and occurs once.
+
+    It comes before every computation, which relies on the rows.
+    """
     faults = list(_odd_rows(ledger))
     ((made,),) = ledger.all("SELECT count(*) FROM episode")
     if not made:
@@ -194,11 +206,13 @@ def check_rows(ledger: Ledger) -> Examination:
 
 
 def _odd_rows(ledger: Ledger) -> Iterator[str]:
-    def counted(words: str, question: str, *values: object) -> Iterator[str]:
-        yield from (f"{count} {words}" for (count,) in ledger.all(question, *values) if count)
+    """Yield each kind of wrong row with its number."""
 
-    for words, question in _ODD.items():
-        yield from counted(words, question)
+    def counted(label: str, question: str, *values: object) -> Iterator[str]:
+        yield from (f"{count} {label}" for (count,) in ledger.all(question, *values) if count)
+
+    for label, question in _ODD.items():
+        yield from counted(label, question)
     if ledger.asks_again:
         yield from counted("sessions of asking again with values of another kind", _REPEATED)
     for (began,) in ledger.all("SELECT began FROM session"):
@@ -223,11 +237,14 @@ def _odd_rows(ledger: Ledger) -> Iterator[str]:
 
 
 def _not(table: str, **kinds: str) -> str:
-    """How many rows have a column of another kind than SQLite's types named."""
-    wrong = (
+    """Return an SQL query that counts the rows of ``table`` with a column of another type.
+
+    ``kinds`` has the allowed SQLite types of each column, separated by spaces.
+    """
+    tests = (
         f"typeof({column}) NOT IN ({', '.join(map(repr, kind.split()))})" for column, kind in kinds.items()
     )
-    return f"SELECT count(*) FROM {table} WHERE {' OR '.join(wrong)}"
+    return f"SELECT count(*) FROM {table} WHERE {' OR '.join(tests)}"
 
 
 _REPEATED = (
@@ -281,7 +298,7 @@ _ODD = {
 
 
 def kept(known: Plan, ledger: Ledger) -> Iterator[str]:
-    """Seeds that are not the plan's, and traces that should have been kept and are not there."""
+    """Yield wrong seeds in ``ledger``, and missing or wrongly marked traces, by the plan ``known``."""
     distinct = "SELECT DISTINCT stratum, episode FROM judgement WHERE outcome = ?"
     violating = set(ledger.all(distinct, int(EpisodeOutcome.VIOLATED)))
     every = "SELECT stratum, episode FROM judgement GROUP BY 1, 2 HAVING min(outcome) = ?"
@@ -294,7 +311,7 @@ def kept(known: Plan, ledger: Ledger) -> Iterator[str]:
         made = dict(ledger.all("SELECT episode, seed FROM episode WHERE stratum = ?", place))
         first = sorted(episode for where, episode in violating if where == place)[: known.violations_kept]
         random = random_episodes(known, place) & made.keys()
-        for episode in sorted({*first, *(one for one in random if (place, one) not in failed)}):
+        for episode in sorted({*first, *(item for item in random if (place, item) not in failed)}):
             if (place, episode) not in traces:
                 yield f"{stratum.name}, run {episode}: its trace should have been kept, and is missing"
         for episode, seed in made.items():

@@ -1,11 +1,11 @@
-"""Does what the report says follow from its ledger, and are its page and JUnit XML what is made of it?
+"""Check that a report's statements follow from its ledger, and that its pages follow from its evidence.
 
-What depends on the words of the catalogue, or on the last bits of a trace, may come out otherwise with other
-software than the report's: it is named then.  With the same software all of it has to come out the same.
+Some statements depend on the words of the catalogue, or on the last bits of a trace. They may differ if the
+software is not the report's: the check then reports the difference. Otherwise all must be equal.
 
-Text of the page is compared to the letter, wherever it stands: between tags, in drawings, in what a screen
-reader says.  In plots only where a thing stands (``x``, ``y``, ``d``) may be a tenth of a pixel off:
-coordinates are rounded to the first decimal, where another processor's last bit shows.
+The check compares text of the page exactly: between tags, in drawings, in texts for screen readers. In plots,
+only the numbers of places (``x``, ``y``, ``d``) may differ by a tenth of a pixel. Coordinates have one
+decimal, where the last bit of another processor shows.
 """
 
 from __future__ import annotations
@@ -71,14 +71,14 @@ from safety_harness.scenario.typed_json import plain
 from safety_harness.trace.provenance import provenance
 
 LARGEST_PAGE_BYTES = 2**28
-TOLERANCE_PX = 0.1
+TOLERANCE_PX = 0.1  # a step of a coordinate's last decimal
 PROOF = (CERTIFICATE, NETWORK)
 _PLOT = re.compile(rb'<svg (?=[^<>]*role="img")(?![^<>]*"coverage-map-)')
 _VERDICT = re.compile(rb'<(span class="verdict [^"<>]*"|div class="banner [^"<>]*" role="note"><p><strong)>')
 _VERDICTS = re.compile(rb'<table class="[^"<>]*\bverdicts"[^<>]*>')
 _NUMBERS = re.compile(rb'<(td)[^<>]*class="number"[^<>]*>')
 _CLOSING = re.compile(rb"</(?:strong|td)>|(?<!</svg>)</span>")
-_HIDING = re.compile(rb"<!--|<template\b", re.IGNORECASE)  # no version's page has any
+_HIDING = re.compile(rb"<!--|<template\b", re.IGNORECASE)  # no version writes any: they could hide a verdict
 _LONGEST_BADGE = 2_000  # bytes, with its icon
 _MARKUP = re.compile(rb"<[^<>]*>")
 _TAG = re.compile(rb"<\w[^<>]*>")
@@ -89,17 +89,25 @@ _AROUND = 60  # letters shown before and after a difference
 
 
 def check_pages(report: ReportFolder, gathered: GatheredEvidence) -> Examination:
-    """The page and the JUnit XML, made again from the evidence; with other software a difference is said."""
+    """Write the page and the JUnit XML again from the evidence, and compare them.
+
+    A difference is no fault but unchecked if the software is not the report's.
+
+    Args:
+        report: The report.
+        gathered: The evidence from the ledger, with the runs of the counterexamples.
+
+    """
     folder, recorded = report.folder, report.recorded
     faults, notes = list(_traces(folder, gathered)), []
     unchecked: list[str] = []
     junit, own = bytes_of(folder / JUNIT), written(junit_xml(recorded))
-    if junit != own:  # which claims pass follows from the evidence by rule, whichever version wrote it
+    if junit != own:  # a rule derives the passing claims from the evidence in every version
         same = not report.same_words and passed_in(junit) == passed_in(own)
         (unchecked if same else faults).append(f"{JUNIT} does not say what {JSON} says")
     for name, text in argument_texts(recorded).items():
         file = folder / name
-        absent = not file.is_file() and not report.same_words  # earlier versions wrote none
+        absent = not file.is_file() and not report.same_words  # earlier versions did not write it
         if not absent and not (file.is_file() and bytes_of(file) == written(text)):
             (faults if report.same_words else unchecked).append(f"{name} does not say what {JSON} says")
     there, made = bytes_of(folder / PAGE), written(render(recorded, gathered.runs))
@@ -107,9 +115,9 @@ def check_pages(report: ReportFolder, gathered: GatheredEvidence) -> Examination
     if verdicts_in(there) != verdicts_in(made):
         faults.append(f"{PAGE}: its verdicts are not those that follow from {JSON}")
     if differs and report.same_words:
-        faults += [f"{PAGE} does not say what {JSON} says: {one}" for one in differs]
+        faults += [f"{PAGE} does not say what {JSON} says: {line}" for line in differs]
     elif differs:
-        unchecked += [f"{PAGE} was made by other software, and says otherwise: {one}" for one in differs]
+        unchecked += [f"{PAGE} was made by other software, and says otherwise: {line}" for line in differs]
     elif there != made:
         notes.append(f"{PAGE}: lines of its plots are up to {TOLERANCE_PX} px from where they are drawn here")
     if (folder / PDF).exists():
@@ -119,46 +127,49 @@ def check_pages(report: ReportFolder, gathered: GatheredEvidence) -> Examination
 
 
 def differences(there: bytes, made: bytes) -> tuple[str, ...]:
-    """In which lines a page differs from the one that is made here, in words; none within the tolerance."""
+    """Return the lines in which the page ``there`` differs from its copy ``made`` here.
+
+    Places within the tolerance do not differ.
+    """
     (text, places), (own_text, own_places) = _parted(there), _parted(made)
     if text != own_text:
         style, text = _without_style(text, own_text)
         pairs = zip_longest(text.splitlines(), own_text.splitlines(), fillvalue=b"")
-        return (*style, *few([_shown(one, other) for one, other in pairs if one != other]))
-    off = max((abs(a - b) for a, b in zip(places, own_places, strict=True)), default=0.0)
-    return () if off <= TOLERANCE_PX + 1e-9 else (f"a line of a plot is {off:.1f} px from its place",)
+        return (*style, *few([_shown(line, own_line) for line, own_line in pairs if line != own_line]))
+    gap = max((abs(a - b) for a, b in zip(places, own_places, strict=True)), default=0.0)
+    return () if gap <= TOLERANCE_PX + 1e-9 else (f"a line of a plot is {gap:.1f} px from its place",)
 
 
 def _parted(page: bytes) -> tuple[bytes, list[float]]:
-    """The page without the numbers that say where things of plots stand, and these numbers."""
+    """Return the page without the numbers that place things in plots, and these numbers."""
     places: list[float] = []
 
-    def number(found: re.Match[bytes]) -> bytes:
-        places.append(float(found[0]))
+    def number(match: re.Match[bytes]) -> bytes:
+        places.append(float(match[0]))
         return b"#"
 
-    def where(found: re.Match[bytes]) -> bytes:
-        return found[1] + _NUMBER.sub(number, found[2]) + b'"'
+    def where(match: re.Match[bytes]) -> bytes:
+        return match[1] + _NUMBER.sub(number, match[2]) + b'"'
 
     parts, done = [], 0
-    for found in _PLOT.finditer(page):
-        if found.start() < done:
+    for match in _PLOT.finditer(page):
+        if match.start() < done:
             continue
-        end = page.find(b"</svg>", found.start())
-        if end < 0:  # neither has any later one an end
+        end = page.find(b"</svg>", match.start())
+        if end < 0:  # then no later plot has an end
             break
-        parts.append(page[done : found.start()])
-        parts.append(_TAG.sub(lambda tag: _WHERE.sub(where, tag[0]), page[found.start() : end]))
+        parts.append(page[done : match.start()])
+        parts.append(_TAG.sub(lambda tag: _WHERE.sub(where, tag[0]), page[match.start() : end]))
         done = end
     return b"".join([*parts, page[done:]]), places
 
 
 def passed_in(junit: bytes) -> list[tuple[str, str]] | None:
-    """Return stratum and claim of each case of a JUnit file that passes; None for what is no XML."""
+    """Return stratum and claim of each case of ``junit`` that passes; None if it is no XML."""
     try:
         cases = ElementTree.fromstring(junit).iter("testcase")
-        passed = (one for one in cases if _NOT_PASSED.isdisjoint(child.tag for child in one))
-        return sorted((one.get("classname", ""), one.get("name", "")) for one in passed)
+        passed = (case for case in cases if _NOT_PASSED.isdisjoint(child.tag for child in case))
+        return sorted((case.get("classname", ""), case.get("name", "")) for case in passed)
     except ElementTree.ParseError:
         return None
 
@@ -166,7 +177,7 @@ def passed_in(junit: bytes) -> list[tuple[str, str]] | None:
 def verdicts_in(page: bytes) -> list[bytes]:
     """Return all verdicts on a page with the class that colours them, and the numbers of their table.
 
-    They follow from the evidence by rule, whichever version made the page: standings, counts and bounds.
+    Standings, counts and bounds follow from the evidence by rule, with any version of the software.
     """
     badges = sorted(opening + text for opening, text in _texts(page, _VERDICT))
     table = _VERDICTS.search(page)
@@ -180,61 +191,67 @@ def verdicts_in(page: bytes) -> list[bytes]:
 
 
 def _texts(page: bytes, openings: re.Pattern[bytes]) -> Iterator[tuple[bytes, bytes]]:
-    """Yield each opening and the text up to what closes it; a text that is not closed is cut."""
-    for found in openings.finditer(page):
-        some = page[found.end() : found.end() + _LONGEST_BADGE]
-        yield found[1], _MARKUP.sub(b"", _CLOSING.split(some, maxsplit=1)[0])
+    """Yield each opening and the text up to its end; a text without an end is cut."""
+    for match in openings.finditer(page):
+        some = page[match.end() : match.end() + _LONGEST_BADGE]
+        yield match[1], _MARKUP.sub(b"", _CLOSING.split(some, maxsplit=1)[0])
 
 
 def _without_style(there: bytes, made: bytes) -> tuple[tuple[str, ...], bytes]:
-    """In a line that the style sheet is another, if it is; and the page with the one that is made here.
+    """Return a line if the style sheet is another, and the page with the style sheet that is ``made`` here.
 
-    Only where all before it is the same: elsewhere a browser might not take it for one, and show it.
+    This holds only if all before it is the same. In another place a browser might not take it as a style
+    sheet, and show it.
     """
-    one, other = _styled(there), _styled(made)
-    if one is None or other is None or one[0] != other[0] or one[1] == other[1]:
+    theirs, ours = _styled(there), _styled(made)
+    if theirs is None or ours is None or theirs[0] != ours[0] or theirs[1] == ours[1]:
         return (), there
-    said = "its style sheet is another, and so is what it hides or adds: not compared"
-    return (said,), one[0] + other[1] + one[2]
+    remark = "its style sheet is another, and so is what it hides or adds: not compared"
+    return (remark,), theirs[0] + ours[1] + theirs[2]
 
 
 def _styled(page: bytes) -> tuple[bytes, bytes, bytes] | None:
-    """Return what lies before, in and after the first style sheet of a page; None without one."""
+    """Return the parts of a page before, in and after its first style sheet; None without a style sheet."""
     begin = page.find(b"<style>") + len(b"<style>")
     end = page.find(b"</style>", begin)
     return None if begin < len(b"<style>") or end < 0 else (page[:begin], page[begin:end], page[end:])
 
 
 def _shown(there: bytes, made: bytes) -> str:
-    """The letters about the first difference."""
+    """Return the letters around the first difference."""
     at = next((k for k, pair in enumerate(zip_longest(there, made)) if pair[0] != pair[1]), 0)
-    one, other = (
+    theirs, ours = (
         line[max(at - _AROUND, 0) : at + _AROUND].decode("utf-8", "replace") for line in (there, made)
     )
-    return f"{one!r} in place of {other!r}"
+    return f"{theirs!r} in place of {ours!r}"
 
 
 def _traces(folder: Path, gathered: GatheredEvidence) -> Iterator[str]:
-    """Declared counterexamples of which the file is not the ledger's trace."""
-    for one in gathered.examples:
-        if one.data is not None:
-            file = folder / one.shown.trace_file
-            if not file.is_file() or file.read_bytes() != one.data:
-                yield f"{one.shown.trace_file} is not the trace that the ledger keeps"
+    """Yield each declared counterexample whose file is not the ledger's trace."""
+    for item in gathered.examples:
+        if item.data is not None:
+            file = folder / item.shown.trace_file
+            if not file.is_file() or file.read_bytes() != item.data:
+                yield f"{item.shown.trace_file} is not the trace that the ledger keeps"
 
 
 def bytes_of(path: Path) -> bytes:
-    """A file of a report, which may be a stranger's."""
+    """Return the bytes of ``path``, a file in a report that may come from a stranger.
+
+    Raises:
+        InputError: The file cannot be read, or is too large.
+
+    """
     return read_bytes(path, most=LARGEST_PAGE_BYTES, place=Place(file=path), error=InputError)
 
 
 def written(text: str) -> bytes:
-    """As ``write_whole`` writes it."""
+    """Return ``text`` as the bytes that ``write_whole`` writes."""
     return text.encode("utf-8", "backslashreplace")
 
 
 def rewritten(text: bytes) -> str:
-    """A JSON as every version writes it: an earlier one's may have other fields."""
+    """Return a JSON text as every version writes it; it may have the fields of an earlier version."""
     return json.dumps(json.loads(text), indent=1, ensure_ascii=False) + "\n"
 
 
@@ -243,14 +260,20 @@ WORDS = {
     *("system", "separation", "calibration", "credibility", "findings", "margin", "selftest_absent"),
     *("whose_fault", "steps", "approaches"),
 }
-OF_RUNS = frozenset({"reruns", "absent", "whose_fault", "lines"})  # of runs made again
-CLOSE = 1e-9  # relative: another scipy's last digits
+OF_RUNS = frozenset({"reruns", "absent", "whose_fault", "lines"})  # fields that follow from repeated runs
+CLOSE = 1e-9  # relative: the last digits depend on the version of scipy
 
 
 def check_numbers(report: ReportFolder, *, again: bool) -> tuple[Examination, GatheredEvidence]:
-    """Everything that follows from the ledger and the searches, computed anew.
+    """Compute again everything that follows from the ledger and the searches, and compare it.
 
-    ``again``: the runs are made again that doubt the simulator.
+    Args:
+        report: The report.
+        again: True: repeat the runs that test the simulator and attribute faults.
+
+    Returns:
+        The examination, and the evidence from the ledger.
+
     """
     recorded, ledger, same = report.recorded, report.ledger, report.same
     then = recorded.credibility
@@ -260,7 +283,7 @@ def check_numbers(report: ReportFolder, *, again: bool) -> tuple[Examination, Ga
         return now if report.same_words else replace(now, agreement=then.agreement)
 
     oracles_with = then.oracles_measured_with if then.oracles else ""
-    # if anything was declared, it is this very plan with the ledger's software
+    # a declaration can only be of this plan with the ledger's software
     declared = recorded.record.declaration_sha256
     gathered = put_together(
         report.plan,
@@ -272,23 +295,23 @@ def check_numbers(report: ReportFolder, *, again: bool) -> tuple[Examination, Ga
         declaration=declared and declaration_of(report.plan, ledger.declared.identity).sha256,
         origin=_origin(recorded.provenance, ledger, same=same),
         believe=believe,
-        explain=told_whose_fault if again else partial(_told_before, recorded),
+        explain=told_whose_fault if again else partial(_as_recorded, recorded),
         blame=whose_fault if again else lambda plan, ledger: recorded.whose_fault,
-        proven=recorded.proven,  # of which check_proof has told
+        proven=recorded.proven,  # check_proof compares it
         notes=recorded.notes,
     )
     now = replace(gathered.evidence, files=recorded.files)
     if recorded.learned is None and not report.same_words:  # earlier versions had no such part
         now = replace(now, learned=None)
     faults: list[str] = []
-    others: list[str] = []
+    doubts: list[str] = []
     for place, was, new in _differences(plain(recorded), plain(now), ""):
         names = set(re.split(r"[.\[\]\d]+", place))
         lenient = frozenset() if same else OF_RUNS if report.same_words else WORDS
-        words = lenient & names or ("largest" in names and _near(was, new))
-        (others if words else faults).append(f"{place}: {_short(was)} in the report, {_short(new)} comes out")
+        minor = lenient & names or ("largest" in names and _is_close(was, new))
+        (doubts if minor else faults).append(f"{place}: {_short(was)} in the report, {_short(new)} comes out")
     faults += _files(report)
-    faults += _told(recorded.provenance)
+    faults += _origin_faults(recorded.provenance)
     text = (
         f"{len(recorded.claims)} claims, with counts, bounds and verdicts, and all that is shown beside them"
     )
@@ -306,23 +329,23 @@ def check_numbers(report: ReportFolder, *, again: bool) -> tuple[Examination, Ga
             "the trial of the harness, the table of oracles and recorded cells are as their files said"
         )
     unchecked += [f"{name}: a file that no report has" for name in _foreign(gathered.evidence, report.hashes)]
-    unchecked += few([f"{one}: other software, or it was altered" for one in others])
+    unchecked += few([f"{line}: other software, or it was altered" for line in doubts])
     return Examination("numbers", text, few(faults), unchecked=tuple(unchecked)), gathered
 
 
-def _told_before(recorded: Evidence, plan: Plan, met: Sequence[Example | str]) -> Iterator[Example | str]:
-    """With what the report says of whose fault they are, which is told only by runs made again."""
-    said = {one.trace_file: one.lines for one in recorded.counterexamples}
-    for one in met:
-        if isinstance(one, Example):
-            lines = said.get(one.shown.trace_file, ())
-            more = max(len(lines) - len(one.shown.lines), 0)
-            one = with_fault(one, lines[1 : 1 + more])
-        yield one
+def _as_recorded(recorded: Evidence, plan: Plan, met: Sequence[Example | str]) -> Iterator[Example | str]:
+    """Yield the counterexamples with the report's own attribution, which only repeated runs can find."""
+    lines_of = {item.trace_file: item.lines for item in recorded.counterexamples}
+    for item in met:
+        if isinstance(item, Example):
+            lines = lines_of.get(item.shown.trace_file, ())
+            more = max(len(lines) - len(item.shown.lines), 0)
+            item = with_fault(item, lines[1 : 1 + more])
+        yield item
 
 
 def check_proof(report: ReportFolder) -> Examination | None:
-    """The certificate, confirmed anew by the independent checker; None for a report without one."""
+    """Check the certificate again with the independent checker; None for a report without a certificate."""
     recorded = report.recorded.proven
     faults: list[str] = []
     unchecked: list[str] = []
@@ -337,14 +360,14 @@ def check_proof(report: ReportFolder) -> Examination | None:
     if now is not None:
         own = {sha256(data).hexdigest() for data in networks_of(report.plan)}
         if now.network_sha256 not in own:
-            words = "the network of the certificate is not that of the plan's avoider"
-            (faults if report.same else unchecked).append(words)
+            fault = "the network of the certificate is not that of the plan's avoider"
+            (faults if report.same else unchecked).append(fault)
     text = "the certificate about the network, bounded anew with code that shares none with the prover"
     return Examination("proof", text, few(faults), unchecked=tuple(unchecked))
 
 
 def _origin(recorded: EvidenceProvenance, ledger: Ledger, *, same: bool) -> EvidenceProvenance:
-    """As the ledger has it; when and by which command the report was made, nothing else says."""
+    """Return the origin as the ledger has it; only the report has the time and the command."""
     parts = dict(ledger.declared.identity.parts)
     began_at, machine, spent_s = sessions_of(ledger)
     return replace(
@@ -361,7 +384,7 @@ def _origin(recorded: EvidenceProvenance, ledger: Ledger, *, same: bool) -> Evid
 
 
 def _differences(then: Any, now: Any, place: str) -> Iterator[tuple[str, Any, Any]]:
-    """Where two documents differ: as deep as they can be told apart."""
+    """Yield each place where two documents differ, as deep as possible."""
     if isinstance(then, dict) and isinstance(now, dict):
         for name in now:
             yield from _differences(then[name], now[name], f"{place}.{name}".lstrip("."))
@@ -375,8 +398,8 @@ def _differences(then: Any, now: Any, place: str) -> Iterator[tuple[str, Any, An
         yield place, then, now
 
 
-def _near(then: str, now: str) -> bool:
-    """Two differences with their unit, within what another processor's last bits may come to in a run."""
+def _is_close(then: str, now: str) -> bool:
+    """Return whether two margins with unit differ no more than another processor's last bits in a run."""
     (value, *unit), (own, *own_unit) = (text.replace("\u2212", "-").split(" ", 1) for text in (then, now))
     try:
         return unit == own_unit and math.isclose(float(value), float(own), rel_tol=0.01, abs_tol=0.1)
@@ -385,6 +408,7 @@ def _near(then: str, now: str) -> bool:
 
 
 def _short(value: Any) -> str:
+    """Return a value in at most 80 letters."""
     if isinstance(value, tuple):
         return f"{len(value)} of them"
     text = str(value)
@@ -392,11 +416,11 @@ def _short(value: Any) -> str:
 
 
 def _files(report: ReportFolder) -> Iterator[str]:
-    """The list in the evidence is that of the manifest, and the evidence the file that certify wrote."""
+    """Yield differences between the evidence's list of files and the manifest, and edits of the evidence."""
     folder, recorded = report.folder, report.recorded
-    listed = {one.path: one.sha256 for one in recorded.files}
+    listed = {item.path: item.sha256 for item in recorded.files}
     sizes = {name: (folder / name).stat().st_size for name in listed if (folder / name).is_file()}
-    if any(one.bytes != sizes.get(one.path) for one in recorded.files):
+    if any(item.bytes != sizes.get(item.path) for item in recorded.files):
         yield f"files: {JSON} lists other sizes than there are"
     if listed != {name: digest for name, digest in report.hashes.items() if name not in MADE}:
         yield f"files: {JSON} lists others than the manifest"
@@ -405,16 +429,16 @@ def _files(report: ReportFolder) -> Iterator[str]:
         yield f"{JSON} has been edited: the same content is written otherwise"
 
 
-def _told(origin: EvidenceProvenance) -> Iterator[str]:
-    """What only the maker can say has at least to be what certify writes."""
+def _origin_faults(origin: EvidenceProvenance) -> Iterator[str]:
+    """Yield faults in the statements that only the maker knows: they must at least have certify's form."""
     for command in (origin.command, *origin.commands):
         if not _is_ours(command):
             yield f"provenance: a command to be copied that certify does not write: {command[:80]}"
             return
-    again, *others = [shlex.split(command)[1:] for command in origin.commands] or [[]]
-    name = others[0][-1] if others else ""
+    again, *rest = [shlex.split(command)[1:] for command in origin.commands] or [[]]
+    name = rest[0][-1] if rest else ""
     expected = [["verify", name], ["campaign", "status", f"{name}/{LEDGER}"]]
-    if origin.commands[:1] != (origin.command,) or again[:1] != ["certify"] or others != expected:
+    if origin.commands[:1] != (origin.command,) or again[:1] != ["certify"] or rest != expected:
         yield f"provenance: commands that certify does not write: {'; '.join(origin.commands)[:200]}"
     try:
         ended = datetime.strptime(origin.ended_at, "%d %B %Y, %H:%M UTC")
@@ -426,8 +450,8 @@ def _told(origin: EvidenceProvenance) -> Iterator[str]:
 
 
 def _foreign(evidence: Evidence, hashes: dict[str, str]) -> Iterator[str]:
-    """Files that nothing here has looked into."""
-    shown = {one.trace_file for one in evidence.counterexamples}
+    """Yield the files that no check reads."""
+    shown = {item.trace_file for item in evidence.counterexamples}
     for name in hashes:
         inside = Path(name).parts[0] in (PLAN, OPENED)
         inside |= Path(name).parts[0] == SEARCH and name.endswith((".yaml", ".trace", f"/{FINDINGS}"))
@@ -436,9 +460,12 @@ def _foreign(evidence: Evidence, hashes: dict[str, str]) -> Iterator[str]:
 
 
 def _is_ours(command: str) -> bool:
-    """One command of this package, of plain or quoted words: nothing else happens to who pastes it."""
+    """Return whether ``command`` is a single command of this package, with plain or quoted words.
+
+    Pasting it then has no further effect.
+    """
     try:
-        words = shlex.split(command)
+        argv = shlex.split(command)
     except ValueError:
         return False
-    return words[:1] == ["safety-harness"] and shlex.join(words) == command and command.isprintable()
+    return argv[:1] == ["safety-harness"] and shlex.join(argv) == command and command.isprintable()

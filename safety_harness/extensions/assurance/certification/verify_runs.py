@@ -1,4 +1,4 @@
-"""Do stored traces and runs that are made again give what the ledger says of them?"""
+"""Check that stored traces and repeated runs give the results in the ledger."""
 
 from __future__ import annotations
 
@@ -32,34 +32,49 @@ from safety_harness.trace.compare import first_difference
 from safety_harness.trace.overruling import COUNTS as OVERRULED
 from safety_harness.trace.trace import Trace
 
-MOST_AGAIN = 1000  # unless more are asked for: some minutes in PyBullet
+MOST_AGAIN = 1000  # unless --runs is higher: some minutes in PyBullet
 MOST_TOGETHER = 32
 COUNTS = ("seed", "draws", "decisions", "proposed", "opposite", "stopped", "faults", "late", "theorem")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Drawing:
-    """How many runs are made again: ``runs``, or as many as miss the weakest verdict with chance ``miss``.
+    """The number of runs to repeat: ``runs``, or enough to find altered rows except with chance ``miss``.
 
-    ``seed`` draws them: nobody who made the report can know it.  ``programs``: may those in it be executed?
+    The altered rows are the fewest that turn the weakest verdict. ``seed`` draws the runs; the maker of the
+    report cannot know it.  ``programs`` is true if programs in the report may run.
     """
 
     runs: int | None
     miss: float
     seed: int
     programs: bool = False
-    on_progress: Callable[[str], None] = lambda words: None
+    on_progress: Callable[[str], None] = lambda text: None
 
     def number(self, there: int, turns: Sequence[Turn]) -> int:
-        """Of the runs that there are; not more than ``MOST_AGAIN`` unless they are asked for."""
+        """Return the number of runs to repeat, out of the runs ``there``; at most ``MOST_AGAIN`` by default.
+
+        ``turns`` are all verdicts, the weakest first.
+        """
         if self.runs is not None:
             return min(self.runs, there)
         return min(_needed(there, turns, self.miss), MOST_AGAIN)
 
-    def told(
+    def miss_chances(
         self, there: int, again: int, turns: Sequence[Turn], each_s: float
     ) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        """How few altered rows turn each verdict, how likely they are missed, and what that leaves open."""
+        """Return how many altered rows turn each verdict, the chance to miss them, and the open points.
+
+        Args:
+            there: The number of runs in the ledger.
+            again: The number of repeated runs.
+            turns: All verdicts, the weakest first.
+            each_s: The time of a repeated run, for the estimate of more runs.
+
+        Returns:
+            Notes, and points that stay unchecked because the chance is above ``miss``.
+
+        """
         lines = [
             f"{turn.claim}, {turn.stratum}: {_rows(turn.rows)} would turn {turn.standing.value!r}, and "
             f"{again} of {there} runs miss all of them with a chance of "
@@ -77,13 +92,16 @@ class Drawing:
 
 
 def drawn(there: int, again: int, seed: int) -> list[int]:
-    """Which of the runs are made again: each set of so many is as likely."""
+    """Return the numbers of the runs to repeat, drawn with ``seed``.
+
+    Each set of ``again`` runs out of ``there`` is equally likely.
+    """
     rng = generator(seed, Branch.CAMPAIGN, 1)
     return sorted(rng.choice(there, again, replace=False).tolist())
 
 
 def _needed(there: int, turns: Sequence[Turn], miss: float) -> int:
-    """All of them where there is no verdict to be turned."""
+    """Return the number of runs to repeat for the chance ``miss``; all of them without a verdict."""
     return runs_to_see(there, turns[0].rows, miss) if turns else there
 
 
@@ -96,34 +114,36 @@ def _span(time_s: float) -> str:
 
 
 def programs_in(plan: Plan) -> list[str]:
-    """Files that a run of the plan may execute, wherever its spaces name them: Python, and ONNX."""
+    """Return the files that a run of the plan may execute, Python and ONNX, wherever its spaces name them."""
     texts = [plan.avoider or ""]
     for stratum in plan.strata:
         texts += [stratum.space.simplest.under_test, *references_in(stratum.space.tree)]
     return sorted({text for text in texts if is_executed(text)})
 
 
-SAMPLED = "repulsive ways clear of"  # how the sentences of claims begin whose margins are samples' of a way
+SAMPLED = "repulsive ways clear of"  # begins claims on samples of a path
 
 
 class Compared:
-    """Rows beside those of the ledger: outcomes may never differ, nor margins beyond a tolerance.
+    """Compares rows with the rows of the ledger.
 
-    Nothing else may differ with the same software.
+    Outcomes must be equal, and margins equal within a tolerance. All else must be equal if the software is
+    the same.
 
-    A ``program`` may import what no hash covers: of its runs only outcomes and how many questions got no
-    answer, which a verdict rests on, have to be the same; what else differs is told as not checked.
+    A ``program`` may import files that no hash covers. For its runs only two things must be equal: the
+    outcomes, and the number of questions without an answer, on which verdicts depend. Its further differences
+    stay unchecked.
     """
 
     def __init__(self, plan: Plan, ledger: Ledger, *, same: bool, program: bool = False) -> None:
         self.plan, self.ledger, self.program = plan, ledger, program
         self.same, self.answers = same and not program, same
         self.faults: list[str] = []
-        self._runs: dict[tuple[int, int], tuple[int, int]] = {}  # their number now: episode, number then
+        self._runs: dict[tuple[int, int], tuple[int, int]] = {}  # by number now: episode, number then
         self.moved = self.otherwise = self.far = self.other_traces = 0
 
     def add(self, row: Row) -> None:
-        """Take a run in."""
+        """Compare the repeated run in ``row`` with the ledger."""
         then = {
             claim: ClaimJudgement(
                 EpisodeOutcome(outcome),
@@ -140,7 +160,7 @@ class Compared:
         if faults:
             return
         counts = next(self.ledger.all(_COUNTS, row.stratum, row.episode))
-        if "theorem" not in self.ledger.counts:  # of an older program
+        if "theorem" not in self.ledger.counts:  # an older program wrote the ledger
             row = replace(row, theorem=0)
         now = (*(getattr(row, name) for name in COUNTS), *row.overruling.counts)
         where, silent = self.where(row.stratum, row.episode), COUNTS.index("faults")
@@ -151,22 +171,22 @@ class Compared:
             return
         exercised = [then[k].exercised == now.exercised for k, now in enumerate(row.judgements)]
         times = [_same(then[k].worst_time_s, now.worst_time_s) for k, now in enumerate(row.judgements)]
-        told = (*now, row.cell or None, row.mishap or None, bool(row.failure))
-        if counts != told or not all((*exercised, *times)):
+        ours = (*now, row.cell or None, row.mishap or None, bool(row.failure))
+        if counts != ours or not all((*exercised, *times)):
             self.otherwise += 1
             if self.same:
-                what = "draws, decisions, cell or mishap" if counts != told else "occasions or worst moment"
-                self.faults.append(f"{where}: its {what} come out otherwise")
+                part = "draws, decisions, cell or mishap" if counts != ours else "occasions or worst moment"
+                self.faults.append(f"{where}: its {part} come out otherwise")
         pairs = [
             (claim.sentence, then[k].margin, now.margin)
             for k, (claim, now) in enumerate(zip(self.plan.claims, row.judgements, strict=True))
         ]
         self.moved += not all(_same(was, new) for _, was, new in pairs)
-        self.far += not all(_near(*pair) for pair in pairs)
+        self.far += not all(_is_close(*pair) for pair in pairs)
 
     def add_trace(self, stored: Trace, row: Row) -> None:
-        """Compare a stored trace, bit by bit, with that of the run that was made again."""
-        if row.trace is None:  # the run fails here, of which its row tells
+        """Compare a stored trace, bit by bit, with the trace of the repeated run in ``row``."""
+        if row.trace is None:  # the run fails here; its row shows it
             return
         again = trace_of(self.plan, row.stratum, row.trace)
         difference: object = first_difference(stored, again)
@@ -177,50 +197,50 @@ class Compared:
             self.faults.append(f"{self.where(row.stratum, row.episode)}: its stored trace: {difference}")
 
     def where(self, stratum: int, episode: int) -> str:
-        """Words for a run."""
+        """Return the name of a run: its stratum and ``episode``."""
         return f"{self.plan.strata[stratum].name}, run {episode}"
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What is no fault."""
-        words = "with the same outcomes, but not the same"
+        """Differences that are no fault."""
+        prefix = "with the same outcomes, but not the same"
         moved = self.moved - self.far if self.answers else self.moved
         otherwise = 0 if self.answers else self.otherwise
-        found = ((moved, "margins to the last bit"), (otherwise, "decisions"))
-        return tuple(f"{count} {words} {what}" for count, what in found if count)
+        pairs = ((moved, "margins to the last bit"), (otherwise, "decisions"))
+        return tuple(f"{count} {prefix} {kind}" for count, kind in pairs if count)
 
     @property
     def unchecked(self) -> tuple[str, ...]:
-        """What only a program that is another here explains, or rows that were altered."""
-        found = ((self.otherwise, "decisions"), (self.far, "margins")) if self.answers else ()
+        """Differences that come from another version of a program, or from altered rows."""
+        pairs = ((self.otherwise, "decisions"), (self.far, "margins")) if self.answers else ()
         why = "what the program imports is another here, or rows were altered"
-        lines = [f"{count} runs with other {what} than the ledger's: {why}" for count, what in found if count]
+        lines = [f"{count} runs with other {kind} than the ledger's: {why}" for count, kind in pairs if count]
         if self.other_traces:
             why = "another machine, other software, or they were altered"
             lines.append(f"{self.other_traces} stored traces are not those of the runs made again: {why}")
         return tuple(lines)
 
     def _hidden_copies(self, row: Row) -> Iterator[str]:
-        """Another run that it is a copy of, where the ledger tells them apart."""
+        """Yield a fault if the run repeats an earlier run, and the ledger counts them as different runs."""
         ((then,),) = self.ledger.all(_RUN, row.stratum, row.episode)
-        episode, other = self._runs.setdefault((row.stratum, row.run), (row.episode, then))
-        if row.run and then != other:
+        episode, recorded = self._runs.setdefault((row.stratum, row.run), (row.episode, then))
+        if row.run and then != recorded:
             where = self.where(row.stratum, row.episode)
             yield f"{where}: the same run as {episode}, and the ledger tells them apart"
         elif row.run != then and (self.same or (self.answers and not then)):
             where, number = self.where(row.stratum, row.episode), then or "no number"
             yield f"{where}: the ledger has {number} for {row.run}"
 
-    def _faults(self, row: Row, before: Mapping[int, ClaimJudgement]) -> Iterator[str]:
-        """Claims of which the outcome is another now."""
+    def _faults(self, row: Row, recorded: Mapping[int, ClaimJudgement]) -> Iterator[str]:
+        """Yield each claim with another outcome than ``recorded``, or with a margin beyond the tolerance."""
         where = self.where(row.stratum, row.episode)
         for number, (claim, now) in enumerate(zip(self.plan.claims, row.judgements, strict=True)):
-            then = before.get(number)
+            then = recorded.get(number)
             if then is None or then.outcome is not now.outcome:
                 was = "nothing" if then is None else then.outcome.name.lower()
                 yield f"{where}: {claim.sentence}: {was} then, {now.outcome.name.lower()} now"
-            elif not self.program and not _near(claim.sentence, then.margin, now.margin):
-                was, new = (claim.unit.margin_text(one.margin) for one in (then, now))
+            elif not self.program and not _is_close(claim.sentence, then.margin, now.margin):
+                was, new = (claim.unit.margin_text(judgement.margin) for judgement in (then, now))
                 yield f"{where}: {claim.sentence}: a margin of {was} then, {new} now"
 
 
@@ -239,12 +259,12 @@ def _same(then: float, now: float) -> bool:
     return then == now or (math.isnan(then) and math.isnan(now))
 
 
-def _near(sentence: str, then: float, now: float) -> bool:
-    """Return whether two margins (SI) of a claim differ by no more than another machine's arithmetic may do.
+def _is_close(sentence: str, then: float, now: float) -> bool:
+    """Return whether two margins (SI) of a claim differ by no more than another machine's arithmetic.
 
-    Emulated machines move a margin by 1e-12 at most, and that of ``SAMPLED`` claims by 0.13 mm: a way ends at
-    one of its samples, which are 2.5 mm apart, and a last bit decides at which.  The stated tolerances are a
-    tenth of a millimetre (1e-4 in SI units) and that step.
+    Emulated machines move a margin by 1e-12 at most, and that of ``SAMPLED`` claims by 0.13 mm. A path of
+    such a claim ends at a sample; samples are 2.5 mm apart, and a last bit decides at which sample. The
+    tolerances are a tenth of a millimetre (1e-4 in SI units) and 2.5 mm.
     """
     if math.isnan(then) or math.isnan(now):
         return math.isnan(then) and math.isnan(now)
@@ -252,12 +272,19 @@ def _near(sentence: str, then: float, now: float) -> bool:
 
 
 def check_traces(plan: Plan, ledger: Ledger, *, same: bool) -> Examination:
-    """All that were to be kept, each of the run that it is stored for, judged with the present code."""
+    """Check all stored traces: each must belong to its run, and the present code must judge it equally.
+
+    Args:
+        plan: The plan.
+        ledger: The open ledger.
+        same: True if software, libraries, networks and platform are those of the report.
+
+    """
     faults, count = list(kept(plan, ledger)), 0
     compared, bench = Compared(plan, ledger, same=same), EpisodeRunner(plan, programs=False)
     declared = dict(ledger.declared.identity.parts)
     source, python = declared.get("the source of this package"), declared.get("Python")
-    others = 0
+    foreign = 0
     if ledger.opened and not any(file.name.endswith(".py") for file in plan.files):
         faults.append("the ledger names files that a module opened, and its plan has no module")
     for stratum, episode, _ in ledger.traces():
@@ -267,9 +294,9 @@ def check_traces(plan: Plan, ledger: Ledger, *, same: bool) -> Examination:
         )
         try:
             trace = trace_of(plan, stratum, ledger.trace(stratum, episode) or b"")
-            refuse_contradictions(trace)  # claims believe poses, speeds and distances
+            refuse_contradictions(trace)  # claims rely on poses, speeds and distances
             drawn = bench.scenario(stratum, episode, draws - 1)
-            other = write_scenario(trace.scenario, all_settings=True) != write_scenario(
+            differs = write_scenario(trace.scenario, all_settings=True) != write_scenario(
                 drawn, all_settings=True
             )
             count += 1
@@ -277,44 +304,53 @@ def check_traces(plan: Plan, ledger: Ledger, *, same: bool) -> Examination:
         except InputError as error:
             faults.append(f"{where}: {error.place.field or 'its trace'}: got {error.got}")
             continue
-        except Exception as error:  # whatever a stranger's trace does to what judges it
+        except Exception as error:  # a stranger's trace may make a claim raise anything
             faults.append(f"{where}: its trace cannot be judged: {described(error)}")
             continue
-        others += other
-        if other and same:
+        foreign += differs
+        if differs and same:
             faults.append(f"{where}: its trace is of another scenario than the plan draws for it")
         made = trace.provenance
         if (made.source_hash, made.python, made.world) != (source, python, plan.world.name):
             faults.append(f"{where}: its trace was made by other software, or in another world")
     notes = compared.notes
-    if others and not same:
-        notes += (f"{others} traces are of scenarios that the present software draws or writes otherwise",)
+    if foreign and not same:
+        notes += (f"{foreign} traces are of scenarios that the present software draws or writes otherwise",)
     text = f"{count} stored traces, judged with the present code"
     return Examination("stored traces", text, few([*faults, *compared.faults]), notes)
 
 
 def check_searched(gathered: GatheredEvidence, *, same: bool, programs: bool) -> Examination:
-    """The runs of what a search found, made again: nothing else is known of them than their traces."""
+    """Repeat the runs of the search's counterexamples.
+
+    The report has no record of them apart from their traces.
+
+    Args:
+        gathered: The evidence with the counterexamples.
+        same: True if a difference is a fault.
+        programs: True if programs in the report may run.
+
+    """
     faults: list[str] = []
     notes: list[str] = []
     unchecked: list[str] = []
     count = 0
-    for one in gathered.examples:
-        if one.shown.independent:
+    for example in gathered.examples:
+        if example.shown.independent:
             continue
-        trace, count = one.run.trace, count + 1
+        trace, count = example.run.trace, count + 1
         if is_executed(trace.scenario.under_test) and not programs:
-            unchecked.append(f"{one.shown.trace_file} is of a program, which is not executed")
+            unchecked.append(f"{example.shown.trace_file} is of a program, which is not executed")
             continue
         try:
             world = world_of_trace(trace.provenance.world)
             again = run_trial(admit(trace.scenario), world=world, recorded=trace)
             difference = first_difference(trace, again)
         except SafetyHarnessError as error:
-            unchecked.append(f"{one.shown.trace_file} cannot be made again: {described(error)}")
+            unchecked.append(f"{example.shown.trace_file} cannot be made again: {described(error)}")
             continue
         if difference is not None:
-            (faults if same else notes).append(f"{one.shown.trace_file}: {difference}")
+            (faults if same else notes).append(f"{example.shown.trace_file}: {difference}")
     text = f"{count} counterexamples of the search, made again"
     return Examination("search", text, few(faults), few(notes), few(unchecked))
 
@@ -322,9 +358,18 @@ def check_searched(gathered: GatheredEvidence, *, same: bool, programs: bool) ->
 def check_runs(
     plan: Plan, ledger: Ledger, turns: Sequence[Turn], drawing: Drawing, *, same: bool
 ) -> Examination:
-    """Runs that verdicts rest on, drawn by whoever verifies; ``turns`` are all verdicts, weakest first.
+    """Repeat runs that verdicts depend on, drawn by the verifier, and all runs with a stored trace.
 
-    A program is asked again what they asked it: the ledger may not say that it remembers nothing if it does.
+    It asks a program the runs' questions again: if the program remembers earlier questions, the ledger must
+    say so.
+
+    Args:
+        plan: The plan.
+        ledger: The open ledger.
+        turns: All verdicts, the weakest first.
+        drawing: The number of runs and the seed.
+        same: True if software, libraries, networks and platform are those of the report.
+
     """
     made = list(ledger.all("SELECT DISTINCT stratum, episode FROM judgement ORDER BY stratum, episode"))
     count = drawing.number(len(made), turns)
@@ -339,9 +384,9 @@ def check_runs(
     bench = EpisodeRunner(plan, programs=drawing.programs)
     compared = Compared(plan, ledger, same=same, program=program)
     together = MOST_TOGETHER if plan.world.batch else 1
-    begun_s, told = time.perf_counter(), 0
+    begun_s, done = time.perf_counter(), 0
     for (stratum, keeps), group in groupby(
-        sorted(chosen, key=lambda one: (one[0], one in stored)), lambda one: (one[0], one in stored)
+        sorted(chosen, key=lambda run: (run[0], run in stored)), lambda run: (run[0], run in stored)
     ):
         episodes = [episode for _, episode in group]
         for first in range(0, len(episodes), together):
@@ -358,11 +403,11 @@ def check_runs(
                         )
             except CampaignError as error:
                 compared.faults.append(f"{compared.where(stratum, some[0])}: {error}")
-            told += len(some)
-            if told * 10 // len(chosen) > (told - len(some)) * 10 // len(chosen):
-                drawing.on_progress(f"{told} of {len(chosen)} runs made again")
+            done += len(some)
+            if done * 10 // len(chosen) > (done - len(some)) * 10 // len(chosen):
+                drawing.on_progress(f"{done} of {len(chosen)} runs made again")
     each_s = (time.perf_counter() - begun_s) / len(chosen)
-    notes, unchecked = drawing.told(len(made), count, turns, each_s)
+    notes, unchecked = drawing.miss_chances(len(made), count, turns, each_s)
     text = f"{count} of {len(made)} runs made again, drawn with seed {drawing.seed}"
     if stored:
         text += f", and those of the {len(stored)} stored traces"

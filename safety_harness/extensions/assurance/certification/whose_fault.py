@@ -1,4 +1,4 @@
-"""Whose fault the violations of the declared runs are: the first of each claim, drawn and run again."""
+"""The causes of the violations in the declared runs: the first of each claim, drawn and run again."""
 
 from __future__ import annotations
 
@@ -9,16 +9,19 @@ from safety_harness.extensions.assurance.certification.evidence import WhoseFaul
 from safety_harness.search.attribution.attribute import attribute
 from safety_harness.search.attribution.tally import AttributionTally
 
-MOST = 20  # violations of each claim: the first ones
+MOST = 20  # the first violations of each claim
 
 
 def whose_fault(plan: Plan, ledger: Ledger) -> WhoseFault:
-    """Ask by kinematic replays; it executes what the plan names, as the runs did."""
+    """Attribute violations of ``plan`` in ``ledger`` by kinematic replays.
+
+    It executes the programs that the plan names, as the runs did.
+    """
     violated = ViolatedEpisodes.first(ledger, MOST)
     tally = AttributionTally.of(
-        found
+        attribution
         for admitted, claims in violated_episodes(plan, violated, programs=True)
-        for found in attribute(admitted, claims)
+        for attribution in attribute(admitted, claims)
     )
     return WhoseFault(
         about=f"{violated.words}, the first {MOST} of each claim" if violated.of else "",

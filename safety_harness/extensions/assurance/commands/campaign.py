@@ -1,4 +1,4 @@
-"""``safety-harness campaign``: run a declared plan into a ledger, and ask the ledger."""
+"""``safety-harness campaign``: run a declared plan into a ledger, and query the ledger."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ _ABOUT = "Run a declared plan, hundreds or millions of episodes, into a ledger t
 
 
 class RareWay(StrEnum):
-    """How rare violations are counted."""
+    """The method that counts rare violations."""
 
     IMPORTANCE = "importance"
     SPLITTING = "splitting"
@@ -83,14 +83,20 @@ def run(
         bool, Option("--require-shown", help="Fail unless every target of the plan is shown.")
     ] = False,
 ) -> int:
-    """Run a plan's episodes in many processes, or what is left of them if the ledger is there already.
+    """Run the remaining episodes of a plan in many processes.
 
-    Beside the ledger a page, .html, says how it stands; none is added to a finished report.
-    Ctrl-C keeps every finished episode, and so does whatever kills the program or the machine.
-    Exit code 0: complete, or this part is; 1: complete, but episodes failed to run, none put a claim to the
-    test, the avoider did not always answer and the plan claims nothing of that, or answered otherwise when
-    asked again, no worker is left, or, with --require-shown, a target is not shown; 2: bad input, another
-    plan's ledger, or a disk that takes no more; 130: interrupted.
+    An existing ledger keeps its episodes: the command runs the rest of the
+    plan. A page (.html) beside the ledger shows its state; a finished report
+    gets no page. Ctrl-C keeps every finished episode; so does a crash of
+    program or machine.
+
+    Exit code 0: the plan, or this part of it, is complete.
+    Exit code 1: complete, but an episode or the page failed, a claim was never
+    tested, or a target is open (--require-shown).
+    Exit code 1 too: no worker remains, or the avoider did not always answer without
+    a claim on that, or it gave a repeated question another answer.
+    Exit code 2: bad input, the ledger of another plan, or a full disk.
+    Exit code 130: interrupted.
     """
     from safety_harness.extensions.assurance.campaign.against import plan_with
     from safety_harness.extensions.assurance.campaign.plan import read_plan
@@ -104,7 +110,7 @@ def run(
         raise ScenarioError.of_option("--require-shown", "a plan with a target to show", f"none in {plan}")
     path = ledger or Path("reports") / read.name
     path = path if path.suffix or path.is_file() else path / LEDGER
-    return _carry_on(read, path, workers, cluster, part, require_shown)
+    return _run_episodes(read, path, workers, cluster, part, require_shown)
 
 
 @_unwritten("pilot")
@@ -114,13 +120,20 @@ def pilot_runs(
     workers: Workers = None,
     controller: OfController = None,
 ) -> int:
-    """Say from a few runs how many of a plan's will test each claim, how many it takes, and how long.
+    """Forecast from a few runs how many runs a plan needs.
 
-    Nothing is written, and no declared run is looked at. So many runs are needed for the bounds to show the
-    target with a chance of 90 %, if shares are as in the pilot; intervals hold with 95 % confidence alone.
-    Exit code 0: the planned runs are enough, as far as the pilot tells; 1: for some claim they are not, a run
-    failed, or the avoider did not always answer, or answered otherwise when asked again; 2: bad input; 130:
-    interrupted.
+    It prints for each claim how many of the plan's runs will test it, and how
+    many it needs; then how long the plan's runs take. It writes no file and
+    looks at no declared run.
+
+    The needed runs let the bounds show the target with a chance of 90 %, if
+    shares are as in the pilot. Each interval holds alone with 95 % confidence.
+
+    Exit code 0: the planned runs are enough, according to the pilot.
+    Exit code 1: they are not enough for some claim, a run failed, the avoider did
+    not always answer, or it gave a repeated question another answer.
+    Exit code 2: bad input.
+    Exit code 130: interrupted.
     """
     import os
 
@@ -137,39 +150,53 @@ def pilot_runs(
     if controller is not None:
         read = plan_with(read.files, Driver(controller), Path("reports") / read.name)
     with counting(runs * len(read.strata), "runs") as show:
-        found = pilot(read, runs, lambda done: show(done, "pilot"))
+        trial = pilot(read, runs, lambda done: show(done, "pilot"))
     cores = workers or len(os.sched_getaffinity(0))
-    seconds = found.seconds(read, cores)
-    document(**plain(found), seconds=seconds, workers=cores, enough=found.enough)
-    result(*(f"{'ok  ' if one.enough else 'WARN'} {one.line}" for one in found.forecasts))
-    result(*(f"WARN a run failed: {one}" for one in found.failures))
-    result(*(f"WARN {one}" for one in found.remarks), *found.slow_answers)
-    result(basis([str(read.world)], ((one.tested, one.tried) for one in found.forecasts)))
+    seconds = trial.seconds(read, cores)
+    document(**plain(trial), seconds=seconds, workers=cores, enough=trial.enough)
+    result(*(f"{'ok  ' if item.enough else 'WARN'} {item.line}" for item in trial.forecasts))
+    result(*(f"WARN a run failed: {item}" for item in trial.failures))
+    result(*(f"WARN {item}" for item in trial.remarks), *trial.slow_answers)
+    result(basis([str(read.world)], ((item.tested, item.tried) for item in trial.forecasts)))
     result(
         f"{read.runs} runs: about {time_words(seconds)} with {cores} processes on this machine, alone on it"
     )
-    return AS_EXPECTED if found.enough else DIFFERS
+    return AS_EXPECTED if trial.enough else DIFFERS
 
 
 @_command()
 def resume(
     ledger: _LedgerFile, workers: Workers = None, cluster: _Cluster = None, part: _Part = "1/1"
 ) -> int:
-    """Go on where a campaign was left, with the results that it would have had undisturbed.
+    """Continue a campaign from its ledger.
 
-    A plan, file or version that has changed since is named, and nothing is run.
+    The results equal the results of an undisturbed campaign. If the plan, a
+    file or the version has changed since, the command names the change and runs
+    no episode.
+
     Exit codes as for run.
     """
     from safety_harness.extensions.assurance.campaign.ledger import Ledger
     from safety_harness.extensions.assurance.campaign.session import plan_of
 
     with Ledger.open(ledger) as opened, plan_of(opened) as plan:
-        return _carry_on(plan, ledger, workers, cluster, part)
+        return _run_episodes(plan, ledger, workers, cluster, part)
 
 
-def _carry_on(
+def _run_episodes(
     plan: Plan, path: Path, workers: int | None, cluster: str | None, part: str, require_shown: bool = False
 ) -> int:
+    """Run the rest of a plan into its ledger, print its state, and return the exit code.
+
+    Args:
+        plan: The plan.
+        path: The ledger.
+        workers: The number of processes; None: one for each core.
+        cluster: The address of a Dask scheduler, or its file; None: processes of this machine.
+        part: K/N for the K-th of N parts.
+        require_shown: Fail unless every target is shown.
+
+    """
     from safety_harness.base.interrupts import one_more_ctrl_c
     from safety_harness.claims.properties.answered import is_claimed
     from safety_harness.cli.progress import TERMINAL
@@ -194,19 +221,19 @@ def _carry_on(
         stopped = interrupted()
     result(*tested_lines(plan))
     with Ledger.open(path, check=False) as ledger:
-        finished = kind_of(path.parent) is FileKind.REPORT  # whose files are those of its manifest
+        finished = kind_of(path.parent) is FileKind.REPORT  # its manifest allows no further file
         state, drawn = _say_ledger(ledger), True
         try:
             if not finished:
                 _write_page(ledger, state, path.with_suffix(".html"))
         except SafetyHarnessError:
             raise
-        except Exception as error:  # no reason to keep silent about the runs
+        except Exception as error:  # the runs count although the page failed
             say(f"error: the page cannot be made: {described(error)}; the ledger has all runs")
             drawn = False
         tally, targets = state.tally, {claim.sentence: claim.target for claim in plan.claims}
-        asked = [(one, target) for one in state.bounds if (target := targets[one.claim]) is not None]
-        unshown = require_shown and not (asked and all(one.shows(target) for one, target in asked))
+        targeted = [(item, target) for item in state.bounds if (target := targets[item.claim]) is not None]
+        unshown = require_shown and not (targeted and all(item.shows(target) for item, target in targeted))
         unlike = bool(ledger.repeated.problem or ledger.dependent)
         unanswered = fallback_of(ledger).unanswered and not is_claimed(claim.claim for claim in plan.claims)
     if stopped and not tally.complete:
@@ -215,13 +242,16 @@ def _carry_on(
     if unshown:
         say("not every target of the plan is shown, as --require-shown asks")
     claims = [tally.of_claim(number).counts for number in range(len(plan.claims))]
-    unknown = any(one[EpisodeOutcome.UNTESTED] == sum(one.values()) for one in claims)
+    unknown = any(item[EpisodeOutcome.UNTESTED] == sum(item.values()) for item in claims)
     failed = tally.failed or not drawn
     return DIFFERS if failed or unanswered or unlike or unknown or unshown else AS_EXPECTED
 
 
 def _say_ledger(ledger: Ledger, page: Path | None = None) -> LedgerState:
-    """How it stands, in lines or as JSON, and as a page."""
+    """Print the state of a ledger as lines or as JSON, and return it.
+
+    It also writes the state as a page to the file ``page``, if there is one.
+    """
     from safety_harness.extensions.assurance.campaign.summary import state_of
     from safety_harness.extensions.assurance.commands.campaign_lines import ledger_data, ledger_lines
 
@@ -236,7 +266,12 @@ def _say_ledger(ledger: Ledger, page: Path | None = None) -> LedgerState:
 
 
 def _numbers(part: str, plan: Plan) -> tuple[int, int]:
-    """K/N as (K - 1, N)."""
+    """Return K/N as (K - 1, N).
+
+    Raises:
+        ScenarioError: The text is no K/N, or the plan may stop early, so that it has no fixed parts.
+
+    """
     k, _, n = part.partition("/")
     right = k.isascii() and k.isdigit() and n.isascii() and n.isdigit() and len(part) < 12
     if not right or not 1 <= int(k) <= int(n):
@@ -251,9 +286,12 @@ def status(
     ledger: _LedgerFile,
     html: Annotated[Path | None, Option(help="Also as a page, in this file.", metavar="FILE")] = None,
 ) -> int:
-    """Say how a campaign stands, also while it runs; once it is complete, with its bounds.
+    """Print the state of a campaign, also while it runs.
 
-    Exit code 0; 2: no ledger that can be read, or the page cannot be written.
+    A complete campaign has its bounds too.
+
+    Exit code 0: the state is printed.
+    Exit code 2: the ledger cannot be read, or the page cannot be written.
     """
     from safety_harness.extensions.assurance.campaign.ledger import Ledger
     from safety_harness.extensions.assurance.campaign.session import copied_plan_of
@@ -277,9 +315,9 @@ def _write_page(ledger: Ledger, state: LedgerState, path: Path) -> None:
     from safety_harness.extensions.assurance.pages.campaign_page import write_page
     from safety_harness.scenario.files import told
 
-    words = ["safety-harness", "campaign", "status", str(told(ledger.path)), "--html", str(told(path))]
+    argv = ["safety-harness", "campaign", "status", str(told(ledger.path)), "--html", str(told(path))]
     with writing(path):
-        write_page(path, ledger, state, command=shlex.join(words), generated_at=datetime.now(UTC))
+        write_page(path, ledger, state, command=shlex.join(argv), generated_at=datetime.now(UTC))
     say(f"page: {path}")
     document(page=path)
 
@@ -297,11 +335,15 @@ def query(
         str | None, Option(help="Only margins below this, with its unit, such as '10 mm'.")
     ] = None,
 ) -> int:
-    """Print results as CSV, the worst margins first; or ask in SQL, which can only read.
+    """Print results as CSV, or query the ledger in SQL.
 
-    Of what the gate overruled the view episodes has the columns proposals, overruled, overruled_replaced,
-    overruled_stopped and one for each reason, such as overruled_uncertain.
-    Exit code 0; 2: a question that cannot be answered.
+    Without SQL, the worst margins come first. A query can only read. For the
+    gate, the view episodes has the columns proposals, overruled,
+    overruled_replaced, overruled_stopped, and a column for each reason, such as
+    overruled_uncertain.
+
+    Exit code 0: the rows are printed.
+    Exit code 2: the query has an error.
     """
     import sqlite3
 
@@ -334,9 +376,12 @@ def export(
         Path | None, Option(help="Also the stored traces, as files that replay takes, to this folder.")
     ] = None,
 ) -> int:
-    """Write one line for each episode and claim, for other programs (Parquet: the extra "export").
+    """Write a line for each episode and claim (.csv or .parquet).
 
-    Exit code 0; 2: bad input, or it cannot be written.
+    Parquet needs the extra "export".
+
+    Exit code 0: the files are written.
+    Exit code 2: bad input, or a file cannot be written.
     """
     from safety_harness.extensions.assurance.campaign.exporting import export as export_table
     from safety_harness.extensions.assurance.campaign.exporting import export_traces
@@ -364,16 +409,25 @@ def compare(
     controller: OfController = None,
     workers: Workers = None,
 ) -> int:
-    """Say what got worse from A to B, two campaigns over the same episodes with different avoiders.
+    """Compare two campaigns over the same episodes, A and B.
 
-    With --against (an avoider) or --controller in place of B the plan of A is run with that first, beside the
-    ledger, or what is left of it; then it says what is worse in A.
-    For each claim and stratum the difference in the chance of a violation with exact bounds, paired by
-    episode; how much more the gate overruled; then the episodes that only B violates, the largest loss of
-    margin first; last margins that B lost though both hold, and in one sentence the episodes that only one of
-    them violates any claim in.
-    Exit code 0; 1: B is shown to be worse somewhere; 2: campaigns that cannot be compared; of a run that did
-    not end well, its own.
+    The two have different avoiders. For each claim and stratum it prints:
+
+    - the difference in the chance of a violation, paired by episode, exact bounds
+    - how much more the gate overruled
+    - the episodes that only B violates, the largest loss of margin first
+    - the margins that B lost although both hold
+    - how many episodes violate any claim in only A or only B
+
+    Use --against (an avoider) or --controller in place of B. The command then
+    runs the plan of A with that system, beside the ledger of A, and prints
+    where A is worse. It continues a run that was interrupted.
+
+    Exit code 0: the intervals do not show that B is worse.
+    Exit code 1: B is worse in a claim and stratum, with its whole interval, or a
+    claim has no decided run in a stratum.
+    Exit code 2: the campaigns cannot be compared.
+    The run of the plan of A may end with an exit code of its own.
     """
     from safety_harness.admission.avoiders import one_of, option_of
     from safety_harness.claims.properties.base import SI_UNITS
@@ -401,53 +455,53 @@ def compare(
                 got = f"{reference}, which {first} is of by its hash: a comparison with itself finds nothing"
                 raise ScenarioError.of_option(option_of(reference), "another system", got)
         first, second = plan.file.parent / LEDGER, first
-        code = _carry_on(plan, first, workers, None, "1/1")
+        code = _run_episodes(plan, first, workers, None, "1/1")
         if code != AS_EXPECTED:
             return code
     assert second is not None
-    with Ledger.open(first) as before, Ledger.open(second) as after:
-        for ledger in (before, after):
-            if words := fallback_of(ledger).words:
-                result(f"{ledger.path}: {words}")
-        refuse_itself(before, after)
-        refuse_incomparable(before, after)
+    with Ledger.open(first) as old, Ledger.open(second) as new:
+        for ledger in (old, new):
+            if text := fallback_of(ledger).words:
+                result(f"{ledger.path}: {text}")
+        refuse_itself(old, new)
+        refuse_incomparable(old, new)
         undecided = [
             f"not comparable: {ledger.path} has no run of which it is known whether it violates {claim}, "
             f"in {stratum}"
-            for ledger in (before, after)
+            for ledger in (old, new)
             for stratum, claim in without_a_decided_run(ledger)
         ]
         if undecided:
-            document(before=before.path, after=after.path, not_comparable=undecided)
+            document(before=old.path, after=new.path, not_comparable=undecided)
             result(*undecided)
             return DIFFERS
-        bases = [f"{one.path}: {basis_in(one, tally_of(one))}" for one in (before, after)]
-        compared, overruled = compare_ledgers(before, after), compare_overruling(before, after)
-        worse, lost = worse_episodes(before, after), list(against_lines(before, after))
+        bases = [f"{row.path}: {basis_in(row, tally_of(row))}" for row in (old, new)]
+        compared, overruled = compare_ledgers(old, new), compare_overruling(old, new)
+        worse, lost = worse_episodes(old, new), list(against_lines(old, new))
         document(
-            before=before.path,
-            after=after.path,
+            before=old.path,
+            after=new.path,
             differences=compared,
             overruling=[
-                {key: getattr(one, key) for key in ("stratum", "episodes")}
-                | {"before": one.before.named, "after": one.after.named}
-                for one in overruled
+                {key: getattr(row, key) for key in ("stratum", "episodes")}
+                | {"before": row.before.named, "after": row.after.named}
+                for row in overruled
             ],
             worse_episodes=[
-                {key: getattr(one, key) for key in ("stratum", "episode", "claim")}
-                | {"before_margin_si": one.before, "after_margin_si": one.after, "unit": SI_UNITS[one.unit]}
-                for one in worse
+                {key: getattr(row, key) for key in ("stratum", "episode", "claim")}
+                | {"before_margin_si": row.before, "after_margin_si": row.after, "unit": SI_UNITS[row.unit]}
+                for row in worse
             ],
             remarks=lost,
             basis=bases,
         )
-        result(*difference_lines(compared, before.declared.confidence))
-        result(*(one.words for one in overruled if one.before.proposals or one.after.proposals))
-        for found in worse:
-            was, now = (found.unit.margin_text(margin) for margin in (found.before, found.after))
-            result(f"  worse: {found.stratum}, episode {found.episode}: {found.claim}: {was} -> {now}")
+        result(*difference_lines(compared, old.declared.confidence))
+        result(*(row.words for row in overruled if row.before.proposals or row.after.proposals))
+        for loss in worse:
+            was, now = (loss.unit.margin_text(margin) for margin in (loss.before, loss.after))
+            result(f"  worse: {loss.stratum}, episode {loss.episode}: {loss.claim}: {was} -> {now}")
         result(*lost, *bases)
-    return DIFFERS if any(one.low > 0.0 for one in compared) else AS_EXPECTED
+    return DIFFERS if any(row.low > 0.0 for row in compared) else AS_EXPECTED
 
 
 @_command()
@@ -458,12 +512,16 @@ def attribute(
     confirm: Confirm = False,
     execute_programs: Executes = False,
 ) -> int:
-    """Say whose fault the violations of a campaign are: its episodes run again, as attribute does.
+    """Print the causes of a campaign's violations.
 
-    An episode is drawn again from its seed, so that no trace need be stored.  How many of how many violations
-    are attributed is said first.
-    Exit code 0: every one has an answer, or there is none; 1: one is not attributed; 2: bad input; 130:
-    interrupted.
+    It draws each episode again from its seed and runs it, as attribute does, so
+    it needs no stored trace. First it prints how many of all violations it
+    covers.
+
+    Exit code 0: every violation has a cause, or there is no violation.
+    Exit code 1: a violation has no cause.
+    Exit code 2: bad input.
+    Exit code 130: interrupted.
     """
     from safety_harness.extensions.assurance.commands.campaign_attribute import attribute_ledger
 
@@ -484,14 +542,22 @@ def rare_violations(
     steps: Annotated[int | None, Option(help="Of splitting: moves of each on a level: 5.", min=1)] = None,
     replications: Annotated[int, Option(help="Independent repetitions.", min=3)] = 20,
 ) -> int:
-    """Estimate how often rare violations come, by importance sampling or splitting: below one in a hundred.
+    """Estimate the probability of rare violations.
 
-    The estimate is the share of all runs of a stratum, also those that do not test the claim, with its lower
-    end. No search can see a region that it did not reach, so the upper end comes from the plain draws alone:
-    it is exact and wide. Importance sampling takes the fewest runs, and states no estimate where it cannot be
-    trusted; splitting then takes more. Nothing is written. Exit code 0; 1: for some claim there is no
-    estimate, or its target is exceeded, or the avoider did not always answer, or answered otherwise when
-    asked again; 2: bad input, or a run that says nothing; 130: interrupted.
+    Use it below 1 in 100, with importance sampling or splitting. The estimate
+    is the share of all runs of a stratum, also of runs that do not test the
+    claim, with its lower end. A search cannot see a region that it did not
+    reach. So the upper end comes from the plain draws alone: it is exact and
+    wide.
+
+    Importance sampling needs the fewest runs, and gives no estimate where it is
+    not reliable; splitting then needs more runs. The command writes no file.
+
+    Exit code 0: every claim has an estimate that does not exceed its target.
+    Exit code 1: a claim has no estimate or exceeds its target, the avoider did not
+    always answer, or it gave a repeated question another answer.
+    Exit code 2: bad input, or a run without information.
+    Exit code 130: interrupted.
     """
     from safety_harness.base.exceptions import StatisticsError
     from safety_harness.claims.properties.tally import basis
@@ -508,26 +574,26 @@ def rare_violations(
         RareWay.IMPORTANCE: {"pilot": pilot, "runs": runs},
         RareWay.SPLITTING: {"particles": particles, "steps": steps},
     }
-    for way, options in given.items():
-        if way is not by and (name := next((key for key, count in options.items() if count), "")):
-            raise StatisticsError.of_option(f"--{name}", f"--by {way} with it", f"--by {by}")
-    said = {name: count for name, count in given[by].items() if count is not None}
+    for method, options in given.items():
+        if method is not by and (name := next((key for key, count in options.items() if count), "")):
+            raise StatisticsError.of_option(f"--{name}", f"--by {method} with it", f"--by {by}")
+    chosen = {name: count for name, count in given[by].items() if count is not None}
     if by is RareWay.IMPORTANCE:
-        how: Importance | Splitting = Importance(**said, replications=replications)
+        how: Importance | Splitting = Importance(**chosen, replications=replications)
     else:
-        how = Splitting(**{"particles": 200, "steps": 5} | said, replications=replications)
-    found, unlike, watch = [], False, AvoiderWatch()
+        how = Splitting(**{"particles": 200, "steps": 5} | chosen, replications=replications)
+    rates, unlike, watch = [], False, AvoiderWatch()
     with TERMINAL.words() as show:
-        for one in estimated(read, how, lambda done: show(f"{done:,} draws of a claim in a stratum"), watch):
-            found.append(one)
-            result(rare_line(one))
-            target = one.claim.target
-            unlike |= bool(one.estimate.no_estimate) or (target is not None and one.low > target)
+        for rate in estimated(read, how, lambda done: show(f"{done:,} draws of a claim in a stratum"), watch):
+            rates.append(rate)
+            result(rare_line(rate))
+            target = rate.claim.target
+            unlike |= bool(rate.estimate.no_estimate) or (target is not None and rate.low > target)
             document(
                 estimates=[
                     {"stratum": each.stratum, "claim": each.claim.sentence, "target": each.claim.target}
                     | {key: getattr(each, key) for key in ("share", "low", "high", "admitted", "estimate")}
-                    for each in found
+                    for each in rates
                 ],
                 confidence=read.confidence,
             )
@@ -543,10 +609,13 @@ def merge(
     into: Annotated[Path, Argument(help="The ledger to make.", metavar="INTO")],
     ledgers: Annotated[list[Path], Argument(help="Ledgers of parts of one plan.", metavar="LEDGER...")],
 ) -> int:
-    """Make one ledger of those of several machines, each of which ran a part of the same plan.
+    """Merge the ledgers of several machines into a ledger.
 
-    What two of them have must agree to the last bit.
-    Exit code 0; 2: ledgers of different plans, or that disagree.
+    Each machine ran a part of the same plan. Episodes that two ledgers share
+    must agree to the last bit.
+
+    Exit code 0: the ledger is written.
+    Exit code 2: the ledgers have different plans, or disagree.
     """
     from safety_harness.extensions.assurance.campaign.ledger import Ledger
     from safety_harness.extensions.assurance.campaign.merging import merge as merge_ledgers

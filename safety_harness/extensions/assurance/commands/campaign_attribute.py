@@ -16,7 +16,16 @@ from safety_harness.report.attribution_job import attribute_all
 
 
 def attribute_ledger(path: Path, most: int, execute: bool, out: Path | None, confirm: bool) -> int:
-    """Attribute the violations in a ledger, print, write; returns the exit code."""
+    """Attribute the violations in a ledger, print the result, write it, and return the exit code.
+
+    Args:
+        path: The ledger.
+        most: The number of violations of each claim, from the first one.
+        execute: Allow the execution of programs that the campaign names.
+        out: The folder for the attribution; None: no files.
+        confirm: Repeat the runs in PyBullet too.
+
+    """
     with Ledger.open(path) as ledger, plan_of(ledger) as plan:
         programs = programs_in(plan)
         if programs and not execute:
@@ -25,5 +34,5 @@ def attribute_ledger(path: Path, most: int, execute: bool, out: Path | None, con
         violated = ViolatedEpisodes.first(ledger, most)
         say(violated.words)
         episodes = violated_episodes(plan, violated, programs=execute)
-        found = attribute_all(episodes, len(violated.claims), "episodes", confirm, TERMINAL)
-    return conclude(found, out)
+        attributed = attribute_all(episodes, len(violated.claims), "episodes", confirm, TERMINAL)
+    return conclude(attributed, out)

@@ -1,4 +1,4 @@
-"""What is said of a campaign's ledger, and of two."""
+"""The printed lines on a campaign's ledger, and on two ledgers."""
 
 from __future__ import annotations
 
@@ -32,16 +32,19 @@ _MOST_REASONS = 5
 
 
 def tested_lines(plan: Plan) -> list[str]:
-    """What each stratum is about: avoider or controller, shield, and each value that is not the default."""
+    """Return a line for each system under test, with the names of its strata.
+
+    It has the avoider or controller, the shield, and each value that is not the default.
+    """
     tested: dict[str, list[str]] = {}
     for stratum in plan.strata:
         scenario = plan.with_avoider(stratum.space.simplest)
         tested.setdefault(tested_words(scenario, named_system(scenario)), []).append(stratum.name)
-    return [f"tested in {', '.join(names)}: {words}" for words, names in tested.items()]
+    return [f"tested in {', '.join(names)}: {text}" for text, names in tested.items()]
 
 
 def ledger_lines(ledger: Ledger, state: LedgerState) -> Iterator[str]:
-    """How a campaign stands; once it is complete, with its bounds."""
+    """Yield the lines on a campaign's state; a complete campaign has its bounds."""
     declared, tally = ledger.declared, state.tally
     yield f"{ledger.path}: {declared.title}"
     yield _summary(declared, tally)
@@ -57,7 +60,7 @@ def ledger_lines(ledger: Ledger, state: LedgerState) -> Iterator[str]:
 
 
 def ledger_data(ledger: Ledger, state: LedgerState) -> dict[str, object]:
-    """The same for programs: margins in SI; null where there is none."""
+    """Return the same for programs: margins in SI, null for a missing value."""
     declared, tally = ledger.declared, state.tally
     whole = tally.complete
     strata = zip(declared.strata, tally.strata, strict=True)
@@ -73,9 +76,9 @@ def ledger_data(ledger: Ledger, state: LedgerState) -> dict[str, object]:
         "failed": tally.failed,
         "strata": [
             {"stratum": name}
-            | {key: getattr(one, key) for key in ("planned", "done", "failed", "stopped_after")}
-            | {"claims": _claims_data(declared, one.claims)}
-            for name, one in strata
+            | {key: getattr(row, key) for key in ("planned", "done", "failed", "stopped_after")}
+            | {"claims": _claims_data(declared, row.claims)}
+            for name, row in strata
         ],
         "claims": _claims_data(declared, [*map(tally.of_claim, range(len(declared.claims)))]),
         "fallback": fallback_of(ledger),
@@ -94,81 +97,81 @@ def _claims_data(declared: Declared, claims: Sequence[ClaimCounts]) -> list[dict
         {
             "claim": sentence,
             "target": target,
-            **{outcome.name.lower(): count for outcome, count in one.counts.items()},
-            "worst_margin_si": one.worst,
+            **{outcome.name.lower(): count for outcome, count in row.counts.items()},
+            "worst_margin_si": row.worst,
             "unit": SI_UNITS[unit],
-            "worst_episode": one.worst_episode if one.worst_episode >= 0 else None,
+            "worst_episode": row.worst_episode if row.worst_episode >= 0 else None,
         }
-        for sentence, unit, target, one in zip(
+        for sentence, unit, target, row in zip(
             declared.claims, declared.units, declared.targets, claims, strict=True
         )
     ]
 
 
 def _summary(declared: Declared, tally: CampaignTally) -> str:
-    """How many episodes of each stratum are done."""
+    """Return a line with the finished episodes of each stratum."""
     parts = []
     for name, stratum in zip(declared.strata, tally.strata, strict=True):
-        words = f"{name} {stratum.done}/{stratum.planned}"
+        text = f"{name} {stratum.done}/{stratum.planned}"
         if stratum.stopped_after is not None:
-            words += f" (decided after {stratum.stopped_after})"
+            text += f" (decided after {stratum.stopped_after})"
         if stratum.failed:
-            words += f", {stratum.failed} FAILED TO RUN"
-        parts.append(words)
+            text += f", {stratum.failed} FAILED TO RUN"
+        parts.append(text)
     return f"episodes {tally.done}/{tally.planned} in {declared.world.label}: " + "; ".join(parts)
 
 
 def worst_lines(claims: tuple[str, ...], units: tuple[Unit, ...], tally: CampaignTally) -> list[str]:
-    """Of each claim over all strata the worst margin, and how often it was violated, tested, ..."""
+    """Return a line for each claim over all strata: its worst margin, and the numbers of each outcome."""
     lines = []
     for k, (claim, unit) in enumerate(zip(claims, units, strict=True)):
-        one = tally.of_claim(k)
-        counts = one.counts
-        words = f"violated in {counts[EpisodeOutcome.VIOLATED]} of {one.tested} tested"
-        others = (
+        claim_tally = tally.of_claim(k)
+        counts = claim_tally.counts
+        text = f"violated in {counts[EpisodeOutcome.VIOLATED]} of {claim_tally.tested} tested"
+        rest = (
             (EpisodeOutcome.UNTESTED, "not put to the test"),
             (EpisodeOutcome.INCONCLUSIVE, "inconclusive"),
             (EpisodeOutcome.FAILED, "could not be run"),
         )
-        words += "".join(f", {counts[outcome]} {word}" for outcome, word in others if counts[outcome])
-        lines.append(f"  {unit.margin_text(one.worst):>14}  {claim}: {words}")
+        text += "".join(f", {counts[outcome]} {label}" for outcome, label in rest if counts[outcome])
+        lines.append(f"  {unit.margin_text(claim_tally.worst):>14}  {claim}: {text}")
     return lines
 
 
 def _failure_lines(ledger: Ledger) -> list[str]:
-    """Why episodes failed to run or left no record of a whole run, the most frequent reasons first."""
+    """Return the reasons of failed and incomplete episodes, the most frequent first."""
     question = (
         "SELECT count(*), failure, stratum, min(episode) FROM episodes WHERE failure IS NOT NULL "
         "GROUP BY failure ORDER BY 1 DESC, 2"
     )
-    found = list(ledger.all(question))
+    reasons = list(ledger.all(question))
     lines = [
         f"  {count} times: {why} (first: {stratum}, episode {episode})"
-        for count, why, stratum, episode in found[:_MOST_REASONS]
+        for count, why, stratum, episode in reasons[:_MOST_REASONS]
     ]
-    more = sum(count for count, *_ in found[_MOST_REASONS:])
-    return lines + ([f"  {more} times: another of {len(found) - _MOST_REASONS} reasons"] if more else [])
+    more = sum(count for count, *_ in reasons[_MOST_REASONS:])
+    return lines + ([f"  {more} times: another of {len(reasons) - _MOST_REASONS} reasons"] if more else [])
 
 
 def _fallback_lines(ledger: Ledger) -> list[str]:
-    """That the fallback stood in for the avoider, how often and why; nothing if it always answered."""
-    found = fallback_of(ledger)
+    """Return how often and why the fallback stood in for the avoider; empty if it never did."""
+    fallback = fallback_of(ledger)
     episodes = next(ledger.all("SELECT count(*) FROM episode"))[0]
-    where = f"in {found.episodes} of {episodes} episodes; most often: {found.reason}"
-    return [f"  {found.words}, {where}"] if found.words else []
+    where = f"in {fallback.episodes} of {episodes} episodes; most often: {fallback.reason}"
+    return [f"  {fallback.words}, {where}"] if fallback.words else []
 
 
 def _overruled_lines(ledger: Ledger) -> list[str]:
-    """What the gate overruled, of several strata the share in each; nothing without proposals."""
+    """Return the gate's overruling, and its share in each of several strata; empty without proposals."""
     strata = ledger.declared.strata
     each = [(name, overruling_in(ledger, k)) for k, name in enumerate(strata) if len(strata) > 1]
-    by = ", ".join(f"{name} {share_words(one.overruled, one.proposals)}" for name, one in each)
+    shares = ", ".join(f"{name} {share_words(part.overruled, part.proposals)}" for name, part in each)
     whole = overruling_in(ledger).words
-    return [f"  {whole}", *([f"    by stratum: {by}"] if by else [])] if whole else []
+    return [f"  {whole}", *([f"    by stratum: {shares}"] if shares else [])] if whole else []
 
 
 def _bound_lines(ledger: Ledger, bounds: Sequence[ProbabilityBounds]) -> list[str]:
-    """The chance of a violation between its bounds, as a report has them: all hold together."""
+    """Return the bounds of each violation probability, as a report has them: all hold together."""
     if ledger.dependent:
         return [ledger.dependent]
     declared = ledger.declared
@@ -180,57 +183,60 @@ def _bound_lines(ledger: Ledger, bounds: Sequence[ProbabilityBounds]) -> list[st
         f"{bounds[0].family} bounds, two a line, "
         f"hold together with {percent(declared.confidence)} confidence, each line alone with {each}"
     ]
-    for one in bounds:
-        target = targets[one.claim]
-        shown = target is not None and one.shows(target)
-        asked = "" if target is None else f", asked at most {target:.4g}: {'shown' if shown else 'NOT shown'}"
-        model = ", model only" if one.model_only else ""
-        failed = f", {one.failed} could not be run" if one.failed else ""  # each may be a violation, or none
-        runs = f"{one.trials - one.failed} runs tested it{failed}{asked}{model}"
-        known = f"{rounded_down(one.low)} to {rounded_up(one.high)} ({runs})"
+    for row in bounds:
+        target = targets[row.claim]
+        shown = target is not None and row.shows(target)
+        goal = "" if target is None else f", asked at most {target:.4g}: {'shown' if shown else 'NOT shown'}"
+        model = ", model only" if row.model_only else ""
+        failed = f", {row.failed} could not be run" if row.failed else ""  # each may be a violation
+        runs = f"{row.trials - row.failed} runs tested it{failed}{goal}{model}"
+        known = f"{rounded_down(row.low)} to {rounded_up(row.high)} ({runs})"
         lines.append(
-            f"  {one.stratum}: {one.claim}: " + (known if one.trials else "nothing known, never tested")
+            f"  {row.stratum}: {row.claim}: " + (known if row.trials else "nothing known, never tested")
         )
     return lines
 
 
-def rare_line(one: RareViolation) -> str:
-    """Return how often one claim is violated in one stratum: the estimate, and what plain draws bound."""
-    found, where = one.estimate, f"{one.stratum}: {one.claim.sentence}"
-    ran = f"{found.evaluations:,} draws{', model only' if found.model_only else ''}"
-    most = f"at most {one.high:.3g} by its {found.plain_draws:,} plain draws alone"
-    if why := found.no_estimate:
+def rare_line(rate: RareViolation) -> str:
+    """Return the line on a claim in a stratum: the estimate, and the bound of the plain draws."""
+    estimate, where = rate.estimate, f"{rate.stratum}: {rate.claim.sentence}"
+    ran = f"{estimate.evaluations:,} draws{', model only' if estimate.model_only else ''}"
+    most = f"at most {rate.high:.3g} by its {estimate.plain_draws:,} plain draws alone"
+    if why := estimate.no_estimate:
         return f"{where}: no estimate ({why}); {most} ({ran})"
     return (
-        f"{where}: about {one.share:.3g} of all runs violate it, at least {one.low:.3g}; {most} ({ran}); "
-        f"independent runs would take {found.as_many_draws:,.0f} for the same standard error"
+        f"{where}: about {rate.share:.3g} of all runs violate it, at least {rate.low:.3g}; {most} ({ran}); "
+        f"independent runs would take {estimate.as_many_draws:,.0f} for the same standard error"
     )
 
 
-def difference_lines(found: Sequence[PairedComparison], confidence: float) -> list[str]:
-    """Second campaign minus first, a line for each claim in each stratum, and how surely."""
-    each = confidence_words(found[0].confidence)
+def difference_lines(rows: Sequence[PairedComparison], confidence: float) -> list[str]:
+    """Return a line for each claim in each stratum: the second campaign minus the first, with its interval.
+
+    ``confidence`` is that of all intervals together.
+    """
+    each = confidence_words(rows[0].confidence)
     head = (
-        f"the {len(found)} intervals hold together with {percent(confidence)} confidence, each alone with "
+        f"the {len(rows)} intervals hold together with {percent(confidence)} confidence, each alone with "
         f"{each}; p (McNemar) is of its own line alone"
     )
-    return [head, *map(_difference_line, found)]
+    return [head, *map(_difference_line, rows)]
 
 
-def _difference_line(one: PairedComparison) -> str:
-    how = f"from {one.low:+.3%} to {one.high:+.3%}; p {one.p_value:.3g}"
+def _difference_line(row: PairedComparison) -> str:
+    how = f"from {row.low:+.3%} to {row.high:+.3%}; p {row.p_value:.3g}"
     counts = (
-        f"both {one.both}, only after {one.only_first}, only before {one.only_second}, unclear {one.unclear}"
+        f"both {row.both}, only after {row.only_first}, only before {row.only_second}, unclear {row.unclear}"
     )
-    model = ", model only" if one.model_only else ""
+    model = ", model only" if row.model_only else ""
     return (
-        f"{one.stratum}: {one.claim}: violated {one.seen:+.3%} more often ({how}); of {one.episodes}: "
+        f"{row.stratum}: {row.claim}: violated {row.seen:+.3%} more often ({how}); of {row.episodes}: "
         f"{counts}{model}"
     )
 
 
 def csv_line(values: Sequence[object]) -> str:
-    """A row as CSV."""
+    """Return a row as CSV."""
     text = io.StringIO()
     csv.writer(text, lineterminator="").writerow("" if value is None else value for value in values)
     return text.getvalue()

@@ -1,4 +1,4 @@
-"""``safety-harness certify`` and ``verify``: a plan's evidence as a report, and whether a report stands."""
+"""``safety-harness certify`` and ``verify``: a plan's evidence as a report, and the check of a report."""
 
 from __future__ import annotations
 
@@ -18,19 +18,22 @@ if TYPE_CHECKING:
 
 
 class _PlanOrCommand(TyperGroup):
-    """``certify PLAN`` beside ``certify declare PLAN``: what is no command's name is a plan or an option."""
+    """``certify PLAN`` beside ``certify declare PLAN``: a word that is no command is a plan or an option."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """As if the command that needs no name had been named; not while a shell completes that name."""
+        """Insert the command ``plan`` if the first word is no command.
+
+        A shell that completes the first word gets all commands instead.
+        """
         named = args[0] in self.commands if args else ctx.resilient_parsing
         return super().parse_args(ctx, args if named else ["plan", *args])
 
     def list_commands(self, ctx: Any) -> list[str]:
-        """Those that have to be named."""
+        """Return the commands that a user has to name."""
         return [name for name in super().list_commands(ctx) if name != "plan"]
 
     def resolve_command(self, ctx: Any, args: list[str]) -> tuple[str | None, Any, list[str]]:
-        """Without its name in what a user reads."""
+        """Return the command without its name ``plan``, which a user never reads."""
         name, command, rest = super().resolve_command(ctx, args)
         return (None if name == "plan" else name), command, rest
 
@@ -83,16 +86,27 @@ def certify(
     ] = None,
     controller: OfController = None,
 ) -> int:
-    """Run a declared plan and write its evidence: one page, JSON, JUnit XML, and all to re-run it.
+    """Run a declared plan and write its evidence as a report.
 
-    certify declare PLAN, before, and certify seal REPORT, after, print hashes to be lodged elsewhere.
-    A plan that is not as it was declared is refused.
-    Bounds are made of the plan's own independent runs; what its search finds is shown and estimates nothing.
-    A line a claim goes to standard output. Ctrl-C keeps every finished run; the same command goes on.
-    It is no certificate, and says so.
-    With --since OLD the delta (REPORT.delta/delta.html, delta.json) is written too and decides the exit code.
-    Exit code 0: every claim is shown, with --since: nothing got worse; 1: otherwise; 2: bad input, or a
-    target that the plan's runs cannot meet; 130: interrupted.
+    The report has a page, JSON, JUnit XML, and all files for a repetition. It
+    is no certificate, and says so. The command prints a line for each claim.
+
+    certify declare PLAN, before, and certify seal REPORT, after, print hashes
+    to lodge. The command refuses a plan that differs from its declaration.
+
+    Bounds come from the plan's own independent runs. The report has the
+    findings of its search too, but they estimate no probability.
+
+    Ctrl-C keeps every finished run; the same command continues.
+
+    The option --since OLD adds the delta to an earlier report (REPORT.delta
+    with delta.html and delta.json), which then decides the exit code.
+
+    Exit code 0: every claim has the status shown, or with --since no regression.
+    Exit code 1: a claim has another status, or with --since a regression.
+    Exit code 1 too: a part of the report failed.
+    Exit code 2: bad input, or a target that the plan's runs cannot meet.
+    Exit code 130: interrupted.
     """
     from safety_harness.admission.claims import property_of
     from safety_harness.claims.properties.base import close_to, far_words
@@ -106,7 +120,7 @@ def certify(
     from safety_harness.scenario.typed_json import plain
     from safety_harness.trace.answer_times import UNHEEDED
 
-    found = certify_plan(
+    certified = certify_plan(
         plan,
         controller=controller,
         out=out,
@@ -121,72 +135,72 @@ def certify(
         since=since,
         output=TERMINAL,
     )
-    evidence = found.evidence
-    document(**plain(evidence), page=found.page)
+    evidence = certified.evidence
+    document(**plain(evidence), page=certified.page)
     say(*(f"error: {text}" for text in evidence.unmade))
-    result(*tested_lines(found.plan), *_shielded_lines(found.plan, found.folder / LEDGER))
+    result(*tested_lines(certified.plan), *_shielded_lines(certified.plan, certified.folder / LEDGER))
     for claim in evidence.claims:
         mark = {"holds": "ok  ", "violated": "NO  "}.get(STATE[claim.standing], "open")
         result(f"{mark} {claim.standing.value:<21} {claim.sentence}: {claim.why}")
-    simplest = found.plan.strata[0].space.simplest
-    for planned, claim in zip(found.plan.claims, evidence.claims, strict=True):
-        margins = [one.least_margin_si for one in claim.outcomes if one.least_margin_si is not None]
+    simplest = certified.plan.strata[0].space.simplest
+    for planned, claim in zip(certified.plan.claims, evidence.claims, strict=True):
+        margins = [item.least_margin_si for item in claim.outcomes if item.least_margin_si is not None]
         far = far_words(close_to(property_of(planned.claim, simplest)), min(margins, default=None))
         say(*[f"note: {claim.sentence}: {far}"] * bool(far))
-    result(*(overruling_line(one) for one in evidence.overruling if one.words))
+    result(*(overruling_line(item) for item in evidence.overruling if item.words))
     bounds, confidence = evidence.plan.bounds, percent(evidence.plan.confidence)
-    if any(one.bound for claim in evidence.claims for one in claim.outcomes):
+    if any(item.bound for claim in evidence.claims for item in claim.outcomes):
         result(f"all {bounds} bounds of the report hold together with {confidence} confidence")
     if evidence.fallback:
         result(evidence.fallback)
     say(
         *(
-            f"note: {one.text}"
-            for one in evidence.findings
-            if f": {UNTRIED} " in one.text or UNHEEDED in one.text or one.place == "recorded-cells"
+            f"note: {item.text}"
+            for item in evidence.findings
+            if f": {UNTRIED} " in item.text or UNHEEDED in item.text or item.place == "recorded-cells"
         )
     )
-    result(evidence.basis, f"{found.page}: {evidence.standing.value}")
-    if not found.complete:
+    result(evidence.basis, f"{certified.page}: {evidence.standing.value}")
+    if not certified.complete:
         say("interrupted: the report says what is missing; the same command goes on from there")
-    if found.delta is not None:
-        _tell_delta(found.delta, found.folder)
-    return found.exit_code
+    if certified.delta is not None:
+        _tell_delta(certified.delta, certified.folder)
+    return certified.exit_code
 
 
 def _shielded_lines(plan: Plan, ledger: Path) -> list[str]:
-    """How much shields slowed the arm, in the random runs of each stratum whose traces are kept."""
+    """Return how much shields slowed the arm, in the stored random runs of each stratum."""
     from safety_harness.extensions.assurance.campaign.ledger import Ledger
     from safety_harness.extensions.assurance.certification.guard import ReportGuard
     from safety_harness.extensions.assurance.certification.stored import random_traces
     from safety_harness.report.shielding import shield_lines
 
-    shielded = {k: one.name for k, one in enumerate(plan.strata) if one.space.simplest.shield is not None}
+    shielded = {k: item.name for k, item in enumerate(plan.strata) if item.space.simplest.shield is not None}
     if not shielded:
-        return []  # stored traces are not read for nothing
+        return []  # without a shield, reading the traces has no use
     with Ledger.open(ledger, alone=True) as opened:
         stored, _ = random_traces(plan, opened)
     lines = []
     for k, name in shielded.items():
-        traces = [one.trace for one in stored if one.stratum == k]
-        words = ReportGuard().of("slowing", partial(shield_lines, traces), []) or [
+        traces = [item.trace for item in stored if item.stratum == k]
+        text = ReportGuard().run("slowing", partial(shield_lines, traces), []) or [
             "how much it slowed is not known"
         ]
-        lines.append(f"shield in {name}, {len(traces)} stored runs: {words[0]}")
+        lines.append(f"shield in {name}, {len(traces)} stored runs: {text[0]}")
     return lines
 
 
 def _tell_delta(delta: EvidenceDelta, report: Path) -> None:
-    """Print what changed since an earlier report."""
+    """Print the changes since an earlier report."""
     from safety_harness.extensions.assurance.certification.delta_page import PAGE, folder_of_delta
     from safety_harness.scenario.typed_json import plain
 
     document(delta=plain(delta))
     result(*(f"WORSE {text}" for text in delta.regressions))
     result(*(f"closed {text}" for text in delta.closed))
-    spaces = [one for one in delta.parts if one.part == "space"]
-    result(*(f"another space, {one.name}: {one.before} before, {one.after} now" for one in spaces))
-    again = [one.what for one in delta.carried if not one.carries]
+    spaces = [item for item in delta.parts if item.part == "space"]
+    result(*(f"another space, {item.name}: {item.before} before, {item.after} now" for item in spaces))
+    again = [item.what for item in delta.carried if not item.carries]
     result(f"to be run again: {', '.join(again) or 'nothing'}", delta.line, *delta.bases)
     result(f"{folder_of_delta(report) / PAGE}")
 
@@ -196,12 +210,15 @@ def tell_delta(
     old: Annotated[Path, Argument(help="The folder of the earlier report.", metavar="OLD")],
     new: Annotated[Path, Argument(help="The folder of the later one.", metavar="NEW")],
 ) -> int:
-    """Say what changed between two reports, and what got worse; nothing is run.
+    """Compare two reports: changes and regressions, without runs.
 
-    NEW.delta/delta.html and delta.json say it all: software, system, settings, spaces, claims, bounds,
-    findings, and which of the earlier runs speak of the later system too.
-    Exit code 0: nothing got worse; 1: something did; 2: no report, one that is not finished, or one whose
-    files were altered.
+    NEW.delta (delta.html, delta.json) has all changes: software, system,
+    settings, spaces, claims, bounds and findings. It also lists the earlier
+    runs that apply to the later system.
+
+    Exit code 0: no regression.
+    Exit code 1: a regression.
+    Exit code 2: a folder is no report, is not finished, or has altered files.
     """
     import shlex
 
@@ -209,10 +226,10 @@ def tell_delta(
     from safety_harness.extensions.assurance.certify_job import compare_reports
     from safety_harness.scenario.files import told
 
-    before, after = EarlierReport.read(old), EarlierReport.read(new)
+    earlier, later = EarlierReport.read(old), EarlierReport.read(new)
     made_by = shlex.join(["safety-harness", "certify", "delta", str(told(old)), str(told(new))])
-    delta = compare_reports(before, after, made_by)
-    _tell_delta(delta, after.folder)
+    delta = compare_reports(earlier, later, made_by)
+    _tell_delta(delta, later.folder)
     return DIFFERS if delta.regressions else AS_EXPECTED
 
 
@@ -223,10 +240,13 @@ def declare(
         Path | None, Option(help="File to write; without it PLAN.declared.json beside the plan.")
     ] = None,
 ) -> int:
-    """Print a hash over plan, seed, avoider, targets and software, to be lodged elsewhere before the runs.
+    """Print a hash over plan, seed, avoider, targets and software.
 
-    verify REPORT --declared HASH shows later that the report is of what was declared.
-    Exit code 0; 2: bad input, or another declaration is there.
+    Lodge it before the runs, where its date cannot change. Later, verify REPORT
+    --declared HASH shows that the report is of the declared plan.
+
+    Exit code 0: the declaration is written.
+    Exit code 2: bad input, or another declaration is there.
     """
     from safety_harness.extensions.assurance.campaign.plan import read_plan
     from safety_harness.extensions.assurance.certification.lodged import declaration_file, write_declaration
@@ -250,11 +270,14 @@ def declare(
 def seal_report(
     report: Annotated[Path, Argument(help="The folder of a report of certify.", metavar="REPORT")],
 ) -> int:
-    """Print a hash over a report's rows, declaration and files, to be lodged elsewhere.
+    """Print a hash over a report's rows, declaration and files.
 
-    It is written to REPORT.seal.json. verify REPORT --seal HASH shows later that nothing was altered since.
-    Exit code 0; 1: files of the report are not those that were written; 2: bad input, or another seal is
-    there.
+    Lodge it where it cannot change. The file REPORT.seal.json has it too.
+    Later, verify REPORT --seal HASH shows that no file was altered since.
+
+    Exit code 0: the seal is written.
+    Exit code 1: files of the report differ from its manifest.
+    Exit code 2: bad input, or another seal is there.
     """
     from safety_harness.extensions.assurance.certification.folder import read_manifest
     from safety_harness.extensions.assurance.certification.lodged import seal_file, write_seal
@@ -276,9 +299,9 @@ def seal_report(
     return AS_EXPECTED
 
 
-def _chance(said: str | float) -> float:
-    """A chance as per cent or a number."""
-    text = str(said)
+def _chance(given: str | float) -> float:
+    """Return a chance between 0 and 1, from per cent or a number."""
+    text = str(given)
     try:
         value = float(text.removesuffix("%")) / (100.0 if text.endswith("%") else 1.0)
     except ValueError:
@@ -316,14 +339,20 @@ def verify(
     execute_programs: Executes = False,
     strict: Annotated[bool, Option(help="Exit code 1 also where something is open.")] = False,
 ) -> int:
-    """Check a report: files, plan, ledger, traces; compute numbers and page anew, make some runs again.
+    """Check a report, and repeat some of its runs.
 
-    What has changed since (source, versions, networks, platform) is named, and so is what was not checked.
-    Without a lodged --seal altered rows are seen only as far as runs made again tell: it says how few would
-    turn a verdict, and with what chance they were missed.
-    Exit code 0: the report stands, and what was not checked is marked open; 1: it does not stand, and why,
-    or something is open and --strict is given; 2: no report, or a program in it that may not be
-    executed; 130: interrupted.
+    It checks files, plan, ledger and traces, and computes numbers and page
+    again. It names later changes (source, versions, networks, platform), and
+    each point that it could not check.
+
+    If you give no lodged --seal, only repeated runs can expose altered rows.
+    The command prints how few altered rows would turn a verdict, and the chance
+    that the repeated runs missed them.
+
+    Exit code 0: the report stands, and open points have a mark.
+    Exit code 1: the report does not stand, or a point is open (--strict).
+    Exit code 2: no report, or it has a program that may not run.
+    Exit code 130: interrupted.
     """
     import secrets
     from dataclasses import asdict
@@ -334,23 +363,23 @@ def verify(
     from safety_harness.extensions.assurance.certification.verify import verify as verify_report
 
     checks = []
-    with paced_lines() as tell:
+    with paced_lines() as show:
         for check in verify_report(
             report,
             runs=runs,
-            miss=_chance(miss),  # the default is as it is shown
+            miss=_chance(miss),  # the default is a text, as the help shows it
             seed=secrets.randbelow(2**31) if seed is None else seed,
             execute_programs=execute_programs,
             seal=seal,
             declared=declared,
-            on_progress=tell,
+            on_progress=show,
         ):
             checks.append(asdict(check) | {"stands": check.stands})
             mark = "DIFF" if not check.stands else "open" if check.unchecked else "ok  "
             result(f"{mark} {check.looked_at}")
-            lines = (*check.faults, *check.notes, *(f"not checked: {one}" for one in check.unchecked))
+            lines = (*check.faults, *check.notes, *(f"not checked: {item}" for item in check.unchecked))
             result(*(f"     {line}" for line in lines))
-    stands, whole = all(one["stands"] for one in checks), not any(one["unchecked"] for one in checks)
+    stands, whole = all(item["stands"] for item in checks), not any(item["unchecked"] for item in checks)
     document(stands=stands, checks=checks)
     open_ones = "" if whole else ", but for what was not checked"
     if stands:

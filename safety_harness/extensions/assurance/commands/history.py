@@ -1,4 +1,4 @@
-"""``safety-harness history``: many revisions' reports as one page."""
+"""``safety-harness history``: the reports of many revisions as one page."""
 
 from __future__ import annotations
 
@@ -20,10 +20,14 @@ def history(
     ],
     out: Annotated[Path, Option(help="The page.")] = Path("reports/history.html"),
 ) -> int:
-    """What turned over the revisions: verdicts, margins, overruling.
+    """Compare many revisions: verdicts, margins, overruling.
 
-    Reads the report.json of many runs, say a CI's artefacts, in the order in which they were made.
-    Exit code 0: nothing turned to what is not expected; 1: a verdict did, or overruling grows; 2: bad input.
+    It reads the report.json of many runs, such as a CI's artefacts, in the
+    order of their dates.
+
+    Exit code 0: no verdict turned to an unexpected one, and overruling does not grow.
+    Exit code 1: a verdict did, or overruling grows.
+    Exit code 2: bad input.
     """
     import shlex
     from datetime import UTC, datetime
@@ -32,16 +36,16 @@ def history(
     from safety_harness.extensions.assurance.pages.history import read_history, write_page
     from safety_harness.scenario.files import told
 
-    found = read_history(folder)
-    words = ["safety-harness", "history", str(told(folder)), "--out", str(told(out))]
+    read = read_history(folder)
+    argv = ["safety-harness", "history", str(told(folder)), "--out", str(told(out))]
     try:
-        write_page(out, found, command=shlex.join(words), generated_at=datetime.now(UTC))
+        write_page(out, read, command=shlex.join(argv), generated_at=datetime.now(UTC))
     except OSError as error:
         raise OutputError.of(out, error) from error
-    say(found.sentence, found.revisions[-1].basis)
+    say(read.sentence, read.revisions[-1].basis)
     turns = [
-        {"claim": one.claimed, "turns": one.turns, "as_expected": not one.unlike} for one in found.courses
+        {"claim": item.claimed, "turns": item.turns, "as_expected": not item.unlike} for item in read.courses
     ]
-    document(revisions=[one.name for one in found.revisions], courses=turns, growing=found.growing, page=out)
+    document(revisions=[item.name for item in read.revisions], courses=turns, growing=read.growing, page=out)
     result(str(out))
-    return DIFFERS if found.unlike or found.growing else AS_EXPECTED
+    return DIFFERS if read.unlike or read.growing else AS_EXPECTED

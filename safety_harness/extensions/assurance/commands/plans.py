@@ -1,4 +1,4 @@
-"""Plans, before they are run: what one will show at best, and a draft from a scenario space."""
+"""Plans before their runs: the best possible result of a plan, and a draft from a scenario space."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from safety_harness.extensions.assurance.statistics.planning import Aim, allowed
 from safety_harness.scenario.model import Verdict
 from safety_harness.space.read import read_space
 
-TARGET = 0.02  # of a draft, to be replaced by whoever knows the hazard
+TARGET = 0.02  # of a draft; its author replaces it, knowing the hazard
 
 
 def explain_plan(path: Path) -> int:
-    """Print what a plan's runs can show; returns the exit code."""
+    """Print the results that the runs of the plan in ``path`` can show, and return the exit code."""
     plan = read_plan(path)
     family = ends_of(len(plan.claims), len(plan.strata))
     result(f"{plan.file}: {plan.title}; {plan.world}, seed {plan.seed}")
@@ -66,12 +66,25 @@ def explain_plan(path: Path) -> int:
 
 
 def draft_plan(space: Path | None, file: Path | None) -> int:
-    """Write a plan of a space's claims with the fewest runs that can show ``TARGET``; the exit code."""
+    """Write a plan for a space's claims, with the fewest runs that can show ``TARGET``.
+
+    Args:
+        space: The space; None is an error that asks for one.
+        file: The plan to write; None: NAME-plan.yaml in the working directory.
+
+    Returns:
+        The exit code.
+
+    Raises:
+        InputError: The space has no claim that should hold.
+        OutputError: The file exists already.
+
+    """
     if space is None:
         expected = "the space to draft a plan of: safety-harness new plan SPACE"
         raise InputError(place=Place(field="space"), expected=expected, got="none")
     read = read_space(located(space))
-    claims = [one for one in read.simplest.claims if one.expected is not Verdict.VIOLATED]
+    claims = [item for item in read.simplest.claims if item.expected is not Verdict.VIOLATED]
     if not claims:
         expected = "a space with a claim that is expected to hold"
         raise InputError(place=Place(file=space), expected=expected, got="none")
@@ -94,9 +107,9 @@ def draft_plan(space: Path | None, file: Path | None) -> int:
         f"    runs: {runs}  # the fewest, if all test each claim and none violates it; see campaign pilot",
         "claims:",
     ]
-    for one in claims:
+    for item in claims:
         lines += [
-            f"  - claim: {_scalar(one.sentence)}",
+            f"  - claim: {_scalar(item.sentence)}",
             f"    violated in at most: {100 * TARGET:g} %  # yours, from the risk of the task",
         ]
     with writing(path), path.open("x", encoding="utf-8") as stream:
@@ -106,10 +119,10 @@ def draft_plan(space: Path | None, file: Path | None) -> int:
     result(f"wrote {path}")
     quoted = shlex.quote(str(path))
     commands = ("explain", "campaign pilot", "certify declare", "certify")
-    say("next:", *(f"  safety-harness {one} {quoted}" for one in commands))
+    say("next:", *(f"  safety-harness {item} {quoted}" for item in commands))
     return AS_EXPECTED
 
 
 def _scalar(text: str) -> str:
-    """As YAML has it: in quotes where it might be taken for something else."""
+    """Return ``text`` as a YAML scalar, in quotes if a reader might take it for another type."""
     return text if re.fullmatch(r"[A-Za-z][\w .,/-]*", text) else json.dumps(text, ensure_ascii=False)

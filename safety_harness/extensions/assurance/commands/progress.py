@@ -1,4 +1,4 @@
-"""What a campaign shows while it runs."""
+"""The progress display of a campaign."""
 
 from __future__ import annotations
 
@@ -14,30 +14,35 @@ from safety_harness.extensions.assurance.commands.campaign_lines import worst_li
 
 @contextmanager
 def watching_campaign(plan: Plan, output: Output) -> Iterator[Callable[[CampaignRunner], None]]:
-    """Yields what is told of the progress: rate, time left, worst margins, violations.
+    """Yield a function that displays the progress: rate, remaining time, worst margins, violations.
 
-    It warns, once each, of claims that the planned runs will not show, as far as the first of them tell.
+    It warns once of each claim that the planned runs will not show, judged by the first runs.
+
+    Args:
+        plan: The plan of the campaign.
+        output: Receives the display and the warnings.
+
     """
     claims = tuple(claim.sentence for claim in plan.claims)
     units = tuple(claim.unit for claim in plan.claims)
-    told: set[str] = set()
+    warned: set[str] = set()
 
-    def tell(progress: CampaignRunner) -> None:
+    def show_progress(progress: CampaignRunner) -> None:
         show([_head(progress), *worst_lines(claims, units, progress.tally)])
-        for one in too_few(plan, progress.tally):
-            if (name := f"{one.stratum}: {one.sentence}") not in told:
-                told.add(name)
-                output.say(f"warning: after {one.tried} runs: {one.line}")
+        for forecast in too_few(plan, progress.tally):
+            if (name := f"{forecast.stratum}: {forecast.sentence}") not in warned:
+                warned.add(name)
+                output.say(f"warning: after {forecast.tried} runs: {forecast.line}")
 
     with output.block() as show:
-        yield tell
+        yield show_progress
 
 
 def _head(progress: CampaignRunner) -> str:
     tally = progress.tally
-    (done, planned), (part, of) = progress.standing, progress.part
+    (done, planned), (part, parts) = progress.standing, progress.part
     share = done / planned if planned else 1.0
-    episodes = "episodes" if of == 1 else f"episodes of part {part + 1}/{of}"
+    episodes = "episodes" if parts == 1 else f"episodes of part {part + 1}/{parts}"
     head = f"{done}/{planned} {episodes} ({int(100 * share)} %), {progress.rate:.1f} a second, "
     head += time_left(progress.left_s)
     if not progress.crew.size:

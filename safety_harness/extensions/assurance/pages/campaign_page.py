@@ -1,4 +1,4 @@
-"""One self-contained page of a campaign's ledger: its bounds, its worst episodes, and what did not run."""
+"""The ledger of a campaign as one self-contained page: bounds, worst episodes, and failed episodes."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ from safety_harness.report.words import with_minus
 from safety_harness.scenario.files import told
 from safety_harness.trace.store import load_trace
 
-MOST_EPISODES = 1000  # of violations; the ledger has all
-MOST_SHOWN = 5  # of them as replays
+MOST_EPISODES = 1000  # with violations; the ledger has all
+MOST_SHOWN = 5  # as replays
 SHOWN, REFUTED, NOT_SHOWN, NO_TARGET = "shown", "refuted", "not shown", "no target"
 CSS = {SHOWN: "holds", REFUTED: "violated", NOT_SHOWN: "inconclusive", NO_TARGET: "none"}
 _WORST = (
@@ -39,7 +39,7 @@ _WORST = (
     "LEFT JOIN trace t ON t.stratum = j.stratum AND t.episode = j.episode "
     f"WHERE j.outcome = {int(EpisodeOutcome.VIOLATED)} "
     "ORDER BY row_number() OVER (PARTITION BY j.claim ORDER BY j.margin, j.stratum, j.episode), j.claim "
-    f"LIMIT {MOST_EPISODES}"  # each claim's worst, then each claim's next: metres are not radians
+    f"LIMIT {MOST_EPISODES}"  # the worst of each claim first, since margins of different units do not compare
 )
 _FAILED = (
     "SELECT failure, count(*), min(episode) FROM episode WHERE failure IS NOT NULL GROUP BY 1 ORDER BY 2 DESC"
@@ -50,7 +50,19 @@ Cells = tuple[Any, ...]
 def write_page(
     path: Path, ledger: Ledger, state: LedgerState, *, command: str, generated_at: datetime
 ) -> None:
-    """Write the page whole or not at all; ``command`` makes it again.  Raises OSError."""
+    """Write the page of a ledger, whole or not at all.
+
+    Args:
+        path: The page.
+        ledger: The open ledger.
+        state: Its state.
+        command: The command that repeats the page.
+        generated_at: The time for the page.
+
+    Raises:
+        OSError: The page cannot be written.
+
+    """
     declared, tally = ledger.declared, state.tally
     rows = list(_claims(declared, tally, state.bounds))
     verdicts = [str(row[2]) for row in rows]
@@ -67,22 +79,22 @@ def write_page(
         tally=tally,
         answer=_answer(tally, verdicts),
         remarks=[
-            one
-            for one in (
+            item
+            for item in (
                 ledger.dependent,
                 fallback_of(ledger).words,
                 ledger.repeated.words,
                 *ledger.slow,
                 *ledger.wrists,
             )
-            if one
+            if item
         ],
         rows=rows,
         css=CSS,
         verdicts=verdicts,
         strata=list(_strata(ledger, tally)),
         failures=list(ledger.all(_FAILED)),
-        worst=[_worst(declared, *one) for one in worst],
+        worst=[_worst(declared, *item) for item in worst],
         violations=sum(
             tally.of_claim(k).counts[EpisodeOutcome.VIOLATED] for k in range(len(declared.claims))
         ),
@@ -96,11 +108,11 @@ def write_page(
 def _answer(tally: CampaignTally, verdicts: list[str]) -> str:
     if not tally.complete:
         return f"not complete: {tally.done} of {tally.planned} episodes"
-    targets = [one for one in verdicts if one != NO_TARGET]
+    targets = [verdict for verdict in verdicts if verdict != NO_TARGET]
     if not targets:
         return f"{tally.done} episodes, no target declared"
-    words = f"{targets.count(SHOWN)} of {len(targets)} targets shown"
-    return words + (f", {targets.count(REFUTED)} refuted" if REFUTED in targets else "")
+    text = f"{targets.count(SHOWN)} of {len(targets)} targets shown"
+    return text + (f", {targets.count(REFUTED)} refuted" if REFUTED in targets else "")
 
 
 def _verdict(target: float | None, bound: ProbabilityBounds | None) -> str:
@@ -114,12 +126,12 @@ def _verdict(target: float | None, bound: ProbabilityBounds | None) -> str:
 def _claims(
     declared: Declared, tally: CampaignTally, bounds: tuple[ProbabilityBounds, ...]
 ) -> Iterator[Cells]:
-    """A row for each claim in each stratum: words, and which of them is which."""
-    of = {(one.stratum, one.claim): one for one in bounds}
+    """Yield a row of cells for each claim in each stratum."""
+    bound_of = {(item.stratum, item.claim): item for item in bounds}
     for name, stratum in zip(declared.strata, tally.strata, strict=True):
         of_claims = zip(declared.claims, declared.units, declared.targets, stratum.claims, strict=True)
-        for claim, unit, target, found in of_claims:
-            counts, bound = found.counts, of.get((name, claim))
+        for claim, unit, target, result in of_claims:
+            counts, bound = result.counts, bound_of.get((name, claim))
             known = bound is not None and bound.trials > 0
             yield (
                 name,
@@ -131,30 +143,30 @@ def _claims(
                 rounded_down(bound.low) if bound is not None and known else "–",
                 rounded_up(bound.high) if bound is not None and known else "–",
                 "–" if target is None else f"{target:.4g}",
-                _margin(unit, found.worst),
-                found.worst_episode if found.worst_episode >= 0 else "–",
+                _margin(unit, result.worst),
+                result.worst_episode if result.worst_episode >= 0 else "–",
             )
 
 
 def _strata(ledger: Ledger, tally: CampaignTally) -> Iterator[Cells]:
-    for number, (name, one) in enumerate(zip(ledger.declared.strata, tally.strata, strict=True)):
+    for number, (name, part) in enumerate(zip(ledger.declared.strata, tally.strata, strict=True)):
         gate = overruling_in(ledger, number)
         overruled = share_words(gate.overruled, gate.proposals) if gate.proposals else "no proposals"
-        early = "" if one.stopped_after is None else f"decided after {one.stopped_after}"
-        yield name, one.done, one.planned, one.failed, overruled, early or "–"
+        early = "" if part.stopped_after is None else f"decided after {part.stopped_after}"
+        yield name, part.done, part.planned, part.failed, overruled, early or "–"
 
 
 def _worst(
     of: Declared, stratum: int, episode: int, claim: int, margin: float, time_s: float | None, kept: bool
 ) -> Cells:
     at = "–" if time_s is None else f"{time_s:.3f} s"
-    words = "kept" if kept else "made again from its seed"
-    return of.strata[stratum], episode, of.claims[claim], _margin(of.units[claim], margin), at, words
+    trace = "kept" if kept else "made again from its seed"
+    return of.strata[stratum], episode, of.claims[claim], _margin(of.units[claim], margin), at, trace
 
 
 def _shown(ledger: Ledger, worst: Iterable[Cells]) -> Iterator[dict[str, object]]:
-    """The worst violations whose traces are kept, as replays."""
-    kept, replays = [one for one in worst if one[-1]], Replays()
+    """Yield the worst violations with a stored trace, as replays."""
+    kept, replays = [row for row in worst if row[-1]], Replays()
     with TemporaryDirectory() as folder:
         for number, (stratum, episode, claim, margin, *_) in enumerate(kept[:MOST_SHOWN], start=1):
             data = ledger.trace(stratum, episode)

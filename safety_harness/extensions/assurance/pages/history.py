@@ -1,4 +1,4 @@
-"""What came out over many revisions: which verdicts turned, how margins moved, whether overruling grows."""
+"""The results over many revisions: turned verdicts, margins, and growth of overruling."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from safety_harness.report.svg import HANDS
 from safety_harness.report.words import count_words, with_minus
 
 REPORT = "report.json"
-LIKELY_TREND = 0.05  # a trend by Kendall's tau that is less likely by chance is called one
+LIKELY_TREND = 0.05  # level of the test: a less likely trend counts as growth
 WIDTH_PX, HEIGHT_PX, EDGE_PX = 960.0, 240.0, 60.0
 _UNITS = {si: unit for unit, si in SI_UNITS.items() if si != "1"}
 Claimed = tuple[str, str, str]  # scenario, avoider, claim
@@ -32,45 +32,45 @@ Row = dict[str, Any]
 
 @dataclass(frozen=True)
 class Revision:
-    """One report: its folder's name, the claims of its runs, and (overruled, proposals) of each avoider.
+    """A report: its folder's name, the claims of its runs, and (overruled, proposals) of each avoider.
 
-    ``made_at`` is ISO 8601 in UTC, empty where the report does not say it.
+    ``made_at`` is ISO 8601 in UTC, empty if the report does not state it.
     """
 
     name: str
     source_hash: str
     claims: dict[Claimed, Row]
     overruling: dict[str, tuple[int, int]]
-    basis: str  # of its verdicts
+    basis: str  # basis line of its verdicts
     made_at: str
 
 
 @dataclass(frozen=True)
 class Course:
-    """One claim over the revisions that judged it, in their order."""
+    """A claim over the revisions that judged it, in their order."""
 
     claimed: Claimed
     found: tuple[tuple[str, Row], ...]  # revision, outcome
 
     @property
     def turns(self) -> list[tuple[str, str, str]]:
-        """(revision, verdict before, verdict) where the verdict is another than in the one before."""
+        """(revision, verdict before, verdict) for each verdict that differs from its predecessor."""
         return [
-            (name, before["verdict"], now["verdict"])
-            for (_, before), (name, now) in zip(self.found, self.found[1:], strict=False)
-            if before["verdict"] != now["verdict"]
+            (name, last["verdict"], now["verdict"])
+            for (_, last), (name, now) in zip(self.found, self.found[1:], strict=False)
+            if last["verdict"] != now["verdict"]
         ]
 
     @property
     def unlike(self) -> bool:
-        """Is the newest verdict not the expected one, and has it been otherwise?"""
+        """True if the newest verdict is not the expected one, and an earlier verdict was another."""
         newest = self.found[-1][1]
         return newest["verdict"] != newest["expected"] and bool(self.turns)
 
 
 @dataclass(frozen=True)
 class History:
-    """All of it; ``growing`` are the avoiders that are overruled more and more."""
+    """All revisions and claims; ``growing`` has the avoiders that the gate overrules more and more."""
 
     revisions: tuple[Revision, ...]
     courses: tuple[Course, ...]
@@ -78,23 +78,26 @@ class History:
 
     @property
     def unlike(self) -> list[Course]:
-        """Claims that turned and are not as expected now."""
-        return [one for one in self.courses if one.unlike]
+        """The claims that turned and are not as expected now."""
+        return [course for course in self.courses if course.unlike]
 
     @property
     def sentence(self) -> str:
-        """The answer."""
-        turned = [one for one in self.courses if one.turns]
-        of = f"{count_words(len(self.courses), 'claim', 'claims')} over {len(self.revisions)} revisions"
-        found = f"Of {of} {len(turned)} turned, {len(self.unlike)} to what is not expected"
-        return found + (f"; overruling grows for {', '.join(self.growing)}." if self.growing else ".")
+        """The result in a sentence."""
+        turned = [course for course in self.courses if course.turns]
+        size = f"{count_words(len(self.courses), 'claim', 'claims')} over {len(self.revisions)} revisions"
+        text = f"Of {size} {len(turned)} turned, {len(self.unlike)} to what is not expected"
+        return text + (f"; overruling grows for {', '.join(self.growing)}." if self.growing else ".")
 
 
 def read_history(folder: Path) -> History:
-    """Every report.json below ``folder``, in the order in which they were made.
+    """Read every report.json below ``folder``, in the order of their dates.
 
-    Those of earlier versions, which do not say when, come first, in the order of their folders' names.
-    Raises InputError for fewer than two, and for a file that is no report of this version.
+    Reports of earlier versions have no date: they come first, in the order of their folders' names.
+
+    Raises:
+        InputError: There are fewer than two, or a file is no report of this version.
+
     """
     files = sorted(
         folder.rglob(REPORT), key=lambda file: _natural(file.parent.relative_to(folder).as_posix())
@@ -103,13 +106,13 @@ def read_history(folder: Path) -> History:
         expected = f"a folder with the {REPORT} of two revisions at least, at any depth"
         raise InputError(place=Place(file=folder), expected=expected, got=str(len(files)))
     revisions = tuple(_revision(file, file.parent.relative_to(folder).as_posix()) for file in files)
-    named = dict.fromkeys(key for one in revisions for key in one.claims)
-    revisions = tuple(sorted(revisions, key=lambda one: one.made_at))
+    named = dict.fromkeys(key for item in revisions for key in item.claims)
+    revisions = tuple(sorted(revisions, key=lambda item: item.made_at))
     courses = tuple(
-        Course(key, tuple((one.name, one.claims[key]) for one in revisions if key in one.claims))
+        Course(key, tuple((item.name, item.claims[key]) for item in revisions if key in item.claims))
         for key in named
     )
-    avoiders = dict.fromkeys(name for one in revisions for name in one.overruling)
+    avoiders = dict.fromkeys(name for item in revisions for name in item.overruling)
     return History(revisions, courses, tuple(name for name in avoiders if _grows(shares_of(revisions, name))))
 
 
@@ -119,21 +122,21 @@ def _natural(name: str) -> list[tuple[int, int | str]]:
 
 def _revision(file: Path, name: str) -> Revision:
     try:
-        found = json.loads(file.read_text("utf-8"))
-        if found["format"] != FORMAT:
-            raise KeyError(found["format"])
+        document = json.loads(file.read_text("utf-8"))
+        if document["format"] != FORMAT:
+            raise KeyError(document["format"])
         claims = {
-            (run["scenario"], _tested(run["system"]), one["claim"]): one
-            for run in found["runs"]
-            for one in run["claims"]
-            if {"verdict", "expected", "margin_si", "unit"} <= one.keys()
+            (run["scenario"], _tested(run["system"]), row["claim"]): row
+            for run in document["runs"]
+            for row in run["claims"]
+            if {"verdict", "expected", "margin_si", "unit"} <= row.keys()
         }
         overruling = {
-            avoider: (one["overruled"], one["proposals"]) for avoider, one in found["overruling"].items()
+            avoider: (row["overruled"], row["proposals"]) for avoider, row in document["overruling"].items()
         }
-        basis = str(found.get("basis", "Basis: not stated by this report"))
-        sources = dict.fromkeys(run["source_hash"] for run in found["runs"])
-        made_at = found.get("made_at", "")
+        basis = str(document.get("basis", "Basis: not stated by this report"))
+        sources = dict.fromkeys(run["source_hash"] for run in document["runs"])
+        made_at = document.get("made_at", "")
         made_at = made_at and datetime.fromisoformat(made_at).astimezone(UTC).isoformat()
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         got = f"{type(error).__name__}: {error}"
@@ -148,25 +151,36 @@ def _tested(system: Row) -> str:
 
 
 def shares_of(revisions: Sequence[Revision], avoider: str) -> list[tuple[int, int, int]]:
-    """(number of the revision, overruled, proposals) where the avoider proposed anything."""
-    found = ((k, *one.overruling.get(avoider, (0, 0))) for k, one in enumerate(revisions, start=1))
-    return [one for one in found if one[2]]
+    """Return (number of the revision, overruled, proposals) where ``avoider`` proposed a position."""
+    rows = ((k, *row.overruling.get(avoider, (0, 0))) for k, row in enumerate(revisions, start=1))
+    return [row for row in rows if row[2]]
 
 
 def _grows(shares: list[tuple[int, int, int]]) -> bool:
-    """Do the shares rise with the revisions, more than chance would have it (Kendall's tau, one-sided)?"""
+    """Return whether the shares rise with the revisions, by a one-sided test of Kendall's tau."""
     from scipy.stats import kendalltau
 
-    if len(shares) < 2 or len({overruled / of for _, overruled, of in shares}) == 1:
+    if len(shares) < 2 or len({overruled / proposed for _, overruled, proposed in shares}) == 1:
         return False
-    order, part = zip(*((k, overruled / of) for k, overruled, of in shares), strict=True)
+    order, part = zip(*((k, overruled / proposed) for k, overruled, proposed in shares), strict=True)
     return bool(kendalltau(order, part, alternative="greater").pvalue < LIKELY_TREND)
 
 
 def write_page(path: Path, history: History, *, command: str, generated_at: datetime) -> None:
-    """Write the page whole or not at all.  Raises OSError."""
+    """Write the page of ``history``, whole or not at all.
+
+    Args:
+        path: The page.
+        history: The revisions.
+        command: The command that repeats the page.
+        generated_at: The time for the page.
+
+    Raises:
+        OSError: The page cannot be written.
+
+    """
     revisions = history.revisions
-    avoiders = dict.fromkeys(name for one in revisions for name in one.overruling)
+    avoiders = dict.fromkeys(name for row in revisions for name in row.overruling)
     shares = {name: shares_of(revisions, name) for name in avoiders}
     page = render_page(
         "history.html.j2",
@@ -174,11 +188,11 @@ def write_page(path: Path, history: History, *, command: str, generated_at: date
         made=(generated_at, command),
         basis=revisions[-1].basis,
         history=history,
-        rows=[_row(one) for one in sorted(history.courses, key=lambda one: (not one.unlike, not one.turns))],
+        rows=[_row(row) for row in sorted(history.courses, key=lambda row: (not row.unlike, not row.turns))],
         overruling=[
-            (name, share_words(*one[0][1:]), share_words(*one[-1][1:]), name in history.growing)
-            for name, one in shares.items()
-            if one
+            (name, share_words(*row[0][1:]), share_words(*row[-1][1:]), name in history.growing)
+            for name, row in shares.items()
+            if row
         ],
         picture=Markup(_picture(shares, len(revisions))) if any(shares.values()) else "",
     )
@@ -187,24 +201,24 @@ def write_page(path: Path, history: History, *, command: str, generated_at: date
 
 def _row(course: Course) -> Row:
     newest = course.found[-1][1]
-    margins = [_margin_words(one) for _, one in course.found]
+    margins = [_margin_words(row) for _, row in course.found]
     return {"course": course, "newest": newest, "first": margins[0], "last": margins[-1]}
 
 
-def _margin_words(found: Row) -> str:
-    margin, unit = found["margin_si"], _UNITS.get(found["unit"])
+def _margin_words(row: Row) -> str:
+    margin, unit = row["margin_si"], _UNITS.get(row["unit"])
     if margin is None or isinstance(margin, str):
         return margin or "\u2013"
     return with_minus(unit.margin_text(margin) if unit else f"{margin:+.3g}")
 
 
 def _picture(shares: dict[str, list[tuple[int, int, int]]], revisions: int) -> str:
-    """The share of proposals that the gate overruled, over the revisions."""
+    """Return the SVG of the share of proposals that the gate overruled, over the revisions."""
     picture = Picture(WIDTH_PX, HEIGHT_PX)
     axes = picture.axes(EDGE_PX, 30.0, WIDTH_PX - 2 * EDGE_PX, HEIGHT_PX - 80.0)
-    for number, (name, found) in enumerate((name, one) for name, one in shares.items() if one):
+    for number, (name, points) in enumerate((name, row) for name, row in shares.items() if row):
         ink = HANDS[number % len(HANDS)]
-        axes.line([k for k, _, _ in found], [100 * n / of for _, n, of in found], ink, width=1.6)
+        axes.line([k for k, _, _ in points], [100 * n / m for _, n, m in points], ink, width=1.6)
         axes.key(name, ink)
     axes.x.show(1.0, max(2.0, revisions))
     axes.y.show(0.0, 1.0)
