@@ -16,7 +16,7 @@ import numpy as np
 from safety_harness.extensions.assurance.campaign.episodes import EpisodeRunner, trace_of
 from safety_harness.extensions.assurance.campaign.ledger import Ledger
 from safety_harness.extensions.assurance.campaign.plan import Plan, read_plan
-from safety_harness.extensions.assurance.campaign.session import LEDGER, carry_on, plan_of, processes
+from safety_harness.extensions.assurance.campaign.session import LEDGER, plan_of, processes, run_missing
 from safety_harness.extensions.assurance.certification.evidence import Evidence, as_text
 from safety_harness.extensions.assurance.certification.folder import (
     junit_xml,
@@ -64,7 +64,7 @@ def report_in(folder: Path) -> Path:
     """Sixteen kinematic runs, and what a search of one run would have found: one of their violations."""
     report = folder / "report"
     plan = plan_in(folder, SEARCHING)
-    assert carry_on(plan, report / LEDGER, processes(1))
+    assert run_missing(plan, report / LEDGER, processes(1))
     with Ledger.open(report / LEDGER) as ledger:
         data = ledger.trace(0, ledger.violations_kept(0)[0]) or b""
         trace = trace_of(plan, 0, data)

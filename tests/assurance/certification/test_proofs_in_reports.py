@@ -14,7 +14,7 @@ from cell.avoidance.random_models import random_perceptron
 from safety_harness.base.exceptions import InputError
 from safety_harness.cell.avoidance.model_file import save_model
 from safety_harness.extensions.assurance.campaign.ledger import Ledger
-from safety_harness.extensions.assurance.campaign.session import LEDGER, carry_on, plan_of, processes
+from safety_harness.extensions.assurance.campaign.session import LEDGER, plan_of, processes, run_missing
 from safety_harness.extensions.assurance.certification.certify import Certification
 from safety_harness.extensions.assurance.certification.evidence import read_evidence
 from safety_harness.extensions.assurance.certification.folder import (
@@ -58,7 +58,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A report of a few runs of the student, with a proof."""
     folder = tmp_path_factory.mktemp("with-proof")
     plan, report = plan_in(folder, QUIET), folder / "report"
-    assert carry_on(plan, report / LEDGER, processes(1))
+    assert run_missing(plan, report / LEDGER, processes(1))
     read_certified(certificate_in(folder), plan).write(report)
     with Ledger.open(report / LEDGER) as ledger, plan_of(ledger) as plan:
         gathered = gather(plan, ledger, report, command="safety-harness certify plan.yaml")

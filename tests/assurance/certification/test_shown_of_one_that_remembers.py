@@ -8,7 +8,7 @@ import pytest
 
 from safety_harness.extensions.assurance.campaign.ledger import Ledger
 from safety_harness.extensions.assurance.campaign.plan import Plan
-from safety_harness.extensions.assurance.campaign.session import LEDGER, carry_on, processes
+from safety_harness.extensions.assurance.campaign.session import LEDGER, processes, run_missing
 from safety_harness.extensions.assurance.certification import verify_report
 from safety_harness.extensions.assurance.certification.evidence import ClaimStatus
 from safety_harness.extensions.assurance.certification.folder import PAGE, write_folder, write_manifest
@@ -64,7 +64,7 @@ def test_what_a_forger_makes_of_a_program_does_not_come_out_again(
         plan_in(tmp_path, SMALL.replace("opposite pose", f"mine.py:{avoider}")),
         tmp_path / "report",
     )
-    assert carry_on(plan, report / LEDGER, processes(1))
+    assert run_missing(plan, report / LEDGER, processes(1))
     for statement in (None, forgery):
         if statement is not None:
             with Ledger.open(report / LEDGER, write=True) as ledger, ledger.transaction():
@@ -79,7 +79,7 @@ def test_what_a_forger_makes_of_a_program_does_not_come_out_again(
 def test_no_claim_is_shown_and_the_report_says_why(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "mine.py").write_text(MINE)
     plan, report = plan_in(tmp_path, SMALL.replace("opposite pose", "mine.py:Counts")), tmp_path / "report"
-    assert carry_on(plan, report / LEDGER, processes(1))
+    assert run_missing(plan, report / LEDGER, processes(1))
     with Ledger.open(report / LEDGER) as ledger:
         gathered = gather(plan, ledger, report, command="safety-harness certify plan.yaml")
         evidence = write_folder(report, gathered, ledger)

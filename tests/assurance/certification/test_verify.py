@@ -18,7 +18,7 @@ from safety_harness.base.exceptions import CampaignError, InputError
 from safety_harness.extensions.assurance.campaign.episodes import EpisodeRunner
 from safety_harness.extensions.assurance.campaign.ledger import Ledger
 from safety_harness.extensions.assurance.campaign.plan import Plan
-from safety_harness.extensions.assurance.campaign.session import LEDGER, carry_on, plan_of, processes
+from safety_harness.extensions.assurance.campaign.session import LEDGER, plan_of, processes, run_missing
 from safety_harness.extensions.assurance.certification import folder, verify_report
 from safety_harness.extensions.assurance.certification.altered import Turn, chance_to_miss
 from safety_harness.extensions.assurance.certification.evidence import (
@@ -60,7 +60,7 @@ def write(report: Path) -> None:
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     report = tmp_path_factory.mktemp("verified") / "report"
-    assert carry_on(plan_in(report.parent, SMALL), report / LEDGER, processes(1))
+    assert run_missing(plan_in(report.parent, SMALL), report / LEDGER, processes(1))
     write(report)
     return report
 
@@ -442,3 +442,10 @@ def test_no_draw_is_executed_unasked_wherever_it_names_a_program(tmp_path: Path,
             refused += "names a program" in str(error)
     assert 0 < refused < 8
     assert not (tmp_path / "theirs" / "mark").exists()
+
+
+def test_largest_differences_of_other_lists_are_a_fault_and_no_traceback() -> None:
+    found = list(verify_report._differences({"largest": (("claim", "1 mm"),)}, {"largest": ()}, "reruns[0]"))
+    assert [place for place, _, _ in found] == ["reruns[0].largest"]
+    assert not any(verify_report._is_close(was, new) for _, was, new in found)
+    assert verify_report._is_close("1.00 mm", "1.04 mm")

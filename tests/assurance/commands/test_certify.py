@@ -286,7 +286,7 @@ def test_an_interrupted_certification_says_what_is_missing_and_goes_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     plan_in(tmp_path, PLAN)
-    real = certify_module.carry_on
+    real = certify_module.run_missing
 
     def stopping(*arguments: object, **options: object) -> bool:
         done = 0
@@ -298,14 +298,14 @@ def test_an_interrupted_certification_says_what_is_missing_and_goes_on(
 
         return real(*arguments, **(options | {"enough": enough}))  # type: ignore[arg-type]
 
-    monkeypatch.setattr(certify_module, "carry_on", stopping)
+    monkeypatch.setattr(certify_module, "run_missing", stopping)
     out = tmp_path / "report"
     assert certify(tmp_path / "plan.yaml", out=out, workers=1) == INTERRUPTED
     partial = read_evidence(out / "evidence.json")
     assert partial.interrupted
     assert partial.standing in (ClaimStatus.INCOMPLETE, ClaimStatus.UNTESTED)
     assert all(outcome.bound is None for outcome in partial.claims[0].outcomes[:1])
-    monkeypatch.setattr(certify_module, "carry_on", real)
+    monkeypatch.setattr(certify_module, "run_missing", real)
     assert certify(tmp_path / "plan.yaml", out=out, workers=1) == DIFFERS
     assert not read_evidence(out / "evidence.json").interrupted
     with Ledger.open(out / "ledger.sqlite") as ledger:

@@ -15,7 +15,7 @@ from safety_harness.base.output import Output
 from safety_harness.extensions.assurance.campaign.ledger import Ledger
 from safety_harness.extensions.assurance.campaign.plan import Plan, read_packable
 from safety_harness.extensions.assurance.campaign.runner import CampaignRunner
-from safety_harness.extensions.assurance.campaign.session import LEDGER, carry_on, processes
+from safety_harness.extensions.assurance.campaign.session import LEDGER, processes, run_missing
 from safety_harness.extensions.assurance.certification.argument_files import read_notes
 from safety_harness.extensions.assurance.certification.counterexamples import Searched, searches_of
 from safety_harness.extensions.assurance.certification.evidence import Evidence
@@ -132,7 +132,9 @@ class Certification:
         remark = "what is under way is finished and kept; Ctrl-C again drops it"
         with one_more_ctrl_c(output.say, remark) as interrupted, watch(self.plan, output) as show:
             path, crew = self.folder / LEDGER, processes(workers)
-            complete = carry_on(self.plan, path, crew, on_progress=show, enough=interrupted, say=output.say)
+            complete = run_missing(
+                self.plan, path, crew, on_progress=show, enough=interrupted, say=output.say
+            )
         guard = ReportGuard()
         complete = complete and self.search(output, guard)
         without_proof(self.folder)

@@ -398,8 +398,10 @@ def _differences(then: Any, now: Any, place: str) -> Iterator[tuple[str, Any, An
         yield place, then, now
 
 
-def _is_close(then: str, now: str) -> bool:
+def _is_close(then: object, now: object) -> bool:
     """Return whether two margins with unit differ no more than another processor's last bits in a run."""
+    if not (isinstance(then, str) and isinstance(now, str)):  # lists of different lengths
+        return False
     (value, *unit), (own, *own_unit) = (text.replace("\u2212", "-").split(" ", 1) for text in (then, now))
     try:
         return unit == own_unit and math.isclose(float(value), float(own), rel_tol=0.01, abs_tol=0.1)

@@ -201,7 +201,7 @@ def _run_episodes(
     from safety_harness.claims.properties.answered import is_claimed
     from safety_harness.cli.progress import TERMINAL
     from safety_harness.extensions.assurance.campaign.ledger import Ledger
-    from safety_harness.extensions.assurance.campaign.session import carry_on, processes
+    from safety_harness.extensions.assurance.campaign.session import processes, run_missing
     from safety_harness.extensions.assurance.campaign.summary import fallback_of
     from safety_harness.extensions.assurance.commands.campaign_lines import tested_lines
     from safety_harness.extensions.assurance.commands.progress import watching_campaign
@@ -217,7 +217,7 @@ def _run_episodes(
     say_shared_modules()
     remark = "what is under way is finished and kept; Ctrl-C again drops it"
     with one_more_ctrl_c(say, remark) as interrupted, watching_campaign(plan, TERMINAL) as show:
-        carry_on(plan, path, make_crew, on_progress=show, enough=interrupted, part=numbers, say=say)
+        run_missing(plan, path, make_crew, on_progress=show, enough=interrupted, part=numbers, say=say)
         stopped = interrupted()
     result(*tested_lines(plan))
     with Ledger.open(path, check=False) as ledger:
