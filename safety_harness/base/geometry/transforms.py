@@ -1,4 +1,4 @@
-"""Rigid transforms as 4 x 4 matrices: ``transform_a_to_b`` takes coordinates in a to b."""
+"""Rigid transforms as 4 x 4 matrices: ``transform_a_to_b`` maps coordinates in a to coordinates in b."""
 
 from __future__ import annotations
 
@@ -11,7 +11,10 @@ from safety_harness.base.geometry.arrays import Array3, Array3x3, Array4x4
 
 @compiled
 def transform_from(rotation: Array3x3, translation: Array3) -> NDArray[np.float64]:
-    """Transform (4, 4) that turns by ``rotation`` (3, 3), then shifts by ``translation`` (3,) [m]."""
+    """Return the transform (4, 4) that turns by ``rotation`` (3, 3), then shifts by ``translation`` (3,).
+
+    The shift is in metres.
+    """
     transform = np.zeros((4, 4))
     for i in range(3):
         for j in range(3):
@@ -23,7 +26,7 @@ def transform_from(rotation: Array3x3, translation: Array3) -> NDArray[np.float6
 
 @compiled
 def inverse_transform(transform: Array4x4) -> NDArray[np.float64]:
-    """Inverse (4, 4) of a rigid ``transform`` (4, 4) of rotation R and shift t: (R^T, -R^T t)."""
+    """Return the inverse (4, 4) of a rigid ``transform`` (4, 4) of rotation R and shift t: (R^T, -R^T t)."""
     inverse = np.empty((4, 4))
     invert_into(transform, inverse)
     return inverse
@@ -31,7 +34,7 @@ def inverse_transform(transform: Array4x4) -> NDArray[np.float64]:
 
 @inlined
 def invert_into(transform: Array4x4, inverse_out: Array4x4) -> None:
-    """Fill ``inverse_out`` with the ``inverse_transform``, both (4, 4); it must not be the same array."""
+    """Fill ``inverse_out`` with the inverse of ``transform``, both (4, 4) and different arrays."""
     for i in range(3):
         shift = 0.0
         for j in range(3):
@@ -44,9 +47,9 @@ def invert_into(transform: Array4x4, inverse_out: Array4x4) -> None:
 
 @inlined
 def compose_into(outer: Array4x4, inner: Array4x4, transform_out: Array4x4) -> None:
-    """Fill ``transform_out`` with ``outer`` @ ``inner``, all (4, 4); it must not be one of the two.
+    """Fill ``transform_out`` with ``outer`` @ ``inner``, all (4, 4); it must differ from both arrays.
 
-    (R, t) (S, u) = (R S, R u + t): first the inner one, so that b_to_c and a_to_b give a_to_c.
+    (R, t) (S, u) = (R S, R u + t): the inner transform acts first, so b_to_c and a_to_b give a_to_c.
     """
     for i in range(3):
         for j in range(4):
