@@ -116,7 +116,7 @@ def _runs(
         # one after another: what a driver remembers is in their order, what is seen is not kept in a batch
         alone = shown_to(admitted.avoider) if driver is None else not (driver.many and world is KINEMATIC)
         if driver is None and not alone:
-            refuse_wall_clock(admitted.scenario, InadmissibleError, whose="these runs")
+            refuse_wall_clock(admitted.scenario, InadmissibleError, runs="these runs")
         full = ticks + admitted.scenario.ticks + 1 > ticks_at_once or (driver and len(chunk) == MOST_LANES)
         if chunk and (alone or full or driver is not of):
             yield from _run_chunk(chunk, world)

@@ -34,9 +34,7 @@ def foreign_files() -> str:
         foreign = metadata.distribution(FOREIGN)
     except metadata.PackageNotFoundError:
         return ""
-    if (
-        "\nsafety_harness/" not in f"\n{foreign.read_text('RECORD') or ''}"
-    ):  # an editable one has no file there
+    if "\nsafety_harness/" not in f"\n{foreign.read_text('RECORD') or ''}":  # an editable one has none there
         return ""
     return (
         f"{FOREIGN} {foreign.version}, another project, has files in the folder of {DISTRIBUTION}: "

@@ -196,7 +196,7 @@ class ScenarioSpace:
     def _read(self, row: Values, known: Sequence[Any] | None = None, *, name: str = "") -> Scenario:
         tree = filled(self.template, self.parameters, row, known)
         read = scenario_of(tree, self.file, self.recordings, name=name)
-        refuse_wall_clock(read, ScenarioError, whose="the runs of a space")
+        refuse_wall_clock(read, ScenarioError, runs="the runs of a space")
         return read
 
     @cached_property

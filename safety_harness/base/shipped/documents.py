@@ -56,18 +56,15 @@ def section_named(text: str) -> Section:
         ScenarioError: No section matches; the hint has the nearest names.
 
     """
-    known, wanted = sections(), text.strip().lower()
-    for section in known:
-        if section.name.lower() == wanted:
-            return section
-    for section in known:
-        if wanted and (wanted in section.title.lower() or wanted.replace(" ", "-") in section.name.lower()):
-            return section
+    known, name = sections(), text.strip().lower()
+    for page in known:
+        if page.name.lower() == name:
+            return page
+    for page in known:
+        if name and (name in page.title.lower() or name.replace(" ", "-") in page.name.lower()):
+            return page
     expected = "a page, page#section, or words of a heading"
-    hint = (
-        near_miss(wanted, (section.name for section in known), most=3)
-        or "without any the first page is opened"
-    )
+    hint = near_miss(name, (page.name for page in known), most=3) or "without any the first page is opened"
     raise ScenarioError.of_option("docs", expected, repr(text), hint)
 
 
