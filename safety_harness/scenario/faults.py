@@ -129,7 +129,10 @@ class HandSensorBlind(Timed):
 
 @declared
 class HandSensorFrozen(Timed):
-    """The hand sensor repeats its last picture with new times; without an earlier picture it shows none."""
+    """The hand sensor repeats its last picture with new times.
+
+    Without an earlier picture it shows no hand.
+    """
 
     phrase = Phrase("hand sensor", "freezes", FaultKind.HAND_SENSOR_FROZEN)
 
@@ -171,7 +174,10 @@ class CameraBlind(Timed):
 
 @declared
 class CameraFrozen(Timed):
-    """The camera repeats its last picture with new times; without an earlier picture it shows no object."""
+    """The camera repeats its last picture with new times.
+
+    Without an earlier picture it shows no object.
+    """
 
     phrase = Phrase("camera", "freezes", FaultKind.CAMERA_FROZEN)
 

@@ -59,7 +59,7 @@ def yaml_files(folder: Path) -> Iterator[Path]:
 def files_of(
     path: Path, wanted: tuple[FileKind, ...], place: Place | None = None
 ) -> tuple[list[Path], list[Path]]:
-    """Return the wanted files of a path, and the files that were left aside.
+    """Return the wanted files of a path, and the remaining files.
 
     A file stands for itself.  A folder, with its subfolders, stands for the wanted files of ours in it.  If
     it has no wanted file, the function returns all of its files, so that their reader names their kind.
