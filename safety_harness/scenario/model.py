@@ -500,10 +500,8 @@ class Scenario:
 
         """
         hands = (
-            replace(hand, recording=Path(name(str(hand.recording))))
-            if isinstance(hand, RecordedHand)
-            else hand
-            for hand in self.hands
+            replace(h, recording=Path(name(str(h.recording)))) if isinstance(h, RecordedHand) else h
+            for h in self.hands
         )
         robot = self.robot.named(name) if isinstance(self.robot, OwnRobot) else self.robot
         return replace(self, hands=tuple(hands), robot=robot)
