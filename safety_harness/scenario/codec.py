@@ -219,10 +219,8 @@ class Below(_Formed):
 
     def read(self, field: Field) -> Any:
         """Return the object of the mapping."""
-        kind = (
-            self.tables[0] if len(self.tables) == 1 else self.by_key[field.only_key(self.noun, self.by_key)]
-        )
-        return kind.read(field)
+        own = self.tables[0] if len(self.tables) == 1 else self.by_key[field.only_key(self.noun, self.by_key)]
+        return own.read(field)
 
     def table_of(self, value: object) -> KeyTable:
         """Return the table that reads and writes ``value``."""
