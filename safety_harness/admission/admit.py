@@ -89,7 +89,19 @@ class Checked:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Admitted(Checked):
-    """A scenario with everything resolved: ready to run and to be judged."""
+    """A scenario with everything resolved: ready to run and to be judged.
+
+    Args:
+        scenario: The scenario.
+        arm: The model of its arm.
+        view: The desired view; None if the controller does not see the object.
+        joint_position_rad: (n,) The joint angles at the start.
+        properties: The property of each claim, in order.
+        avoider: The avoider; a stand-in if another controller than the visual servo drives the arm.
+        avoider_sha256: The hash of the avoider's file; empty without a file.
+        driver: The user's controller; None: the visual servo.
+
+    """
 
     avoider: Avoider  # NOBODY where another controller than the visual servo drives
     avoider_sha256: str  # of the file that the avoider comes from; empty for one without

@@ -276,12 +276,12 @@ def replay_command(
         told: Names the files; a command that is not stored may show them as they are.
 
     """
-    words = ["safety-harness", verb, *(str(told(file)) for file in (trace, *others))]
+    parts = ["safety-harness", verb, *(str(told(file)) for file in (trace, *others))]
     if is_a_program(scenario.under_test):
         reference = command_line_reference(scenario)
         program = told_avoider(os.path.abspath(reference) if file_and_name(reference)[0] else reference)
-        words += [option_of(scenario.under_test), program]
-    return shlex.join(words)
+        parts += [option_of(scenario.under_test), program]
+    return shlex.join(parts)
 
 
 def with_program(

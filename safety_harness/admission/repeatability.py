@@ -154,7 +154,7 @@ class _Sampled:
     """A question, the hash that draws it, its scenario, and the hash of its avoider's file."""
 
     order: bytes
-    one: Asked
+    case: Asked
     scenario: Callable[[], Scenario]
     avoider_sha256: str
 
@@ -186,17 +186,17 @@ class Repeatability:
         driven = driven_in(trace)
         if driven is not None:
             self.take_run(driven, lambda: scenario)
-        asked = () if scenario.driven else asked_in(trace)
-        self.take(asked, lambda: scenario, trace.system.tested.sha256)
+        cases = () if scenario.driven else asked_in(trace)
+        self.take(cases, lambda: scenario, trace.system.tested.sha256)
 
     def take(
-        self, asked: Iterable[Asked], scenario: Callable[[], Scenario], avoider_sha256: str = ""
+        self, cases: Iterable[Asked], scenario: Callable[[], Scenario], avoider_sha256: str = ""
     ) -> None:
         """Add questions of a run; ``scenario`` returns the avoider's scenario on demand."""
         self._last = scenario
-        for question in asked:
+        for case in cases:
             self._questions += 1
-            self._sample.append(_Sampled(_order(question.question), question, scenario, avoider_sha256))
+            self._sample.append(_Sampled(_order(case.question), case, scenario, avoider_sha256))
         if len(self._sample) > 2 * MOST:
             self._sample = self._drawn()
 
@@ -329,9 +329,9 @@ class _Again:
             new = _Second(avoider, Question(np.array(hand), np.array(tcp), 0))
             second = self.seconds.setdefault(id(avoider), new)
             self.asked += 1
-            answer_differs = second.alone(sampled.one)
+            answer_differs = second.alone(sampled.case)
             if answer_differs:
-                self.differing[sampled.one] = answer_differs
+                self.differing[sampled.case] = answer_differs
             if second.hangs:
                 return
         for second in self.seconds.values():
@@ -355,39 +355,40 @@ class _Second:
         avoider = self.avoider
         return avoider.takes_many if isinstance(avoider, OutOfProcessAvoider) else takes_many(avoider)
 
-    def alone(self, asked: Asked) -> Difference | None:
+    def alone(self, case: Asked) -> Difference | None:
         """Return the difference of its answer to one question, or None."""
-        self.asked.append(asked)
+        self.asked.append(case)
         why = "the avoider remembers" + (", or heeds what else is asked" if self._takes_many else "")
         try:
-            return _compared(f"{why}: asked again alone", asked, ask(self.avoider, asked.question))
+            return _compared(f"{why}: asked again alone", case, ask(self.avoider, case.question))
         except NoAnswerError as error:
             self.hangs = True
-            return np.inf, f"{why}: asked again alone it hangs: {error} ({_place(asked)})"
+            return np.inf, f"{why}: asked again alone it hangs: {error} ({_place(case)})"
 
     def together(self) -> Iterator[tuple[Asked, Difference]]:
         """Yield the questions whose answers differ in one call for all, with the differences."""
         if self._takes_many:
-            answers = answers_together(self.avoider, [self.first, *(asked.question for asked in self.asked)])
+            answers = answers_together(self.avoider, [self.first, *(case.question for case in self.asked)])
             if not answers or not np.isnan(answers[0].latency_s):  # it cannot, and was asked in turn
                 return
             self.answers_many = True
             why = "the avoider heeds what else is asked: asked again in one call with others"
-            for asked, answer in zip(self.asked, answers[1:], strict=False):
-                if answer_differs := _compared(why, asked, answer):
-                    yield asked, answer_differs
+            for case, answer in zip(self.asked, answers[1:], strict=False):
+                if answer_differs := _compared(why, case, answer):
+                    yield case, answer_differs
 
 
-def _compared(why: str, asked: Asked, answer: Answer) -> Difference | None:
-    how = difference(asked.answer, answer)
+def _compared(why: str, case: Asked, answer: Answer) -> Difference | None:
+    """Return the difference of an answer to a question's first answer, or None."""
+    how = difference(case.answer, answer)
     if not how:
         return None
-    a, b = asked.answer.proposal, answer.proposal
+    a, b = case.answer.proposal, answer.proposal
     off_m = float(np.linalg.norm([a.position_in_base_m - b.position_in_base_m, a.spread_m - b.spread_m]))
-    same = np.array_equal(asked.answer.spread_threshold_m, answer.spread_threshold_m, equal_nan=True)
-    return off_m if same and np.isfinite(off_m) else np.inf, f"{why} {how} ({_place(asked)})"
+    same = np.array_equal(case.answer.spread_threshold_m, answer.spread_threshold_m, equal_nan=True)
+    return off_m if same and np.isfinite(off_m) else np.inf, f"{why} {how} ({_place(case)})"
 
 
-def _place(asked: Asked) -> str:
+def _place(case: Asked) -> str:
     """Return the number of a question and its run, in words."""
-    return f"question {asked.number} of {asked.run}"
+    return f"question {case.number} of {case.run}"

@@ -22,7 +22,12 @@ MAX_REJECTION_RATIO = 200  # draws without an admitted one; later, draws for eac
 class AdmittedDraws:
     """Admissible scenarios of a space, and the number of draws that they took.
 
-    ``refused`` counts the refused draws by reason, the most frequent first: "field: expected ...".
+    Args:
+        scenarios: The scenarios.
+        drawn: The number of draws.
+        refused: The number of refused draws for each reason, the most frequent first.  A reason is "field:
+            expected ...".
+
     """
 
     scenarios: tuple[Scenario, ...]
@@ -63,7 +68,7 @@ def draw_admissible(
         raise ValueError(f"expected a count of at least 1; got {count}")
     refused: Counter[str] = Counter()
     scenarios: list[Scenario] = []
-    looker = Looker()
+    checker = Looker()
     drawn = 0
     last: InputError | None = None
     while len(scenarios) < count:
@@ -72,7 +77,7 @@ def draw_admissible(
             raise _hopeless(space, len(scenarios), drawn, refused) from last
         try:
             scenario = space.draw(seed, drawn)
-            looker.look(scenario)
+            checker.look(scenario)
             scenarios.append(scenario)
         except InputError as error:
             refused[why_refused(error)] += 1

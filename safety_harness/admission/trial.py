@@ -187,7 +187,7 @@ def slower_because(avoider: Avoider) -> str:
 def judge(trace: Trace, *, file: Path | None = None) -> Evaluations:
     """Judge a trace by the claims of its scenario.
 
-    The function neither simulates nor makes the avoider, since a user's avoider would be executed.
+    The function does not simulate, nor does it make the avoider, since a user's avoider would be executed.
 
     Args:
         trace: The trace.

@@ -102,12 +102,28 @@ class InputError(SafetyHarnessError):
 
     @classmethod
     def of_option(cls, option: str, expected: str, got: str, hint: str = "") -> Self:
-        """Return the error of an option or argument; ``expected``, ``got`` and ``hint`` as in the class."""
+        """Return the error of an option or argument of a command or a function.
+
+        Args:
+            option: The name of the option.
+            expected: Completes "expected ...".
+            got: Completes "got ...".
+            hint: One more line of help.
+
+        """
         return cls(place=Place(field=option), expected=expected, got=got, hint=hint)
 
     @classmethod
     def of_file(cls, file: Path | None, expected: str, got: str, hint: str = "") -> Self:
-        """Return the error of a whole file; ``expected``, ``got`` and ``hint`` as in the class."""
+        """Return the error of a whole file.
+
+        Args:
+            file: The file; None: an input without a file.
+            expected: Completes "expected ...".
+            got: Completes "got ...".
+            hint: One more line of help.
+
+        """
         return cls(place=Place(file=file), expected=expected, got=got, hint=hint)
 
     def __reduce__(self) -> tuple[partial[InputError], tuple[()]]:

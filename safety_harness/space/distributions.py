@@ -31,7 +31,14 @@ LEAST_MASS = 1e-6  # of a truncated normal within its bounds; with less, they do
 
 @dataclass(frozen=True)
 class Uniform:
-    """Equally likely values from ``low`` to ``high``.  ValueError unless low < high, both finite."""
+    """Equally likely values between two ends.
+
+    Args:
+        low: The lower end; ValueError unless it is finite and below ``high``.
+        high: The upper end.
+        unit: The SI unit; empty: that of the value in whose place it stands, or none.
+
+    """
 
     low: float
     high: float
@@ -64,10 +71,16 @@ class Uniform:
 
 @dataclass(frozen=True)
 class TruncatedNormal:
-    """A normal distribution restricted to values from ``low`` to ``high``.
+    """A normal distribution restricted to an interval.
 
-    ValueError unless low < high, all is finite, and at least a millionth of the distribution is within the
-    bounds.
+    Args:
+        mean: The mean of the unrestricted distribution.
+        std: Its standard deviation; ValueError unless it is above 0.
+        low: The lower end; ValueError unless it is below ``high``, with a millionth of the distribution
+            between them.
+        high: The upper end.
+        unit: The SI unit, as in ``Uniform``.
+
     """
 
     mean: float
@@ -192,7 +205,12 @@ class Choice:
 class InShell:
     """A point between two spheres about a centre, uniform in volume.
 
-    ValueError unless 0 <= inner < outer.
+    Args:
+        centre: The centre.
+        inner: The radius of the inner sphere, from 0; ValueError unless it is below ``outer``.
+        outer: The radius of the outer sphere.
+        unit: The SI unit of all three.
+
     """
 
     centre: Vector3
@@ -247,7 +265,14 @@ class InShell:
 
 @dataclass(frozen=True)
 class InBox:
-    """Equally likely points of a box between two corners.  ValueError unless low < high for each axis."""
+    """Equally likely points of a box.
+
+    Args:
+        low: The lowest corner; ValueError unless each coordinate is below that of ``high``.
+        high: The highest corner.
+        unit: The SI unit of both.
+
+    """
 
     low: Vector3
     high: Vector3
@@ -288,8 +313,11 @@ class InBox:
 class InRegion:
     """Equally likely points of a named region: of a box, or of the shell around a hole in a box.
 
-    ``region`` is None until the reader of the space knows whose seen space it means.  For a shift (the TCP
-    start's offset) the region is a region of shifts.
+    Args:
+        name: The name: "seen hand", "unseen hand", "seen tcp" or "unseen tcp".
+        region: The region; None until the reader of the space knows whose seen space it means.  For a shift
+            (the TCP start's offset) it is a region of shifts.
+
     """
 
     name: str

@@ -72,7 +72,7 @@ def space_of(
 ) -> ScenarioSpace:
     """Return the scenario space of a tree.
 
-    The arguments are those of ``parse_space``, and ``name`` as in ``parse_scenario``.
+    ``name`` is the name of the space; the remaining arguments are as in ``parse_space``.
     """
     root = Field(tree, file, path="", line=1)
     template, parameters = TemplateReader().whole(root)
@@ -105,9 +105,9 @@ def _with_regions(space: ScenarioSpace) -> ScenarioSpace:
         return replace(space, parameters=tuple(parameters), notes=notes)
 
     def region(name: str, path: str) -> Region:
-        found = region_named(name, seen, base.settings)
+        named = region_named(name, seen, base.settings)
         a_shift = path.startswith("tcp start") and ".offset" in path  # from the desired TCP
-        return found.shifted((-x, -y, -z)) if a_shift else found
+        return named.shifted((-x, -y, -z)) if a_shift else named
 
     base = with_regions(lambda name, path: _SOMEWHERE).simplest
     folder = space.file.parent if space.file else None

@@ -1,6 +1,6 @@
 """Regions without numbers: the space that an avoider saw in training, and the shells around it (Table 3).
 
-The paper gives the seen hands (nominal +- 300 mm, section 4.1) and no other bound.  The remaining bounds are
+The paper gives only the bounds of the seen hands (nominal +- 300 mm, section 4.1).  The remaining bounds are
 ours.  They were chosen before any result, for these reasons:
 
 * Seen TCPs lie within +-(60, 150, 100) mm of the desired position, x narrowest as in the paper.  In the

@@ -124,7 +124,13 @@ class ScenarioSpace:
         return self.without_unused(values)
 
     def draws(self, seed: int, count: int) -> Iterator[Scenario]:
-        """Yield the first ``count`` draws of the stream ``seed``."""
+        """Yield the first draws of a stream.
+
+        Args:
+            seed: The stream.
+            count: The number of draws.
+
+        """
         return (self.draw(seed, k) for k in range(count))
 
     def at(self, u: ArrayLike, *, seed: int = 0, name: str | None = None) -> Scenario:

@@ -65,14 +65,26 @@ class Switch:
 
 @dataclass(frozen=True)
 class Ref:
-    """The value of the choice ``name``."""
+    """The value of a named choice.
+
+    Args:
+        name: The name of the choice.
+
+    """
 
     name: str
 
 
 @dataclass(frozen=True)
 class Repeat:
-    """Members of a list, repeated from ``least`` to ``most`` times."""
+    """Members of a list, repeated.
+
+    Args:
+        least: The least number of repetitions.
+        most: The largest number of repetitions.
+        moves: The members.
+
+    """
 
     least: int
     most: int

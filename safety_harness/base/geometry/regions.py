@@ -16,7 +16,13 @@ Vector = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Box:
-    """An axis-parallel box in the base frame, its boundary included; RegionError unless low < high."""
+    """An axis-parallel box, its boundary included.
+
+    Args:
+        low_m: The lowest corner in the base frame.
+        high_m: The highest corner; RegionError unless each coordinate is above that of ``low_m``.
+
+    """
 
     low_m: Vector3
     high_m: Vector3
@@ -68,16 +74,29 @@ class Box:
         return Box(_vector3(low), _vector3(high))
 
     def contains(self, points_in_base_m: Vector) -> NDArray[np.bool_]:
-        """Return which points are in the box, as (...) for ``points_in_base_m`` (..., 3); False for NaN."""
+        """Return which points are in the box; False for NaN.
+
+        Args:
+            points_in_base_m: The points (..., 3).
+
+        Returns:
+            An array (...) of booleans.
+
+        """
         inside: NDArray[np.bool_] = np.all(
             (points_in_base_m >= self.low_m) & (points_in_base_m <= self.high_m), axis=-1
         )
         return inside
 
     def outside_m(self, points_in_base_m: Vector) -> Vector:
-        """Return the distance of points to the box [m]: ``points_in_base_m`` (..., 3) -> (...).
+        """Return the distance of points to the box [m]: 0 inside the box, and NaN for NaN.
 
-        The distance is 0 inside the box, and NaN for NaN.
+        Args:
+            points_in_base_m: The points (..., 3).
+
+        Returns:
+            An array (...).
+
         """
         excess = np.maximum(np.array(self.low_m) - points_in_base_m, points_in_base_m - np.array(self.high_m))
         outside: Vector = np.linalg.norm(np.maximum(excess, 0.0), axis=-1)
@@ -86,7 +105,13 @@ class Box:
 
 @dataclass(frozen=True)
 class Region:
-    """A box, or the shell between it and a hole inside it.  RegionError for a shell without a volume."""
+    """A box, or the shell between it and a hole inside it.
+
+    Args:
+        outer: The box.
+        hole: The hole; None: no hole.  RegionError if it sticks out of the box or fills it.
+
+    """
 
     outer: Box
     hole: Box | None = None
@@ -102,9 +127,14 @@ class Region:
             raise RegionError.of_option("shell", expected, f"the hole {self.hole} in {self.outer}")
 
     def contains(self, points_in_base_m: Vector) -> NDArray[np.bool_]:
-        """Return which points are in the region: ``points_in_base_m`` (..., 3) -> (...).
+        """Return which points are in the region; the hole's boundary belongs to it.
 
-        The hole's boundary belongs to the shell.
+        Args:
+            points_in_base_m: The points (..., 3).
+
+        Returns:
+            An array (...) of booleans.
+
         """
         inside = self.outer.contains(points_in_base_m)
         if self.hole is not None:

@@ -92,9 +92,15 @@ def vector_from_rotation(rotation: Array3x3) -> NDArray[np.float64]:
 
 @compiled
 def rotation_about(axis: Array3, angle_rad: float, rotation_out: Array3x3) -> None:
-    """Fill ``rotation_out`` (3, 3) with the turn by ``angle_rad`` t about the *unit* ``axis`` (3,) a.
+    """Fill a matrix with the turn by an angle t about a *unit* axis a.
 
     Rodrigues' formula is R = cos t I + sin t [a]x + (1 - cos t) a a^T.
+
+    Args:
+        axis: (3,) The unit axis.
+        angle_rad: The angle.
+        rotation_out: (3, 3) receives R.
+
     """
     entries = rotation_entries(axis[0], axis[1], axis[2], angle_rad)
     for i in range(9):
@@ -105,9 +111,16 @@ def rotation_about(axis: Array3, angle_rad: float, rotation_out: Array3x3) -> No
 def rotation_entries(
     x: float, y: float, z: float, angle_rad: float
 ) -> tuple[float, float, float, float, float, float, float, float, float]:
-    """Return the entries of ``rotation_about``, row by row, for ``angle_rad`` and the *unit* axis (x, y, z).
+    """Return the nine entries of ``rotation_about``, row by row.
 
     1 - cos t is 2 sin^2(t/2), which does not cancel.
+
+    Args:
+        x: The first component of the *unit* axis.
+        y: The second component.
+        z: The third component.
+        angle_rad: The angle.
+
     """
     c, s = cos(angle_rad), sin(angle_rad)
     half = sin(0.5 * angle_rad)

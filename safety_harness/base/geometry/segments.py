@@ -14,10 +14,16 @@ ROUNDING_M = 1e-9  # the most by which rounding lifts a lower bound above the di
 
 @inlined
 def point_segment_distance(point: Array3, start: Array3, end: Array3) -> float:
-    """Return the distance [m] from ``point`` (3,) p to the segment from ``start`` (3,) a to ``end`` (3,) b.
+    """Return the distance [m] from a point p to the segment from a to b.
 
     It is |p - a - t u| with u = b - a and t = (p - a) . u / |u|^2, cut to [0, 1].  If the segment is a point
     (u = 0), t = 0.
+
+    Args:
+        point: (3,) p.
+        start: (3,) a.
+        end: (3,) b.
+
     """
     ux, uy, uz = end[0] - start[0], end[1] - start[1], end[2] - start[2]
     wx, wy, wz = point[0] - start[0], point[1] - start[1], point[2] - start[2]
@@ -31,12 +37,16 @@ def point_segment_distance(point: Array3, start: Array3, end: Array3) -> float:
 
 @inlined
 def axes_lower_m(a: Array2x3, b: Array2x3) -> float:
-    """Return a lower bound [m] of the distance of segments ``a`` (2, 3) and ``b`` (2, 3), ends by row.
+    """Return a lower bound [m] of the distance of two segments; negative if they may touch.
 
     The bound is |m_a - m_b| - (l_a + l_b)/2 with middles m and lengths l, and may exceed the distance by
     ROUNDING_M.  It follows from the triangle inequality: a point of a segment is at most half the length from
-    its middle.  The bound takes a third of the work of ``segment_segment_distance``; it is negative if the
-    segments may touch.
+    its middle.  The bound takes a third of the work of ``segment_segment_distance``.
+
+    Args:
+        a: (2, 3) The ends of the first segment, by row.
+        b: (2, 3) The ends of the second segment.
+
     """
     middles_squared, a_squared, b_squared = 0.0, 0.0, 0.0
     for i in range(3):
@@ -50,7 +60,12 @@ def axes_lower_m(a: Array2x3, b: Array2x3) -> float:
 def segment_segment_distance(a_start: Array3, a_end: Array3, b_start: Array3, b_end: Array3) -> float:
     """Return the distance [m] between two segments: the length of ``segment_segment_vector``.
 
-    ``a_start`` and ``a_end`` (3,) are the ends of segment a, ``b_start`` and ``b_end`` (3,) of segment b.
+    Args:
+        a_start: (3,) The start of segment a.
+        a_end: (3,) Its end.
+        b_start: (3,) The start of segment b.
+        b_end: (3,) Its end.
+
     """
     x, y, z = segment_segment_vector(a_start, a_end, b_start, b_end)
     return sqrt(x * x + y * y + z * z)
@@ -62,7 +77,12 @@ def segment_segment_vector(
 ) -> tuple[float, float, float]:
     """Return the shortest vector (x, y, z) [m] from segment a to segment b, as in ``nearest_of_segments``.
 
-    ``a_start`` and ``a_end`` (3,) are the ends of segment a, ``b_start`` and ``b_end`` (3,) of segment b.
+    Args:
+        a_start: (3,) The start of segment a.
+        a_end: (3,) Its end.
+        b_start: (3,) The start of segment b.
+        b_end: (3,) Its end.
+
     """
     x, y, z, _, _ = nearest_of_segments(a_start, a_end, b_start, b_end)
     return x, y, z
@@ -72,10 +92,7 @@ def segment_segment_vector(
 def nearest_of_segments(
     a_start: Array3, a_end: Array3, b_start: Array3, b_end: Array3
 ) -> tuple[float, float, float, float, float]:
-    """Return the vector (x, y, z) [m] between the nearest points of two segments, and both shares.
-
-    The vector leads from segment a (``a_start``, ``a_end``) to segment b (``b_start``, ``b_end``).  A share
-    is the position of the nearest point along its segment, 0 to 1.  All five are NaN if an end is.
+    """Return the vector between the nearest points of two segments a and b, and both shares.
 
     Let u and v be the segments' vectors and w = b_start - a_start.  The vector is the least |w + t v - s u|
     over s and t in [0, 1].  In the interior, with n = u x v,
@@ -83,11 +100,22 @@ def nearest_of_segments(
         s = (w x v) . n / |n|^2,   t = (w x u) . n / |n|^2.
 
     Ericson (2005, section 5.1.9) divides by |u|^2 |v|^2 - (u . v)^2 instead, which cancels.  At an end, the
-    other share comes from ``point_segment_distance``.  Segments may be parallel or points.
+    share of the opposite segment comes from ``point_segment_distance``.  Segments may be parallel or points.
 
     The least distance lies at an end of a segment, or at two inner points whose joining line is perpendicular
     to both segments.  The loop always tries all four ends besides the inner solution.  So nearly parallel
     segments, whose inner solution is ill-conditioned, never make the answer wrong.
+
+    Args:
+        a_start: (3,) The start of segment a.
+        a_end: (3,) Its end.
+        b_start: (3,) The start of segment b.
+        b_end: (3,) Its end.
+
+    Returns:
+        (x, y, z, s, t): the vector [m] from a to b, and the positions of its ends along the segments, 0 to 1.
+        All five are NaN if an end is.
+
     """
     ux, uy, uz = a_end[0] - a_start[0], a_end[1] - a_start[1], a_end[2] - a_start[2]
     vx, vy, vz = b_end[0] - b_start[0], b_end[1] - b_start[1], b_end[2] - b_start[2]
