@@ -31,7 +31,7 @@ from safety_harness.scenario.fault_table import fault_table
 from safety_harness.scenario.faults import CameraHidden, CameraLate, FalseHand, HandSensorLate
 from safety_harness.scenario.model import Scenario
 
-TOUCHING_M = 1e-6
+TOUCHING_M = 1e-6  # nearer edges of an outline count as touching
 # With a larger number, triangles servo to 5 mm in raster images from at most two of eight starts; below 500
 # from most, below 25 from all.  With exact moments rounding alone would set the bound, far higher.
 MOST_CONDITION = 1000.0
@@ -147,7 +147,7 @@ def check_cameras(scenario: Scenario) -> None:
 
 
 def refuse_gate(scenario: Scenario) -> None:
-    """Refuse a rule of the gate without demands, or for a controller without the full gate."""
+    """Refuse an empty rule of the gate, a reversed box in it, and a controller without the full gate."""
     full = scenario.settings.avoidance.gate is GateKind.FULL
     if scenario.gate is not None and (scenario.driven or not full):
         got = "another controller" if scenario.driven else "the gate of reach alone"

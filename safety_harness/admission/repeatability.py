@@ -178,9 +178,9 @@ class Repeatability:
         self._last: Callable[[], Scenario] | None = None  # of a run, whatever came of it
 
     def add(self, trace: Trace) -> None:
-        """Add the questions of a run, or the run of a controller.
+        """Add the questions of a run, or the run of a controller that its scenario names.
 
-        A controller that is an object of a program cannot be repeated, so it has no reference.
+        A controller that a program passes as an object cannot be made again.
         """
         scenario = trace.scenario
         driven = driven_in(trace)

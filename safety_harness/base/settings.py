@@ -204,7 +204,7 @@ class HandSensor:
 
 @dataclass(frozen=True, kw_only=True)
 class HandFilter:
-    """The Kalman filter of eq. 7, and the tracks that feed on it."""
+    """The Kalman filter of eq. 7, and the tracks that use it."""
 
     prediction_horizon_s: float = setting(0.1, "how far ahead the hand is predicted", 0.0, 2.0)
     measurement_std_px: float = setting(2.0, "assumed error of the box's place")

@@ -249,7 +249,7 @@ class FreeKeys(_Formed):
 
     def write(self, mapping: Mapping[str, Any]) -> dict[str, Tree]:
         """Return the mapping of these values."""
-        return {scalar_text(word): self.of.write(value) for word, value in mapping.items()}
+        return {scalar_text(name): self.of.write(value) for name, value in mapping.items()}
 
 
 Value = QuantityValue | Text | Word | Several | Below | FreeKeys

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from safety_harness.base.compiled import compiled
 from safety_harness.scenario.faults import Fault, Joint, JointStuck
 
-TIME_EPS_S = 1e-9
+TIME_EPS_S = 1e-9  # tolerance for the rounding of a tick's time, at both ends of a fault
 
 
 FAULT = np.dtype(

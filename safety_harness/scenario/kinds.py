@@ -22,7 +22,7 @@ if TYPE_CHECKING:  # pytest loads this file in every project, and the model is s
 
 SUFFIXES = (".yaml", ".yml")
 HEAD_BYTES = 1_000_000  # of a file, which is as much as a scenario has
-TAIL_BYTES = 100_000
+TAIL_BYTES = 100_000  # of a ZIP file, which has the names of its members at its end
 MOST_ENTRIES = 100  # of a folder
 _LOG = re.compile(r"^log:(?=[ \t\r\n]|$)", re.MULTILINE), re.compile(r"^(claims|clock|robot):", re.MULTILINE)
 _FORMAT = re.compile(r'"(?:format|schema)": ?"safety-harness ([a-z ]+) \d+"')
@@ -77,8 +77,8 @@ class FileKind(Enum):
     EMPTY = "an empty file", "safety-harness new OTHER.yaml writes a scenario to start from"
     BINARY = "a binary file", ""
 
-    def __init__(self, words: str, command: str, *names: str) -> None:
-        self.words, self.command, self.names = words, command, names
+    def __init__(self, noun: str, command: str, *names: str) -> None:
+        self.words, self.command, self.names = noun, command, names
 
 
 Kind = FileKind | InputFile  # of the core's own messages, or of a package that adds it

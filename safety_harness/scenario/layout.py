@@ -63,11 +63,11 @@ class WrittenValue:
 
 @dataclass
 class LayoutEntry:
-    """A key with its value, or an item of a list; an empty text in ``before`` is a blank line."""
+    """A key with its value, or an item of a list; an empty text in ``above`` is a blank line."""
 
     key: WrittenValue | None
     value: WrittenValue
-    before: list[str] = field(default_factory=list)
+    above: list[str] = field(default_factory=list)
     beside_key: str = ""
     beside: str = ""
 
@@ -116,7 +116,7 @@ class _Builder:
         if root.kind == "scalar" and self._comments:
             root.tail = [comment.text for comment in self._comments]
         else:
-            root.tail += self._taken(len(self._text) + 1, len(self._lines), first=False)
+            root.tail += self._comments_up_to(len(self._text) + 1, len(self._lines), first=False)
         return root
 
     def _value(self) -> WrittenValue:
@@ -139,13 +139,13 @@ class _Builder:
         least = 0 if flow else max(event.start_mark.column, 1)
         deeper = [comment for comment in self._comments if comment.index < limit and comment.column >= least]
         if deeper and deeper == self._comments[: len(deeper)]:
-            value.tail = self._taken(deeper[-1].index + 1, deeper[-1].line + 1, first=False)
+            value.tail = self._comments_up_to(deeper[-1].index + 1, deeper[-1].line + 1, first=False)
         return value
 
     def _entry(self, mapping: bool, *, first: bool) -> LayoutEntry:
         """Return the next key with its value, or the next item, with the comments at it."""
         start = self._events[self._next].start_mark
-        before = self._taken(start.index, start.line, first=first)
+        above = self._comments_up_to(start.index, start.line, first=first)
         key, beside_key = None, ""
         if mapping:
             key = self._value()
@@ -155,7 +155,7 @@ class _Builder:
         beside = self._beside() if plain else ""
         if value.raw and self._comments and self._comments[0].index < self._end_mark().index:
             beside = self._comments.pop(0).text  # beside the sign that begins the prose
-        return LayoutEntry(key, value, before, beside_key, beside)
+        return LayoutEntry(key, value, above, beside_key, beside)
 
     def _end_mark(self) -> StreamMark:
         """Return the end of the last event."""
@@ -181,7 +181,7 @@ class _Builder:
         self._comments.remove(here[0])
         return here[0].text
 
-    def _taken(self, index: int, line: int, *, first: bool) -> list[str]:
+    def _comments_up_to(self, index: int, line: int, *, first: bool) -> list[str]:
         """Return the comments before ``index`` with the blank lines around them, and use these comments up.
 
         The blank lines go up to ``line``.  Before the ``first`` entry of a block there is no leading blank
@@ -238,10 +238,10 @@ def _head(root: WrittenValue) -> Iterator[str]:
     if not root.entries:
         return
     first = root.entries[0]
-    if "" in first.before:
-        cut = len(first.before) - first.before[::-1].index("")
-        yield from first.before[:cut]
-        first.before = first.before[cut:]
+    if "" in first.above:
+        cut = len(first.above) - first.above[::-1].index("")
+        yield from first.above[:cut]
+        first.above = first.above[cut:]
 
 
 def _block(value: WrittenValue, kind: Value | None) -> list[str]:
@@ -256,8 +256,8 @@ def _block(value: WrittenValue, kind: Value | None) -> list[str]:
             lines += _item(entry, kind)
     else:
         for number, (entry, inner) in enumerate(_ordered(value, kind)):
-            blank = ["" for line in entry.before[:1] if not line and number > 0]
-            lines += blank + [line for line in _collapsed(entry.before) if line or number > 0][len(blank) :]
+            blank = ["" for line in entry.above[:1] if not line and number > 0]
+            lines += blank + [line for line in _collapsed(entry.above) if line or number > 0][len(blank) :]
             lines += _pair(entry, inner)
     return lines + value.tail
 
@@ -280,7 +280,7 @@ def _item(entry: LayoutEntry, kind: Value | None) -> list[str]:
         content = _block(entry.value, kind)
         if entry.beside:
             content = [entry.beside, *content]
-    above = list(entry.before)
+    above = list(entry.above)
     if not any(content):
         return [*_collapsed(above), "-"]  # an item without a value
     while content[0].startswith("#") or not content[0]:
@@ -336,7 +336,7 @@ def _flow(value: WrittenValue, used: int, kind: Value | None) -> str | None:
     parts = []
     for entry, of_entry in _ordered(value, kind if value.kind == "mapping" else None):
         inner = _flow(entry.value, 0, of_entry)
-        if inner is None or any((*entry.before, entry.beside_key, entry.beside)):
+        if inner is None or any((*entry.above, entry.beside_key, entry.beside)):
             return None
         parts.append(inner if entry.key is None else f"{_scalar(entry.key)}: {inner}".rstrip())
     text = f"[{', '.join(parts)}]" if value.kind == "list" else f"{{{', '.join(parts)}}}"

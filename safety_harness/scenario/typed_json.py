@@ -18,7 +18,7 @@ from safety_harness.base.exceptions import InputError, Place
 from safety_harness.scenario.files import decode, read_bytes
 from safety_harness.scenario.kinds import JSON, command_for, kind_of, refuse_other_kind
 
-LARGEST_BYTES = 64 * 2**20
+LARGEST_BYTES = 64 * 2**20  # of a file
 INSTEAD = {"Invalid": "a value that this version knows", "Number": "a finite number"}  # for msgspec's words
 
 T = TypeVar("T")
